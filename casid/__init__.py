@@ -1,0 +1,1 @@
+"""Constrained grey-box identification with CasADi."""
