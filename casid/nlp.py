@@ -14,10 +14,11 @@ from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from casid.errors import SolveError
 
-Array = np.ndarray
+Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +140,7 @@ class Solution:
         return float(self.x[self.names.index(name)])
 
 
-class _Callback(ca.Callback):  # type: ignore[misc]
+class _Callback(ca.Callback):
     """A NumPy function as a CasADi function."""
 
     def __init__(self, name: str, function: Any, n_in: list[int], out: list[Any], jac: Any = None):
