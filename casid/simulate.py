@@ -99,7 +99,10 @@ class Simulator:
         return ca.Function(
             "tangent",
             [ca.vertcat(e.x, ca.vec(s)), e.u, u_next, e.p],
-            [ca.densify(ca.vertcat(x_next, ca.vec(s_next))), ca.densify(ca.vertcat(e.h, ca.vec(dy)))],
+            [
+                ca.densify(ca.vertcat(x_next, ca.vec(s_next))),
+                ca.densify(ca.vertcat(e.h, ca.vec(dy))),
+            ],
         )
 
     def _mapped(self, cache: dict[int, Any], step: Any, n: int) -> Any:
@@ -108,9 +111,9 @@ class Simulator:
         return cache[n]
 
     @staticmethod
-    def _next(u: Array) -> Array:
-        """The inputs one sample later; the last is held."""
-        return np.concatenate([u[1:], u[-1:]])
+    def _next(u: Array, after: Array | None = None) -> Array:
+        """The inputs one sample later; the last is held unless the one after it is given."""
+        return np.concatenate([u[1:], u[-1:] if after is None else after[None, :]])
 
     def simulate(self, u: Array, p: Array, x0: Array) -> Trajectory:
         """Simulate N samples from `x0` (nx,) under `u` (N, nu) with all parameters `p` (np,).
@@ -123,13 +126,18 @@ class Simulator:
         states = np.vstack([np.reshape(x0, (1, self.nx)), np.array(x).T])
         return Trajectory(np.array(y).T.reshape(n, self.ny), states)
 
-    def sensitivities(self, u: Array, p: Array, x0: Array) -> Trajectory:
-        """As `simulate`, with dy (N, ny, nv) in (free parameters, initial state)."""
+    def sensitivities(
+        self, u: Array, p: Array, x0: Array, *, after: Array | None = None
+    ) -> Trajectory:
+        """As `simulate`, with dy (N, ny, nv) in (free parameters, initial state).
+
+        `after` (nu,) is the input one sample after the last, where it is known: x[N] needs it.
+        """
         n, nx, nv, ny = len(u), self.nx, self.nv, self.ny
         start = np.zeros((nv, nx))
         start[nv - nx :, :] = np.eye(nx)
         run = self._mapped(self._tangent, self._tangent_step, n)
-        xs, yd = run(np.concatenate([np.ravel(x0), start.ravel()]), u.T, self._next(u).T, p)
+        xs, yd = run(np.concatenate([np.ravel(x0), start.ravel()]), u.T, self._next(u, after).T, p)
         xs, yd = np.array(xs).T, np.array(yd).T
         return Trajectory(
             y=yd[:, :ny],

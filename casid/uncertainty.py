@@ -1,0 +1,165 @@
+"""Covariance of an estimate whose residuals are neither white nor of known variance.
+
+The sandwich  P = H^-1 (sum_{|l| <= L} w_l Gamma_l) H^-1,  Gamma_l = sum_k s_k s_{k-l}',  s_k = J_k' r_k
+with Bartlett weights w_l = 1 - |l|/(L+1) is consistent for autocorrelated and heteroscedastic
+residuals (Newey and West 1987); the number of lags L follows Andrews (1991, (6.2) and (6.4)) from
+first-order autoregressions of the scores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+
+Array = np.ndarray
+
+
+def bartlett_lags(scores: Array, *, largest: int | None = None) -> int:
+    """Number of lags for a Bartlett kernel from the scores' own memory (Andrews 1991).
+
+    Parameters
+    ----------
+    scores : (N, K) array, one column a score.
+    largest : upper limit, default N / 4.
+    """
+    n = len(scores)
+    if n < 8:
+        return 0
+    centred = scores - scores.mean(axis=0)
+    variance = np.einsum("ij,ij->j", centred, centred)
+    keep = variance > 1e-14 * max(float(variance.max(initial=0.0)), 1e-300)
+    if not keep.any():
+        return 0
+    rho = np.einsum("ij,ij->j", centred[1:, keep], centred[:-1, keep]) / variance[keep]
+    rho = np.clip(rho, -0.995, 0.995)
+    # All columns weigh the same once standardised: sigma_j^2 = (1 - rho_j^2).
+    innovation = 1 - rho**2
+    top = np.sum(4 * rho**2 * innovation**2 / ((1 - rho) ** 6 * (1 + rho) ** 2))
+    bottom = np.sum(innovation**2 / (1 - rho) ** 4)
+    lags = int(np.ceil(1.1447 * (top / bottom * n) ** (1 / 3)))
+    return int(np.clip(lags, 0, largest if largest is not None else n // 4))
+
+
+def long_run_covariance(scores: Array, lags: int) -> Array:
+    """Bartlett estimate of the covariance of the sum of the scores, (K, K).
+
+    Parameters
+    ----------
+    scores : (N, K) array, centred here.
+    lags : lags with weight above zero.
+    """
+    centred = scores - scores.mean(axis=0)
+    n = len(centred)
+    if lags == 0:
+        return np.asarray(centred.T @ centred)
+    # sum_l w_l Gamma_l = sum of outer products of moving sums over lags + 1 samples, / (lags + 1).
+    cumulative = np.vstack([np.zeros((1, centred.shape[1])), np.cumsum(centred, axis=0)])
+    m = lags + 1
+    padded = np.vstack(
+        [np.repeat(cumulative[:1], lags, 0), cumulative, np.repeat(cumulative[-1:], lags, 0)]
+    )
+    window = padded[m:] - padded[:-m]
+    assert len(window) == n + lags
+    return np.asarray(window.T @ window / m)
+
+
+def sandwich(
+    hessian: Array, scores: Array, free: Array, constraint_jacobian: Array | None = None
+) -> tuple[Array, int]:
+    """Covariance of an estimate, (n, n), and the lags used.
+
+    Parameters
+    ----------
+    hessian : (n, n) Gauss-Newton matrix J'J.
+    scores : (N, n) per-sample scores J_k' r_k.
+    free : (n,) bool, False at active bounds: those rows and columns are zero.
+    constraint_jacobian : (m, n) of the equality constraints; the estimate moves in their null space.
+
+    Notes
+    -----
+    Assumes residuals of zero mean and memory short against the record; see the module docstring.
+    """
+    n = len(hessian)
+    index = np.flatnonzero(free)
+    basis = np.eye(n)[:, index]
+    if constraint_jacobian is not None and constraint_jacobian.size:
+        _, s, vt = np.linalg.svd(constraint_jacobian[:, index])
+        rank = int(np.sum(s > 1e-10 * s.max(initial=0.0)))
+        basis = basis @ vt[rank:].T
+    lags = bartlett_lags(scores[:, index]) if index.size else 0
+    meat = long_run_covariance(scores, lags)
+    reduced = basis.T @ hessian @ basis
+    d = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
+    inverse = d[:, None] * np.linalg.pinv(reduced * np.outer(d, d), rcond=1e-13) * d[None, :]
+    covariance = basis @ inverse @ (basis.T @ meat @ basis) @ inverse @ basis.T
+    # Fitted residuals are smaller than the errors: the usual degrees-of-freedom factor.
+    count, fitted = scores.shape[0], basis.shape[1]
+    return covariance * (count / max(count - fitted, 1)), lags
+
+
+def autocorrelation(residual: Array, lags: int) -> Array:
+    """Autocorrelation of a residual (N,) at lags 1..lags."""
+    centred = residual - residual.mean()
+    size = next_fast_len(len(centred) + lags)
+    spectrum = np.abs(rfft(centred, size)) ** 2
+    gamma = irfft(spectrum, size)[: lags + 1]
+    return np.asarray(gamma[1:] / max(float(gamma[0]), 1e-300))
+
+
+def whiteness(residual: Array, lags: int = 20) -> int:
+    """How many of the first `lags` autocorrelations lie outside the 95 % band of white noise."""
+    lags = min(lags, len(residual) - 2)
+    bound = 1.96 / np.sqrt(len(residual))
+    return int(np.sum(np.abs(autocorrelation(residual, lags)) > bound))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sampled:
+    """Draws of N(theta, P) pushed through a nonlinear map (as Linder 2017, Figure 7.15)."""
+
+    values: Array  # (draws that are valid, n_out)
+    share_invalid: float
+
+    @property
+    def mean(self) -> Array:
+        """Mean of the valid draws."""
+        return np.asarray(self.values.mean(axis=0))
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation of the valid draws."""
+        return np.asarray(self.values.std(axis=0, ddof=1))
+
+    def interval(self, level: float = 0.95) -> Array:
+        """Central interval of the valid draws, (2, n_out)."""
+        tail = (1 - level) / 2
+        return np.asarray(np.quantile(self.values, [tail, 1 - tail], axis=0))
+
+
+def sample_through(
+    function: Callable[[Array], Array],
+    theta: Array,
+    covariance: Array,
+    *,
+    draws: int = 10_000,
+    seed: int = 0,
+    valid: Callable[[Array], bool] | None = None,
+) -> Sampled:
+    """Sample N(theta, P) and push every draw through `function`.
+
+    Draws whose result is not finite, or fails `valid`, are left out and their share is reported:
+    where it is more than a few per cent the normal approximation itself is in doubt.
+    """
+    rng = np.random.default_rng(seed)
+    points = rng.multivariate_normal(theta, covariance, size=draws, method="eigh")
+    kept: list[Array] = []
+    with np.errstate(all="ignore"):
+        for point in points:
+            value = np.atleast_1d(np.asarray(function(point), dtype=float))
+            if np.all(np.isfinite(value)) and (valid is None or valid(value)):
+                kept.append(value)
+    values = np.array(kept) if kept else np.zeros((0, 1))
+    return Sampled(values, 1 - len(kept) / draws)
