@@ -1,0 +1,82 @@
+"""Files written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from casid.errors import DataError
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write `text` beside `path` and move it there in one step; returns the path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+    return path
+
+
+def plain(value: Any) -> Any:
+    """NumPy numbers as Python's, NaN and Inf as null: JSON knows neither."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_json(path: Path, content: dict[str, Any]) -> Path:
+    """Write `content` as JSON, whole or not at all; returns the path."""
+    return write_text(path, json.dumps(plain(content), indent=1, allow_nan=False) + "\n")
+
+
+def output_folder(out: Path | None, default: str, *, force: bool = False) -> Path:
+    """The folder to write to: `out`, or a new `reports/<default>-<n>`.
+
+    An existing empty folder is accepted, a full one only with `force`.
+
+    Raises
+    ------
+    DataError
+        If `out` is a file, or holds files and `force` is not set.
+    """
+    if out is None:
+        root = Path("reports")
+        n = 1
+        while True:
+            folder = root / f"{default}-{n}"
+            try:
+                folder.mkdir(parents=True)
+                return folder
+            except FileExistsError:
+                n += 1
+            except OSError as error:
+                raise DataError(
+                    f"cannot make {folder}: {error.strerror}; name a folder with --out"
+                ) from error
+    if out.exists() and not out.is_dir():
+        raise DataError(f"{out} is a file, not a folder; name a folder with --out")
+    if out.is_dir() and any(out.iterdir()) and not force:
+        raise DataError(f"{out} is not empty; name another folder with --out, or add --force")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(
+            f"cannot make {out}: {error.strerror}; name another folder with --out"
+        ) from error
+    return out
