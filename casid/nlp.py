@@ -1,8 +1,8 @@
 """Nonlinear programs with named, scaled variables, bounds and constraints.
 
 Every estimator of casid states its problem here and hands it to a solver, which is a value:
-``Solver("ipopt")`` by default, any other CasADi ``nlpsol`` plug-in by name. An objective is either a
-CasADi expression (exact derivatives) or a `Criterion`, a Python object whose value, gradient and
+``Solver("ipopt")`` by default, any other CasADi ``nlpsol`` plug-in by name. An objective is either
+a CasADi expression (exact derivatives) or a `Criterion`, a Python object whose value, gradient and
 Gauss-Newton matrix come from one pass over the data.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, Protocol
 
 import casadi as ca
@@ -99,12 +100,19 @@ class Solver:
 
     def nlpsol_options(self) -> dict[str, Any]:
         """Options as `casadi.nlpsol` takes them."""
-        merged = dict(_QUIET.get(self.name, {"print_time": False}))
+        # NaN on the way is the line search's business; one at the start is refused before.
+        merged = dict(_QUIET.get(self.name, {"print_time": False})) | {"show_eval_warnings": False}
         key = {"ipopt": "ipopt.max_iter", "sqpmethod": "max_iter"}.get(self.name)
         if key is not None:
             merged[key] = self.max_iterations
         merged.update(self.options)
         return merged
+
+
+@cache
+def _is_installed(name: str) -> bool:
+    """Whether CasADi finds the plug-in; asked once, since a missing one makes CasADi chatter."""
+    return bool(ca.has_nlpsol(name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,6 +226,8 @@ class Nlp:
             raise SolveError(
                 f"{self.name}: bounds of {name} cross ({lower:g} > {upper:g}); exchange them"
             )
+        if not np.isfinite(start):
+            raise SolveError(f"{self.name}: start {name} = {start:g}; give a finite number")
         if not lower <= start <= upper:
             raise SolveError(
                 f"{self.name}: start {name} = {start:g} lies outside its bounds "
@@ -273,7 +283,12 @@ class Nlp:
         solver = solver or Solver()
         scale = np.array(self._scale)
         lower, upper = np.array(self._lower), np.array(self._upper)
-        x0 = np.array(self._start if start is None else start, dtype=float)
+        x0: Array = np.array(self._start if start is None else start, dtype=float).ravel()
+        if len(x0) != len(scale):
+            raise SolveError(
+                f"{self.name}: start has {len(x0)} values for {len(scale)} variables; give one for "
+                f"each of {', '.join(self._names)}"
+            )
         x0 = np.clip(x0, lower, upper)
         n = len(scale)
         if self._objective is None:
@@ -313,17 +328,20 @@ class Nlp:
                 f"({', '.join(f'{k} = {v:g}' for k, v in zip(self._names, x0, strict=True))}); "
                 "change the start values or tighten the bounds"
             )
+        if not _is_installed(solver.name):
+            raise SolveError(
+                f"{self.name}: solver {solver.name!r} is no CasADi plug-in that loads here; use "
+                "Solver('ipopt') or Solver('sqpmethod')"
+            )
         try:
             nlpsol = ca.nlpsol("nlp", solver.name, problem, options)
         except RuntimeError as error:
             raise SolveError(
                 f"{self.name}: solver {solver.name!r} cannot be set up: "
-                f"{str(error).strip().splitlines()[-1]}; use Solver('ipopt')"
+                f"{str(error).strip().splitlines()[-1]}; check Solver(options=...)"
             ) from error
         try:
-            result = nlpsol(
-                x0=x0 / scale, lbx=lower / scale, ubx=upper / scale, lbg=lbg, ubg=ubg
-            )
+            result = nlpsol(x0=x0 / scale, lbx=lower / scale, ubx=upper / scale, lbg=lbg, ubg=ubg)
         except RuntimeError as error:
             raise SolveError(
                 f"{self.name}: {solver.name} stopped: {str(error).strip().splitlines()[-1]}; "
@@ -416,20 +434,11 @@ class Nlp:
         jac = np.array(ca.Function("j", [symbol], [ca.jacobian(g_user(symbol), symbol)])(x))
         jacobian = np.vstack([at.jacobian.reshape(-1, len(x)), jac.reshape(-1, len(x))])
         g = np.concatenate([at.constraints, np.array(g_user(x)).ravel()])
-        violation = float(np.max(np.r_[0.0, np.array(lbg) - g, g - np.array(ubg)]))
-        # Multipliers of constraints and active bounds by least squares in the metric of H: the
-        # solver's own are in its scaling, and not every plug-in returns them.
-        weight = 1 / np.sqrt(np.maximum(np.diag(at.hessian), 1e-300))
-        free = ~(at_lower | at_upper)
-        gradient = at.gradient * weight
-        if len(g):
-            rows = (jacobian * weight)[:, free]
-            lam = np.linalg.lstsq(rows.T, -gradient[free], rcond=None)[0]
-            gradient = gradient + (jacobian * weight).T @ lam
-        gradient = np.where(at_lower, np.minimum(gradient, 0.0), gradient)
-        gradient = np.where(at_upper, np.maximum(gradient, 0.0), gradient)
-        size = float(np.max(np.abs(gradient), initial=0.0)) / max(np.sqrt(abs(at.value)), 1e-150)
-        names = np.array(self._names)
+        low, high = np.array(lbg), np.array(ubg)
+        violation = float(np.max(np.r_[0.0, low - g, g - high]))
+        size = _scaled_gradient(
+            at, jacobian, low - g, high - g, np.maximum(np.abs(x), scale), at_lower, at_upper
+        )
         return Solution(
             names=self.names,
             x=x,
@@ -438,9 +447,59 @@ class Nlp:
             iterations=int(stats["iter_count"]),
             scaled_gradient=size,
             constraint_violation=violation,
-            at_lower=tuple(names[at_lower]),
-            at_upper=tuple(names[at_upper]),
+            at_lower=tuple(n for n, held in zip(self._names, at_lower, strict=True) if held),
+            at_upper=tuple(n for n, held in zip(self._names, at_upper, strict=True) if held),
             hessian=at.hessian,
             constraint_jacobian=jacobian,
             solver=solver.name,
         )
+
+
+def _scaled_gradient(
+    at: Evaluation,
+    jacobian: Array,
+    to_lower: Array,
+    to_upper: Array,
+    size: Array,
+    at_lower: Array,
+    at_upper: Array,
+) -> float:
+    """Largest |dL/dx_i| / sqrt(H_ii f), a number without units that vanishes at an optimum.
+
+    Multipliers of active constraints are found by least squares in the metric of H: the solver's
+    own are in its scaling, and not every plug-in returns them. `size` (n,) is what each variable
+    weighs, `to_lower` and `to_upper` (m,) the way from the constraints to their limits.
+    """
+    h, raw = np.diag(at.hessian), at.gradient
+    level = abs(at.value) + float(np.max(np.abs(raw) * size, initial=0.0))
+    # A variable without curvature of its own (a linear objective) is measured by what f gains when
+    # the variable changes by its size.
+    curved = h * size**2 > 1e-12 * level
+    root = np.sqrt(np.where(curved, h, 1.0))
+    weight = np.where(curved, 1 / root, size / np.sqrt(level or 1.0))
+    # Where f vanishes (data without noise) no direction of the gradient means anything: a Newton
+    # step below 1e-9 of the variable is then converged.
+    unit = np.where(
+        curved, np.maximum(np.sqrt(abs(at.value)), 1e-4 * root * size), np.sqrt(level or 1.0)
+    )
+    rows = jacobian * weight
+    length = np.linalg.norm(rows, axis=1)
+    rows = rows / np.where(length > 0, length, 1.0)[:, None]
+    tolerance = 1e-6 * np.maximum(np.abs(jacobian) @ size, 1e-300)
+    near_lower, near_upper = np.abs(to_lower) < tolerance, np.abs(to_upper) < tolerance
+    equality = to_lower == to_upper
+    active = np.flatnonzero(equality | near_lower | near_upper)
+    free = ~(at_lower | at_upper)
+    gradient = raw * weight
+    if not len(active) and np.any((h * size**2 < -1e-12 * level) & free):
+        return float("inf")  # a maximum along that variable
+    while len(active):  # leave out the inequalities that do not hold the optimum back
+        lam = np.linalg.lstsq(rows[active][:, free].T, -gradient[free], rcond=None)[0]
+        pulls_off = np.where(near_lower[active], lam > 1e-9, lam < -1e-9) & ~equality[active]
+        if not pulls_off.any():
+            gradient = gradient + rows[active].T @ lam
+            break
+        active = active[~pulls_off]
+    gradient = np.where(at_lower, np.minimum(gradient, 0.0), gradient)
+    gradient = np.where(at_upper, np.maximum(gradient, 0.0), gradient)
+    return float(np.max(np.abs(gradient) / unit, initial=0.0))
