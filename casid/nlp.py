@@ -62,6 +62,7 @@ _QUIET: dict[str, dict[str, Any]] = {
         "print_status": False,
         "print_time": False,
         "qpsol": "qrqp",
+        "convexify_strategy": "eigen-reflect",  # its QP cannot use negative curvature
         "qpsol_options": {
             "print_iter": False,
             "print_header": False,
