@@ -273,15 +273,17 @@ class _Table:
         """Read the named columns whole."""
         import pandas as pd
 
+        frame: pd.DataFrame
         if self.is_parquet:
             import pyarrow.parquet as pq
 
-            frame: pd.DataFrame = pq.read_table(self.path, columns=columns).to_pandas()
+            frame = pq.read_table(self.path, columns=columns).to_pandas()
             return frame
         try:
-            return pd.read_csv(self.path, low_memory=False, **self._csv_options(columns))
+            frame = pd.read_csv(self.path, low_memory=False, **self._csv_options(columns))
         except (pd.errors.ParserError, ValueError) as error:
             raise self._broken(error) from None
+        return frame
 
     def _broken(self, error: Exception) -> DataError:
         reason = str(error).strip().splitlines()[-1]
