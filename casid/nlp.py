@@ -80,6 +80,7 @@ _MENDS = {
     "Invalid_Number_Detected": "the model gives NaN or Inf near the start: tighten the bounds or "
     "change the start values",
     "Restoration_Failed": "the constraints cannot be met from this start: try several starts",
+    "Subproblem_Failed": "its quadratic program has no solution here: use Solver('ipopt')",
     "Diverging_Iterates": "a parameter runs to infinity: give it bounds, or fix it",
 }
 
@@ -348,7 +349,10 @@ class Nlp:
                 f"{self.name}: {solver.name} stopped: {str(error).strip().splitlines()[-1]}; "
                 "change the start values or tighten the bounds"
             ) from error
-        stats = nlpsol.stats()
+        try:
+            stats = nlpsol.stats()
+        except RuntimeError:  # sqpmethod has no words for a QP that failed
+            stats = {"return_status": "Subproblem_Failed", "iter_count": 0}
         solution = self._judge(solver, evaluate, g_user, result, stats, scale, lbg, ubg)
         if throw and not solution.is_converged:
             raise SolveError(
@@ -472,6 +476,9 @@ def _scaled_gradient(
     weighs, `to_lower` and `to_upper` (m,) the way from the constraints to their limits.
     """
     h, raw = np.diag(at.hessian), at.gradient
+    finite = [np.all(np.isfinite(v)) for v in (at.value, raw, h, jacobian)]
+    if not all(finite):
+        return float("inf")
     level = abs(at.value) + float(np.max(np.abs(raw) * size, initial=0.0))
     # A variable without curvature of its own (a linear objective) is measured by what f gains when
     # the variable changes by its size.
