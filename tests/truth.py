@@ -186,7 +186,7 @@ def cart_pendulum(
         now = _Torque(sizes, dict(zip((effect, (second or ("none",))[0]), draws, strict=True)))
         k_t, d_t, torque, m_t = now.coefficients(k, d, load, steps.times, duration, yaw_rate, speed)
         if np.any(k_t + (M * Z_G + m_t * Z_M) * G <= 0.0) or np.any(d_t < 0.0) or np.any(m_t < 0.0):
-            raise _Runaway
+            raise _Runaway("the stiffness or the damping became negative: choose a smaller `size`")
         S = M * Z_G + m_t * Z_M
         I_1 = I_x + M * Z_G**2 + m_t * Z_M**2
         x, v, a = _integrate(
@@ -576,7 +576,7 @@ def _integrate(
         x += sixth * (v + 2.0 * (v2 + v3) + v4)
         v += sixth * (a1 + 2.0 * (a2 + a3) + a4)
         if not -bound < x < bound:
-            raise _Runaway
+            raise _Runaway(f"|x| exceeded {bound:g}: choose a smaller `size`")
         xs.append(x)
         vs.append(v)
         accs.append(a1)
@@ -783,8 +783,6 @@ def _search(
     """Find the size that leaves the wanted strength, by secants in log-log inside a bracket."""
     if not target > 0.0:
         raise ValueError(f"strength={target!r} of {kind}: choose a positive one, or effect 'none'")
-    if kind == "saturation":  # sizes are L / max|y|, and less is more
-        return 1.0 - _root(kind, lambda s: measure({kind: 1.0 - s}, COARSE), target, 0.1, 0.999)
     start, limit = {
         "quadratic_damping": (0.01, 1e3),
         "coulomb_friction": (0.02, 0.3),
@@ -800,24 +798,30 @@ def _search(
         "time_delay": (0.01, 0.2),
         "sensor_lag": (0.01, 0.5),
         "outliers": (0.01, 1e6),
+        "saturation": (0.1, 0.999),  # of 1 - L / max|y|: less is more
     }[kind]
     signs = (1.0,) if kind in ONE_SIDED or draw.where == "m" else (draw.sign, -draw.sign)
+    largest = 0.0
     for sign in signs:  # the drawn sign may be unreachable: a softening spring runs away
 
         def of(size: float, sign: float = sign) -> float:
-            return measure({kind: sign * size}, COARSE)
+            return measure({kind: 1.0 - size if kind == "saturation" else sign * size}, COARSE)
 
-        try:
-            return sign * _root(kind, of, target, start, limit)
-        except UnreachableStrength as error:
-            last = error
-    raise last
+        size, found = _root(of, target, start, limit)
+        if size is not None:
+            return 1.0 - size if kind == "saturation" else sign * size
+        largest = max(largest, found)
+    raise UnreachableStrength(
+        f"{kind}: strength {target:g} was not reached; the largest found is {largest:.3g}. "
+        "Ask for less, take another seed, or give `size` instead."
+    )
 
 
 def _root(
-    kind: str, strength: Callable[[float], float], target: float, start: float, limit: float
-) -> float:
-    low, high, size, best = 0.0, limit, start, 0.0
+    strength: Callable[[float], float], target: float, start: float, limit: float
+) -> tuple[float | None, float]:
+    """Return the size with the wanted strength (None if there is none), and the largest found."""
+    low, high, size, largest = 0.0, math.inf, start, 0.0
     points: list[tuple[float, float]] = []
     for _ in range(25):
         try:
@@ -825,9 +829,9 @@ def _root(
         except (_Runaway, np.linalg.LinAlgError):
             found = math.inf
         if math.isfinite(found):
-            best = max(best, found)
+            largest = max(largest, found)
             if abs(found / target - 1.0) < TOLERANCE:
-                return size
+                return size, largest
             points.append((math.log(size), math.log(max(found, 1e-12))))
         if found > target:
             high = min(high, size)
@@ -835,20 +839,14 @@ def _root(
             low = max(low, size)
         if low >= limit * 0.999 or high - low < 2e-3 * high:
             break
+        guess = 0.0
         slope = 1.0
         if len(points) > 1 and points[-1][0] != points[-2][0]:
             slope = (points[-1][1] - points[-2][1]) / (points[-1][0] - points[-2][0])
-        guess = math.inf
         if points and slope > 0.2:
             step = (math.log(target) - points[-1][1]) / min(slope, 3.0)
             guess = math.exp(points[-1][0] + min(max(step, -3.0), 3.0))
-        if not low < guess < high:
-            # Outside the bracket: halve it, in ratio; the limit itself is tried last.
-            guess = (
-                limit if high == limit and guess >= limit else math.sqrt(max(low, high / 30) * high)
-            )
-        size = guess
-    raise UnreachableStrength(
-        f"{kind}: strength {target:g} was not reached; the largest found is {best:.3g}. "
-        "Ask for less, take another seed, or give `size` instead."
-    )
+        if not low < guess < high:  # outside the bracket: halve it in ratio, or widen it
+            guess = 3.0 * low if high == math.inf else math.sqrt(max(low, high / 30.0) * high)
+        size = min(guess, limit)
+    return None, largest
