@@ -1,4 +1,4 @@
-"""Where the shared reference data lie: `CASID_SHARED`, default ../shared from the checkout."""
+"""Where the shared measurements lie; tests that need them are skipped where they are absent."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parent.parent
 
 
-def shared(path: str) -> Path:
-    """Path of a shared file or folder; the calling test is skipped where it is absent."""
-    found = Path(os.environ.get("CASID_SHARED", ROOT / ".." / "shared")) / path
-    if not found.exists():
-        pytest.skip(f"{found} is absent; set CASID_SHARED to the folder of shared data")
-    return found
+def shared(path: str = "") -> Path:
+    """Return a path inside the shared folder (CASID_SHARED, default ../shared), or skip."""
+    folder = Path(os.environ.get("CASID_SHARED", ROOT.parent / "shared"))
+    if not (folder / path).exists():
+        pytest.skip(f"{path or 'the shared folder'} is absent; set CASID_SHARED to its folder")
+    return folder / path
