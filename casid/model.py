@@ -39,6 +39,7 @@ class Parameter:
     lower: float = -np.inf
     upper: float = np.inf
     value: float | None = None
+    is_constant: bool = False  # of nature or of geometry: no effect ever moves it
 
     def __post_init__(self) -> None:
         if self.lower > self.upper:
@@ -94,9 +95,9 @@ class Balance:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What a sensor does to a simulated output, beyond an expression: a delay or a clipping."""
+    """What a sensor does to its channel, beyond an expression: a delay or a clipping."""
 
-    kind: Literal["delay", "clip"]
+    kind: Literal["delay", "delay_input", "clip"]
     channel: str
     parameter: str
 
@@ -145,6 +146,7 @@ class Model:
         self._derivatives: dict[str, Any] = {}  # state -> symbol of its derivative
         self._rates: dict[str, Expr] = {}  # state -> explicit right-hand side
         self._eliminations: list[tuple[str, str, Expr]] = []  # (unknown, equation's name, residual)
+        self.eliminated_units: dict[str, str] = {}
         self._explicit: Explicit | None = None
 
     # -- declaring ---------------------------------------------------------------------------
@@ -200,8 +202,10 @@ class Model:
         return self._declare(name)
 
     def constant(self, name: str, value: float, unit: str) -> Any:
-        """Declare a known parameter, such as the acceleration of gravity."""
-        return self.parameter(name, unit, value=value)
+        """Declare a constant of nature or geometry: known, and no diagnosis suspects it to move."""
+        symbol = self.parameter(name, unit, value=value)
+        self.parameters[name] = replace(self.parameters[name], is_constant=True)
+        return symbol
 
     def der(self, state: Any) -> Any:
         """The time derivative of a state, for use in balances and outputs."""
@@ -290,7 +294,7 @@ class Model:
             residual = self._symbols[name] - ca.SX(solution)
             self._check_branch(expression, measured, name, ca.SX(solution), using)
         new._symbols[using] = measured
-        del new.inputs[name]
+        new.eliminated_units[name] = new.inputs.pop(name).unit
         new.inputs[using] = Input(using, unit, "measured", "foh")
         new._eliminations.append((name, using, residual))
         new.explicit()  # refuse here, where the user can mend it
@@ -341,6 +345,11 @@ class Model:
         self.balances[balance] = replace(old, terms=(*old.terms, ca.SX(term)))
         self._explicit = None
 
+    def replace_output(self, name: str, expression: Expr, unit: str) -> None:
+        """Give an output another expression (used by effects on their own copy)."""
+        self.outputs[name] = (ca.SX(expression), unit)
+        self._explicit = None
+
     def add_input(self, entry: Input) -> Any:
         """Add an input (used by effects on their own copy)."""
         if entry.name in self.inputs:
@@ -348,8 +357,8 @@ class Model:
         self.inputs[entry.name] = entry
         return self._declare(entry.name)
 
-    def substitute_parameter(self, name: str, expression: Expr) -> None:
-        """Replace a parameter by an expression wherever it stands (used by effects)."""
+    def substitute_symbol(self, name: str, expression: Expr) -> None:
+        """Replace a parameter or input by an expression wherever it stands (used by effects)."""
         old = self._symbols[name]
 
         def swap(expr: Expr) -> Expr:
@@ -363,6 +372,13 @@ class Model:
         self.outputs = {key: (swap(e), unit) for key, (e, unit) in self.outputs.items()}
         self._eliminations = [(w, y, swap(r)) for w, y, r in self._eliminations]
         self._explicit = None
+
+    def free_name(self, wanted: str) -> str:
+        """`wanted`, or `wanted` with a number where the name is taken."""
+        name, n = wanted, 2
+        while name in self._symbols:
+            name, n = f"{wanted}_{n}", n + 1
+        return name
 
     def position_of(self, rate: str) -> str | None:
         """The state whose derivative is the state `rate`, if there is one."""
@@ -511,6 +527,7 @@ class Model:
         new._derivatives = dict(self._derivatives)
         new._rates = dict(self._rates)
         new._eliminations = list(self._eliminations)
+        new.eliminated_units = dict(self.eliminated_units)
         new._explicit = None
         return new
 
@@ -557,9 +574,7 @@ def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: 
         for i in rows:
             if not a[i][j].is_zero():
                 factor = a[i][j] / a[best][j]
-                a[i] = [
-                    ca.SX(0) if c == j else a[i][c] - factor * a[best][c] for c in range(n)
-                ]
+                a[i] = [ca.SX(0) if c == j else a[i][c] - factor * a[best][c] for c in range(n)]
                 b[i] = b[i] - factor * b[best]
     z: list[Any] = [ca.SX(0)] * n
     for j in reversed(range(n)):

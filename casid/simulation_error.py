@@ -68,8 +68,9 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
             )
     columns = []
     for name, entry in model.inputs.items():
-        if entry.kind == "generated" and entry.signal is not None:
-            columns.append(entry.signal(record.t))
+        if entry.kind == "generated":
+            made = np.zeros(record.N) if entry.signal is None else entry.signal(record.t)
+            columns.append(made)
             continue
         mask = record.missing.get(name)
         if mask is not None and bool(np.any(mask)):
@@ -292,6 +293,9 @@ class SimulationError:
         initial = []
         for state, i in zip(self.model.states.values(), index[len(self.free) :], strict=True):
             initial.append(float(x[i]) if i >= 0 else float(state.initial or 0.0))
+        for stage in self.model.stages:
+            if stage.kind == "delay_input":
+                values[stage.parameter] = 0.0  # the shift itself is in the input, see below
         names = self._simulators[d.Ts].equations.parameters
         return np.array([values[n] for n in names], dtype=float), np.array(initial)
 
@@ -307,12 +311,13 @@ class SimulationError:
         n, ny = len(self.variables), len(self.outputs)
         cuts = self._cuts[experiment].copy()
         cuts[-1] = d.N
+        inputs = self._delayed_inputs(x, experiment, d)
         y, states = np.empty((d.N, ny)), np.empty((d.N, len(self.model.states)))
         jac = np.zeros((d.N, ny, n)) if tangent else None
         for i, index in enumerate(self._index[experiment]):
             part = slice(int(cuts[i]), int(cuts[i + 1]))
             p, x0 = self.parameter_vector(x, experiment, i)
-            u = d.u[part]
+            u = inputs[part]
             if tangent and jac is not None:
                 run = simulator.sensitivities(u, p, x0)
                 assert run.dy is not None
@@ -325,12 +330,37 @@ class SimulationError:
         self._through_sensors(y, jac, p, d, self._index[experiment][0])
         return y, states, jac
 
+    def _delayed_inputs(self, x: Array, experiment: int, d: Signals) -> Array:
+        """The inputs with delayed channels shifted, and minus the slopes that carry their tangents."""
+        stages = [s for s in self.model.stages if s.kind == "delay_input"]
+        if not stages:
+            return d.u
+        names = list(self.model.inputs)
+        u = d.u.copy()
+        for stage in stages:
+            i, j = names.index(stage.channel), names.index(f"slope of {stage.channel}")
+            shift = self._value(x, experiment, stage.parameter) / d.Ts
+            u[:, i] = delay_columns(d.u[:, i], shift)
+            u[:, j] = delay_columns(d.u[:, i], shift, derivative=True) / d.Ts
+        return u
+
+    def _value(self, x: Array, experiment: int, name: str) -> float:
+        """The value of one parameter at `x`."""
+        if name in self.free:
+            i = int(self._index[experiment][0][self.free.index(name)])
+            if i >= 0:
+                return float(x[i])
+        p = self.model.parameters[name]
+        return float(self.data[experiment].known.get(name, p.start if p.value is None else p.value))
+
     def _through_sensors(
         self, y: Array, jac: Array | None, p: Array, d: Signals, index: Array
     ) -> None:
         """Apply the model's sensor stages in place."""
         names = self._simulators[d.Ts].equations.parameters
         for stage in self.model.stages:
+            if stage.kind == "delay_input":
+                continue
             c = self.outputs.index(stage.channel)
             value = p[names.index(stage.parameter)]
             place = index[self.free.index(stage.parameter)] if stage.parameter in self.free else -1
@@ -349,18 +379,22 @@ class SimulationError:
                     if place >= 0:
                         jac[above, c, place], jac[below, c, place] = 1.0, -1.0
 
-    def simulated(self, x: Array, experiment: int) -> Simulated:
+    def simulated(
+        self, x: Array, experiment: int, *, signals: Signals | None = None
+    ) -> Simulated:
         """Residuals and sensitivities of one experiment, unweighted."""
-        d = self.data[experiment]
+        d = signals if signals is not None else self.data[experiment]
         with np.errstate(all="ignore"):
-            y, states, jac = self.simulate(x, experiment, tangent=True)
+            y, states, jac = self.simulate(x, experiment, signals=d, tangent=True)
         assert jac is not None
         used = d.used
         return Simulated(y, np.where(used, d.y - y, 0.0), jac * used[:, :, None], states)
 
-    def columns(self, x: Array, experiment: int) -> tuple[Array, Array]:
+    def columns(
+        self, x: Array, experiment: int, *, signals: Signals | None = None
+    ) -> tuple[Array, Array]:
         """Weighted and whitened residual (N, ny) and tangent (N, ny, n)."""
-        at = self.simulated(x, experiment)
+        at = self.simulated(x, experiment, signals=signals)
         stack = np.concatenate([at.residual[:, :, None], at.jacobian], axis=2)
         stack *= self.weights[None, :, None]
         if self.whiten is not None and np.all(np.isfinite(stack)):

@@ -1,0 +1,267 @@
+"""The noise of a simulation: what sensors, measured inputs and disturbances leave in its error.
+
+A measured input is noisy, and the model's resonance amplifies that noise (errors in variables); a
+force that nobody models does the same. With G_j the model's transfer functions at the estimate,
+
+    S_i(w) = sigma_i^2 + sum_j |G_ij(w)|^2 sigma_j^2                                          (1)
+
+for output i. The variances minimise Whittle's likelihood of the residual; the square root of S
+whitens residuals and sensitivities alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.optimize import nnls
+
+from casid.model import Model
+from casid.simulation_error import Signals, SimulationError
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """Frequency responses of the sampled, linearised model to its noise sources."""
+
+    omega: Array  # (F,) rad/sample, 0..pi
+    gain2: Array  # (F, ny, ns) squared magnitudes
+    sources: tuple[str, ...]
+
+
+def noise_response(
+    criterion: SimulationError, x: Array, experiment: int, n_frequencies: int = 2049
+) -> Response:
+    """|G|^2 from every measured input and every balance to the outputs, linearised at the mean.
+
+    The step of the simulation itself is linearised, so the response is that of what is simulated.
+    """
+    model, d = criterion.model, criterion.data[experiment]
+    p, _ = criterion.parameter_vector(x, experiment)
+    _, states, _ = criterion.simulate(x, experiment)
+    disturbed = _with_disturbances(model)
+    e = disturbed.explicit()
+    f = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    nb = len(model.balances)
+    u_next = ca.SX.sym("un", len(e.inputs))
+    h = d.Ts / criterion.substeps
+    foh = np.array([disturbed.inputs[n].hold == "foh" for n in e.inputs])
+
+    def at(c: float) -> ca.SX:
+        return ca.vertcat(
+            *[e.u[i] + c * (u_next[i] - e.u[i]) if foh[i] else e.u[i] for i in range(len(foh))]
+        )
+
+    xs = e.x
+    for i in range(criterion.substeps):
+        left, mid, right = (at((i + c) / criterion.substeps) for c in (0.0, 0.5, 1.0))
+        k1 = f(xs, left, e.p)
+        k2 = f(xs + h / 2 * k1, mid, e.p)
+        k3 = f(xs + h / 2 * k2, mid, e.p)
+        k4 = f(xs + h * k3, right, e.p)
+        xs = xs + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    jac = ca.Function(
+        "lin",
+        [e.x, e.u, u_next, e.p],
+        [
+            ca.jacobian(xs, e.x),
+            ca.jacobian(xs, e.u),
+            ca.jacobian(xs, u_next),
+            ca.jacobian(e.h, e.x),
+            ca.jacobian(e.h, e.u),
+        ],
+    )
+    # Equivalent linearisation: the mean of the derivatives over the record, so that kinks and
+    # amplitude-dependent terms count by how often they are met.
+    pick = np.linspace(0, d.N - 1, min(d.N, 200)).astype(int)
+    u = np.hstack([d.u[pick], np.zeros((len(pick), nb))])
+    at_points = jac.map(len(pick))(states[pick].T, u.T, u.T, np.tile(p[:, None], (1, len(pick))))
+    a, b0, b1, c, dd = (
+        np.array(m).reshape(m.shape[0], len(pick), -1).mean(axis=1) for m in at_points
+    )
+    measured = [i for i, n in enumerate(e.inputs) if disturbed.inputs[n].kind == "measured"]
+    columns = measured + list(range(len(e.inputs) - nb, len(e.inputs)))
+    names = tuple([e.inputs[i] for i in measured] + list(model.balances))
+    omega = np.linspace(0, np.pi, n_frequencies)
+    z = np.exp(1j * omega)
+    eye = np.eye(len(a))
+    lhs = z[:, None, None] * eye - a
+    lhs[0] += 1e-9 * eye  # an integrator has no finite response at zero frequency
+    rhs = b0[None, :, columns] + z[:, None, None] * b1[None, :, columns]
+    g = c @ np.linalg.solve(lhs, rhs) + dd[None, :, columns]
+    return Response(omega, np.abs(g) ** 2, names)
+
+
+def _with_disturbances(model: Model) -> Model:
+    from casid.model import Input
+
+    new = model.copy()
+    new.stages = ()
+    for name, balance in model.balances.items():
+        w = new.add_input(Input(f"disturbance of {name}", balance.unit, "unknown"))
+        new.add_term(name, w)
+    return new
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseModel:
+    """Variances of (1) and the whitening they give, in the criterion's weighted output units."""
+
+    output_sd: Array  # (ny,) white noise of each output, output units
+    source_sd: Mapping[str, float]  # measured input or balance -> white noise per sample
+    responses: Sequence[Response]  # one an experiment
+    weights: Array
+
+    def spectrum(self, experiment: int) -> Array:
+        """S (F, ny) per sample, output units squared, on the response's frequencies."""
+        r = self.responses[experiment]
+        variances = np.array([self.source_sd[s] ** 2 for s in r.sources])
+        return np.asarray(self.output_sd[None, :] ** 2 + r.gain2 @ variances)
+
+    def floor(self, experiment: int) -> Array:
+        """(ny,) rms that the best possible model would leave."""
+        s = self.spectrum(experiment)
+        return np.asarray(
+            np.sqrt(np.trapezoid(s, self.responses[experiment].omega, axis=0) / np.pi)
+        )
+
+    def whiten(self, columns: Array, experiment: int) -> Array:
+        """Columns (N, ny, m), times `weights`, filtered by S^(-1/2); white noise keeps unit size."""
+        n = len(columns)
+        size = next_fast_len(2 * n, real=True)
+        s = self.spectrum(experiment) * self.weights[None, :] ** 2
+        grid = np.linspace(0, np.pi, size // 2 + 1)
+        omega = self.responses[experiment].omega
+        out = np.empty_like(columns)
+        for i in range(columns.shape[1]):
+            gain = 1 / np.sqrt(np.interp(grid, omega, s[:, i]))
+            out[:, i, :] = irfft(
+                rfft(columns[:, i, :], size, axis=0) * gain[:, None], size, axis=0
+            )[:n]
+        return out
+
+
+def estimate_noise(
+    criterion: SimulationError,
+    x: Array,
+    *,
+    known: Mapping[str, float] | None = None,
+    residuals: Sequence[Array] | None = None,
+    merge: bool = True,
+) -> NoiseModel:
+    """Estimate (1) from the residuals at `x` by Fisher scoring of Whittle's likelihood.
+
+    Sources whose responses have the same shape (an input and a balance it enters) cannot be told
+    apart: the variance is given to the first, measured inputs before balances.
+
+    Parameters
+    ----------
+    known : channel -> standard deviation that is known and not estimated.
+    residuals : (N, ny) an experiment, default those at `x`.
+    """
+    known = dict(known or {})
+    ny = len(criterion.outputs)
+    responses = [noise_response(criterion, x, e) for e in range(len(criterion.data))]
+    if residuals is None:
+        residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
+    sources = list(responses[0].sources)
+    if merge:
+        sources = _distinct(responses, sources)
+    rows, targets, counts = [], [], []
+    for e, r in enumerate(residuals):
+        bins = _bins(r, responses[e])
+        for i in range(ny):
+            power, gain2, count = bins[i]
+            design = np.zeros((len(power), ny + len(sources)))
+            design[:, i] = 1.0
+            for j, s in enumerate(sources):
+                design[:, ny + j] = gain2[:, responses[e].sources.index(s)]
+            rows.append(design)
+            targets.append(power)
+            counts.append(count)
+    design, power, count = np.vstack(rows), np.concatenate(targets), np.concatenate(counts)
+    fixed = np.zeros(design.shape[1], dtype=bool)
+    value = np.zeros(design.shape[1])
+    for i, name in enumerate([*criterion.outputs, *sources]):
+        if name in known:
+            fixed[i], value[i] = True, known[name] ** 2
+    offset = design @ value
+    free = design[:, ~fixed]
+    s = np.maximum(power, 1e-12 * max(float(power.max(initial=0.0)), 1e-300)) + offset
+    solution = np.zeros(free.shape[1])
+    floor = 1e-8 * max(float(np.average(power, weights=count)), 1e-300)
+    for k in range(60):
+        weight = np.sqrt(count) / s
+        scale = np.sqrt(np.sum((free * weight[:, None]) ** 2, axis=0)) + 1e-300
+        new = (
+            nnls(free * (weight[:, None] / scale), np.maximum(power - offset, 0.0) * weight)[0]
+            / scale
+        )
+        solution = new if k == 0 else 0.5 * (solution + new)
+        s = np.maximum(free @ solution + offset, floor)
+    value[~fixed] = solution
+    output_sd = np.sqrt(np.maximum(value[:ny], floor))
+    found = {name: float(np.sqrt(v)) for name, v in zip(sources, value[ny:], strict=True)}
+    return NoiseModel(
+        output_sd=output_sd,
+        source_sd={name: found.get(name, 0.0) for name in responses[0].sources},
+        responses=responses,
+        weights=criterion.weights,
+    )
+
+
+def _distinct(responses: Sequence[Response], sources: list[str]) -> list[str]:
+    """Sources whose |G|^2 is not a multiple of an earlier one's."""
+    keep: list[str] = []
+    stacked = np.concatenate([r.gain2.reshape(-1, len(sources)) for r in responses])
+    logs = 0.5 * np.log(np.maximum(stacked, 1e-300))
+    for j, name in enumerate(sources):
+        same = False
+        for other in keep:
+            gap = logs[:, j] - logs[:, sources.index(other)]
+            strong = stacked[:, j] > 1e-6 * stacked[:, j].max(initial=0.0)
+            same = same or (strong.any() and float(np.std(gap[strong])) < 0.1)
+        if not same and stacked[:, j].max(initial=0.0) > 0:
+            keep.append(name)
+    return keep
+
+
+def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array]]:
+    """Periodogram and |G|^2 in bands of growing width: (power, gain2, count) for each output."""
+    n = len(residual)
+    omega = 2 * np.pi * np.arange(1, n // 2 + 1) / n
+    edges = np.unique(np.round(np.geomspace(1, len(omega) + 1, 160)).astype(int)) - 1
+    count = np.diff(edges)
+    out = []
+    for i in range(residual.shape[1]):
+        spectrum = np.abs(rfft(residual[:, i]))[1 : n // 2 + 1] ** 2 / n
+        power = np.add.reduceat(spectrum, edges[:-1]) / count
+        columns = []
+        for j in range(response.gain2.shape[2]):
+            g = np.interp(omega, response.omega, response.gain2[:, i, j])
+            columns.append(np.add.reduceat(g, edges[:-1]) / count)
+        gain2 = np.column_stack(columns) if columns else np.zeros((len(power), 0))
+        out.append((power, gain2, count.astype(float)))
+    return out
+
+
+def input_noise_floor(signals: Signals, inputs: Sequence[str]) -> dict[str, float]:
+    """Upper bound on each input's white noise: its quietest part of the spectrum near Nyquist.
+
+    A heuristic: the smallest mean of the periodogram over twentieths of the upper half band.
+    """
+    out = {}
+    for i, name in enumerate(inputs):
+        values = signals.u[:, i]
+        # A taper, else the ends' jump leaks to Nyquist.
+        window = np.hanning(len(values))
+        spectrum = np.abs(rfft((values - values.mean()) * window)) ** 2 / np.sum(window**2)
+        half = spectrum[len(spectrum) // 2 :]
+        parts = [p.mean() for p in np.array_split(half, 20) if len(p)]
+        out[name] = float(np.sqrt(min(parts)))
+    return out

@@ -1,0 +1,247 @@
+"""A problem: a model with what is known, where its signals come from, and example data."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+
+from casid.data import Experiment, Record
+from casid.errors import DataError, ModelError
+from casid.model import Model
+from casid.reading import ColumnSpec, read_record
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """What a file in `problems/` defines and every command takes.
+
+    Parameters
+    ----------
+    name : short, for folders and reports.
+    model : no unknown inputs left (see `Model.eliminate`).
+    channels : model signal -> column of the file, with its unit after a colon ("roll_deg:deg")
+        where the column's name does not tell; signals not named have columns of their own name.
+    recorded : channels recorded beside the model's, name -> unit; candidate extra inputs. Columns
+        of the same name are read where the file has them.
+    time : the time column; found by name where not given.
+    load_cases : name -> values of parameters known in that case.
+    noise : channel -> standard deviation of its white noise, where known (SI units).
+    example : returns the example experiments (their effect is for the diagnosis to find).
+    starts : how many starts an estimation tries.
+    description, references : for reports.
+    """
+
+    name: str
+    model: Model
+    channels: Mapping[str, str] = field(default_factory=dict)
+    recorded: Mapping[str, str] = field(default_factory=dict)
+    time: str | None = None
+    load_cases: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    example: Callable[[], Sequence[Experiment]] | None = None
+    starts: int = 3
+    description: str = ""
+    references: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        from casid.dimensions import check_units
+
+        check_units(self.model)
+        signals = [*self.model.inputs, *self.model.outputs]
+        for key in (*self.channels, *self.noise):
+            if key not in signals and key not in self.recorded:
+                raise ModelError(
+                    f"problem {self.name}: channel {key!r} is no input or output of the model; "
+                    f"it has {', '.join(signals)}{_near(key, signals)}"
+                )
+        for case, values in self.load_cases.items():
+            for key in values:
+                if key not in self.model.parameters:
+                    raise ModelError(
+                        f"problem {self.name}: load case {case} sets {key!r}, which is no "
+                        f"parameter{_near(key, list(self.model.parameters))}"
+                    )
+        for name in ("channels", "recorded", "load_cases", "noise"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def __repr__(self) -> str:
+        return f"<Problem {self.name}: {self.model!r}>"
+
+    def columns(self, mapping: Mapping[str, str] | None = None) -> dict[str, ColumnSpec]:
+        """Where each signal is read from, the user's `mapping` over the problem's own."""
+        merged = {**self.channels, **(mapping or {})}
+        units = {name: entry.unit for name, entry in self.model.inputs.items()}
+        units |= {name: unit for name, (_, unit) in self.model.outputs.items()}
+        units |= dict(self.recorded)
+        for key in merged:
+            if key not in units:
+                raise DataError(
+                    f"problem {self.name} has no channel {key!r} to map; it has "
+                    f"{', '.join(units)}{_near(key, list(units))}"
+                )
+        specs = {}
+        for signal, target in units.items():
+            entry = self.model.inputs.get(signal)
+            if entry is not None and entry.kind == "generated":
+                continue
+            column, _, unit = merged.get(signal, signal).partition(":")
+            specs[signal] = ColumnSpec(column or signal, unit or None, target)
+        return specs
+
+    def read(
+        self,
+        path: str | Path,
+        *,
+        mapping: Mapping[str, str] | None = None,
+        window: tuple[float, float] | None = None,
+        case: str | None = None,
+        known: Mapping[str, float] | None = None,
+        resample: float | None = None,
+        name: str | None = None,
+    ) -> Experiment:
+        """Read one record in this problem's channels and units, with its load case.
+
+        Raises
+        ------
+        DataError
+            For a file, column or load case that cannot be used.
+        """
+        specs = self.columns(mapping)
+        specs = self._present(path, specs, mapping or {})
+        record = read_record(
+            path, specs, time=self.time, window=window, resample=resample, name=name
+        )
+        return self.experiment(record, case=case, known=known)
+
+    def _present(
+        self, path: str | Path, specs: dict[str, ColumnSpec], mapping: Mapping[str, str]
+    ) -> dict[str, ColumnSpec]:
+        """Drop channels recorded beside the model's where the file does not have them."""
+        from casid.reading import column_names
+
+        there = set(column_names(path))
+        return {
+            signal: spec
+            for signal, spec in specs.items()
+            if signal not in self.recorded or signal in mapping or spec.column in there
+        }
+
+    def experiment(
+        self,
+        record: Record,
+        *,
+        case: str | None = None,
+        known: Mapping[str, float] | None = None,
+    ) -> Experiment:
+        """A record with its load case and further known values."""
+        values: dict[str, float] = {}
+        if case is not None:
+            if case not in self.load_cases:
+                cases = ", ".join(self.load_cases) or "none"
+                raise DataError(
+                    f"problem {self.name} has no load case {case!r}; it has {cases}"
+                    f"{_near(case, list(self.load_cases))}"
+                )
+            values.update(self.load_cases[case])
+        for key, value in (known or {}).items():
+            if key not in self.model.parameters:
+                raise DataError(
+                    f"problem {self.name} has no parameter {key!r} to set; it has "
+                    f"{', '.join(self.model.parameters)}{_near(key, list(self.model.parameters))}"
+                )
+            values[key] = float(value)
+        name = record.name if case is None else f"{case}:{record.name}"
+        return Experiment(record, values, name)
+
+    def examples(self) -> list[Experiment]:
+        """The problem's own example experiments.
+
+        Raises
+        ------
+        DataError
+            If it has none.
+        """
+        if self.example is None:
+            raise DataError(
+                f"problem {self.name} has no example data of its own; name a record: "
+                f"casid diagnose {self.name}.py data.csv"
+            )
+        return list(self.example())
+
+    def with_known(self, known: Mapping[str, float]) -> Problem:
+        """A copy whose model knows the given values."""
+        return replace(self, model=self.model.with_known(**known))
+
+
+def _near(name: str, names: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, list(names), 1)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def load_problem(path: str | Path) -> Problem:
+    """The `problem` that a Python file defines; the file runs as the user who calls this.
+
+    The file defines `problem = casid.Problem(...)`, or a function `problem()` that returns one.
+
+    Raises
+    ------
+    DataError
+        If the file does not exist or is not Python.
+    ModelError
+        If it fails to load (with the line) or defines no problem.
+    """
+    path = Path(path)
+    if not path.is_file():
+        folder = path.parent if path.parent.is_dir() else Path()
+        there = [p.name for p in folder.glob("*.py")]
+        raise DataError(f"problem file {path} does not exist{_near(path.name, there)}")
+    if path.suffix != ".py":
+        raise DataError(
+            f"{path} is not a problem file: a problem is a Python file that defines `problem`; "
+            "give data files after it"
+        )
+    name = f"casid_problem_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    folder_text = str(path.resolve().parent)
+    sys.path.insert(0, folder_text)
+    try:
+        spec.loader.exec_module(module)
+        found = getattr(module, "problem", None)
+        if callable(found) and not isinstance(found, Problem):
+            found = found()
+    except Exception as error:
+        raise ModelError(
+            f"problem file {path} fails to load at {_line(error, path)}: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    finally:
+        sys.path.remove(folder_text)
+    if not isinstance(found, Problem):
+        names = [k for k, v in vars(module).items() if isinstance(v, Problem)]
+        hint = f"; rename {names[0]!r} to 'problem'" if names else ""
+        raise ModelError(
+            f"problem file {path} defines no `problem` (a casid.Problem, or a function returning "
+            f"one){hint}"
+        )
+    return found
+
+
+def _line(error: Exception, path: Path) -> str:
+    if isinstance(error, SyntaxError) and error.lineno is not None:
+        return f"line {error.lineno}"
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if Path(frame.filename).resolve() == path.resolve()
+    ]
+    return f"line {lines[-1]}" if lines else "an unknown line"
