@@ -241,6 +241,8 @@ class _Problem:
         constraints: Sequence[str],
     ) -> None:
         self.parameters = tuple(start)
+        if not start:
+            raise ModelError(f"{model}: nothing to estimate; give start={{'b1': 1.0}}")
         self.name = model if isinstance(model, str) else f"{model[0]} ~ {model[1]}"
         self.start = np.array([float(v) for v in start.values()])
         self.bounds = bounds
@@ -714,7 +716,8 @@ class _Point:
         """What the data do not see, in words."""
         v = self.Z @ np.linalg.svd(self.R)[2][-1]
         change = self.d * v / np.where(self.theta != 0, np.abs(self.theta), 1.0)
-        change = change / change[np.argmax(np.abs(change))]
+        change = change / np.max(np.abs(change))
+        change = change * np.sign(change[np.abs(change) > 1e-3][0])
         parts = [
             f"{name} by {c:+.3g}{' %' if value else ''}"
             for name, c, value in zip(self.problem.parameters, change, self.theta, strict=True)
