@@ -63,6 +63,9 @@ _QUIET: dict[str, dict[str, Any]] = {
         "print_time": False,
         "qpsol": "qrqp",
         "convexify_strategy": "eigen-reflect",  # its QP cannot use negative curvature
+        "max_iter_ls": 25,  # after the default of 3 halvings it takes the step, however bad
+        "tol_du": 1e-9,
+        "tol_pr": 1e-9,
         "qpsol_options": {
             "print_iter": False,
             "print_header": False,
