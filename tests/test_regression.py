@@ -326,3 +326,22 @@ def test_contradictory_constraints_are_a_failure_with_a_mend():
         regress(
             "y ~ a*exp(-b*t)", decay(), {"a": 1, "b": 1}, constraints=["a + b = 1", "a + b = 2"]
         )
+
+
+def test_the_nist_study_prints_its_targets_and_fails_when_one_is_missed(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setenv("CASID_SHARED", str(shared(NIST).parents[1]))
+    monkeypatch.setattr(nist, "cases", lambda _: [case("Misra1a"), case("DanWood")])
+    monkeypatch.setattr(nist, "SETS_FROM_START_1", 2)
+    assert nist.main(["--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "start2: 2 of 2 sets (target 2)" in printed
+    assert "sqpmethod: 2 of 2 sets" in printed
+    assert len((tmp_path / "nist.csv").read_text().splitlines()) == 1 + 4
+    monkeypatch.setattr(nist, "PARAMETER_DIGITS", 12.0)
+    assert nist.main(["--quick"]) == 1
+    assert "MISSED" in capsys.readouterr().out
+    monkeypatch.setenv("CASID_SHARED", str(tmp_path))
+    assert nist.main([]) == 2
+    assert "set CASID_SHARED" in capsys.readouterr().err
