@@ -104,8 +104,9 @@ def parse(text: str, symbols: Mapping[str, Any], *, where: str = "") -> Any:
     Example
     -------
     >>> x = ca.SX.sym("x")
-    >>> print(parse("2*exp[-x] - x^2", {"x": x}))
-    ((2*exp((-x)))-sq(x))
+    >>> f = ca.Function("f", [x], [parse("2*exp[-x] - x^2", {"x": x})])
+    >>> float(f(0.0))
+    2.0
     """
     kinds = {type(s) for s in symbols.values() if isinstance(s, (ca.SX, ca.MX))}
     if len(kinds) > 1:
