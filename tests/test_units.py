@@ -135,14 +135,14 @@ def test_hertz_is_no_angular_rate_but_rpm_is():
 
 @given(
     value=st.floats(-1e6, 1e6),
-    text=st.sampled_from([n for n in unit_names() if parse_unit(n).offset == 0.0]),
+    text=st.sampled_from(
+        [n for n in unit_names() if parse_unit(n).offset == 0.0 and n not in {"1", "km/h"}]
+    ),
     power=st.integers(1, 3),
 )
 def test_a_unit_and_its_reciprocal_undo_each_other(value, text, power):
-    there = to_si(value, f"{text}^{power}" if text not in {"1", "km/h"} else text)
-    back = to_si(there, f"1/{text}^{power}" if text not in {"1", "km/h"} else "1")
-    if text not in {"1", "km/h"}:
-        assert back == pytest.approx(value, rel=1e-12)
+    there = to_si(value, f"{text}^{power}")
+    assert to_si(there, f"1/{text}^{power}") == pytest.approx(value, rel=1e-12)
 
 
 @given(factors=st.permutations(["kN", "m", "s^2", "deg^-1"]))
