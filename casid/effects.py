@@ -14,9 +14,8 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from casid.errors import ModelError
 from casid.model import Input, Model, Parameter, Stage
-from casid.units import si_unit
+from casid.units import unit_quotient
 
 Array = np.ndarray
 Sided = Literal["positive", "both"]
@@ -79,16 +78,10 @@ class Effect:
         return new, tuple(names)
 
 
-def _per(unit: str, other: str, power: int = 1) -> str:
-    """The unit `unit / other^power`, written so that it can be read again."""
-    other = f"({other})" if any(c in other for c in " /*") else other
-    return f"{unit}/{other}" + (f"^{power}" if power != 1 else "")
-
-
 def quadratic_damping(model: Model, balance: str) -> Effect:
     """-d_2 |v| v in a balance (drag, eddies), d_2 >= 0."""
     b = model.balances[balance]
-    unit = _unit(b.unit, model.states[b.rate].unit, 2)
+    unit = unit_quotient(b.unit, model.states[b.rate].unit, 2)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         v = new.symbol(b.rate)
@@ -118,7 +111,7 @@ def cubic_stiffness(model: Model, balance: str) -> Effect | None:
     position = model.position_of(b.rate)
     if position is None:
         return None
-    unit = _unit(b.unit, model.states[position].unit, 3)
+    unit = unit_quotient(b.unit, model.states[position].unit, 3)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         new.add_term(balance, -new.symbol(names[0]) * new.symbol(position) ** 3)
@@ -140,7 +133,7 @@ def offset(model: Model, balance: str) -> Effect:
 def extra_input(model: Model, balance: str, channel: str, unit: str) -> Effect:
     """A recorded channel that acts in a balance although the model does not use it."""
     b = model.balances[balance]
-    p = Parameter(f"b_{channel}", _unit(b.unit, unit, 1), 0.0)
+    p = Parameter(f"b_{channel}", unit_quotient(b.unit, unit, 1), 0.0)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         u = new.add_input(Input(channel, unit, "known", "foh"))
@@ -203,7 +196,7 @@ def time_delay(model: Model, channel: str, longest: float) -> Effect:
         # The record's column is late: what acted is the column moved ahead. The parameter is an
         # advance of the input, its tangent the slope of the column.
         slope = new.add_input(
-            Input(f"slope of {channel}", _unit(entry.unit, "s", 1), "generated", "foh")
+            Input(f"slope of {channel}", unit_quotient(entry.unit, "s", 1), "generated", "foh")
         )
         new.substitute_symbol(channel, new.symbol(channel) + new.symbol(names[0]) * slope)
         new.stages = (*new.stages, Stage("delay_input", channel, names[0]))
@@ -221,14 +214,6 @@ def saturation(model: Model, channel: str, limit: float) -> Effect:
         new.stages = (*new.stages, Stage("clip", channel, names[0]))
 
     return Effect("saturation", channel, (p,), apply, test="clip", variant=limit)
-
-
-def _unit(unit: str, other: str, power: int) -> str:
-    text = _per(unit, other, power)
-    try:
-        return si_unit(text)
-    except ValueError as error:  # a product that cannot be read again is our mistake
-        raise ModelError(f"no unit for {unit} over {other}^{power}: {error}") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)

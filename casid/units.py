@@ -512,6 +512,11 @@ def unit_aliases() -> dict[str, str]:
     return dict(_ALIASES)
 
 
+def ambiguous_units() -> dict[str, str]:
+    """Return the names that are refused, and what each may mean."""
+    return dict(_AMBIGUOUS)
+
+
 def pint_expression(text: str) -> str:
     """Return the same unit in pint's own words, by which the list is checked.
 
@@ -525,3 +530,26 @@ def pint_expression(text: str) -> str:
     if len(parts) == 1 and _terms(text)[0][1] == 1:
         return _NAMES[_terms(text)[0][0]].pint
     return " * ".join(parts) or "dimensionless"
+
+
+def unit_quotient(unit: str, other: str, power: int = 1) -> str:
+    """The SI text of `unit / other^power`, such as `N m s^2/rad^2` of `N m` and `rad/s` squared.
+
+    Raises
+    ------
+    UnitError
+        As `parse_unit`.
+    """
+    powers: dict[str, Fraction] = {}
+    for text, sign in ((unit, 1), (other, -power)):
+        parse_unit(text)
+        for name, exponent in _terms(text):
+            for si_name, si_power in _NAMES[name].si:
+                if si_name != "1":
+                    powers[si_name] = powers.get(si_name, Fraction(0)) + si_power * exponent * sign
+    above = [_with_power(n, p) for n, p in powers.items() if p > 0]
+    below = [_with_power(n, -p) for n, p in powers.items() if p < 0]
+    numerator = " ".join(above) or "1"
+    if not below:
+        return numerator
+    return f"{numerator}/{below[0]}" if len(below) == 1 else f"{numerator}/({' '.join(below)})"
