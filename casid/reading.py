@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from casid.data import BoolArray, FloatArray, Record
 from casid.errors import DataError, UnitError
-from casid.units import parse_unit, same_dimension, si_unit, to_si
+from casid.units import ambiguous_units, parse_unit, same_dimension, si_unit, to_si
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -158,6 +158,7 @@ class _Table:
         self.decimal = "."
         self.encoding = "utf-8-sig"
         self.header_line = 0  # lines above the header
+        self.trailing = 0  # empty columns behind the last named one
         self.columns = self._parquet_columns() if self.is_parquet else self._csv_columns()
         twice = sorted({c for c in self.columns if self.columns.count(c) > 1})
         if twice:
@@ -239,7 +240,8 @@ class _Table:
             )
         cells = self._split(lines[1])
         while len(cells) > len(names) and not cells[-1]:
-            cells.pop()
+            cells.pop()  # a separator at the end of every line
+            self.trailing += 1
         if len(cells) > len(names):
             raise DataError(
                 f"{self.path.name}: the header names {len(names)} columns, the first row holds "
@@ -254,19 +256,22 @@ class _Table:
     def _split(self, line: str) -> list[str]:
         return [c.strip() for c in next(csv.reader([line], delimiter=self.separator))]
 
-    def _csv_options(self, columns: list[str]) -> dict[str, Any]:
-        positions = sorted(self.columns.index(c) for c in columns)
+    def _csv_options(self) -> dict[str, Any]:
+        import pandas as pd
+
+        # Exact decimals are the default from pandas 3 on, and asking for them warns there.
+        exact = {} if int(pd.__version__.split(".")[0]) >= 3 else {"float_precision": "round_trip"}
         return {
             "sep": self.separator,
             "decimal": self.decimal,
             "encoding": self.encoding,
             "skiprows": self.header_line + 1,
             "header": None,
-            "names": self.columns,
-            "usecols": positions,
-            "index_col": False,
+            # All columns are read: told to take a few, pandas drops surplus cells without a word,
+            # and a decimal comma in a comma file would pass.
+            "names": [*self.columns, *(f"\0{i}" for i in range(self.trailing))],
             "skipinitialspace": True,
-            "float_precision": "round_trip",
+            **exact,
         }
 
     def read(self, columns: list[str]) -> pd.DataFrame:
@@ -277,16 +282,16 @@ class _Table:
         if self.is_parquet:
             import pyarrow.parquet as pq
 
-            frame = pq.read_table(self.path, columns=columns).to_pandas()
+            frame = pq.read_table(self.path, columns=columns).to_pandas(ignore_metadata=True)
             return frame
         try:
-            frame = pd.read_csv(self.path, low_memory=False, **self._csv_options(columns))
+            frame = pd.read_csv(self.path, low_memory=False, **self._csv_options())
         except (pd.errors.ParserError, ValueError) as error:
             raise self._broken(error) from None
-        return frame
+        return frame[columns]
 
     def _broken(self, error: Exception) -> DataError:
-        reason = str(error).strip().splitlines()[-1]
+        reason = str(error).strip().splitlines()[-1].rpartition("C error: ")[2].rstrip(".")
         return DataError(
             f"{self.path.name}: the table is broken: {reason}. "
             "Give every line as many values as the header has names."
@@ -300,13 +305,14 @@ class _Table:
             import pyarrow.parquet as pq
 
             for batch in pq.ParquetFile(self.path).iter_batches(batch_size=size, columns=columns):
-                yield batch.to_pandas()
+                yield batch.to_pandas(ignore_metadata=True)
             return
         try:
             with pd.read_csv(
-                self.path, chunksize=size, low_memory=False, **self._csv_options(columns)
+                self.path, chunksize=size, low_memory=False, **self._csv_options()
             ) as reader:
-                yield from reader
+                for frame in reader:
+                    yield frame[columns]
         except (pd.errors.ParserError, ValueError) as error:
             raise self._broken(error) from None
 
@@ -393,21 +399,14 @@ def unit_from_name(column: str) -> str | None:
 
     Only units that can be read in one way count; `x_g` tells nothing.
     """
-    bracket = re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]", column)
+    bracket = _BRACKET.fullmatch(column)
     if bracket and bracket[1]:
         return _readable(bracket[2], bracketed=True) if bracket[2] else "1"
     stem, underscore, ending = column.rpartition("_")
     return _readable(ending, bracketed=False) if stem and underscore and ending else None
 
 
-def channel_from_name(column: str) -> str:
-    """Return a column's name without its unit: `phi_deg` gives `phi`."""
-    bracket = re.fullmatch(r"(.*?)\s*[\[(][^\])]*[\])]", column)
-    if bracket and bracket[1]:
-        return bracket[1]
-    return column.rpartition("_")[0] if unit_from_name(column) else column
-
-
+_BRACKET = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
 # Endings that are more often a word, an index or another unit than what the list reads: x_in is an
 # input, x_bar a mean, x_min a minimum, a_s a sensor's signal, u_ms metres a second.
 _NO_ENDINGS = frozenset(
@@ -432,7 +431,8 @@ def _resolve(
     """Return the channels to read and the time column, every unit settled."""
     clock = _time_column(table, time)
     if columns is None:
-        specs = {c: ColumnSpec(c) for c in table.columns if clock is None or c != clock.column}
+        named = [c for c in table.columns if c]  # an index written out has no name
+        specs = {c: ColumnSpec(c) for c in named if clock is None or c != clock.column}
     else:
         specs = {name: _spec(value) for name, value in columns.items()}
         for name, spec in specs.items():
@@ -458,7 +458,11 @@ def _with_unit(table: _Table, name: str, spec: ColumnSpec) -> ColumnSpec:
     unit = spec.unit
     if unit is None:
         ending = unit_from_name(spec.column)
-        fits = ending is not None and (spec.target is None or same_dimension(ending, spec.target))
+        bracket = _BRACKET.fullmatch(spec.column)
+        if bracket and ending is None and bracket[2] in ambiguous_units():
+            ending = bracket[2]  # refused below: the file names a unit with two readings
+        plain = ending is not None and (spec.target is None or bracket is not None)
+        fits = ending is not None and (plain or same_dimension(ending, spec.target or "1"))
         unit = ending if fits else spec.target
     unit = unit or "1"
     try:
@@ -478,11 +482,18 @@ def _time_column(
         table.require(spec.column, "t")
         return _with_unit(table, "t", ColumnSpec(spec.column, spec.unit, "s"))
     for column in table.columns:
-        bracket = re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]", column)
+        bracket = _BRACKET.fullmatch(column)
         stem, unit = (bracket[1], bracket[2]) if bracket else _time_ending(column)
-        if stem.casefold() in _TIME_NAMES and same_dimension(unit, "s"):
+        if stem.casefold() in _TIME_NAMES and _is_time(unit):
             return ColumnSpec(column, unit, "s")
     return None
+
+
+def _is_time(unit: str) -> bool:
+    try:
+        return same_dimension(unit, "s")
+    except UnitError:
+        return False
 
 
 def _time_ending(column: str) -> tuple[str, str]:
@@ -595,7 +606,12 @@ def survey(
         if clock is None and Ts is None:
             raise DataError(
                 f"{source.name}: no time column found among {', '.join(table.columns)}. "
-                "Name it with time='column', or give the sample time with Ts=0.01."
+                + (
+                    "Separate columns by comma, semicolon or tab. "
+                    if len(table.columns) == 1
+                    else ""
+                )
+                + "Name it with time='column', or give the sample time with Ts=0.01."
             )
         wanted = list(
             dict.fromkeys(s.column for s in (*specs.values(), *([clock] if clock else ())))
@@ -679,7 +695,12 @@ def survey(
     if not values:
         return found
     if resample is not None:
-        found.record = _resampled(times, values, units, missing, resample, label, steps)
+        try:
+            found.record = _resampled(times, values, units, missing, resample, label, steps)
+        except DataError as error:
+            median = float(np.median(np.diff(times)))
+            mend = f"Resample nearer to the median interval, resample={median:.6g}."
+            found.faults.append(Fault("resample", str(error), mend))
         return found
     step = float(times[-1] - times[0]) / (times.size - 1)
     found.record = Record(values, units, step, float(times[0]), label, missing, tuple(steps))
@@ -711,6 +732,10 @@ def _numbers(
     column = frame[spec.column]
     if pd.api.types.is_numeric_dtype(column.dtype):
         return np.asarray(column.to_numpy(dtype=np.float64, na_value=np.nan))
+    if column.dtype.kind in "mM":  # dates are times, not measurements
+        column = column.astype(str)
+    if table.decimal == ",":
+        column = column.where(column.isna(), column.astype(str).str.replace(",", "."))
     numbers = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
     text = np.isnan(numbers) & column.notna().to_numpy()
     if skip_text and text.sum() == column.notna().sum():
@@ -760,6 +785,8 @@ def _times(
     import pandas as pd
 
     column = frame[clock.column]
+    if column.dtype.kind == "m" and column.notna().all():
+        return np.asarray(column.dt.total_seconds(), dtype=np.float64)
     if not pd.api.types.is_numeric_dtype(column.dtype):
         stamps = pd.to_datetime(column, errors="coerce", format="ISO8601", utc=True)
         if stamps.notna().all():
@@ -934,18 +961,20 @@ def _resampled(
     gridded: dict[str, FloatArray] = {}
     masks: dict[str, BoolArray] = {}
     marked = 0
+    grid, _ = resample(times, times, fine)
     for channel, y in values.items():
         kept = ~missing[channel] if channel in missing else np.ones(times.size, dtype=bool)
         t_kept = times[kept]
-        grid, _ = resample(times, times, fine)
+        if t_kept.size < 2:
+            gridded[channel], masks[channel] = np.zeros(grid.size), np.ones(grid.size, dtype=bool)
+            continue
         inner = np.clip(grid, t_kept[0], t_kept[-1])
-        _, y_grid = grid, np.asarray(_pchip(t_kept, y[kept], inner))
+        gridded[channel] = _pchip(t_kept, y[kept], inner)
         after = np.clip(np.searchsorted(t_kept, grid, side="left"), 1, t_kept.size - 1)
         far = t_kept[after] - t_kept[after - 1] > GAP * median
         nearest = np.minimum(np.abs(grid - t_kept[after]), np.abs(grid - t_kept[after - 1]))
         masks[channel] = (far & (nearest > 0.5 * median)) | (inner != grid)
         marked += int(masks[channel].sum())
-        gridded[channel] = y_grid
     steps.append(
         f"resampled by PCHIP onto Ts = {fine:g} s (intervals were {intervals.min():.6g} to "
         f"{intervals.max():.6g} s, median {median:.6g} s); {marked} samples in gaps marked missing"
