@@ -158,6 +158,7 @@ class _Table:
         self.decimal = "."
         self.encoding = "utf-8-sig"
         self.header_line = 0  # lines above the header
+        self.origin: Any = None  # the first date, where time stamps are dates
         self.trailing = 0  # empty columns behind the last named one
         self.columns = self._parquet_columns() if self.is_parquet else self._csv_columns()
         twice = sorted({c for c in self.columns if self.columns.count(c) > 1})
@@ -790,7 +791,8 @@ def _times(
     if not pd.api.types.is_numeric_dtype(column.dtype):
         stamps = pd.to_datetime(column, errors="coerce", format="ISO8601", utc=True)
         if stamps.notna().all():
-            return np.asarray((stamps - stamps.iloc[0]).dt.total_seconds(), dtype=np.float64)
+            table.origin = stamps.iloc[0] if table.origin is None else table.origin
+            return np.asarray((stamps - table.origin).dt.total_seconds(), dtype=np.float64)
     numbers = _numbers(table, frame, "t", clock, found)
     if numbers is None:
         return None

@@ -111,7 +111,9 @@ def test_a_separator_at_the_end_of_every_line_is_no_column(csv):
 
 def test_dates_become_seconds_since_the_first(csv):
     text = "time,y\n2024-05-01T12:00:00.0,1\n2024-05-01T12:00:00.5,2\n2024-05-01T12:00:01.0,3\n"
-    assert read_record(csv(text)).t.tolist() == [0.0, 0.5, 1.0]
+    path = csv(text)
+    assert read_record(path).t.tolist() == [0.0, 0.5, 1.0]
+    assert [p["t"].tolist() for p in iter_chunks(path, size=2)] == [[0.0, 0.5], [1.0]]
 
 
 def test_a_file_without_time_stamps_needs_a_sample_time(csv):
