@@ -174,7 +174,7 @@ def test_a_clock_that_drifts_is_noticed_although_every_interval_is_within_one_pe
     path = tmp_path / "drift.csv"
     path.write_text("t,y\n" + "".join(f"{t!r},{float(np.sin(t))!r}\n" for t in times.tolist()))
     (finding,) = [f for f in check(path).findings if "drifts" in f.text]
-    assert "Resample onto Ts = 0.1" in finding.mend
+    assert "Resample onto Ts = 0.09995" in finding.mend
 
 
 def test_the_report_as_json_is_plain_and_complete():
