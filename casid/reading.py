@@ -574,6 +574,17 @@ def read_record(
     return found.record
 
 
+def column_names(path: str | Path) -> tuple[str, ...]:
+    """Return the names of a file's columns, in order, without reading its samples.
+
+    Raises
+    ------
+    DataError
+        If there is no such file, or it is no table.
+    """
+    return tuple(_Table(path).columns)
+
+
 def survey(
     path: str | Path,
     columns: Columns | None = None,

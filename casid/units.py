@@ -417,6 +417,11 @@ def si_unit(text: str) -> str:
     for name, power in _terms(text):
         for si_name, si_power in _NAMES[name].si:
             powers[si_name] = powers.get(si_name, Fraction(0)) + si_power * power
+    return _written(powers)
+
+
+def _written(powers: dict[str, Fraction]) -> str:
+    """Write powers of names with one quotient: `N m/rad^2`, `N/(m s)`, or `1` for none."""
     above = [_with_power(n, p) for n, p in powers.items() if p > 0]
     below = [_with_power(n, -p) for n, p in powers.items() if p < 0]
     numerator = " ".join(above) or "1"
@@ -494,12 +499,7 @@ def _is_angular(text: str) -> bool:
 
 def describe_dimension(dimension: Dimension) -> str:
     """Write a dimension in base units, for messages: `kg m/s^2`, or `1` for none."""
-    above = [_with_power(n, p) for n, p in zip(BASE_UNITS, dimension, strict=True) if p > 0]
-    below = [_with_power(n, -p) for n, p in zip(BASE_UNITS, dimension, strict=True) if p < 0]
-    text = " ".join(above) or "1"
-    if below:
-        text += "/" + (below[0] if len(below) == 1 else f"({' '.join(below)})")
-    return text
+    return _written(dict(zip(BASE_UNITS, dimension, strict=True)))
 
 
 def unit_names() -> tuple[str, ...]:
@@ -533,7 +533,7 @@ def pint_expression(text: str) -> str:
 
 
 def unit_quotient(unit: str, other: str, power: int = 1) -> str:
-    """The SI text of `unit / other^power`, such as `N m s^2/rad^2` of `N m` and `rad/s` squared.
+    """Return the SI text of `unit / other^power`, such as `N m s^2/rad^2` of `N m` and `rad/s` squared.
 
     Raises
     ------
@@ -545,11 +545,5 @@ def unit_quotient(unit: str, other: str, power: int = 1) -> str:
         parse_unit(text)
         for name, exponent in _terms(text):
             for si_name, si_power in _NAMES[name].si:
-                if si_name != "1":
-                    powers[si_name] = powers.get(si_name, Fraction(0)) + si_power * exponent * sign
-    above = [_with_power(n, p) for n, p in powers.items() if p > 0]
-    below = [_with_power(n, -p) for n, p in powers.items() if p < 0]
-    numerator = " ".join(above) or "1"
-    if not below:
-        return numerator
-    return f"{numerator}/{below[0]}" if len(below) == 1 else f"{numerator}/({' '.join(below)})"
+                powers[si_name] = powers.get(si_name, Fraction(0)) + si_power * exponent * sign
+    return _written(powers)

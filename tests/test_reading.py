@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from casid.errors import DataError, UnitError
 from casid.reading import (
     ColumnSpec,
+    column_names,
     iter_chunks,
     parse_case,
     parse_source,
@@ -101,6 +102,12 @@ def test_parquet_and_csv_give_the_same_record(tmp_path, csv):
     assert a.Ts == b.Ts
     pieces = list(iter_chunks(tmp_path / "run.parquet", size=7))
     assert np.array_equal(np.concatenate([p["phi_deg"] for p in pieces]), a["phi_deg"])
+
+
+def test_the_columns_of_a_file_are_named_in_order(csv):
+    assert column_names(csv(rows(T))) == ("t", "phi_deg", "force_N")
+    with pytest.raises(DataError, match="the file is empty"):
+        column_names(csv("", "none.csv"))
 
 
 def test_a_separator_at_the_end_of_every_line_is_no_column(csv):

@@ -20,6 +20,7 @@ from casid.units import (
     to_si,
     unit_aliases,
     unit_names,
+    unit_quotient,
 )
 
 COMPOSITE = [
@@ -71,6 +72,18 @@ def test_the_si_text_measures_the_same_dimension_and_needs_no_conversion(text):
 )  # fmt: skip
 def test_si_text_is_written_as_engineers_write_it(text, si):
     assert si_unit(text) == si
+
+
+@pytest.mark.parametrize(
+    ("unit", "other", "power", "quotient"),
+    [("N m", "rad/s", 2, "N m s^2/rad^2"), ("kN", "s", 1, "N/s"), ("m", "m", 1, "1"),
+     ("deg/s", "m", -1, "rad m/s"), ("1", "rad", 1, "1/rad")],
+)  # fmt: skip
+def test_the_quotient_of_two_units_is_written_in_si(unit, other, power, quotient):
+    assert unit_quotient(unit, other, power) == quotient
+    divided = parse_unit(f"({quotient})" if "/" not in quotient else quotient).dimension
+    pairs = zip(parse_unit(unit).dimension, parse_unit(other).dimension, strict=True)
+    assert divided == tuple(a - power * b for a, b in pairs)
 
 
 def test_kilonewton_and_knot_are_told_apart_by_case():
