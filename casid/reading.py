@@ -577,12 +577,14 @@ def read_record(
 def column_names(path: str | Path) -> tuple[str, ...]:
     """Return the names of a file's columns, in order, without reading its samples.
 
+    A window behind the path, `run.csv@12:194`, is passed over.
+
     Raises
     ------
     DataError
         If there is no such file, or it is no table.
     """
-    return tuple(_Table(path).columns)
+    return tuple(_Table(_source(path)[0]).columns)
 
 
 def survey(
@@ -604,9 +606,7 @@ def survey(
         The record is None where the clock cannot be used. Channels with faults are left out of
         it or, where only some samples are not finite, have those marked missing.
     """
-    source, own_window = parse_source(str(path))
-    if Path(path).exists():  # a file whose own name holds an @
-        source, own_window = Path(path), None
+    source, own_window = _source(path)
     window = own_window if window is None else window
     found = Survey(source)
     for option, value in (("resample", resample), ("Ts", Ts)):
@@ -717,6 +717,12 @@ def survey(
     step = float(times[-1] - times[0]) / (times.size - 1)
     found.record = Record(values, units, step, float(times[0]), label, missing, tuple(steps))
     return found
+
+
+def _source(path: str | Path) -> tuple[Path, tuple[float, float] | None]:
+    if Path(path).exists():  # a file whose own name may hold an @
+        return Path(path), None
+    return parse_source(str(path))
 
 
 def sha256(path: str | Path) -> str:

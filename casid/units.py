@@ -533,7 +533,7 @@ def pint_expression(text: str) -> str:
 
 
 def unit_quotient(unit: str, other: str, power: int = 1) -> str:
-    """Return the SI text of `unit / other^power`, such as `N m s^2/rad^2` of `N m` and `rad/s` squared.
+    """Return the SI text of `unit / other^power`: `N m` by `rad/s` squared is `N m s^2/rad^2`.
 
     Raises
     ------

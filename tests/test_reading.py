@@ -105,7 +105,8 @@ def test_parquet_and_csv_give_the_same_record(tmp_path, csv):
 
 
 def test_the_columns_of_a_file_are_named_in_order(csv):
-    assert column_names(csv(rows(T))) == ("t", "phi_deg", "force_N")
+    path = csv(rows(T))
+    assert column_names(path) == column_names(f"{path}@1:2") == ("t", "phi_deg", "force_N")
     with pytest.raises(DataError, match="the file is empty"):
         column_names(csv("", "none.csv"))
 
