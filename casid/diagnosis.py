@@ -164,7 +164,9 @@ class Diagnosis:
             lines.append(f"  {i}. {c.kind} in {c.where} (p = {c.p_value:.1e}): {values}")
             for a in c.alternatives:
                 lines.append(f"     or {a.kind} in {a.where} (p = {a.p_value:.2g}): {a.why}")
-        lines.append(f"  {'rms error':<22}{'output':<14}{'before':>12}{'after':>12}{'noise floor':>13}")
+        lines.append(
+            f"  {'rms error':<22}{'output':<14}{'before':>12}{'after':>12}{'noise floor':>13}"
+        )
         for label, part in (("fitted", self.fitted), ("held out", self.held_out)):
             for output, before in part.get("baseline_rmse", {}).items():
                 after = part.get("extended_rmse", {}).get(output)

@@ -134,9 +134,7 @@ class Estimate:
             return np.atleast_1d(np.asarray(function(values), dtype=float))
 
         theta = np.array([self[n] for n in names])
-        return sample_through(
-            of_draw, theta, self.covariance, draws=draws, seed=seed, valid=valid
-        )
+        return sample_through(of_draw, theta, self.covariance, draws=draws, seed=seed, valid=valid)
 
     def references(self) -> tuple[str, ...]:
         """The papers behind the methods used."""
@@ -199,7 +197,9 @@ class Estimate:
             error = "--" if p.std_error is None else f"{p.std_error:.2g}"
             start = "" if p.start is None else f"{p.start:.6g}"
             note = p.note or ("known" if p.known else "")
-            lines.append(f"  {p.name:<18}{p.unit:<16}{p.value:>13.6g}{error:>13}{start:>13}  {note}")
+            lines.append(
+                f"  {p.name:<18}{p.unit:<16}{p.value:>13.6g}{error:>13}{start:>13}  {note}"
+            )
         i = self.identifiability
         seen = "all" if i.rank == i.unknowns else i.unseen
         lines.append(

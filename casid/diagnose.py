@@ -1,0 +1,607 @@
+"""`diagnose`: what the simulation gets wrong, why, and what naming the cause gains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.data import Experiment, Record
+from casid.diagnosis import Alternative, Cause, Diagnosis, Ranked, RecordView, Verdict
+from casid.estimate import Estimate, Estimated
+from casid.holdout import (
+    Split,
+    held_out_error,
+    simulate_apart,
+    split_records,
+    validation,
+    whole_simulation,
+    why_no_better,
+)
+from casid.identify import FitSettings, estimate_of, experiments_of, fit_model, rms, versions
+from casid.nlp import Solver
+from casid.problem import Problem
+from casid.search import Adopted, Candidate, Progress, Search, Weighted
+from casid.simulation_error import Fit
+from casid.spikes import Spikes, find_spikes
+
+Array = np.ndarray
+
+SOURCES = (
+    "J. Linder, Indirect System Identification for Unknown Input Problems, Linkoping 2017",
+    "D. W. K. Andrews, Econometrica 59 (1991) 817-858: bandwidth of a robust covariance",
+    "W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708: robust covariance",
+    "J. P. Romano, M. Wolf, Econometrica 73 (2005) 1237-1282: stepwise multiple testing",
+    "Q. H. Vuong, Econometrica 57 (1989) 307-333: tests between models that are not nested",
+    "F. X. Diebold, R. S. Mariano, J. Bus. Econ. Stat. 13 (1995) 253-263: predictive accuracy",
+    "L. T. Biegler, A. Waechter, Math. Program. 106 (2006) 25-57: Ipopt",
+    "J. A. E. Andersson et al., Math. Program. Comput. 11 (2019) 1-36: CasADi",
+)
+"""Papers behind the methods of a diagnosis."""
+
+
+def diagnose(
+    problem: Problem,
+    experiments: Sequence[Experiment] | Experiment | Record | None = None,
+    *,
+    hold_out: float | Sequence[Experiment] | Experiment = 0.3,
+    false_alarm_rate: float = 0.05,
+    max_causes: int = 4,
+    solver: Solver | None = None,
+    starts: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find what the model of `problem` is missing in these records.
+
+    Parameters
+    ----------
+    experiments : records in the problem's channels (SI); default the problem's own example.
+    hold_out : share of each record, at its end, that is not fitted (the simulation continues into
+        it), or whole records of their own (their initial state is refitted). 0 fits everything.
+    false_alarm_rate : family-wise, for the whole catalogue.
+    max_causes : the search stops there.
+    progress : called with a line of text at every step.
+
+    Returns
+    -------
+    Diagnosis
+        Verdict "undecided" where the record cannot support an answer at all.
+
+    Raises
+    ------
+    DataError, ModelError, IdentifiabilityError, SolveError
+        As `identify`.
+
+    Notes
+    -----
+    The false-alarm rate assumes residuals that are stationary after whitening, with memory short
+    against the record, and white noise on measured inputs.
+    """
+    say = progress or (lambda _: None)
+    chosen = experiments_of(problem, experiments)
+    if isinstance(hold_out, Experiment):
+        hold_out = [hold_out]
+    split = split_records(chosen, hold_out)
+    settings = FitSettings(
+        starts=problem.starts if starts is None else starts, solver=solver, seed=seed
+    )
+    say("fit the model as it is")
+    base_fit = fit_model(problem.model, split.fitted, settings)
+    spikes, split = _without_spikes(base_fit, split, false_alarm_rate)
+    if spikes:
+        say(f"leave out {sum(s.count for s in spikes)} outliers and fit again")
+        base_fit = fit_model(problem.model, split.fitted, settings, start=base_fit.values)
+    search = Search(
+        experiments=split.fitted,
+        recorded=_recorded(problem, split.fitted),
+        alpha=false_alarm_rate,
+        max_causes=max_causes,
+        known_noise=problem.noise,
+        solver=solver,
+        seed=seed,
+        progress=say,
+    )
+    say("estimate the noise")
+    at = search.weigh(problem.model, base_fit)
+    adopted: list[Adopted] = []
+    why_undecided = _undecidable(search, base_fit, at)
+    if not why_undecided:
+        adopted, at = _search(search, at, base_fit, split, settings)
+    extended_fit = (
+        fit_model(at.model, split.fitted, replace(settings, starts=1), start=at.fit.values)
+        if adopted
+        else None
+    )
+    return _report(
+        problem, split, settings, search, at, base_fit, extended_fit, adopted, spikes,
+        why_undecided, false_alarm_rate,
+    )
+
+
+# -- the search -----------------------------------------------------------------------------------
+
+
+def _search(
+    search: Search, at: Weighted, base_fit: Fit, split: Split, settings: FitSettings
+) -> tuple[list[Adopted], Weighted]:
+    """Adopt effects until nothing significant is left that improves what was held out."""
+    adopted: list[Adopted] = []
+    error = held_out_error(base_fit, split)
+    while len(adopted) < search.max_causes:
+        search.progress(f"test every effect (round {len(adopted) + 1})")
+        table = search.table(at, [a.candidate for a in adopted])
+        if search.first_table is None:
+            search.first_table = table
+        if not search.is_suspicious(table):
+            break
+        found = search.round(at, table)
+        if not found:
+            break
+        found = search.rejudge(at, found)
+        if not adopted:
+            search.first_candidates = found
+        taken: Adopted | None = None
+        for best in _named_first(found):
+            p = search.p_value(table, best)
+            if p >= search.alpha or best.merit <= 0:
+                continue
+            fit = fit_model(
+                best.model, split.fitted, replace(settings, starts=1), start=best.fit.values
+            )
+            new_error = held_out_error(fit, split)
+            why = why_no_better(error, new_error)
+            if why:
+                search.refused.append((best, why))
+                continue
+            taken = Adopted(best, p, search.rivals(best, found))
+            error = new_error
+            at = search.weigh(best.model, fit, rounds=1)
+            break
+        if taken is None:
+            break
+        adopted.append(taken)
+    return adopted, at
+
+
+def _named_first(found: list[Candidate]) -> list[Candidate]:
+    """By merit; of those that are the same thing in this model, the one named by convention."""
+    order = list(found)
+    for i in range(1, len(order)):
+        for j in range(i, 0, -1):
+            near = order[j - 1].merit - order[j].merit < 2.0
+            if near and order[j].effect.priority < order[j - 1].effect.priority:
+                order[j - 1], order[j] = order[j], order[j - 1]
+    return order
+
+
+# -- outliers -------------------------------------------------------------------------------------
+
+
+def _without_spikes(fit: Fit, split: Split, alpha: float) -> tuple[list[Spikes], Split]:
+    """Mark isolated spikes of every output as missing, in fitted and held-out parts alike."""
+    found: list[Spikes] = []
+    for i, channel in enumerate(fit.criterion.outputs):
+        residuals = []
+        for e in range(len(split.whole)):
+            d, y, _ = whole_simulation(fit, split, e)
+            residuals.append(np.where(d.used[:, i], d.y[:, i] - y[:, i], 0.0))
+        aside = []
+        for experiment in split.apart:
+            d, y, _ = simulate_apart(fit, experiment)
+            aside.append(np.where(d.used[:, i], d.y[:, i] - y[:, i], 0.0))
+        spikes = find_spikes(channel, [*residuals, *aside], alpha / 5)
+        if spikes is not None:
+            found.append(spikes)
+            n = len(residuals)
+            split = split.mask(channel, spikes.masks[:n], spikes.masks[n:])
+    return found, split
+
+
+# -- judging --------------------------------------------------------------------------------------
+
+
+def _undecidable(search: Search, fit: Fit, at: Weighted) -> str:
+    """Why the record cannot support an answer at all, or an empty text."""
+    criterion = fit.criterion
+    if criterion.n_samples < 10 * len(fit.x):
+        return (
+            f"{criterion.n_samples} samples are too few to judge a model with {len(fit.x)} unknowns"
+        )
+    loudest = 0.0
+    for e, d in enumerate(criterion.data):
+        y = criterion.simulated(fit.x, e).y
+        for i in range(len(criterion.outputs)):
+            noise = float(at.noise.output_sd[i])
+            loudest = max(loudest, float(np.std(y[d.used[:, i], i])) / max(noise, 1e-300))
+    if loudest < 1.0:
+        return (
+            f"the simulated outputs move by {loudest:.2g} of the noise only: nothing excites the "
+            "system enough to show what the model lacks"
+        )
+    relative = [
+        abs(search.std_error(at, v.name) / v.scale)
+        for v in at.fit.criterion.variables
+        if v.source in criterion.model.parameters
+    ]
+    if relative and min(relative) > 1.0:
+        return "no parameter is known to better than its own size from this record"
+    return ""
+
+
+def _recorded(problem: Problem, experiments: Sequence[Experiment]) -> dict[str, str]:
+    """Channels recorded beside the model's that every record has and that move."""
+    used = {*problem.model.inputs, *problem.model.outputs}
+    out = {}
+    for name, unit in problem.recorded.items():
+        if name in used or not all(name in e.record.channels for e in experiments):
+            continue
+        complete = all(not np.any(e.record.is_missing(name)) for e in experiments)
+        if complete and any(np.ptp(e.record[name]) > 0 for e in experiments):
+            out[name] = unit
+    return out
+
+
+_SAYS = {
+    "quadratic_damping": "damping that grows with the square of the rate acts in the {where} balance",
+    "coulomb_friction": "dry (Coulomb) friction acts in the {where} balance",
+    "cubic_stiffness": "the restoring {where} is not linear: it has a cubic term",
+    "offset": "a constant {where} acts on the system",
+    "extra_input": "the recorded channel {where} acts on the system although the model leaves it out",
+    "parameter_jump": "the parameter {where} changes during the record",
+    "sensor_bias": "the channel {where} has a constant bias",
+    "time_delay": "the channel {where} arrives late",
+    "saturation": "the channel {where} is clipped",
+    "outliers": "the channel {where} has isolated outliers",
+}
+
+_SEPARATES = {
+    "quadratic_damping": "free decays from a large and a small amplitude",
+    "coulomb_friction": "slow motion and free decays to rest, where dry friction is all there is",
+    "cubic_stiffness": "excitation at two clearly different amplitudes",
+    "offset": "a stretch at rest, or the same manoeuvre mirrored",
+    "extra_input": "a record in which that channel moves while everything else rests",
+    "parameter_jump": "a second record with all conditions held, and a note of when loads move",
+    "sensor_bias": "a stretch at rest with the sensor turned over",
+    "time_delay": "wide-band excitation, and a knock that all loggers see",
+    "saturation": "a record at half the amplitude",
+    "outliers": "a look at the logger: cable, range, radio link",
+}
+
+
+def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated, ...]:
+    rows = [p for p in estimate.parameters if p.name in candidate.names]
+    effect = candidate.effect
+    if effect.kind == "parameter_jump" and effect.variant is not None:
+        rows.append(Estimated("time", effect.variant, "s", note="searched on a grid"))
+    return tuple(replace(p, name=p.name) for p in rows)
+
+
+def _report(
+    problem: Problem,
+    split: Split,
+    settings: FitSettings,
+    search: Search,
+    at: Weighted,
+    base_fit: Fit,
+    extended_fit: Fit | None,
+    adopted: list[Adopted],
+    spikes: list[Spikes],
+    why_undecided: str,
+    alpha: float,
+) -> Diagnosis:
+    base_held = validation(base_fit, split)
+    baseline = estimate_of(problem, base_fit, base_held)
+    extended = None
+    if extended_fit is not None:
+        extended = estimate_of(problem, extended_fit, validation(extended_fit, split))
+    best_fit = extended_fit or base_fit
+    limits = _limits(best_fit)
+    fitted = {"baseline_rmse": _rmse(base_fit, best_fit, split, limits, held=False)}
+    held = {"baseline_rmse": _rmse(base_fit, best_fit, split, limits, held=True)}
+    if extended_fit is not None or spikes:
+        fitted["extended_rmse"] = _rmse(best_fit, best_fit, split, limits, held=False)
+        held["extended_rmse"] = _rmse(best_fit, best_fit, split, limits, held=True)
+    floor = _noise_floor(search, at)
+    fitted["noise_floor"] = floor
+    held["noise_floor"] = floor
+    if split.is_empty:
+        held = {}
+
+    causes = _causes(search, adopted, spikes, extended or baseline, extended_fit)
+    verdict: Verdict = "adequate"
+    if causes:
+        verdict = "deficient"
+    elif why_undecided:
+        verdict = "undecided"
+    part = held if held.get("extended_rmse") else fitted
+    sentence = _sentence(verdict, causes, part, why_undecided, problem)
+    notes = [
+        f"{c.effect.kind} in {c.effect.where} was significant but refused: {why}"
+        for c, why in search.refused
+    ]
+    return Diagnosis(
+        problem=problem.name,
+        verdict=verdict,
+        sentence=sentence,
+        causes=tuple(causes),
+        ranking=_ranking(search, adopted, causes),
+        baseline=baseline,
+        extended=extended,
+        records=tuple(_views(base_fit, extended_fit, split)),
+        fitted=fitted,
+        held_out=held,
+        advice=_advice(verdict, causes, search, why_undecided),
+        noise=_noise_text(search, at),
+        false_alarm_rate=alpha,
+        notes=tuple(notes),
+        provenance=baseline.provenance,
+        settings={
+            "fitted records": ", ".join(e.name for e in split.fitted),
+            "held out": "nothing" if split.is_empty else (
+                ", ".join(e.name for e in split.apart)
+                or f"the last {100 * float(np.mean(split.held[0])):.0f} % of each record"
+            ),
+            "family-wise false-alarm rate": f"{alpha:g}",
+            "starts": str(settings.starts),
+            "solver": (settings.solver or Solver()).name,
+            "Runge-Kutta steps a sample": str(base_fit.criterion.substeps),
+            "seed": str(settings.seed),
+        },
+        versions=versions(),
+        sources=SOURCES,
+    )
+
+
+def _limits(fit: Fit) -> dict[str, float]:
+    """Clipping levels of the outputs, where the model has them."""
+    values = fit.values
+    return {
+        s.channel: values[s.parameter] for s in fit.criterion.model.stages if s.kind == "clip"
+    }
+
+
+def _rmse(
+    fit: Fit, reference: Fit, split: Split, limits: dict[str, float], *, held: bool
+) -> dict[str, float]:
+    """Rms error by output over all records, on samples that no clipping touches."""
+    outputs = fit.criterion.outputs
+    parts: list[Array] = []
+    for e in range(len(split.whole)):
+        d, y, _ = whole_simulation(fit, split, e)
+        _, best, _ = whole_simulation(reference, split, e)
+        error = np.where(d.used, d.y - y, np.nan)
+        for name, level in limits.items():
+            i = outputs.index(name)
+            error[np.abs(best[:, i]) >= 0.999 * level, i] = np.nan
+        parts.append(error[split.held[e]] if held else error[~split.held[e]])
+    if held:
+        for experiment in split.apart:
+            d, y, _ = simulate_apart(fit, experiment)
+            parts.append(np.where(d.used, d.y - y, np.nan))
+    stacked = np.concatenate(parts)
+    if not len(stacked):
+        return {}
+    return dict(zip(outputs, rms(stacked).tolist(), strict=True))
+
+
+def _noise_floor(search: Search, at: Weighted) -> dict[str, float]:
+    """Rms that the best possible model would leave: output noise and measured inputs' noise."""
+    measured = {
+        s: search.input_floor(at, s)
+        for s in at.noise.source_sd
+        if s in at.model.inputs
+    }
+    quiet = replace(
+        at.noise, source_sd={s: measured.get(s, 0.0) for s in at.noise.source_sd}
+    )
+    floors = np.array([quiet.floor(e) for e in range(len(at.criterion.data))])
+    weight = np.array([d.N for d in at.criterion.data], dtype=float)
+    total = np.sqrt(np.average(floors**2, axis=0, weights=weight))
+    return dict(zip(at.criterion.outputs, total.tolist(), strict=True))
+
+
+def _noise_text(search: Search, at: Weighted) -> dict[str, str]:
+    out = {
+        name: f"white output noise {sd:.3g} {at.model.outputs[name][1]}"
+        for name, sd in zip(at.criterion.outputs, at.noise.output_sd.tolist(), strict=True)
+    }
+    for source, sd in at.noise.source_sd.items():
+        if sd <= 0:
+            continue
+        if source in at.model.inputs:
+            own = at.input_sd.get(source, 0.0)
+            text = f"white input noise {own:.3g} {at.model.inputs[source].unit}"
+            if sd > 1.5 * max(own, 1e-300):
+                text += f"; the residual shows as much as {sd:.3g}, a disturbance or a misfit"
+        else:
+            text = f"disturbance {sd:.3g} {at.model.balances[source].unit} a sample"
+        out[source] = text
+    return out
+
+
+def _causes(
+    search: Search,
+    adopted: list[Adopted],
+    spikes: list[Spikes],
+    estimate: Estimate,
+    fit: Fit | None,
+) -> list[Cause]:
+    """Causes in the order of their contribution: the misfit that returns when one is taken out."""
+    rows: list[tuple[float, Cause]] = []
+    losses = search.contributions(adopted, fit) if fit is not None else []
+    total = max(sum(losses) + sum(s.energy for s in spikes), 1e-300)
+    for a, loss in zip(adopted, losses, strict=True):
+        effect = a.candidate.effect
+        alternatives = tuple(
+            Alternative(
+                r.candidate.effect.kind,
+                r.candidate.effect.where,
+                r.p_value,
+                _why_alternative(a.candidate, r.candidate),
+            )
+            for r in a.rivals
+        )
+        alternatives += tuple(search.aliases(effect))
+        rows.append(
+            (
+                loss,
+                Cause(
+                    kind=effect.kind,
+                    where=effect.where,
+                    p_value=a.p_value,
+                    parameters=_parameters_of(a.candidate, estimate),
+                    alternatives=alternatives,
+                    share=loss / total,
+                    sentence=_SAYS[effect.kind].format(where=effect.where),
+                ),
+            )
+        )
+    for s in spikes:
+        rows.append(
+            (
+                s.energy,
+                Cause(
+                    kind="outliers",
+                    where=s.channel,
+                    p_value=s.p_value,
+                    parameters=(
+                        Estimated("share", s.share, "1"),
+                        Estimated("size", s.size, search_unit(search, s.channel)),
+                    ),
+                    share=s.energy / total,
+                    sentence=_SAYS["outliers"].format(where=s.channel),
+                ),
+            )
+        )
+    rows.sort(key=lambda row: -row[0])
+    return [cause for _, cause in rows]
+
+
+def search_unit(search: Search, channel: str) -> str:
+    """Unit of a channel in the records searched."""
+    return str(search.experiments[0].record.units.get(channel, "1"))
+
+
+def _why_alternative(best: Candidate, other: Candidate) -> str:
+    gap = best.merit - other.merit
+    return (
+        f"explains the misfit as well (BIC {abs(gap):.1f} {'worse' if gap >= 0 else 'better'}); "
+        f"{_SEPARATES[best.effect.kind]} would tell them apart"
+    )
+
+
+def _sentence(
+    verdict: Verdict,
+    causes: list[Cause],
+    part: Mapping[str, Mapping[str, float]],
+    why_undecided: str,
+    problem: Problem,
+) -> str:
+    if verdict == "undecided":
+        return f"This record cannot tell whether the model is adequate: {why_undecided}."
+    if verdict == "adequate":
+        return (
+            "Nothing in this record contradicts the model: no effect of the catalogue is "
+            "significant and improves what was held out."
+        )
+    text = "; ".join(c.sentence for c in causes)
+    gains = []
+    for output, before in part.get("baseline_rmse", {}).items():
+        after = part.get("extended_rmse", {}).get(output)
+        if after is not None:
+            unit = problem.model.outputs[output][1]
+            gains.append(f"{output} from {before:.3g} to {after:.3g} {unit}")
+    gain = f" Naming it brings the rms error of {', '.join(gains)}." if gains else ""
+    return f"{text[0].upper()}{text[1:]}.{gain}"
+
+
+def _advice(verdict: Verdict, causes: list[Cause], search: Search, why_undecided: str) -> str:
+    if verdict == "undecided":
+        return "Record longer, or excite the system more strongly over a wider band."
+    tied = [c for c in causes if c.alternatives]
+    if tied:
+        c = tied[0]
+        others = ", ".join(sorted({a.kind for a in c.alternatives}))
+        return f"To tell {c.kind} from {others}: {_SEPARATES[c.kind]}."
+    if verdict == "deficient":
+        return (
+            "Use the extended model; confirm it on a record of its own (--hold-out FILE), best with "
+            f"{_SEPARATES[causes[0].kind]}."
+        )
+    invisible = search.invisible()
+    if invisible:
+        names = ", ".join(sorted({f"{k} in {w}" for k, w in invisible}))
+        return f"The model may be used. This set-up cannot show: {names}."
+    return "The model may be used for motions like those recorded."
+
+
+def _ranking(search: Search, adopted: list[Adopted], causes: list[Cause]) -> tuple[Ranked, ...]:
+    """The first round's candidates, most significant first, one row a kind and place."""
+    named = {(c.kind, c.where) for c in causes}
+    tied = {(x.kind, x.where) for c in causes for x in c.alternatives}
+    gains = {c.effect.key: c.gain for c in search.first_candidates}
+    refused = {c.effect.key: why for c, why in search.refused}
+    rows: dict[tuple[str, str], Ranked] = {}
+    if search.first_table is None:
+        return ()
+    for s in sorted(search.first_table.scores, key=lambda s: (s.adjusted, s.p_value)):
+        key = s.effect.key
+        if key in rows:
+            continue
+        why = refused.get(key, "")
+        if key in named:
+            status = "named"
+        elif s.visible <= 1e-4:
+            status = "invisible"
+            why = "the baseline's own parameters and initial state absorb it in this record"
+        elif key in tied:
+            status = "cannot be rejected"
+        elif key in gains or s.adjusted < search.alpha:
+            status = "rejected"
+            why = why or "another candidate explains the misfit better"
+        else:
+            status = "not significant"
+        rows[key] = Ranked(
+            s.effect.kind, s.effect.where, s.p_value, s.adjusted, gains.get(key), status, why
+        )
+    return tuple(rows.values())
+
+
+def _views(base: Fit, extended: Fit | None, split: Split) -> list[RecordView]:
+    best = extended or base
+    model = base.criterion.model
+    out = []
+    for e in range(len(split.whole) + len(split.apart)):
+        apart = e >= len(split.whole)
+        experiment = split.apart[e - len(split.whole)] if apart else split.whole[e]
+        before = simulate_apart(base, experiment) if apart else whole_simulation(base, split, e)
+        after = before
+        if extended is not None:
+            after = (
+                simulate_apart(extended, experiment)
+                if apart
+                else whole_simulation(extended, split, e)
+            )
+        d, y, _ = before
+        out.append(
+            RecordView(
+                name=experiment.name,
+                t=d.t,
+                outputs=base.criterion.outputs,
+                output_units=tuple(unit for _, unit in model.outputs.values()),
+                measured=d.y,
+                used=d.used,
+                fitted=np.zeros(d.N, dtype=bool) if apart else ~split.held[e],
+                baseline=y,
+                extended=after[1] if extended is not None else None,
+                inputs=tuple(model.inputs),
+                input_units=tuple(u.unit for u in model.inputs.values()),
+                u=d.u,
+                states=tuple(model.states),
+                state_units=tuple(s.unit for s in model.states.values()),
+                x=after[2][:, : len(best.criterion.model.states)],
+            )
+        )
+    return out

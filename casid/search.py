@@ -1,0 +1,492 @@
+"""The search for causes: score, refit the best candidates, compare, adopt, until nothing is left.
+
+Each round tests every effect against the model as it stands (`casid.scores`), refits the most
+promising ones jointly with all parameters under one whitening, ranks them by
+
+    gain - k log N,   gain = 2 (J_model - J_extended)                                          (1)
+
+with J the whitened simulation error less what input noise alone gives to it, and adopts the best
+if it is significant for the family and improves what was held out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.stats import norm
+
+from casid.data import Experiment
+from casid.diagnosis import Alternative
+from casid.effects import Effect, Sizes, catalogue, parameter_jump, saturation
+from casid.errors import SolveError
+from casid.model import Model
+from casid.nlp import Solver
+from casid.noise import NoiseModel, estimate_noise, input_noise_floor
+from casid.scores import Score, ScoreTable, score_test
+from casid.simulation_error import Fit, SimulationError, minimize_simulation_error
+from casid.uncertainty import bartlett_lags, long_run_covariance, sandwich
+
+Array = np.ndarray
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighted:
+    """A model fitted under one noise model."""
+
+    model: Model
+    fit: Fit
+    noise: NoiseModel
+    input_sd: Mapping[str, float]
+
+    @property
+    def criterion(self) -> SimulationError:
+        """The whitened criterion at its minimum."""
+        return self.fit.criterion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One effect, refitted together with everything else."""
+
+    effect: Effect
+    names: tuple[str, ...]
+    model: Model
+    fit: Fit
+    gain: float  # (1)
+    cost: float  # k log N
+    wald: float  # robust z of the first parameter
+    score: Score | None = None
+
+    @property
+    def merit(self) -> float:
+        """What candidates are ranked by."""
+        return self.gain - self.cost
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """A candidate compared with the chosen one."""
+
+    candidate: Candidate
+    p_value: float  # that the chosen one is better by chance (Vuong 1989)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adopted:
+    """An effect adopted in one round, with what that round saw."""
+
+    candidate: Candidate
+    p_value: float
+    rivals: tuple[Rival, ...]
+
+
+def _null_value(candidate: Candidate, name: str) -> float:
+    """The value at which an effect's parameter does nothing."""
+    if candidate.effect.test == "clip":
+        return 1e9
+    del name
+    return 0.0
+
+
+@dataclass(slots=True)
+class Search:
+    """State of the search, round by round."""
+
+    experiments: Sequence[Experiment]
+    recorded: Mapping[str, str]
+    alpha: float = 0.05
+    max_causes: int = 4
+    known_noise: Mapping[str, float] = field(default_factory=dict)
+    solver: Solver | None = None
+    seed: int = 0
+    progress: Progress = lambda _: None
+    first_table: ScoreTable | None = None
+    first_candidates: list[Candidate] = field(default_factory=list)
+    refused: list[tuple[Candidate, str]] = field(default_factory=list)
+
+    # -- fitting -----------------------------------------------------------------------------
+
+    def weigh(self, model: Model, fit: Fit, *, rounds: int = 2) -> Weighted:
+        """Estimate the noise at a fit and fit again under it, twice."""
+        noise = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
+        for _ in range(rounds):
+            criterion = self._criterion(model, noise, fit.values, fit.criterion)
+            fit = minimize_simulation_error(
+                criterion, solver=self.solver, check_rank=False, throw=False
+            )
+            noise = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
+        criterion = self._criterion(model, noise, fit.values, fit.criterion)
+        fit = minimize_simulation_error(
+            criterion, solver=self.solver, check_rank=False, throw=False
+        )
+        return Weighted(model, fit, noise, self._input_sd(noise, criterion))
+
+    def _criterion(
+        self,
+        model: Model,
+        noise: NoiseModel,
+        start: Mapping[str, float],
+        like: SimulationError,
+    ) -> SimulationError:
+        return SimulationError(
+            model,
+            self.experiments,
+            own=[n for n in like.own if n in model.parameters],
+            weights=like.weights,
+            whiten=noise.whiten,
+            substeps=like.substeps,
+            start=start,
+        )
+
+    def _input_sd(self, noise: NoiseModel, criterion: SimulationError) -> dict[str, float]:
+        """Input noise: what the residual shows, but no more than the channel's own floor."""
+        out: dict[str, float] = {}
+        measured = [n for n, u in criterion.model.inputs.items() if u.kind == "measured"]
+        inputs = list(criterion.model.inputs)
+        floors: dict[str, float] = {}
+        for d in criterion.data:
+            for name, value in input_noise_floor(d, inputs).items():
+                floors[name] = min(value, floors.get(name, np.inf))
+        for name in measured:
+            known = self.known_noise.get(name)
+            out[name] = known if known is not None else min(
+                noise.source_sd.get(name, 0.0), floors[name]
+            )
+        return out
+
+    def compensated(self, at: Weighted, criterion: SimulationError, x: Array) -> float:
+        """J of (1) at `x`: the whitened criterion less what input noise alone gives to it."""
+        value = criterion.evaluate(x).value
+        names = list(criterion.model.inputs)
+        sd = np.array([at.input_sd.get(n, 0.0) for n in names])
+        if not np.any(sd > 0):
+            return value
+        rng = np.random.default_rng(self.seed)
+        order = sorted(range(len(names)), key=lambda i: names[i])
+        for e, d in enumerate(criterion.data):
+            w = np.zeros(d.u.shape)
+            for i in order:  # the same draw for a channel in every model
+                if sd[i] > 0:
+                    w[:, i] = sd[i] * rng.standard_normal(d.N)
+            up = criterion.simulate(x, e, signals=replace(d, u=d.u + w))[0]
+            down = criterion.simulate(x, e, signals=replace(d, u=d.u - w))[0]
+            moved = 0.5 * (up - down) * d.used * criterion.weights
+            assert criterion.whiten is not None
+            white = criterion.whiten(moved[:, :, None], e)
+            value -= 0.5 * float(np.sum(white**2))
+        return value
+
+    def sizes(self, at: Weighted) -> Sizes:
+        """How large the signals of the fitted model are."""
+        sims = [at.criterion.simulated(at.fit.x, e) for e in range(len(self.experiments))]
+        x = np.concatenate([s.x for s in sims])
+        y = np.concatenate([s.y for s in sims])
+        d = at.criterion.data[0]
+        rms = np.sqrt(np.mean(x**2, axis=0))
+        return Sizes(
+            rates={n: float(r) for n, r in zip(at.model.states, rms, strict=True)},
+            outputs={n: np.abs(y[:, i]) for i, n in enumerate(at.criterion.outputs)},
+            window=(float(d.t[0]), float(d.t[-1])),
+            longest_delay=float(min(0.3, 0.02 * d.N * d.Ts)),
+        )
+
+    # -- one candidate -----------------------------------------------------------------------
+
+    def refit(self, at: Weighted, effect: Effect, step: float) -> Candidate | None:
+        """Fit the model with `effect` in it, from one or several starts of its parameter."""
+        best: Candidate | None = None
+        for start, upper in self._starts(at, effect, step):
+            model, names = effect.extended(
+                at.model, starts={effect.parameters[0].name: start}, upper=upper
+            )
+            values = {**at.fit.values, **(best.fit.values if best else {})}
+            for name in names:
+                values.pop(name, None)
+            try:
+                criterion = self._criterion(model, at.noise, values, at.criterion)
+                fit = minimize_simulation_error(
+                    criterion,
+                    solver=self.solver or Solver(max_iterations=60),
+                    check_rank=False,
+                    throw=False,
+                )
+            except SolveError:
+                continue  # this start diverges; the others decide
+            found = self._judge(at, effect, names, model, fit)
+            if np.isfinite(found.gain) and (best is None or found.gain > best.gain):
+                best = found
+        return best
+
+    def _starts(
+        self, at: Weighted, effect: Effect, step: float
+    ) -> list[tuple[float, float | None]]:
+        Ts = at.criterion.data[0].Ts
+        if effect.kind == "time_delay" and effect.limit is not None:
+            grid = [Ts * 2.0**i for i in range(12) if Ts * 2.0**i <= effect.limit]
+            grid += [abs(step)] if 0 < abs(step) < effect.limit else []
+            return [(g, min(2.0 * g + 4 * Ts, effect.limit)) for g in sorted(grid)]
+        if effect.test == "clip" and effect.variant is not None:
+            return [(effect.variant, None)]
+        if effect.kind == "parameter_jump":
+            # A linearised step can exceed what the parameter itself can lose.
+            name = effect.where
+            now = abs(at.fit.values.get(name, 0.0)) or abs(step) * 4
+            step = float(np.clip(step, -0.4 * now, 0.4 * now))
+        return [(step, None)] if effect.sided == "both" else [(max(step, 0.0), None)]
+
+    def _judge(
+        self, at: Weighted, effect: Effect, names: tuple[str, ...], model: Model, fit: Fit
+    ) -> Candidate:
+        """Gain over the model without the effect, on the samples that both use."""
+        criterion = fit.criterion
+        base = self._criterion(at.model, at.noise, at.fit.values, at.criterion)
+        same = True
+        for mine, other in zip(base.data, criterion.data, strict=True):
+            same = same and bool(np.array_equal(mine.used, other.used))
+            mine.used[:] = other.used
+        if same:
+            before = self._base_value(at)
+        else:
+            before = self.compensated(at, base, base.start)
+        after = self.compensated(at, criterion, fit.x)
+        k = len(names) + (1 if effect.variant is not None and effect.test == "score" else 0)
+        return Candidate(
+            effect=effect,
+            names=names,
+            model=model,
+            fit=fit,
+            gain=2 * (before - after),
+            cost=k * float(np.log(criterion.n_samples)),
+            wald=self.wald(fit, names[0]),
+        )
+
+    def _base_value(self, at: Weighted) -> float:
+        key = id(at)
+        if self._cache.get("key") != key:
+            self._cache = {"key": key, "value": self.compensated(at, at.criterion, at.fit.x)}
+        return float(self._cache["value"])
+
+    _cache: dict[str, float] = field(default_factory=dict)
+
+    def wald(self, fit: Fit, name: str) -> float:
+        """Estimate over its robust standard error."""
+        criterion = fit.criterion
+        i = criterion.names.index(name)
+        free = np.ones(len(fit.x), dtype=bool)
+        covariance, _ = sandwich(fit.solution.hessian, criterion.scores(fit.x), free)
+        sd = float(np.sqrt(max(covariance[i, i], 0.0)))
+        return float(fit.x[i] / sd) if sd > 0 else 0.0
+
+    def std_error(self, at: Weighted, name: str) -> float:
+        """Robust standard error of one variable."""
+        criterion = at.criterion
+        free = np.ones(len(at.fit.x), dtype=bool)
+        covariance, _ = sandwich(at.fit.solution.hessian, criterion.scores(at.fit.x), free)
+        i = criterion.names.index(name)
+        return float(np.sqrt(max(covariance[i, i], 0.0)))
+
+    def input_floor(self, at: Weighted, channel: str) -> float:
+        """Noise of a measured input, as far as it is known."""
+        return float(at.input_sd.get(channel, 0.0))
+
+    def invisible(self) -> set[tuple[str, str]]:
+        """Effects that the baseline's own parameters absorb in these records."""
+        if self.first_table is None:
+            return set()
+        seen = {s.effect.key for s in self.first_table.scores if s.visible > 1e-4}
+        return {s.effect.key for s in self.first_table.scores} - seen
+
+    def aliases(self, effect: Effect) -> list[Alternative]:
+        """Effects whose signature is that of `effect` turned round: the same thing in this model."""
+        table = self.first_table
+        if table is None:
+            return []
+        keys = [s.effect.key for s in table.scores]
+        out: list[Alternative] = []
+        for i, key in enumerate(keys):
+            if key != effect.key:
+                continue
+            for j, other in enumerate(keys):
+                c = float(table.cosines[i, j])
+                if other == key or table.scores[j].visible <= 1e-4 or c > -0.99:
+                    continue
+                kind, where = other
+                if kind == "time_delay" and effect.kind == "time_delay":
+                    why = f"an advance of {where} looks the same as a delay of {effect.where}"
+                    out.append(Alternative(kind, where, 1.0, why))
+        return out[:3]
+
+    def contributions(self, adopted: Sequence[Adopted], fit: Fit) -> list[float]:
+        """Sum of squares that returns when each effect is taken out and the rest refitted."""
+        from casid.identify import FitSettings, fit_model
+
+        if len(adopted) == 1:
+            return [1.0]
+        out = []
+        settings = FitSettings(starts=1, substeps=fit.criterion.substeps, solver=self.solver)
+        for a in adopted:
+            null = {n: _null_value(a.candidate, n) for n in a.candidate.names}
+            model = fit.criterion.model.with_known(**null)
+            values = {k: v for k, v in fit.values.items() if k not in null}
+            try:
+                less = fit_model(model, self.experiments, settings, start=values, check_rank=False)
+                out.append(max(less.solution.value - fit.solution.value, 0.0))
+            except SolveError:
+                out.append(0.0)
+        return out
+
+    def refine(self, at: Weighted, found: Candidate, spacing: float) -> Candidate:
+        """Search the instant of a jump, or the level of a clipping, between the tested ones."""
+        effect = found.effect
+        if effect.variant is None:
+            return found
+        best, width = found, spacing / 2
+        while width > max(spacing / 20, at.criterion.data[0].Ts):
+            for side in (-1.0, 1.0):
+                assert best.effect.variant is not None
+                value = best.effect.variant + side * width
+                if effect.kind == "parameter_jump":
+                    other = parameter_jump(at.model, effect.where, value)
+                else:
+                    other = saturation(at.model, effect.where, abs(value))
+                again = self.refit(at, other, float(best.fit.values[best.names[0]]))
+                if again is not None and again.gain > best.gain:
+                    best = again
+                    break
+            else:
+                width /= 2
+        return replace(best, score=found.score)
+
+    # -- one round ---------------------------------------------------------------------------
+
+    def table(self, at: Weighted, adopted: Sequence[Candidate]) -> ScoreTable:
+        """Score every effect not adopted yet."""
+        taken = {c.effect.key for c in adopted}
+        effects = [
+            e for e in catalogue(at.model, self.sizes(at), self.recorded) if e.key not in taken
+        ]
+        own = {n for c in adopted for n in c.names}
+        effects = [e for e in effects if not (e.kind == "parameter_jump" and e.where in own)]
+        return score_test(
+            at.fit, effects, at.noise, input_sd=at.input_sd, seed=self.seed
+        )
+
+    def shortlist(self, table: ScoreTable) -> list[Score]:
+        """The best six kinds by robust p and the best six by unrobust score, one variant each."""
+        by_p = sorted(table.scores, key=lambda s: (s.p_value, -s.unrobust))
+        by_lm = sorted(table.scores, key=lambda s: -s.unrobust)
+        chosen: dict[tuple[str, str], Score] = {}
+        for ordered in (by_p, by_lm):
+            seen: set[tuple[str, str]] = set()
+            for s in ordered:
+                if s.visible <= 1e-4 or s.unrobust < 4.0:
+                    continue
+                key = s.effect.key
+                if key not in seen and len(seen) < 6:
+                    seen.add(key)
+                    # The variant with the largest score stands for its kind.
+                    best = max(
+                        (o for o in table.scores if o.effect.key == key), key=lambda o: o.unrobust
+                    )
+                    chosen.setdefault(key, best)
+        return list(chosen.values())
+
+    def is_suspicious(self, table: ScoreTable) -> bool:
+        """True if refits are worth their time: a robust alarm, or a large plain score."""
+        best = table.smallest
+        robust = best is not None and best.adjusted < self.alpha
+        plain = max((s.unrobust for s in table.scores), default=0.0)
+        bonferroni = float(norm.isf(self.alpha / 2 / max(len(table.scores), 1))) ** 2
+        return bool(robust or plain > 1.5 * bonferroni)
+
+    def round(
+        self, at: Weighted, table: ScoreTable
+    ) -> list[Candidate]:
+        """Refit the shortlist, best first."""
+        found: list[Candidate] = []
+        short = self.shortlist(table)
+        for i, s in enumerate(short):
+            self.progress(f"refit {i + 1}/{len(short)}: {s.effect.kind} in {s.effect.where}")
+            candidate = self.refit(at, s.effect, s.step)
+            if candidate is not None:
+                found.append(replace(candidate, score=s))
+        found.sort(key=lambda c: -c.merit)
+        if not found:
+            return found
+        start, stop = self.sizes(at).window
+        top = found[0].gain
+        for i, c in enumerate(found):
+            if c.effect.variant is not None and c.gain > 0.3 * top and c.merit > 0:
+                self.progress(f"refine {c.effect.kind} in {c.effect.where}")
+                spacing = (stop - start) / 13 if c.effect.kind == "parameter_jump" else (
+                    0.05 * abs(c.effect.variant)
+                )
+                found[i] = self.refine(at, c, spacing)
+        found.sort(key=lambda c: -c.merit)
+        return found
+
+    def rejudge(self, at: Weighted, found: list[Candidate], count: int = 5) -> list[Candidate]:
+        """Compare the leaders again under the noise that the best of them leaves.
+
+        Under the first whitening the unexplained misfit counts as noise and hides differences.
+        """
+        best = found[0]
+        noise = estimate_noise(best.fit.criterion, best.fit.x, known=self.known_noise)
+        criterion = self._criterion(at.model, noise, at.fit.values, at.criterion)
+        base_fit = minimize_simulation_error(
+            criterion, solver=self.solver, check_rank=False, throw=False
+        )
+        again = Weighted(at.model, base_fit, noise, self._input_sd(noise, criterion))
+        out = []
+        for c in found[:count]:
+            criterion = self._criterion(c.model, noise, c.fit.values, at.criterion)
+            for mine, other in zip(criterion.data, c.fit.criterion.data, strict=True):
+                mine.used[:] = other.used
+            fit = minimize_simulation_error(
+                criterion, solver=self.solver, check_rank=False, throw=False
+            )
+            judged = self._judge(again, c.effect, c.names, c.model, fit)
+            out.append(replace(judged, score=c.score))
+        out.sort(key=lambda c: -c.merit)
+        return out
+
+    def p_value(self, table: ScoreTable, candidate: Candidate) -> float:
+        """Family-wise p: of the score, or of the refitted parameter where misfit hid the score."""
+        score = min(
+            (s.adjusted for s in table.scores if s.effect.key == candidate.effect.key), default=1.0
+        )
+        tested = sum(s.visible > 1e-4 for s in table.scores)
+        if candidate.effect.test == "clip":
+            # A clipping has no null value to be far from: its gain is judged, three parameters' worth.
+            z = np.sqrt(max(candidate.gain, 0.0) / 3)
+        else:
+            z = abs(candidate.wald)
+        refit = min(1.0, 2 * tested * float(norm.sf(z)))
+        return float(max(min(score, refit), 1e-300))
+
+    def rivals(self, best: Candidate, found: Sequence[Candidate]) -> tuple[Rival, ...]:
+        """Candidates that the record cannot reject against the best one (Vuong 1989, (5.6))."""
+        out = []
+        mine = self._losses(best)
+        for c in found:
+            if c is best or c.effect.key == best.effect.key:
+                continue
+            difference = self._losses(c) - mine
+            lags = bartlett_lags(difference[:, None])
+            sd = float(np.sqrt(long_run_covariance(difference[:, None], lags)[0, 0]))
+            total = float(difference.sum()) + 0.5 * (c.cost - best.cost)
+            p = float(norm.sf(total / sd)) if sd > 0 else 1.0
+            # Six units of BIC are Kass and Raftery's (1995) "strong" evidence.
+            if c.merit > best.merit - 6 or (p > 0.05 and c.merit > 0.5 * best.merit):
+                out.append(Rival(c, max(p, 1e-300)))
+        return tuple(sorted(out, key=lambda r: -r.p_value))
+
+    def _losses(self, c: Candidate) -> Array:
+        parts = []
+        for e in range(len(c.fit.criterion.data)):
+            r, _ = c.fit.criterion.columns(c.fit.x, e)
+            parts.append(0.5 * np.sum(r**2, axis=1))
+        return np.concatenate(parts)
