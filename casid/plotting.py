@@ -256,7 +256,11 @@ def residual_against_figure(result: Diagnosis | Sequence[RecordView]) -> Any:
                     "name": label,
                     "in_legend": False,
                     "mode": "markers",
-                    "marker": {"color": colour, "size": 3, "opacity": 0.22},
+                    "marker": {
+                        "color": colour,
+                        "size": 3,
+                        "opacity": 0.22 if some.size > 200 else 0.6,
+                    },
                     "hoverinfo": "skip",
                 }
             )
@@ -284,7 +288,8 @@ def residual_against_figure(result: Diagnosis | Sequence[RecordView]) -> Any:
                 },
             ]
         for trace in layers[0] + layers[1]:
-            figure.add(k, **trace)
+            if len(trace["x"]):
+                figure.add(k, **trace)
         if spread > 0:  # single outliers would flatten the means
             figure.y_range(k, [-1.3 * spread, 1.3 * spread])
         figure.label(k, x=_axis(name, unit), y=_axis(output, output_unit, "error of "))
