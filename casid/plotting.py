@@ -793,7 +793,7 @@ class _Panels:
     def log(self) -> None:
         """Make all axes logarithmic; digits between the decades only where decades are few."""
         for axis, update in (("x", self.figure.update_xaxes), ("y", self.figure.update_yaxes)):
-            values = np.concatenate([np.asarray(t[axis], dtype=float) for t in self.figure.data])
+            values = np.concatenate([[], *(np.asarray(t[axis], float) for t in self.figure.data)])
             values = values[np.isfinite(values) & (values > 0)]
             few = not values.size or values.max() < 80 * values.min()
             update(

@@ -241,6 +241,15 @@ def test_an_undecided_diagnosis_without_records_has_only_the_figures_it_can_fill
         simulation_figure(d)
 
 
+@pytest.mark.parametrize("n", [0, 1, 20])
+def test_a_record_too_short_for_a_curve_is_no_fault(n):
+    v = samples.view(N=100)
+    arrays = ("t", "measured", "used", "fitted", "baseline", "extended", "u", "x")
+    short = replace(v, **{name: getattr(v, name)[:n] for name in arrays})
+    figures = diagnosis_figures(replace(samples.deficient(N=100), records=(short,)))
+    assert len(figures) == 7
+
+
 def test_names_from_files_reach_plotly_as_plain_text():
     """Plotly reads <b>, entities and %{...} in texts: none may survive from a name."""
 
