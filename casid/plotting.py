@@ -698,7 +698,7 @@ def p_text(p: float) -> str:
     """A p-value as text."""
     if not math.isfinite(p):
         return "\u2013"
-    if p < 1e-300:
+    if p <= 1e-300:
         return "< 1e-300"
     return f"{p:.2g}" if p >= 1e-3 else f"{p:.0e}"
 

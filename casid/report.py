@@ -76,7 +76,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
         "Parameters",
         _parameter_table(estimates),
         page.figure("parameters"),
-        _p("Error bars: " + "; ".join(dict.fromkeys(e.assumes for e in estimates.values()))),
+        _join(_p(line) for line in _error_bars(estimates)),
     )
     page.section("Gain", _gain_table(d), page.figure("gain"))
     page.section("What could not be separated", _inseparable(d))
@@ -291,6 +291,13 @@ def _parameter_table(estimates: Mapping[str, Estimate]) -> _Html:
         rows,
         numbers=tuple(range(2, 3 + width)),
     )
+
+
+def _error_bars(estimates: Mapping[str, Estimate]) -> list[str]:
+    assumed = {label: e.assumes for label, e in estimates.items() if e.assumes}
+    if len(set(assumed.values())) == 1:
+        return [f"Error bars: {next(iter(assumed.values()))}"]
+    return [f"Error bars {label}: {text}" for label, text in assumed.items()]
 
 
 def _gain_table(d: Diagnosis) -> _Html:
