@@ -193,8 +193,7 @@ def time_delay(model: Model, channel: str, longest: float) -> Effect:
     entry = model.inputs[channel]
 
     def apply_input(new: Model, names: Sequence[str]) -> None:
-        # The record's column is late: what acted is the column moved ahead. The parameter is an
-        # advance of the input, its tangent the slope of the column.
+        # The simulation moves the column ahead by the delay; the slope carries the tangent.
         slope = new.add_input(
             Input(f"slope of {channel}", unit_quotient(entry.unit, "s", 1), "generated", "foh")
         )

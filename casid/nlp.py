@@ -183,6 +183,45 @@ class _Callback(ca.Callback):
         return self._jac
 
 
+# The criterion and its variables come in their natural units: Ipopt need not scale again, and a
+# gradient of 1e-8 means that a step would lower the criterion by 1e-16 of its first value.
+_SCALED_IPOPT: dict[str, Any] = {
+    "ipopt.nlp_scaling_method": "none",
+    "ipopt.tol": 1e-8,
+    "ipopt.acceptable_tol": 1e-6,
+    "ipopt.acceptable_iter": 5,
+}
+
+
+def _natural_scales(first: Evaluation, scale: Array) -> tuple[Array, float]:
+    """The step that changes the criterion by about itself, for each variable, and that value.
+
+    Kept within a factor of 1000 of the declared scale, where a sensitivity vanishes at the start.
+    """
+    if not np.isfinite(first.value) or first.value <= 0:
+        return scale, 1.0
+    curvature = np.diag(first.hessian)
+    with np.errstate(all="ignore"):
+        natural = np.sqrt(first.value / np.where(curvature > 0, curvature, np.nan))
+    natural = np.where(np.isfinite(natural), natural, scale)
+    return np.clip(natural, 1e-3 * scale, 1e3 * scale), float(first.value)
+
+
+class _OnePass:
+    """A criterion that remembers its last point: value, gradient and Hessian share one pass."""
+
+    def __init__(self, criterion: Criterion) -> None:
+        self.criterion = criterion
+        self._key: bytes | None = None
+        self._at: Evaluation | None = None
+
+    def __call__(self, point: Array) -> Evaluation:
+        key = point.tobytes()
+        if self._at is None or key != self._key:
+            self._key, self._at = key, self.criterion.evaluate(point)
+        return self._at
+
+
 class Nlp:
     """A nonlinear program under construction: variables, one objective, constraints.
 
@@ -276,8 +315,13 @@ class Nlp:
         start: Sequence[float] | None = None,
         *,
         throw: bool = True,
+        natural_scales: bool = False,
     ) -> Solution:
         """Solve from `start` (n,) or the declared starts.
+
+        `natural_scales` takes the criterion's own curvature at the start as the size of its
+        variables, and stops at its rounding error: right where the start is of the right order,
+        as in simulation; wrong where it is off by many (static regression from far away).
 
         Raises
         ------
@@ -320,8 +364,20 @@ class Nlp:
                 v, gr, h = derivatives(point)
                 return Evaluation(float(v), np.array(gr).ravel(), np.array(h))
         else:
-            problem, evaluate, m_own = self._with_criterion(
-                self._objective, solver, options, keep, z, physical, scale, g_user, m_user
+            one_pass = _OnePass(self._objective)
+            unit = 1.0
+            if natural_scales:
+                scale, unit = _natural_scales(one_pass(x0), scale)
+            physical = ca.DM(scale) * z
+            if natural_scales and solver.name == "ipopt":
+                for key, value in _SCALED_IPOPT.items():
+                    if key not in solver.options:
+                        options[key] = value
+                if (m_user or self._objective.n_constraints) and "ipopt.tol" not in solver.options:
+                    options["ipopt.tol"] = 1e-9  # the tolerance of the constraints as well
+            evaluate = one_pass
+            problem, m_own = self._with_criterion(
+                one_pass, solver, options, keep, z, physical, scale, unit, g_user, m_user
             )
             lbg = [0.0] * m_own + lbg
             ubg = [0.0] * m_own + ubg
@@ -367,34 +423,30 @@ class Nlp:
 
     def _with_criterion(
         self,
-        criterion: Criterion,
+        evaluate: _OnePass,
         solver: Solver,
         options: dict[str, Any],
         keep: list[Any],
         z: Any,
         physical: Any,
         scale: Array,
+        unit: float,
         g_user: Any,
         m_user: int,
-    ) -> tuple[dict[str, Any], Any, int]:
-        """State the NLP around one cached pass of the criterion; returns (nlp, evaluate, m)."""
-        n, m = len(scale), criterion.n_constraints
-        memory: dict[str, Any] = {"key": None, "at": None}
+    ) -> tuple[dict[str, Any], int]:
+        """State the NLP around one cached pass of the criterion; returns (nlp, m).
 
-        def evaluate(point: Array) -> Evaluation:
-            key = point.tobytes()
-            if memory["key"] != key:
-                memory["key"], memory["at"] = key, criterion.evaluate(point)
-            at: Evaluation = memory["at"]
-            return at
+        The objective is the criterion in units of `unit`.
+        """
+        n, m = len(scale), evaluate.criterion.n_constraints
 
         def values(point: Array) -> list[Any]:
             at = evaluate(point)
-            return [at.value, at.constraints]
+            return [at.value / unit, at.constraints]
 
         def jacobians(point: Array, *_: Array) -> list[Any]:
             at = evaluate(point)
-            return [at.gradient.reshape(1, n), at.jacobian.reshape(m, n)]
+            return [at.gradient.reshape(1, n) / unit, at.jacobian.reshape(m, n)]
 
         dense = ca.Sparsity.dense
         jac = _Callback("jac_criterion", jacobians, [n, 1, m], [dense(1, n), dense(m, n)])
@@ -408,7 +460,7 @@ class Nlp:
 
         def hessian(point: Array, _p: Array, lam_f: Array, lam_g: Array) -> list[Any]:
             at = evaluate(point * scale)
-            h = lam_f[0] * at.hessian
+            h = lam_f[0] * at.hessian / unit
             if m_user:
                 h = h + np.array(g_hess(point * scale, lam_g[m:]))
             h = h * np.outer(scale, scale)
@@ -419,7 +471,7 @@ class Nlp:
         options["hess_lag"] = _Callback("curvature", hessian, [n, 0, 1, m + m_user], [pattern])
         keep += [jac, call, options["hess_lag"]]
         f, own = call(physical)
-        return {"x": z, "f": f, "g": ca.vertcat(own, g_user(physical))}, evaluate, m
+        return {"x": z, "f": f, "g": ca.vertcat(own, g_user(physical))}, m
 
     def _judge(
         self,

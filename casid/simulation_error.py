@@ -339,7 +339,8 @@ class SimulationError:
         u = d.u.copy()
         for stage in stages:
             i, j = names.index(stage.channel), names.index(f"slope of {stage.channel}")
-            shift = self._value(x, experiment, stage.parameter) / d.Ts
+            # The record's column is late: what acted is the column moved ahead.
+            shift = -self._value(x, experiment, stage.parameter) / d.Ts
             u[:, i] = delay_columns(d.u[:, i], shift)
             u[:, j] = delay_columns(d.u[:, i], shift, derivative=True) / d.Ts
         return u
@@ -639,7 +640,7 @@ def minimize_simulation_error(
     for k in range(max(starts, 1)):
         point = x0 if k == 0 else _random_start(criterion, x0, np.random.default_rng((seed, k)))
         try:
-            solution = nlp.solve(solver, point, throw=False)
+            solution = nlp.solve(solver, point, throw=False, natural_scales=True)
         except SolveError as error:
             failures.append(str(error))
             continue
