@@ -1,0 +1,15 @@
+"""Settings of the whole test run."""
+
+from __future__ import annotations
+
+import os
+
+from hypothesis import settings
+
+# Threads of a linear-algebra library fight over small matrices; set before NumPy is imported.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+# The same examples in every run, and no clock: a slow machine is no counterexample.
+settings.register_profile("casid", deadline=None, derandomize=True, print_blob=True)
+settings.load_profile("casid")

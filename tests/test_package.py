@@ -1,0 +1,203 @@
+"""The package as a whole: which way imports run, what is public, and what is light."""
+
+from __future__ import annotations
+
+import ast
+import graphlib
+import inspect
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import casid
+from tests.shared import ROOT
+
+SOURCES = sorted((ROOT / "casid").glob("*.py"))
+HEAVY = "casadi numpy scipy sympy control pandas pyarrow pint joblib plotly rich matplotlib".split()
+
+# A module imports, when it is itself imported, from lines above its own alone. What a method needs
+# from below (`record.lowpass`, `diagnosis.write`) it imports when it is called. A module without a
+# line here is free, as long as there is no circle.
+LAYERS = """
+errors
+units uncertainty spikes expressions nlp writing
+data
+reading prepare
+check model
+dimensions effects simulate problem
+simulation_error
+noise estimate
+diagnosis regression scores identify
+holdout search plotting
+diagnose report
+cli
+__main__
+"""
+
+
+def imports_of(path: Path) -> Iterator[tuple[str, bool]]:
+    """Every absolute import of a file: module, and whether it happens at import time."""
+
+    def walk(node: ast.AST, now: bool) -> Iterator[tuple[str, bool]]:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.Import):
+                yield from ((name.name, now) for name in child.names)
+            elif isinstance(child, ast.ImportFrom):
+                assert child.level == 0, f"{path.name}: relative import"
+                assert child.module is not None
+                yield child.module, now
+                if child.module == "casid":
+                    yield from ((f"casid.{name.name}", now) for name in child.names)
+            inside = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef) or (
+                isinstance(child, ast.If) and "TYPE_CHECKING" in ast.dump(child.test)
+            )
+            yield from walk(child, now and not inside)
+
+    yield from walk(ast.parse(path.read_text(encoding="utf-8")), True)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.stem)
+def test_casid_imports_neither_problems_nor_analysis(path: Path) -> None:
+    roots = {module.partition(".")[0] for module, _ in imports_of(path)}
+    assert not roots & {"problems", "analysis", "tests", "benchmarks", "docs"}
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.stem)
+def test_imports_inside_casid_run_one_way(path: Path) -> None:
+    layer = {name: i for i, line in enumerate(LAYERS.split("\n")) for name in line.split()}
+    if path.stem == "__init__":
+        assert not [m for m, now in imports_of(path) if now and m.startswith("casid")]
+        return
+    for module, now in imports_of(path):
+        name = module.removeprefix("casid.")
+        if now and module.startswith("casid.") and {name, path.stem} <= layer.keys():
+            assert layer[name] < layer[path.stem], f"{path.stem} imports {name}"
+
+
+def test_no_imports_run_in_a_circle() -> None:
+    graph = {
+        f"casid.{path.stem}": {m for m, now in imports_of(path) if now and m.startswith("casid.")}
+        for path in SOURCES
+    }
+    assert list(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError
+
+
+def test_problems_import_casid_and_files_beside_them_alone() -> None:
+    """A problem file is what a user writes: the library's own problems have no more means."""
+    allowed = {"casid", "numpy", "casadi", "__future__", *sys.stdlib_module_names}
+    for path in (ROOT / "problems").glob("*.py"):
+        beside = {p.stem for p in path.parent.glob("*.py")}
+        roots = {module.partition(".")[0] for module, _ in imports_of(path)}
+        assert roots <= allowed | beside, f"{path.name}: {roots - allowed - beside}"
+
+
+def modules_after(statement: str) -> set[str]:
+    run = subprocess.run(
+        [sys.executable, "-c", f"{statement}\nimport sys\nprint('\\n' + ' '.join(sys.modules))"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return {name.partition(".")[0] for name in run.stdout.splitlines()[-1].split()}
+
+
+def test_import_casid_loads_nothing_heavy() -> None:
+    loaded = modules_after("import casid; casid.errors_are = dir(casid)")
+    assert not loaded & set(HEAVY)
+    assert "click" not in loaded
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["diagnose", "--help"], ["--version"], ["wrong"]]
+)
+def test_the_help_loads_nothing_heavy(arguments: list[str]) -> None:
+    loaded = modules_after(
+        f"from casid.cli import main\ntry:\n    main({arguments!r})\nexcept SystemExit:\n    pass"
+    )
+    assert "click" in loaded
+    assert not loaded & set(HEAVY)
+
+
+@pytest.mark.parametrize("name", casid.__all__)
+def test_public_names_are_there_and_say_what_they_are(name: str) -> None:
+    value = getattr(casid, name)
+    assert name in dir(casid)
+    assert inspect.isclass(value) or inspect.isfunction(value)
+    assert value.__module__.startswith("casid.")
+    assert len(inspect.getdoc(value) or "") > 20
+
+
+def test_a_function_named_like_its_module_is_the_function() -> None:
+    """Loading casid.diagnose loads casid.identify too, and must not put a module in its place."""
+    program = (
+        "import casid\ncasid.diagnose\nassert callable(casid.identify)\n"
+        "import casid.check\nassert callable(casid.check)\n"
+        "from casid.identify import fit_model\nassert callable(casid.identify)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
+
+
+def test_a_misspelt_name_is_told_the_nearest() -> None:
+    with pytest.raises(AttributeError, match="did you mean 'diagnose'"):
+        casid.diagnos  # noqa: B018
+    with pytest.raises(ImportError):
+        exec("from casid import nothing_of_the_kind")
+
+
+def public_functions(path: Path) -> Iterator[tuple[str, ast.FunctionDef | ast.ClassDef]]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield node.name, node
+            if isinstance(node, ast.ClassDef):
+                for child in node.body:
+                    if isinstance(child, ast.FunctionDef) and not child.name.startswith("_"):
+                        yield f"{node.name}.{child.name}", child
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.stem)
+def test_every_public_function_says_what_it_does(path: Path) -> None:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    assert ast.get_docstring(tree), f"{path.name} does not say what it holds"
+    silent = [name for name, node in public_functions(path) if not ast.get_docstring(node)]
+    assert not silent
+
+
+def test_no_path_of_a_machine_stands_in_the_repository() -> None:
+    """`/home/someone`, `C:\\Users`: what runs on one machine only."""
+    paths = re.compile(r"(?<![\w/.])/(?:home|root|work|Users|mnt|opt|tmp|data)/\w|\b[A-Z]:\\+\w")
+    kinds = {".py", ".md", ".toml", ".yml", ".yaml", ".json", ".txt", ".cfg", ""}
+    found = []
+    for folder in ("casid", "problems", "analysis", "tests", "benchmarks", "docs", ".ci", "."):
+        pattern = "*" if folder == "." else "**/*"
+        for path in (ROOT / folder).glob(pattern):
+            hidden = any(part.startswith(".") for part in path.relative_to(ROOT).parts[1:])
+            if path.is_file() and path.suffix in kinds and path.name != Path(__file__).name:
+                if hidden or "site" in path.parts or "__pycache__" in path.parts:
+                    continue
+                for n, line in enumerate(path.read_text("utf-8", "ignore").splitlines(), 1):
+                    if paths.search(line):
+                        found.append(f"{path.relative_to(ROOT)}:{n}: {line.strip()}")
+    assert not found
+
+
+def test_version_and_wheel_are_as_pyproject_has_them() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert project["project"]["version"] == casid.__version__
+    assert project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"] == ["casid"]
+    assert (ROOT / "casid" / "py.typed").exists()
+    assert project["project"]["scripts"]["casid"] == "casid.cli:main"
+
+
+def test_every_import_of_casid_is_declared() -> None:
+    """What casid imports is a dependency, and what is a dependency is imported."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    declared = {re.split(r"[<>=\[; ]", entry)[0].lower() for entry in project["dependencies"]}
+    imported = {m.partition(".")[0] for path in SOURCES for m, _ in imports_of(path)}
+    assert imported - {"casid", *sys.stdlib_module_names} <= declared

@@ -1,0 +1,85 @@
+"""The README: its lines run and print what it says; its commands are the ones that are tested.
+
+`python -m tests.test_readme` writes what the lines print into the README.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import subprocess
+import sys
+
+import pytest
+
+from casid.cli import main
+from tests.shared import ROOT
+
+README = ROOT / "README.md"
+CODE = re.compile(r"```python\n(.*?)```", re.DOTALL)
+PRINTED = re.compile(r"```text\n(.*?)```", re.DOTALL)
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])")
+
+
+def printed_by(code: str) -> str:
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
+    return out.getvalue()
+
+
+def test_the_ten_lines_print_what_the_readme_says() -> None:
+    """Words to the letter; numbers to 5 %, p-values aside: they turn digits into decades."""
+    text = README.read_text(encoding="utf-8")
+    (code,) = CODE.findall(text)
+    (said,) = PRINTED.findall(text)
+    assert len([line for line in code.splitlines() if line.strip()]) <= 10
+    found = printed_by(code)
+    words = [NUMBER.sub("#", x).split() for x in (found, said)]
+    assert words[0] == words[1], "if it is meant: python -m tests.test_readme writes the README"
+    for line, other in zip(found.splitlines(), said.splitlines(), strict=True):
+        without = [re.sub(r"\(p = [^)]*\)", "", x) for x in (line, other)]
+        new, old = ([float(x) for x in NUMBER.findall(x)] for x in without)
+        assert new == pytest.approx(old, rel=0.05)
+
+
+def test_the_set_up_commands_stand_in_the_readme() -> None:
+    text = README.read_text(encoding="utf-8")
+    assert "\npython -m pip install . && casid diagnose problems/pendulum.py\n" in text
+    assert '\npython -m pip install ".[test]" && python -m pytest\n' in text
+
+
+def test_every_command_line_of_the_readme_can_be_parsed() -> None:
+    """Options and commands exist; files and problems are another test's matter."""
+    text = README.read_text(encoding="utf-8")
+    known = "|".join(main.commands)
+    lines = re.findall(rf"^casid (?:{known}) .*$", text, re.MULTILINE)
+    assert len(lines) >= 4
+    for line in lines:
+        name, *arguments = line.split("   ")[0].split()[1:]
+        command = main.commands[name]
+        command.make_context(name, arguments)
+
+
+def test_the_readme_speaks_of_files_that_exist() -> None:
+    text = README.read_text(encoding="utf-8")
+    for path in re.findall(r"\b(?:problems|analysis|docs)/[\w./-]+\w", text):
+        assert (ROOT / path).exists(), path
+    for path in re.findall(r"\]\((?!https?:)([^)]+)\)", text):
+        assert (ROOT / path).exists(), path
+
+
+def write() -> None:
+    """Put what the lines print into the README."""
+    text = README.read_text(encoding="utf-8")
+    (code,) = CODE.findall(text)
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    block = f"```text\n{run.stdout}```"
+    README.write_text(PRINTED.sub(lambda _: block, text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write()
