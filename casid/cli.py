@@ -62,10 +62,14 @@ class _Casid(click.Group):
         except CasidError as error:
             return _refuse(str(error))
         except MemoryError:
-            return _refuse("out of memory; take a window with --window, or --decimate the record")
+            return _refuse(
+                "out of memory; take a part with --window, or a larger sample time with --resample"
+            )
         except OSError as error:
-            where = f"{error.filename}: " if error.filename else ""
-            return _refuse(f"{where}{error.strerror or error}; check the path and its permissions")
+            what = error.strerror or str(error)
+            if error.filename is None:
+                return _refuse(f"{what}; mend that and run the command again")
+            return _refuse(f"{error.filename}: {what}; check the path and its permissions")
         return status if isinstance(status, int) else DONE
 
     def resolve_command(
@@ -251,6 +255,13 @@ class Request:
                 raise DataError(
                     f"--set {text}: problem {problem.name} has no parameter {name!r}; it has "
                     f"{', '.join(names)}{_near(name, names)}"
+                )
+            parameter = problem.model.parameters[name]
+            if not parameter.lower <= value <= parameter.upper:
+                raise DataError(
+                    f"--set {text}: {value:g} lies outside the bounds of {name}, "
+                    f"{parameter.lower:g} to {parameter.upper:g} {parameter.unit}; give a value "
+                    "inside, in SI units, or widen the bounds in the problem file"
                 )
             if out.get(name, value) != value:
                 raise DataError(
@@ -699,13 +710,14 @@ def check(
     request = Request(data=data, maps=maps, window=window, resample=resample)
     found = _load(problem) if problem is not None else None
     common = parse_window(window) if window else None
-    reports = [_checked(_source(text, common), request, found) for text in data]
+    sources = [_source(text, common) for text in data]
+    reports = [_checked(source, request, found) for source in sources]
     if as_json:
         content = [report.to_json() for report in reports]
         _print_json(content[0] if len(content) == 1 else content)
     else:
         _print("\n\n".join(str(report) for report in reports))
-    unusable = [report.name for report in reports if not report.is_usable]
+    unusable = [str(s) for s, r in zip(sources, reports, strict=True) if not r.is_usable]
     if unusable:
         raise DataError(
             f"unusable as it stands: {', '.join(unusable)}; mend the errors listed under findings"
