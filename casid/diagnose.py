@@ -22,6 +22,7 @@ from casid.holdout import (
 from casid.identify import FitSettings, estimate_of, experiments_of, fit_model, rms, versions
 from casid.nlp import Solver
 from casid.problem import Problem
+from casid.scores import INVISIBLE
 from casid.search import Adopted, Candidate, Progress, Search, Weighted
 from casid.simulation_error import Fit
 from casid.spikes import Spikes, find_spikes
@@ -106,14 +107,10 @@ def diagnose(
     say("estimate the noise")
     at = search.weigh(problem.model, base_fit)
     adopted: list[Adopted] = []
+    extended_fit: Fit | None = None
     why_undecided = _undecidable(search, base_fit, at)
     if not why_undecided:
-        adopted, at = _search(search, at, base_fit, split, settings)
-    extended_fit = (
-        fit_model(at.model, split.fitted, replace(settings, starts=1), start=at.fit.values)
-        if adopted
-        else None
-    )
+        adopted, at, extended_fit = _search(search, at, base_fit, split, settings)
     return _report(
         problem, split, settings, search, at, base_fit, extended_fit, adopted, spikes,
         why_undecided, false_alarm_rate,
@@ -125,21 +122,25 @@ def diagnose(
 
 def _search(
     search: Search, at: Weighted, base_fit: Fit, split: Split, settings: FitSettings
-) -> tuple[list[Adopted], Weighted]:
-    """Adopt effects until nothing significant is left that improves what was held out."""
+) -> tuple[list[Adopted], Weighted, Fit | None]:
+    """Adopt effects until nothing significant is left that improves what was held out.
+
+    Returns what was adopted, the last model under its noise, and its simulation-error fit.
+    """
     adopted: list[Adopted] = []
+    extended: Fit | None = None
+    once = replace(settings, starts=1)
     error = held_out_error(base_fit, split)
     while len(adopted) < search.max_causes:
         search.progress(f"test every effect (round {len(adopted) + 1})")
         table = search.table(at, [a.candidate for a in adopted])
         if search.first_table is None:
             search.first_table = table
-        if not search.is_suspicious(table):
+        if not search.is_suspicious(at, table):
             break
-        found = search.round(at, table)
+        found = search.round(at, table, [a.candidate for a in adopted])
         if not found:
             break
-        found = search.rejudge(at, found)
         if not adopted:
             search.first_candidates = found
         taken: Adopted | None = None
@@ -148,7 +149,7 @@ def _search(
             if p >= search.alpha or best.merit <= 0:
                 continue
             fit = fit_model(
-                best.model, split.fitted, replace(settings, starts=1), start=best.fit.values
+                best.model, split.fitted, once, start=best.fit.values, check_rank=False, throw=False
             )
             new_error = held_out_error(fit, split)
             why = why_no_better(error, new_error)
@@ -156,13 +157,34 @@ def _search(
                 search.refused.append((best, why))
                 continue
             taken = Adopted(best, p, search.rivals(best, found))
-            error = new_error
+            error, extended = new_error, fit
             at = search.weigh(best.model, fit, rounds=1)
             break
         if taken is None:
             break
         adopted.append(taken)
-    return adopted, at
+    if extended is not None and len(adopted) > 1:
+        extended = _eliminated(search, adopted, extended, split, once)
+        at = search.weigh(extended.criterion.model, extended, rounds=1)
+    return adopted, at, extended
+
+
+def _eliminated(
+    search: Search, adopted: list[Adopted], fit: Fit, split: Split, settings: FitSettings
+) -> Fit:
+    """Take back, last first, what later causes have made insignificant; refit what is left."""
+    for a in reversed(list(adopted)):
+        c = a.candidate
+        if len(adopted) == 1 or c.effect.test == "clip" or abs(search.wald(fit, c.names[0])) > 2.0:
+            continue
+        search.refused.append((c, "the other causes together leave nothing for it to explain"))
+        adopted.remove(a)
+        model = fit.criterion.model.with_known(**{n: 0.0 for n in c.names})
+        values = {k: v for k, v in fit.values.items() if k not in c.names}
+        fit = fit_model(
+            model, split.fitted, settings, start=values, check_rank=False, throw=False
+        )
+    return fit
 
 
 def _named_first(found: list[Candidate]) -> list[Candidate]:
@@ -191,7 +213,7 @@ def _without_spikes(fit: Fit, split: Split, alpha: float) -> tuple[list[Spikes],
         for experiment in split.apart:
             d, y, _ = simulate_apart(fit, experiment)
             aside.append(np.where(d.used[:, i], d.y[:, i] - y[:, i], 0.0))
-        spikes = find_spikes(channel, [*residuals, *aside], alpha / 5)
+        spikes = find_spikes(channel, [*residuals, *aside], alpha / 50)
         if spikes is not None:
             found.append(spikes)
             n = len(residuals)
@@ -553,7 +575,7 @@ def _ranking(search: Search, adopted: list[Adopted], causes: list[Cause]) -> tup
         why = refused.get(key, "")
         if key in named:
             status = "named"
-        elif s.visible <= 1e-4:
+        elif s.visible <= INVISIBLE:
             status = "invisible"
             why = "the baseline's own parameters and initial state absorb it in this record"
         elif key in tied:

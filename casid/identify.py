@@ -76,6 +76,7 @@ def fit_model(
     *,
     start: Mapping[str, float] | None = None,
     check_rank: bool = True,
+    throw: bool = True,
 ) -> Fit:
     """Minimise the simulation error, with as many Runge-Kutta substeps as the data can feel."""
     substeps = settings.substeps or 1
@@ -96,6 +97,7 @@ def fit_model(
             seed=settings.seed,
             constraints=settings.constraints,
             check_rank=check_rank and fit is None,
+            throw=throw,
         )
         if settings.substeps is not None or substeps >= 16 or not _steps_matter(fit):
             return fit

@@ -507,7 +507,7 @@ class Model:
         self, expression: Expr, measured: Any, unknown: str, solution: Expr, using: str
     ) -> None:
         back = ca.substitute(expression, self._symbols[unknown], solution) - measured
-        symbols = ca.symvar(back)
+        symbols = ca.symvar(ca.veccat(expression, measured, solution))
         rng = np.random.default_rng(1)
         error = ca.Function("b", symbols, [back])
         values = [error(*rng.uniform(0.1, 0.9, len(symbols))) for _ in range(5)]

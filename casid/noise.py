@@ -12,7 +12,7 @@ whitens residuals and sensitivities alike.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -34,9 +34,7 @@ class Response:
     sources: tuple[str, ...]
 
 
-def noise_response(
-    criterion: SimulationError, x: Array, experiment: int, n_frequencies: int = 2049
-) -> Response:
+def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Response:
     """|G|^2 from every measured input and every balance to the outputs, linearised at the mean.
 
     The step of the simulation itself is linearised, so the response is that of what is simulated.
@@ -87,11 +85,13 @@ def noise_response(
     measured = [i for i, n in enumerate(e.inputs) if disturbed.inputs[n].kind == "measured"]
     columns = measured + list(range(len(e.inputs) - nb, len(e.inputs)))
     names = tuple([e.inputs[i] for i in measured] + list(model.balances))
-    omega = np.linspace(0, np.pi, n_frequencies)
+    # As fine as the record resolves: a lightly damped resonance is narrower than that already.
+    omega = np.linspace(0, np.pi, min(d.N, 1 << 16) + 1)
+    # An integrator has no finite response at zero frequency: take it within the record's resolution.
+    omega[0] = 0.25 * omega[1]
     z = np.exp(1j * omega)
     eye = np.eye(len(a))
     lhs = z[:, None, None] * eye - a
-    lhs[0] += 1e-9 * eye  # an integrator has no finite response at zero frequency
     rhs = b0[None, :, columns] + z[:, None, None] * b1[None, :, columns]
     g = c @ np.linalg.solve(lhs, rhs) + dd[None, :, columns]
     return Response(omega, np.abs(g) ** 2, names)
@@ -116,6 +116,13 @@ class NoiseModel:
     source_sd: Mapping[str, float]  # measured input or balance -> white noise per sample
     responses: Sequence[Response]  # one an experiment
     weights: Array
+    whittle: float = 0.0  # minus two log likelihood of the residuals that gave it
+
+    def quiet(self, input_sd: Mapping[str, float]) -> NoiseModel:
+        """The same without disturbances: sensors and measured inputs only."""
+        return replace(
+            self, source_sd={name: input_sd.get(name, 0.0) for name in self.source_sd}
+        )
 
     def spectrum(self, experiment: int) -> Array:
         """S (F, ny) per sample, output units squared, on the response's frequencies."""
@@ -205,6 +212,7 @@ def estimate_noise(
         solution = new if k == 0 else 0.5 * (solution + new)
         s = np.maximum(free @ solution + offset, floor)
     value[~fixed] = solution
+    whittle = float(np.sum(2 * count * (np.log(s) + power / s)))
     output_sd = np.sqrt(np.maximum(value[:ny], floor))
     found = {name: float(np.sqrt(v)) for name, v in zip(sources, value[ny:], strict=True)}
     return NoiseModel(
@@ -212,6 +220,7 @@ def estimate_noise(
         source_sd={name: found.get(name, 0.0) for name in responses[0].sources},
         responses=responses,
         weights=criterion.weights,
+        whittle=whittle,
     )
 
 
@@ -234,12 +243,12 @@ def _distinct(responses: Sequence[Response], sources: list[str]) -> list[str]:
 def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array]]:
     """Periodogram and |G|^2 in bands of growing width: (power, gain2, count) for each output."""
     n = len(residual)
-    omega = 2 * np.pi * np.arange(1, n // 2 + 1) / n
+    omega = 2 * np.pi * np.arange(n // 2 + 1) / n
     edges = np.unique(np.round(np.geomspace(1, len(omega) + 1, 160)).astype(int)) - 1
     count = np.diff(edges)
     out = []
     for i in range(residual.shape[1]):
-        spectrum = np.abs(rfft(residual[:, i]))[1 : n // 2 + 1] ** 2 / n
+        spectrum = np.abs(rfft(residual[:, i])) ** 2 / n
         power = np.add.reduceat(spectrum, edges[:-1]) / count
         columns = []
         for j in range(response.gain2.shape[2]):

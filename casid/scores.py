@@ -54,11 +54,11 @@ class ScoreTable:
     @property
     def smallest(self) -> Score | None:
         """The most significant candidate."""
-        tested = [s for s in self.scores if s.visible > _INVISIBLE]
+        tested = [s for s in self.scores if s.visible > INVISIBLE]
         return min(tested, key=lambda s: (s.adjusted, s.p_value), default=None)
 
 
-_INVISIBLE = 1e-4
+INVISIBLE = 1e-4
 
 
 def score_test(
@@ -130,7 +130,7 @@ def score_test(
     z = rest.T @ e + bias_psi / size - gamma.T @ (bias_t / t_size)
     # Score of the baseline itself, zero at its minimum except for the bias just corrected.
     per_sample = np.add.reduceat(rest * e[:, None], np.arange(0, len(e), ny), axis=0)
-    visible = left > _INVISIBLE
+    visible = left > INVISIBLE
     lags = bartlett_lags(per_sample[:, visible]) if visible.any() else 0
     covariance = long_run_covariance(per_sample, lags)
     sd_z = np.sqrt(np.maximum(np.diag(covariance), 1e-300))

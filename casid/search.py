@@ -24,12 +24,16 @@ from casid.errors import SolveError
 from casid.model import Model
 from casid.nlp import Solver
 from casid.noise import NoiseModel, estimate_noise, input_noise_floor
-from casid.scores import Score, ScoreTable, score_test
+from casid.scores import INVISIBLE, Score, ScoreTable, score_test
 from casid.simulation_error import Fit, SimulationError, minimize_simulation_error
 from casid.uncertainty import bartlett_lags, long_run_covariance, sandwich
 
 Array = np.ndarray
 Progress = Callable[[str], None]
+
+
+HIDDEN = 1.1
+"""Residual over the sensors' noise beyond which misfit is taken to hide in the noise model."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +127,15 @@ class Search:
             criterion, solver=self.solver, check_rank=False, throw=False
         )
         return Weighted(model, fit, noise, self._input_sd(noise, criterion))
+
+    def quieted(self, at: Weighted) -> Weighted:
+        """The same model fitted under the sensors' noise alone, nothing passing for disturbance."""
+        noise = at.noise.quiet(at.input_sd)
+        criterion = self._criterion(at.model, noise, at.fit.values, at.criterion)
+        fit = minimize_simulation_error(
+            criterion, solver=self.solver, check_rank=False, throw=False
+        )
+        return Weighted(at.model, fit, noise, at.input_sd)
 
     def _criterion(
         self,
@@ -296,7 +309,7 @@ class Search:
         """Effects that the baseline's own parameters absorb in these records."""
         if self.first_table is None:
             return set()
-        seen = {s.effect.key for s in self.first_table.scores if s.visible > 1e-4}
+        seen = {s.effect.key for s in self.first_table.scores if s.visible > INVISIBLE}
         return {s.effect.key for s in self.first_table.scores} - seen
 
     def aliases(self, effect: Effect) -> list[Alternative]:
@@ -311,7 +324,7 @@ class Search:
                 continue
             for j, other in enumerate(keys):
                 c = float(table.cosines[i, j])
-                if other == key or table.scores[j].visible <= 1e-4 or c > -0.99:
+                if other == key or table.scores[j].visible <= INVISIBLE or c > -0.99:
                     continue
                 kind, where = other
                 if kind == "time_delay" and effect.kind == "time_delay":
@@ -374,43 +387,62 @@ class Search:
             at.fit, effects, at.noise, input_sd=at.input_sd, seed=self.seed
         )
 
-    def shortlist(self, table: ScoreTable) -> list[Score]:
-        """The best six kinds by robust p and the best six by unrobust score, one variant each."""
-        by_p = sorted(table.scores, key=lambda s: (s.p_value, -s.unrobust))
-        by_lm = sorted(table.scores, key=lambda s: -s.unrobust)
+    def shortlist(self, tables: Sequence[ScoreTable]) -> list[Score]:
+        """The best six kinds by robust p and by unrobust score in each table, one variant each."""
         chosen: dict[tuple[str, str], Score] = {}
-        for ordered in (by_p, by_lm):
-            seen: set[tuple[str, str]] = set()
-            for s in ordered:
-                if s.visible <= 1e-4 or s.unrobust < 4.0:
-                    continue
-                key = s.effect.key
-                if key not in seen and len(seen) < 6:
-                    seen.add(key)
-                    # The variant with the largest score stands for its kind.
-                    best = max(
-                        (o for o in table.scores if o.effect.key == key), key=lambda o: o.unrobust
-                    )
-                    chosen.setdefault(key, best)
+        for table in tables:
+            visible = [s for s in table.scores if s.visible > INVISIBLE and s.unrobust > 0.0]
+            strongest: dict[tuple[str, str], Score] = {}
+            for s in sorted(visible, key=lambda s: -s.unrobust):
+                strongest.setdefault(s.effect.key, s)  # the variant that stands for its kind
+            for order in (
+                sorted(visible, key=lambda s: (s.p_value, -s.unrobust)),
+                sorted(visible, key=lambda s: -s.unrobust),
+            ):
+                keys = list(dict.fromkeys(s.effect.key for s in order))[:6]
+                for key in keys:
+                    chosen.setdefault(key, strongest[key])
         return list(chosen.values())
 
-    def is_suspicious(self, table: ScoreTable) -> bool:
-        """True if refits are worth their time: a robust alarm, or a large plain score."""
+    def unexplained(self, at: Weighted) -> float:
+        """Rms of the residual over the rms that sensors and measured inputs account for."""
+        quiet = at.noise.quiet(at.input_sd)
+        ratios = [
+            at.noise.floor(e) / np.maximum(quiet.floor(e), 1e-300)
+            for e in range(len(self.experiments))
+        ]
+        return float(np.max(ratios))
+
+    def is_suspicious(self, at: Weighted, table: ScoreTable) -> bool:
+        """True if refits are worth their time: an alarm, a large plain score, or much unexplained.
+
+        Misfit passes for a disturbance in the noise model and then hides its own cause: where
+        more than a tenth of the residual is no sensor's noise, the candidates are fitted anyway.
+        """
+        if self.unexplained(at) > HIDDEN:
+            return True
         best = table.smallest
         robust = best is not None and best.adjusted < self.alpha
         plain = max((s.unrobust for s in table.scores), default=0.0)
         bonferroni = float(norm.isf(self.alpha / 2 / max(len(table.scores), 1))) ** 2
         return bool(robust or plain > 1.5 * bonferroni)
 
-    def round(
-        self, at: Weighted, table: ScoreTable
-    ) -> list[Candidate]:
-        """Refit the shortlist, best first."""
+    def round(self, at: Weighted, table: ScoreTable, adopted: Sequence[Candidate]) -> list[Candidate]:
+        """Refit the shortlist, best first.
+
+        Where much is unexplained, the misfit has passed for a disturbance: candidates are then
+        also scored, fitted and ranked under the sensors' noise alone; see `by_what_is_left`.
+        """
+        tables, under = [table], at
+        hidden = self.unexplained(at) > HIDDEN
+        if hidden:
+            under = self.quieted(at)
+            tables.append(self.table(under, adopted))
         found: list[Candidate] = []
-        short = self.shortlist(table)
+        short = self.shortlist(tables)
         for i, s in enumerate(short):
             self.progress(f"refit {i + 1}/{len(short)}: {s.effect.kind} in {s.effect.where}")
-            candidate = self.refit(at, s.effect, s.step)
+            candidate = self.refit(under, s.effect, s.step)
             if candidate is not None:
                 found.append(replace(candidate, score=s))
         found.sort(key=lambda c: -c.merit)
@@ -421,14 +453,42 @@ class Search:
         for i, c in enumerate(found):
             if c.effect.variant is not None and c.gain > 0.3 * top and c.merit > 0:
                 self.progress(f"refine {c.effect.kind} in {c.effect.where}")
-                spacing = (stop - start) / 13 if c.effect.kind == "parameter_jump" else (
-                    0.05 * abs(c.effect.variant)
-                )
-                found[i] = self.refine(at, c, spacing)
+                is_jump = c.effect.kind == "parameter_jump"
+                spacing = (stop - start) / 13 if is_jump else 0.05 * abs(c.effect.variant)
+                found[i] = self.refine(under, c, spacing)
         found.sort(key=lambda c: -c.merit)
-        return found
+        return self.by_what_is_left(under, found) if hidden else self.rejudge(at, found)
 
-    def rejudge(self, at: Weighted, found: list[Candidate], count: int = 5) -> list[Candidate]:
+    def by_what_is_left(self, at: Weighted, found: list[Candidate]) -> list[Candidate]:
+        """Rank by n log(S_model / S_extended), S the sums of squares, n the samples that count.
+
+        The noise's size is then not known, only what each candidate leaves. n is the number of
+        independent samples worth as much as the residual of the best: misfit is no white noise.
+        """
+        left = [float(np.sum(self._losses(c))) for c in found]
+        r2 = self._losses(found[int(np.argmin(left))])
+        spread = float(np.var(r2)) * len(r2)
+        long_run = float(long_run_covariance(r2[:, None], bartlett_lags(r2[:, None]))[0, 0])
+        n = float(np.clip(len(r2) * spread / max(long_run, 1e-300), 8.0, len(r2)))
+        out = []
+        for c, after in zip(found, left, strict=True):
+            before = self._value_on(at, c)
+            k = round(c.cost / np.log(c.fit.criterion.n_samples))
+            gain = n * float(np.log(before / max(after, 1e-300)))
+            out.append(replace(c, gain=gain, cost=k * float(np.log(n)) + k))
+        out.sort(key=lambda c: -c.merit)
+        return out
+
+    def _value_on(self, at: Weighted, c: Candidate) -> float:
+        """The criterion of the model without the effect, on the candidate's samples."""
+        base = self._criterion(at.model, at.noise, at.fit.values, at.criterion)
+        for mine, other in zip(base.data, c.fit.criterion.data, strict=True):
+            mine.used[:] = other.used
+        return base.evaluate(base.start).value
+
+    def rejudge(
+        self, at: Weighted, found: list[Candidate], count: int = 6, rounds: int = 2
+    ) -> list[Candidate]:
         """Compare the leaders again under the noise that the best of them leaves.
 
         Under the first whitening the unexplained misfit counts as noise and hides differences.
@@ -451,6 +511,8 @@ class Search:
             judged = self._judge(again, c.effect, c.names, c.model, fit)
             out.append(replace(judged, score=c.score))
         out.sort(key=lambda c: -c.merit)
+        if out[0].effect.key != best.effect.key and rounds > 1:
+            return self.rejudge(at, out, count, rounds - 1)
         return out
 
     def p_value(self, table: ScoreTable, candidate: Candidate) -> float:
@@ -458,7 +520,7 @@ class Search:
         score = min(
             (s.adjusted for s in table.scores if s.effect.key == candidate.effect.key), default=1.0
         )
-        tested = sum(s.visible > 1e-4 for s in table.scores)
+        tested = sum(s.visible > INVISIBLE for s in table.scores)
         if candidate.effect.test == "clip":
             # A clipping has no null value to be far from: its gain is judged, three parameters' worth.
             z = np.sqrt(max(candidate.gain, 0.0) / 3)
