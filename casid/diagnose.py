@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -138,7 +138,7 @@ def _search(
             search.first_table = table
         if not search.is_suspicious(at, table):
             break
-        found = search.round(at, table, [a.candidate for a in adopted])
+        found = search.round(at, table)
         if not found:
             break
         if not adopted:
@@ -153,6 +153,10 @@ def _search(
             )
             new_error = held_out_error(fit, split)
             why = why_no_better(error, new_error)
+            if why and best.effect.kind != "parameter_jump":
+                # The errors that an integrator has gathered say little: judge the end anew as well.
+                again = [held_out_error(f, split, anew=True) for f in (extended or base_fit, fit)]
+                why = why and why_no_better(*again)
             if why:
                 search.refused.append((best, why))
                 continue
@@ -294,10 +298,9 @@ _SEPARATES = {
 
 def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated, ...]:
     rows = [p for p in estimate.parameters if p.name in candidate.names]
-    effect = candidate.effect
-    if effect.kind == "parameter_jump" and effect.variant is not None:
-        rows.append(Estimated("time", effect.variant, "s", note="searched on a grid"))
-    return tuple(replace(p, name=p.name) for p in rows)
+    if candidate.effect.kind == "parameter_jump" and candidate.effect.variant is not None:
+        rows.append(Estimated("time", candidate.effect.variant, "s", note="searched"))
+    return tuple(rows)
 
 
 def _report(
@@ -331,7 +334,7 @@ def _report(
     if split.is_empty:
         held = {}
 
-    causes = _causes(search, adopted, spikes, extended or baseline, extended_fit)
+    causes = _causes(search, adopted, spikes, extended or baseline, best_fit)
     verdict: Verdict = "adequate"
     if causes:
         verdict = "deficient"
@@ -412,12 +415,10 @@ def _noise_floor(search: Search, at: Weighted) -> dict[str, float]:
     """Rms that the best possible model would leave: output noise and measured inputs' noise."""
     measured = {
         s: search.input_floor(at, s)
-        for s in at.noise.source_sd
+        for s in at.full.source_sd
         if s in at.model.inputs
     }
-    quiet = replace(
-        at.noise, source_sd={s: measured.get(s, 0.0) for s in at.noise.source_sd}
-    )
+    quiet = at.full.quiet(measured)
     floors = np.array([quiet.floor(e) for e in range(len(at.criterion.data))])
     weight = np.array([d.N for d in at.criterion.data], dtype=float)
     total = np.sqrt(np.average(floors**2, axis=0, weights=weight))
@@ -427,9 +428,9 @@ def _noise_floor(search: Search, at: Weighted) -> dict[str, float]:
 def _noise_text(search: Search, at: Weighted) -> dict[str, str]:
     out = {
         name: f"white output noise {sd:.3g} {at.model.outputs[name][1]}"
-        for name, sd in zip(at.criterion.outputs, at.noise.output_sd.tolist(), strict=True)
+        for name, sd in zip(at.criterion.outputs, at.full.output_sd.tolist(), strict=True)
     }
-    for source, sd in at.noise.source_sd.items():
+    for source, sd in at.full.source_sd.items():
         if sd <= 0:
             continue
         if source in at.model.inputs:
@@ -448,12 +449,16 @@ def _causes(
     adopted: list[Adopted],
     spikes: list[Spikes],
     estimate: Estimate,
-    fit: Fit | None,
+    fit: Fit,
 ) -> list[Cause]:
     """Causes in the order of their contribution: the misfit that returns when one is taken out."""
     rows: list[tuple[float, Cause]] = []
-    losses = search.contributions(adopted, fit) if fit is not None else []
-    total = max(sum(losses) + sum(s.energy for s in spikes), 1e-300)
+    losses = search.contributions(adopted, fit)
+    outputs, weights = fit.criterion.outputs, fit.criterion.weights
+    energy = {s.channel: s.energy * weights[outputs.index(s.channel)] ** 2 / 2 for s in spikes}
+    # Few and small spikes are left out of the fit, but are nothing that a user would miss.
+    spikes = [s for s in spikes if energy[s.channel] > 0.01 * fit.solution.value]
+    total = max(sum(losses) + sum(energy[s.channel] for s in spikes), 1e-300)
     for a, loss in zip(adopted, losses, strict=True):
         effect = a.candidate.effect
         alternatives = tuple(
@@ -483,7 +488,7 @@ def _causes(
     for s in spikes:
         rows.append(
             (
-                s.energy,
+                energy[s.channel],
                 Cause(
                     kind="outliers",
                     where=s.channel,
@@ -492,7 +497,7 @@ def _causes(
                         Estimated("share", s.share, "1"),
                         Estimated("size", s.size, search_unit(search, s.channel)),
                     ),
-                    share=s.energy / total,
+                    share=energy[s.channel] / total,
                     sentence=_SAYS["outliers"].format(where=s.channel),
                 ),
             )

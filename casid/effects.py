@@ -21,6 +21,9 @@ Array = np.ndarray
 Sided = Literal["positive", "both"]
 Test = Literal["score", "clip"]
 
+JUMP_TIMES = 12
+"""Instants, evenly inside the window, that a jump is first searched at."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Effect:
@@ -44,6 +47,7 @@ class Effect:
     variant: float | None = None
     priority: int = 0  # of two that are the same thing in this model, the lower is named
     limit: float | None = None  # largest |value| of the first parameter worth trying
+    cost: int = 1  # parameters that it is charged for
 
     @property
     def key(self) -> tuple[str, str]:
@@ -143,7 +147,10 @@ def extra_input(model: Model, balance: str, channel: str, unit: str) -> Effect:
 
 
 def parameter_jump(model: Model, name: str, time: float) -> Effect:
-    """A parameter that changes its value at `time` (seconds of the record's clock)."""
+    """A parameter that changes its value at `time` (seconds of the record's clock).
+
+    A jump at a searched instant costs as much as three parameters (Zhang and Siegmund 2007).
+    """
     old = model.parameters[name]
 
     def step(t: Array) -> Array:
@@ -156,7 +163,7 @@ def parameter_jump(model: Model, name: str, time: float) -> Effect:
         new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
 
     p = Parameter(f"jump_{name}", old.unit, 0.0)
-    return Effect("parameter_jump", name, (p,), apply, variant=time)
+    return Effect("parameter_jump", name, (p,), apply, variant=time, cost=3)
 
 
 def sensor_bias(model: Model, channel: str) -> Effect:
@@ -206,8 +213,9 @@ def time_delay(model: Model, channel: str, longest: float) -> Effect:
 
 
 def saturation(model: Model, channel: str, limit: float) -> Effect:
-    """An output clipped at plus and minus a limit."""
-    p = Parameter(f"limit_{channel}", model.outputs[channel][1], limit, lower=0.0)
+    """An output clipped at plus and minus a limit, near the largest value measured."""
+    unit = model.outputs[channel][1]
+    p = Parameter(f"limit_{channel}", unit, limit, lower=0.8 * limit, upper=1.2 * limit)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         new.stages = (*new.stages, Stage("clip", channel, names[0]))
@@ -220,20 +228,25 @@ class Sizes:
     """How large signals are in the records at hand: what smoothing and search ranges go by."""
 
     rates: Mapping[str, float]  # state -> rms
-    outputs: Mapping[str, Array]  # output -> |simulated|, for clipping levels
+    largest: Mapping[str, float]  # output -> largest |measured|: a clipping cannot be below
     window: tuple[float, float]  # s, of the fitted part
     longest_delay: float  # s
 
 
+def jump_times(window: tuple[float, float]) -> list[float]:
+    """The instants that a jump is first searched at."""
+    start, stop = window
+    return [float(t) for t in np.linspace(start, stop, JUMP_TIMES + 2)[1:-1]]
+
+
 def catalogue(
-    model: Model, sizes: Sizes, recorded: Mapping[str, str], *, jump_times: int = 12
+    model: Model, sizes: Sizes, recorded: Mapping[str, str]
 ) -> list[Effect]:
     """All effects that this model's structure and these records allow.
 
     Parameters
     ----------
     recorded : channels in every record that the model does not use, name -> unit.
-    jump_times : how many instants, evenly inside the window, a jump is searched at.
     """
     effects: list[Effect] = []
     for balance, b in model.balances.items():
@@ -249,14 +262,12 @@ def catalogue(
     for channel in (*model.outputs, *measured):
         effects.append(sensor_bias(model, channel))
         effects.append(time_delay(model, channel, sizes.longest_delay))
-    start, stop = sizes.window
-    times = start + (stop - start) * np.linspace(0, 1, jump_times + 2)[1:-1]
+    times = jump_times(sizes.window)
     for name, p in model.parameters.items():
         if not p.is_constant:
             effects += [parameter_jump(model, name, float(t)) for t in times]
-    for channel, size in sizes.outputs.items():
-        levels = np.unique(np.quantile(size, [0.9, 0.94, 0.97, 0.985, 0.995]))
-        effects += [saturation(model, channel, float(v)) for v in levels if v > 0]
+    for channel, largest in sizes.largest.items():
+        effects += [saturation(model, channel, share * largest) for share in (0.96, 0.98, 0.995)]
     return effects
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm
 
-from casid.data import Experiment
+from casid.data import Experiment, Record
 from casid.errors import DataError
 from casid.identify import HeldOut
 from casid.simulation_error import (
@@ -105,6 +105,10 @@ def simulate_apart(fit: Fit, experiment: Experiment) -> tuple[Signals, Array, Ar
         known.setdefault(n, float(np.mean(values)) if values else fit.values.get(n, 0.0))
     model = old.model.with_known(**known)
     criterion = SimulationError(model, [experiment], weights=old.weights, substeps=old.substeps)
+    # A step at an instant of one record says nothing of another: there it has not happened.
+    for i, entry in enumerate(model.inputs.values()):
+        if entry.signal is not None:
+            criterion.data[0].u[:, i] = 0.0
     point = criterion.start
     if len(point):
         point = minimize_simulation_error(criterion, check_rank=False, throw=False).x
@@ -126,10 +130,27 @@ def validation(fit: Fit, split: Split) -> list[HeldOut]:
     return out
 
 
-def held_out_error(fit: Fit, split: Split) -> Array:
-    """(M, ny) held-out errors in the criterion's weighted units, NaN where not used."""
+def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
+    """(M, ny) held-out errors in the criterion's weighted units, NaN where not used.
+
+    With `anew` the held-out end of a record starts from an initial state of its own, as a record
+    held out does: a simulation that runs on gathers the errors of an integrator.
+    """
+    if anew:
+        tails = [
+            Experiment(_tail(e.record, mask), e.known, e.name)
+            for e, mask in zip(split.whole, split.held, strict=True)
+            if mask.any()
+        ]
+        split = Split([], [], [], [*tails, *split.apart])
     parts = [(h.measured - h.simulated) * fit.criterion.weights for h in validation(fit, split)]
     return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))
+
+
+def _tail(record: Record, mask: Array) -> Record:
+    first = int(np.argmax(mask))
+    start = record.t0 + (first - 0.5) * record.Ts
+    return record.between(start, np.inf)
 
 
 def why_no_better(before: Array, after: Array) -> str:

@@ -208,18 +208,33 @@ def _natural_scales(first: Evaluation, scale: Array) -> tuple[Array, float]:
 
 
 class _OnePass:
-    """A criterion that remembers its last point: value, gradient and Hessian share one pass."""
+    """A criterion that remembers its last point: value, gradient and Hessian share one pass.
 
-    def __init__(self, criterion: Criterion) -> None:
+    After `budget` passes it answers NaN without one, so that a line search that finds no descent
+    (a kink) ends at once where it stands.
+    """
+
+    def __init__(self, criterion: Criterion, budget: int) -> None:
         self.criterion = criterion
+        self.budget = budget
         self._key: bytes | None = None
         self._at: Evaluation | None = None
 
     def __call__(self, point: Array) -> Evaluation:
         key = point.tobytes()
         if self._at is None or key != self._key:
+            self.budget -= 1
+            if self.budget < 0:
+                n, m = len(point), self.criterion.n_constraints
+                nan = np.full((n, n), np.nan)
+                return Evaluation(np.nan, nan[0], nan, np.full(m, np.nan), np.full((m, n), np.nan))
             self._key, self._at = key, self.criterion.evaluate(point)
         return self._at
+
+    def judged(self, point: Array) -> Evaluation:
+        """The criterion at `point`, whatever was spent."""
+        self.budget = max(self.budget, 1)
+        return self(point)
 
 
 class Nlp:
@@ -364,7 +379,7 @@ class Nlp:
                 v, gr, h = derivatives(point)
                 return Evaluation(float(v), np.array(gr).ravel(), np.array(h))
         else:
-            one_pass = _OnePass(self._objective)
+            one_pass = _OnePass(self._objective, 5 * solver.max_iterations)
             unit = 1.0
             if natural_scales:
                 scale, unit = _natural_scales(one_pass(x0), scale)
@@ -375,7 +390,7 @@ class Nlp:
                         options[key] = value
                 if (m_user or self._objective.n_constraints) and "ipopt.tol" not in solver.options:
                     options["ipopt.tol"] = 1e-9  # the tolerance of the constraints as well
-            evaluate = one_pass
+            evaluate = one_pass.judged
             problem, m_own = self._with_criterion(
                 one_pass, solver, options, keep, z, physical, scale, unit, g_user, m_user
             )

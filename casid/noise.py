@@ -140,6 +140,8 @@ class NoiseModel:
     def whiten(self, columns: Array, experiment: int) -> Array:
         """Columns (N, ny, m), times `weights`, filtered by S^(-1/2); white noise keeps unit size."""
         n = len(columns)
+        if not any(self.source_sd.values()):
+            return columns / (self.output_sd * self.weights)[None, :, None]
         size = next_fast_len(2 * n, real=True)
         s = self.spectrum(experiment) * self.weights[None, :] ** 2
         grid = np.linspace(0, np.pi, size // 2 + 1)
@@ -262,7 +264,8 @@ def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array
 def input_noise_floor(signals: Signals, inputs: Sequence[str]) -> dict[str, float]:
     """Upper bound on each input's white noise: its quietest part of the spectrum near Nyquist.
 
-    A heuristic: the smallest mean of the periodogram over twentieths of the upper half band.
+    A heuristic: the mean of the periodogram over the five quietest twentieths of the upper half
+    band.
     """
     out = {}
     for i, name in enumerate(inputs):
@@ -272,5 +275,5 @@ def input_noise_floor(signals: Signals, inputs: Sequence[str]) -> dict[str, floa
         spectrum = np.abs(rfft((values - values.mean()) * window)) ** 2 / np.sum(window**2)
         half = spectrum[len(spectrum) // 2 :]
         parts = [p.mean() for p in np.array_split(half, 20) if len(p)]
-        out[name] = float(np.sqrt(min(parts)))
+        out[name] = float(np.sqrt(np.mean(sorted(parts)[:5])))
     return out

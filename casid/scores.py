@@ -22,7 +22,7 @@ from scipy.stats import t as student
 
 from casid.effects import Effect, extend_all
 from casid.errors import ModelError
-from casid.noise import NoiseModel
+from casid.model import Model
 from casid.simulation_error import Fit, SimulationError
 from casid.uncertainty import bartlett_lags, long_run_covariance
 
@@ -64,7 +64,6 @@ INVISIBLE = 1e-4
 def score_test(
     fit: Fit,
     effects: Sequence[Effect],
-    noise: NoiseModel,
     *,
     input_sd: Mapping[str, float],
     draws: int = 4000,
@@ -75,24 +74,13 @@ def score_test(
     Parameters
     ----------
     fit : minimum of the whitened simulation error of the model without the effects.
-    noise : the whitening it was fitted with.
     input_sd : standard deviation of the white noise of each measured input.
     """
     base = fit.criterion
     smooth = [e for e in effects if e.test == "score"]
     clipped = [e for e in effects if e.test == "clip"]
     model, names = extend_all(base.model, smooth)
-    wide = SimulationError(
-        model,
-        base.experiments,
-        own=base.own,
-        weights=base.weights,
-        whiten=noise.whiten,
-        substeps=base.substeps,
-        start=fit.values,
-    )
-    for d, own in zip(wide.data, base.data, strict=True):
-        d.used[:] &= own.used
+    wide = _widened(fit, model)
     x = wide.start
     position = {n: i for i, n in enumerate(wide.names)}
     tangent = [position[n] for n in base.names]
@@ -158,6 +146,50 @@ def score_test(
         for j, eff in enumerate([*smooth, *clipped])
     )
     return ScoreTable(scores, cosines, lags)
+
+
+def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
+    """Sum of squares that each effect would leave in the place of the parameter `own`, (K,).
+
+    Linear in the effects, about a fit that already has one of their kind: the residual with that
+    one taken out is regressed on each candidate's sensitivity and the other unknowns'.
+    """
+    base = fit.criterion
+    model, names = extend_all(base.model, effects)
+    wide = _widened(fit, model)
+    position = {n: i for i, n in enumerate(wide.names)}
+    tangent = [position[n] for n in base.names]
+    candidate = [position[n] for n in names]
+    parts = [
+        _columns(wide, wide.start, k, tangent, candidate, [], None) for k in range(len(wide.data))
+    ]
+    e, t_all, psi = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    mine = base.names.index(own)
+    e = e + t_all[:, mine] * fit.x[mine]
+    rest = np.delete(t_all, mine, axis=1)
+    rest = rest / np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), 1e-300))
+    q, _ = np.linalg.qr(rest)
+    e = e - q @ (q.T @ e)
+    psi = psi - q @ (q.T @ psi)
+    size = np.maximum(np.einsum("ij,ij->j", psi, psi), 1e-300)
+    return np.asarray(e @ e - (psi.T @ e) ** 2 / size)
+
+
+def _widened(fit: Fit, model: Model) -> SimulationError:
+    """The criterion of a fit for a model with more parameters, all of them at their start."""
+    base = fit.criterion
+    wide = SimulationError(
+        model,
+        base.experiments,
+        own=base.own,
+        weights=base.weights,
+        whiten=base.whiten,
+        substeps=base.substeps,
+        start=fit.values,
+    )
+    for d, own in zip(wide.data, base.data, strict=True):
+        d.used[:] &= own.used
+    return wide
 
 
 def _columns(

@@ -19,12 +19,12 @@ from scipy.stats import norm
 
 from casid.data import Experiment
 from casid.diagnosis import Alternative
-from casid.effects import Effect, Sizes, catalogue, parameter_jump, saturation
+from casid.effects import JUMP_TIMES, Effect, Sizes, catalogue, parameter_jump
 from casid.errors import SolveError
 from casid.model import Model
 from casid.nlp import Solver
 from casid.noise import NoiseModel, estimate_noise, input_noise_floor
-from casid.scores import INVISIBLE, Score, ScoreTable, score_test
+from casid.scores import INVISIBLE, Score, ScoreTable, scan, score_test
 from casid.simulation_error import Fit, SimulationError, minimize_simulation_error
 from casid.uncertainty import bartlett_lags, long_run_covariance, sandwich
 
@@ -42,8 +42,10 @@ class Weighted:
 
     model: Model
     fit: Fit
-    noise: NoiseModel
+    noise: NoiseModel  # what it is fitted under
+    full: NoiseModel  # with whatever passes for a disturbance
     input_sd: Mapping[str, float]
+    is_hidden: bool  # much is unexplained by sensors and measured inputs
 
     @property
     def criterion(self) -> SimulationError:
@@ -87,6 +89,16 @@ class Adopted:
     rivals: tuple[Rival, ...]
 
 
+def _keep_sign(model: Model, jump: str, value: float) -> None:
+    """Bound a jump so that the parameter keeps its sign and its order of magnitude."""
+    if value != 0.0:
+        low, high = sorted((-0.95 * value, 3.0 * value))
+        p = model.parameters[jump]
+        model.parameters[jump] = replace(
+            p, lower=low, upper=high, start=float(np.clip(p.start, 0.9 * low, 0.9 * high))
+        )
+
+
 def _null_value(candidate: Candidate, name: str) -> float:
     """The value at which an effect's parameter does nothing."""
     if candidate.effect.test == "clip":
@@ -110,32 +122,41 @@ class Search:
     first_table: ScoreTable | None = None
     first_candidates: list[Candidate] = field(default_factory=list)
     refused: list[tuple[Candidate, str]] = field(default_factory=list)
+    _events: list[float | None] = field(default_factory=list)
 
     # -- fitting -----------------------------------------------------------------------------
 
     def weigh(self, model: Model, fit: Fit, *, rounds: int = 2) -> Weighted:
-        """Estimate the noise at a fit and fit again under it, twice."""
-        noise = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
-        for _ in range(rounds):
-            criterion = self._criterion(model, noise, fit.values, fit.criterion)
-            fit = minimize_simulation_error(
-                criterion, solver=self.solver, check_rank=False, throw=False
-            )
-            noise = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
-        criterion = self._criterion(model, noise, fit.values, fit.criterion)
-        fit = minimize_simulation_error(
-            criterion, solver=self.solver, check_rank=False, throw=False
-        )
-        return Weighted(model, fit, noise, self._input_sd(noise, criterion))
+        """Estimate the noise at a fit and fit again under it.
 
-    def quieted(self, at: Weighted) -> Weighted:
-        """The same model fitted under the sensors' noise alone, nothing passing for disturbance."""
-        noise = at.noise.quiet(at.input_sd)
-        criterion = self._criterion(at.model, noise, at.fit.values, at.criterion)
-        fit = minimize_simulation_error(
+        Where much is unexplained by sensors and measured inputs, misfit would pass for a
+        disturbance and hide its own cause: the fit is then made under the sensors' noise alone.
+        """
+        found = self._estimate(fit)
+        if found.is_hidden:
+            noise = found.full.quiet(found.input_sd)
+            criterion = self._criterion(model, noise, fit.values, fit.criterion)
+            return replace(found, fit=self._minimum(criterion), noise=noise)
+        for _ in range(rounds):
+            criterion = self._criterion(model, found.full, found.fit.values, fit.criterion)
+            found = self._estimate(self._minimum(criterion))
+        criterion = self._criterion(model, found.full, found.fit.values, fit.criterion)
+        return replace(found, fit=self._minimum(criterion), noise=found.full, is_hidden=False)
+
+    def _estimate(self, fit: Fit) -> Weighted:
+        full = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
+        input_sd = self._input_sd(full, fit.criterion)
+        quiet = full.quiet(input_sd)
+        ratio = max(
+            float(np.max(full.floor(e) / np.maximum(quiet.floor(e), 1e-300)))
+            for e in range(len(self.experiments))
+        )
+        return Weighted(fit.criterion.model, fit, full, full, input_sd, ratio > HIDDEN)
+
+    def _minimum(self, criterion: SimulationError) -> Fit:
+        return minimize_simulation_error(
             criterion, solver=self.solver, check_rank=False, throw=False
         )
-        return Weighted(at.model, fit, noise, at.input_sd)
 
     def _criterion(
         self,
@@ -196,12 +217,14 @@ class Search:
         """How large the signals of the fitted model are."""
         sims = [at.criterion.simulated(at.fit.x, e) for e in range(len(self.experiments))]
         x = np.concatenate([s.x for s in sims])
-        y = np.concatenate([s.y for s in sims])
         d = at.criterion.data[0]
         rms = np.sqrt(np.mean(x**2, axis=0))
         return Sizes(
             rates={n: float(r) for n, r in zip(at.model.states, rms, strict=True)},
-            outputs={n: np.abs(y[:, i]) for i, n in enumerate(at.criterion.outputs)},
+            largest={
+                n: max(float(np.max(np.abs(s.y[:, i]), initial=0.0)) for s in at.criterion.data)
+                for i, n in enumerate(at.criterion.outputs)
+            },
             window=(float(d.t[0]), float(d.t[-1])),
             longest_delay=float(min(0.3, 0.02 * d.N * d.Ts)),
         )
@@ -215,6 +238,8 @@ class Search:
             model, names = effect.extended(
                 at.model, starts={effect.parameters[0].name: start}, upper=upper
             )
+            if effect.kind == "parameter_jump":
+                _keep_sign(model, names[0], at.fit.values.get(effect.where, 0.0))
             values = {**at.fit.values, **(best.fit.values if best else {})}
             for name in names:
                 values.pop(name, None)
@@ -222,7 +247,7 @@ class Search:
                 criterion = self._criterion(model, at.noise, values, at.criterion)
                 fit = minimize_simulation_error(
                     criterion,
-                    solver=self.solver or Solver(max_iterations=60),
+                    solver=self.solver or Solver(max_iterations=40),
                     check_rank=False,
                     throw=False,
                 )
@@ -238,8 +263,8 @@ class Search:
     ) -> list[tuple[float, float | None]]:
         Ts = at.criterion.data[0].Ts
         if effect.kind == "time_delay" and effect.limit is not None:
-            grid = [Ts * 2.0**i for i in range(12) if Ts * 2.0**i <= effect.limit]
-            grid += [abs(step)] if 0 < abs(step) < effect.limit else []
+            # A large delay is far from its linearised size, and the fit has local minima.
+            grid = {min(max(k * abs(step), 0.2 * Ts), effect.limit) for k in (0.5, 1.0, 2.0, 4.0)}
             return [(g, min(2.0 * g + 4 * Ts, effect.limit)) for g in sorted(grid)]
         if effect.test == "clip" and effect.variant is not None:
             return [(effect.variant, None)]
@@ -265,14 +290,13 @@ class Search:
         else:
             before = self.compensated(at, base, base.start)
         after = self.compensated(at, criterion, fit.x)
-        k = len(names) + (1 if effect.variant is not None and effect.test == "score" else 0)
         return Candidate(
             effect=effect,
             names=names,
             model=model,
             fit=fit,
             gain=2 * (before - after),
-            cost=k * float(np.log(criterion.n_samples)),
+            cost=effect.cost * float(np.log(criterion.n_samples)),
             wald=self.wald(fit, names[0]),
         )
 
@@ -336,8 +360,6 @@ class Search:
         """Sum of squares that returns when each effect is taken out and the rest refitted."""
         from casid.identify import FitSettings, fit_model
 
-        if len(adopted) == 1:
-            return [1.0]
         out = []
         settings = FitSettings(starts=1, substeps=fit.criterion.substeps, solver=self.solver)
         for a in adopted:
@@ -351,27 +373,53 @@ class Search:
                 out.append(0.0)
         return out
 
-    def refine(self, at: Weighted, found: Candidate, spacing: float) -> Candidate:
-        """Search the instant of a jump, or the level of a clipping, between the tested ones."""
-        effect = found.effect
-        if effect.variant is None:
+    def placed(self, at: Weighted, found: list[Candidate]) -> list[Candidate]:
+        """Jumps refitted at the instants that leave least; coarse scores place them roughly only.
+
+        The most promising one is placed first, the others start from its instant too: they may be
+        the same event, seen in another parameter.
+        """
+        top = max(c.gain for c in found)
+        out, instant = [], None
+        for c in sorted(found, key=lambda c: -c.gain):
+            if c.effect.kind == "parameter_jump" and c.gain > 0.6 * top:
+                self.progress(f"place {c.effect.kind} in {c.effect.where}")
+                if instant is not None:
+                    c = self._better_at(at, c, instant)
+                c = self._placed(at, c)
+                instant = instant if instant is not None else c.effect.variant
+            out.append(c)
+        return out
+
+    def _placed(self, at: Weighted, found: Candidate) -> Candidate:
+        """Scan ever finer, linearly about the last refit: a ringing leaves many local minima."""
+        start, stop = self.sizes(at).window
+        reach = 1.5 * (stop - start) / (JUMP_TIMES + 1)
+        for _ in range(3):
+            now = found.effect.variant
+            assert now is not None
+            times = now + reach * np.linspace(-1, 1, 101)
+            inside = [float(t) for t in times if start < t < stop]
+            model = found.model
+            effects = [parameter_jump(model, found.effect.where, t) for t in inside]
+            left = scan(found.fit, found.names[0], effects)
+            found = self._better_at(at, found, inside[int(np.argmin(left))])
+            if reach < 50 * at.criterion.data[0].Ts:
+                break
+            reach /= 12
+        return found
+
+    def _better_at(self, at: Weighted, found: Candidate, instant: float) -> Candidate:
+        """The jump refitted at another instant, if it explains more there."""
+        if instant == found.effect.variant:
             return found
-        best, width = found, spacing / 2
-        while width > max(spacing / 20, at.criterion.data[0].Ts):
-            for side in (-1.0, 1.0):
-                assert best.effect.variant is not None
-                value = best.effect.variant + side * width
-                if effect.kind == "parameter_jump":
-                    other = parameter_jump(at.model, effect.where, value)
-                else:
-                    other = saturation(at.model, effect.where, abs(value))
-                again = self.refit(at, other, float(best.fit.values[best.names[0]]))
-                if again is not None and again.gain > best.gain:
-                    best = again
-                    break
-            else:
-                width /= 2
-        return replace(best, score=found.score)
+        other = parameter_jump(at.model, found.effect.where, instant)
+        if self._is_known_event(at, other):
+            return found
+        again = self.refit(at, other, float(found.fit.values[found.names[0]]))
+        if again is None or again.gain <= found.gain:
+            return found
+        return replace(again, score=found.score)
 
     # -- one round ---------------------------------------------------------------------------
 
@@ -382,44 +430,43 @@ class Search:
             e for e in catalogue(at.model, self.sizes(at), self.recorded) if e.key not in taken
         ]
         own = {n for c in adopted for n in c.names}
-        effects = [e for e in effects if not (e.kind == "parameter_jump" and e.where in own)]
+        self._events = [c.effect.variant for c in adopted if c.effect.kind == "parameter_jump"]
+        effects = [
+            e
+            for e in effects
+            if e.kind != "parameter_jump" or not (e.where in own or self._is_known_event(at, e))
+        ]
         return score_test(
-            at.fit, effects, at.noise, input_sd=at.input_sd, seed=self.seed
+            at.fit, effects, input_sd=at.input_sd, seed=self.seed
         )
 
-    def shortlist(self, tables: Sequence[ScoreTable]) -> list[Score]:
-        """The best six kinds by robust p and by unrobust score in each table, one variant each."""
+    def _is_known_event(self, at: Weighted, effect: Effect) -> bool:
+        """True if a jump is already adopted at about the same instant: one event, named once."""
+        d = at.criterion.data[0]
+        near = 1.2 * d.N * d.Ts / (JUMP_TIMES + 1)
+        return any(
+            t is not None and effect.variant is not None and abs(t - effect.variant) < near
+            for t in self._events
+        )
+
+    def shortlist(self, table: ScoreTable) -> list[Score]:
+        """The best six kinds by robust p and the best six by unrobust score, one variant each."""
+        visible = [s for s in table.scores if s.visible > INVISIBLE and s.unrobust > 0.0]
+        strongest: dict[tuple[str, str], Score] = {}
+        for s in sorted(visible, key=lambda s: -s.unrobust):
+            strongest.setdefault(s.effect.key, s)  # the variant that stands for its kind
         chosen: dict[tuple[str, str], Score] = {}
-        for table in tables:
-            visible = [s for s in table.scores if s.visible > INVISIBLE and s.unrobust > 0.0]
-            strongest: dict[tuple[str, str], Score] = {}
-            for s in sorted(visible, key=lambda s: -s.unrobust):
-                strongest.setdefault(s.effect.key, s)  # the variant that stands for its kind
-            for order in (
-                sorted(visible, key=lambda s: (s.p_value, -s.unrobust)),
-                sorted(visible, key=lambda s: -s.unrobust),
-            ):
-                keys = list(dict.fromkeys(s.effect.key for s in order))[:6]
-                for key in keys:
-                    chosen.setdefault(key, strongest[key])
+        for order in (
+            sorted(visible, key=lambda s: (s.p_value, -s.unrobust)),
+            sorted(visible, key=lambda s: -s.unrobust),
+        ):
+            for key in list(dict.fromkeys(s.effect.key for s in order))[:6]:
+                chosen.setdefault(key, strongest[key])
         return list(chosen.values())
 
-    def unexplained(self, at: Weighted) -> float:
-        """Rms of the residual over the rms that sensors and measured inputs account for."""
-        quiet = at.noise.quiet(at.input_sd)
-        ratios = [
-            at.noise.floor(e) / np.maximum(quiet.floor(e), 1e-300)
-            for e in range(len(self.experiments))
-        ]
-        return float(np.max(ratios))
-
     def is_suspicious(self, at: Weighted, table: ScoreTable) -> bool:
-        """True if refits are worth their time: an alarm, a large plain score, or much unexplained.
-
-        Misfit passes for a disturbance in the noise model and then hides its own cause: where
-        more than a tenth of the residual is no sensor's noise, the candidates are fitted anyway.
-        """
-        if self.unexplained(at) > HIDDEN:
+        """True if refits are worth their time: an alarm, a large plain score, or much unexplained."""
+        if at.is_hidden:
             return True
         best = table.smallest
         robust = best is not None and best.adjusted < self.alpha
@@ -427,37 +474,20 @@ class Search:
         bonferroni = float(norm.isf(self.alpha / 2 / max(len(table.scores), 1))) ** 2
         return bool(robust or plain > 1.5 * bonferroni)
 
-    def round(self, at: Weighted, table: ScoreTable, adopted: Sequence[Candidate]) -> list[Candidate]:
-        """Refit the shortlist, best first.
-
-        Where much is unexplained, the misfit has passed for a disturbance: candidates are then
-        also scored, fitted and ranked under the sensors' noise alone; see `by_what_is_left`.
-        """
-        tables, under = [table], at
-        hidden = self.unexplained(at) > HIDDEN
-        if hidden:
-            under = self.quieted(at)
-            tables.append(self.table(under, adopted))
+    def round(self, at: Weighted, table: ScoreTable) -> list[Candidate]:
+        """Refit the shortlist; best first."""
         found: list[Candidate] = []
-        short = self.shortlist(tables)
+        short = self.shortlist(table)
         for i, s in enumerate(short):
             self.progress(f"refit {i + 1}/{len(short)}: {s.effect.kind} in {s.effect.where}")
-            candidate = self.refit(under, s.effect, s.step)
+            candidate = self.refit(at, s.effect, s.step)
             if candidate is not None:
                 found.append(replace(candidate, score=s))
-        found.sort(key=lambda c: -c.merit)
         if not found:
             return found
-        start, stop = self.sizes(at).window
-        top = found[0].gain
-        for i, c in enumerate(found):
-            if c.effect.variant is not None and c.gain > 0.3 * top and c.merit > 0:
-                self.progress(f"refine {c.effect.kind} in {c.effect.where}")
-                is_jump = c.effect.kind == "parameter_jump"
-                spacing = (stop - start) / 13 if is_jump else 0.05 * abs(c.effect.variant)
-                found[i] = self.refine(under, c, spacing)
+        found = self.placed(at, found)
         found.sort(key=lambda c: -c.merit)
-        return self.by_what_is_left(under, found) if hidden else self.rejudge(at, found)
+        return self.by_what_is_left(at, found) if at.is_hidden else self.rejudge(at, found)
 
     def by_what_is_left(self, at: Weighted, found: list[Candidate]) -> list[Candidate]:
         """Rank by n log(S_model / S_extended), S the sums of squares, n the samples that count.
@@ -473,10 +503,15 @@ class Search:
         out = []
         for c, after in zip(found, left, strict=True):
             before = self._value_on(at, c)
-            k = round(c.cost / np.log(c.fit.criterion.n_samples))
+            k = c.effect.cost
             gain = n * float(np.log(before / max(after, 1e-300)))
             out.append(replace(c, gain=gain, cost=k * float(np.log(n)) + k))
-        out.sort(key=lambda c: -c.merit)
+        # In a decay, time and amplitude go together and a jump imitates whatever depends on
+        # amplitude: it must explain clearly more than the best that does (a heuristic).
+        lasting = max((c.gain for c in out if c.effect.kind != "parameter_jump"), default=0.0)
+        out.sort(
+            key=lambda c: -(c.merit - (0.4 * lasting if c.effect.kind == "parameter_jump" else 0))
+        )
         return out
 
     def _value_on(self, at: Weighted, c: Candidate) -> float:
@@ -499,7 +534,9 @@ class Search:
         base_fit = minimize_simulation_error(
             criterion, solver=self.solver, check_rank=False, throw=False
         )
-        again = Weighted(at.model, base_fit, noise, self._input_sd(noise, criterion))
+        again = replace(
+            at, fit=base_fit, noise=noise, full=noise, input_sd=self._input_sd(noise, criterion)
+        )
         out = []
         for c in found[:count]:
             criterion = self._criterion(c.model, noise, c.fit.values, at.criterion)
