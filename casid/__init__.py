@@ -7,14 +7,12 @@ no longer than importing a small module.
 from __future__ import annotations
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from casid.check import CheckReport, check
+    from casid.checking import CheckReport, check
     from casid.data import Experiment, Record
-    from casid.diagnose import diagnose
+    from casid.diagnosing import diagnose
     from casid.diagnosis import Diagnosis
     from casid.effects import Effect
     from casid.errors import (
@@ -26,7 +24,7 @@ if TYPE_CHECKING:
         UnitError,
     )
     from casid.estimate import Estimate
-    from casid.identify import FitSettings, identify
+    from casid.identification import FitSettings, identify
     from casid.model import Model, Parameter
     from casid.nlp import Nlp, Solver
     from casid.prepare import decimate, detrend, lowpass
@@ -69,14 +67,14 @@ __all__ = [
 _HOME = {
     name: home
     for home, names in {
-        "check": "CheckReport check",
+        "checking": "CheckReport check",
         "data": "Experiment Record",
-        "diagnose": "diagnose",
+        "diagnosing": "diagnose",
         "diagnosis": "Diagnosis",
         "effects": "Effect",
         "errors": "CasidError DataError IdentifiabilityError ModelError SolveError UnitError",
         "estimate": "Estimate",
-        "identify": "FitSettings identify",
+        "identification": "FitSettings identify",
         "model": "Model Parameter",
         "nlp": "Nlp Solver",
         "prepare": "decimate detrend lowpass",
@@ -86,19 +84,6 @@ _HOME = {
     }.items()
     for name in names.split()
 }
-
-
-class _Package(ModuleType):
-    """A package in which `casid.identify` is the function, not the module of the same name."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        # The import system sets every loaded submodule as an attribute of its package.
-        if isinstance(value, ModuleType) and _HOME.get(name) == name:
-            value = getattr(value, name)
-        super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:

@@ -25,7 +25,7 @@ from casid import __version__
 from casid.errors import CasidError, DataError, ModelError
 
 if TYPE_CHECKING:
-    from casid.check import CheckReport
+    from casid.checking import CheckReport
     from casid.data import Experiment, Record
     from casid.problem import Problem
     from casid.reading import ColumnSpec
@@ -584,7 +584,7 @@ def diagnose(
     with _reserved(out, model.name, force=force) as folder:
         with _quiet_stdout(), _progress(quiet) as progress:
             fitted, hold_out = request.experiments(model)
-            from casid.diagnose import diagnose as run
+            from casid.diagnosing import diagnose as run
             from casid.nlp import Solver
 
             result = run(
@@ -644,8 +644,8 @@ def identify(
     with _reserved(out, model.name, force=force) as folder:
         with _quiet_stdout(), _progress(quiet) as progress:
             fitted, hold_out = request.experiments(model)
-            from casid.identify import FitSettings
-            from casid.identify import identify as run
+            from casid.identification import FitSettings
+            from casid.identification import identify as run
             from casid.nlp import Solver
             from casid.report import estimate_page
             from casid.writing import write_text
@@ -725,7 +725,7 @@ def check(
 
 
 def _checked(source: Source, request: Request, problem: Problem | None) -> CheckReport:
-    from casid.check import check as run
+    from casid.checking import check as run
     from casid.reading import ColumnSpec, column_names
 
     columns: dict[str, ColumnSpec] | None = None

@@ -12,7 +12,7 @@ import numpy as np
 
 from casid.estimate import Estimate, Estimated
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 Verdict = Literal["adequate", "deficient", "undecided"]
 
 

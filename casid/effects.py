@@ -17,7 +17,7 @@ import numpy as np
 from casid.model import Input, Model, Parameter, Stage
 from casid.units import unit_quotient
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 Sided = Literal["positive", "both"]
 Test = Literal["score", "clip"]
 
@@ -239,9 +239,7 @@ def jump_times(window: tuple[float, float]) -> list[float]:
     return [float(t) for t in np.linspace(start, stop, JUMP_TIMES + 2)[1:-1]]
 
 
-def catalogue(
-    model: Model, sizes: Sizes, recorded: Mapping[str, str]
-) -> list[Effect]:
+def catalogue(model: Model, sizes: Sizes, recorded: Mapping[str, str]) -> list[Effect]:
     """All effects that this model's structure and these records allow.
 
     Parameters

@@ -485,7 +485,7 @@ def _result(
     weights: Mapping[str, float],
 ) -> tuple[Estimate, dict[str, dict[str, float]]]:
     """The `Estimate`, with the relative error by record and balance."""
-    from casid.identify import versions
+    from casid.identification import versions
 
     free, theta = list(values), np.array(list(values.values()))
     rms: dict[str, dict[str, float]] = {}

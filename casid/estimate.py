@@ -15,7 +15,7 @@ from casid.uncertainty import Sampled, sample_through
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True)

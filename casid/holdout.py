@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.stats import norm
 
 from casid.data import Experiment, Record
 from casid.errors import DataError
-from casid.identify import HeldOut
+from casid.identification import HeldOut
 from casid.simulation_error import (
     Fit,
     Signals,
@@ -20,7 +21,7 @@ from casid.simulation_error import (
 )
 from casid.uncertainty import bartlett_lags, long_run_covariance
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,9 +47,7 @@ class Split:
             return Experiment(e.record.mark_missing(channel, mask), e.known, e.name)
 
         whole = [marked(e, m) for e, m in zip(self.whole, masks, strict=True)]
-        fitted = [
-            marked(f, m[: f.record.N]) for f, m in zip(self.fitted, masks, strict=True)
-        ]
+        fitted = [marked(f, m[: f.record.N]) for f, m in zip(self.fitted, masks, strict=True)]
         return Split(
             fitted,
             whole,

@@ -79,7 +79,7 @@ class Input:
     unit: str
     kind: Literal["measured", "known", "unknown", "generated"] = "measured"
     hold: Hold = "foh"
-    signal: Callable[[np.ndarray], np.ndarray] | None = None
+    signal: Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,7 +23,7 @@ from scipy.optimize import nnls
 from casid.model import Model
 from casid.simulation_error import Signals, SimulationError
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +51,7 @@ def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Res
     h = d.Ts / criterion.substeps
     foh = np.array([disturbed.inputs[n].hold == "foh" for n in e.inputs])
 
-    def at(c: float) -> ca.SX:
+    def at(c: float) -> Any:
         return ca.vertcat(
             *[e.u[i] + c * (u_next[i] - e.u[i]) if foh[i] else e.u[i] for i in range(len(foh))]
         )
@@ -87,7 +88,7 @@ def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Res
     names = tuple([e.inputs[i] for i in measured] + list(model.balances))
     # As fine as the record resolves: a lightly damped resonance is narrower than that already.
     omega = np.linspace(0, np.pi, min(d.N, 1 << 16) + 1)
-    # An integrator has no finite response at zero frequency: take it within the record's resolution.
+    # An integrator has no finite response at zero frequency: stay within the record's resolution.
     omega[0] = 0.25 * omega[1]
     z = np.exp(1j * omega)
     eye = np.eye(len(a))
@@ -120,9 +121,7 @@ class NoiseModel:
 
     def quiet(self, input_sd: Mapping[str, float]) -> NoiseModel:
         """The same without disturbances: sensors and measured inputs only."""
-        return replace(
-            self, source_sd={name: input_sd.get(name, 0.0) for name in self.source_sd}
-        )
+        return replace(self, source_sd={name: input_sd.get(name, 0.0) for name in self.source_sd})
 
     def spectrum(self, experiment: int) -> Array:
         """S (F, ny) per sample, output units squared, on the response's frequencies."""
@@ -138,10 +137,10 @@ class NoiseModel:
         )
 
     def whiten(self, columns: Array, experiment: int) -> Array:
-        """Columns (N, ny, m), times `weights`, filtered by S^(-1/2); white noise keeps unit size."""
+        """Columns (N, ny, m), times `weights`, filtered by S^(-1/2) to white noise of unit size."""
         n = len(columns)
         if not any(self.source_sd.values()):
-            return columns / (self.output_sd * self.weights)[None, :, None]
+            return np.asarray(columns / (self.output_sd * self.weights)[None, :, None])
         size = next_fast_len(2 * n, real=True)
         s = self.spectrum(experiment) * self.weights[None, :] ** 2
         grid = np.linspace(0, np.pi, size // 2 + 1)
@@ -181,16 +180,18 @@ def estimate_noise(
     sources = list(responses[0].sources)
     if merge:
         sources = _distinct(responses, sources)
-    rows, targets, counts = [], [], []
+    rows: list[Array] = []
+    targets: list[Array] = []
+    counts: list[Array] = []
     for e, r in enumerate(residuals):
         bins = _bins(r, responses[e])
         for i in range(ny):
             power, gain2, count = bins[i]
-            design = np.zeros((len(power), ny + len(sources)))
-            design[:, i] = 1.0
+            part: Array = np.zeros((len(power), ny + len(sources)))
+            part[:, i] = 1.0
             for j, s in enumerate(sources):
-                design[:, ny + j] = gain2[:, responses[e].sources.index(s)]
-            rows.append(design)
+                part[:, ny + j] = gain2[:, responses[e].sources.index(s)]
+            rows.append(part)
             targets.append(power)
             counts.append(count)
     design, power, count = np.vstack(rows), np.concatenate(targets), np.concatenate(counts)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
@@ -26,7 +27,7 @@ from casid.model import Model
 from casid.simulation_error import Fit, SimulationError
 from casid.uncertainty import bartlett_lags, long_run_covariance
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,9 +126,7 @@ def score_test(
     ratio = np.where(visible, z / sd_z, 0.0)
     freedom = max(1.5 * len(per_sample) / (lags + 1), 4.0)
     one = np.array([eff.sided == "positive" or eff.test == "clip" for eff in effects])
-    p = np.where(
-        one, student.sf(ratio, freedom), 2 * student.sf(np.abs(ratio), freedom)
-    )
+    p = np.where(one, student.sf(ratio, freedom), 2 * student.sf(np.abs(ratio), freedom))
     p = np.where(visible, np.clip(p, 1e-300, 1.0), 1.0)
     adjusted = _family_wise(p, covariance, visible, one, freedom, draws, seed)
     norms = np.sqrt(np.maximum(left, 1e-300))
@@ -140,7 +139,9 @@ def score_test(
             adjusted=float(adjusted[j]),
             energy=float(left[j] * size[j] ** 2),
             step=float(z[j] / max(left[j], 1e-300) / size[j]) if visible[j] else 0.0,
-            unrobust=float(z[j] ** 2 / left[j]) if visible[j] and not (one[j] and z[j] < 0) else 0.0,
+            unrobust=float(z[j] ** 2 / left[j])
+            if visible[j] and not (one[j] and z[j] < 0)
+            else 0.0,
             visible=float(left[j]),
         )
         for j, eff in enumerate([*smooth, *clipped])

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.stats import norm
@@ -28,7 +29,7 @@ from casid.scores import INVISIBLE, Score, ScoreTable, scan, score_test
 from casid.simulation_error import Fit, SimulationError, minimize_simulation_error
 from casid.uncertainty import bartlett_lags, long_run_covariance, sandwich
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 Progress = Callable[[str], None]
 
 
@@ -186,8 +187,8 @@ class Search:
                 floors[name] = min(value, floors.get(name, np.inf))
         for name in measured:
             known = self.known_noise.get(name)
-            out[name] = known if known is not None else min(
-                noise.source_sd.get(name, 0.0), floors[name]
+            out[name] = (
+                known if known is not None else min(noise.source_sd.get(name, 0.0), floors[name])
             )
         return out
 
@@ -337,7 +338,7 @@ class Search:
         return {s.effect.key for s in self.first_table.scores} - seen
 
     def aliases(self, effect: Effect) -> list[Alternative]:
-        """Effects whose signature is that of `effect` turned round: the same thing in this model."""
+        """Effects whose signature is that of `effect` turned round: the same in this model."""
         table = self.first_table
         if table is None:
             return []
@@ -358,7 +359,7 @@ class Search:
 
     def contributions(self, adopted: Sequence[Adopted], fit: Fit) -> list[float]:
         """Sum of squares that returns when each effect is taken out and the rest refitted."""
-        from casid.identify import FitSettings, fit_model
+        from casid.identification import FitSettings, fit_model
 
         out = []
         settings = FitSettings(starts=1, substeps=fit.criterion.substeps, solver=self.solver)
@@ -436,9 +437,7 @@ class Search:
             for e in effects
             if e.kind != "parameter_jump" or not (e.where in own or self._is_known_event(at, e))
         ]
-        return score_test(
-            at.fit, effects, input_sd=at.input_sd, seed=self.seed
-        )
+        return score_test(at.fit, effects, input_sd=at.input_sd, seed=self.seed)
 
     def _is_known_event(self, at: Weighted, effect: Effect) -> bool:
         """True if a jump is already adopted at about the same instant: one event, named once."""
@@ -465,7 +464,7 @@ class Search:
         return list(chosen.values())
 
     def is_suspicious(self, at: Weighted, table: ScoreTable) -> bool:
-        """True if refits are worth their time: an alarm, a large plain score, or much unexplained."""
+        """True if refits are worth it: an alarm, a large plain score, or much unexplained."""
         if at.is_hidden:
             return True
         best = table.smallest
@@ -559,7 +558,7 @@ class Search:
         )
         tested = sum(s.visible > INVISIBLE for s in table.scores)
         if candidate.effect.test == "clip":
-            # A clipping has no null value to be far from: its gain is judged, three parameters' worth.
+            # A clipping has no null value to be far from: its gain is judged.
             z = np.sqrt(max(candidate.gain, 0.0) / 3)
         else:
             z = abs(candidate.wald)

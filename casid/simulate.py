@@ -1,4 +1,4 @@
-"""Simulation with forward sensitivities: RK4 and its tangent in one CasADi step, mapped over samples.
+"""Simulation with forward sensitivities: RK4 and its tangent in one mapped CasADi step.
 
 The sensitivities of a fixed-step Runge-Kutta simulation obey (nv columns, one a parameter or
 initial state)
@@ -20,7 +20,7 @@ import numpy as np
 
 from casid.model import Explicit, Model
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,7 @@ from casid.model import Model
 from casid.nlp import Evaluation, Nlp, Solution, Solver
 from casid.simulate import Simulator
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 Whitener = Callable[[Array, int], Array]  # ((N, ny, m) columns, experiment) -> same shape
 
 
@@ -129,7 +129,7 @@ class SimulationError:
     model : no unknown inputs left.
     experiments : one or more; their known values override the model's.
     own : names of parameters that every experiment has for itself.
-    weights : (ny,) one over the size of each output's error; default one over its standard deviation.
+    weights : (ny,) one over the size of each output's error; default one over its spread.
     whiten : turns (N, ny, m) columns of experiment e into white ones; applied after `weights`.
     segments : shooting segments an experiment.
     """
@@ -331,7 +331,7 @@ class SimulationError:
         return y, states, jac
 
     def _delayed_inputs(self, x: Array, experiment: int, d: Signals) -> Array:
-        """The inputs with delayed channels shifted, and minus the slopes that carry their tangents."""
+        """The inputs with delayed channels shifted, and the slopes that carry their tangents."""
         stages = [s for s in self.model.stages if s.kind == "delay_input"]
         if not stages:
             return d.u
@@ -380,9 +380,7 @@ class SimulationError:
                     if place >= 0:
                         jac[above, c, place], jac[below, c, place] = 1.0, -1.0
 
-    def simulated(
-        self, x: Array, experiment: int, *, signals: Signals | None = None
-    ) -> Simulated:
+    def simulated(self, x: Array, experiment: int, *, signals: Signals | None = None) -> Simulated:
         """Residuals and sensitivities of one experiment, unweighted."""
         d = signals if signals is not None else self.data[experiment]
         with np.errstate(all="ignore"):
@@ -611,7 +609,7 @@ def minimize_simulation_error(
     Raises
     ------
     IdentifiabilityError
-        Before the solver starts, where the data leave a direction unseen at the start and beside it.
+        Before the solver starts, where the data leave a direction unseen.
     SolveError
         If no start leads to an optimum.
     """
@@ -640,7 +638,7 @@ def minimize_simulation_error(
     for k in range(max(starts, 1)):
         point = x0 if k == 0 else _random_start(criterion, x0, np.random.default_rng((seed, k)))
         try:
-            solution = nlp.solve(solver, point, throw=False, natural_scales=True)
+            solution = nlp.solve(solver, point.tolist(), throw=False, natural_scales=True)
         except SolveError as error:
             failures.append(str(error))
             continue

@@ -1,20 +1,21 @@
 """Covariance of an estimate whose residuals are neither white nor of known variance.
 
-The sandwich  P = H^-1 (sum_{|l| <= L} w_l Gamma_l) H^-1,  Gamma_l = sum_k s_k s_{k-l}',  s_k = J_k' r_k
-with Bartlett weights w_l = 1 - |l|/(L+1) is consistent for autocorrelated and heteroscedastic
-residuals (Newey and West 1987); the number of lags L follows Andrews (1991, (6.2) and (6.4)) from
-first-order autoregressions of the scores.
+The sandwich  P = H^-1 (sum_{|l| <= L} w_l Gamma_l) H^-1  of the scores s_k = J_k' r_k, with
+Gamma_l = sum_k s_k s_{k-l}' and Bartlett weights w_l = 1 - |l|/(L+1), is consistent for
+autocorrelated and heteroscedastic residuals (Newey and West 1987); the number of lags L follows
+Andrews (1991, (6.2) and (6.4)) from first-order autoregressions of the scores.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 
 
 def bartlett_lags(scores: Array, *, largest: int | None = None) -> int:
@@ -76,7 +77,7 @@ def sandwich(
     hessian : (n, n) Gauss-Newton matrix J'J.
     scores : (N, n) per-sample scores J_k' r_k.
     free : (n,) bool, False at active bounds: those rows and columns are zero.
-    constraint_jacobian : (m, n) of the equality constraints; the estimate moves in their null space.
+    constraint_jacobian : (m, n) of the equality constraints: the estimate moves in its null space.
 
     Notes
     -----

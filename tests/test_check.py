@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from casid.check import check
+from casid.checking import check
 from casid.data import Record
 from casid.errors import DataError
 from tests.shared import shared

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from casid.holdout import (
     whole_simulation,
     why_no_better,
 )
-from casid.identify import FitSettings, estimate_of, experiments_of, fit_model, rms, versions
+from casid.identification import FitSettings, estimate_of, experiments_of, fit_model, rms, versions
 from casid.nlp import Solver
 from casid.problem import Problem
 from casid.scores import INVISIBLE
@@ -27,7 +28,7 @@ from casid.search import Adopted, Candidate, Progress, Search, Weighted
 from casid.simulation_error import Fit
 from casid.spikes import Spikes, find_spikes
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 
 SOURCES = (
     "J. Linder, Indirect System Identification for Unknown Input Problems, Linkoping 2017",
@@ -112,8 +113,17 @@ def diagnose(
     if not why_undecided:
         adopted, at, extended_fit = _search(search, at, base_fit, split, settings)
     return _report(
-        problem, split, settings, search, at, base_fit, extended_fit, adopted, spikes,
-        why_undecided, false_alarm_rate,
+        problem,
+        split,
+        settings,
+        search,
+        at,
+        base_fit,
+        extended_fit,
+        adopted,
+        spikes,
+        why_undecided,
+        false_alarm_rate,
     )
 
 
@@ -185,9 +195,7 @@ def _eliminated(
         adopted.remove(a)
         model = fit.criterion.model.with_known(**{n: 0.0 for n in c.names})
         values = {k: v for k, v in fit.values.items() if k not in c.names}
-        fit = fit_model(
-            model, split.fitted, settings, start=values, check_rank=False, throw=False
-        )
+        fit = fit_model(model, split.fitted, settings, start=values, check_rank=False, throw=False)
     return fit
 
 
@@ -270,11 +278,11 @@ def _recorded(problem: Problem, experiments: Sequence[Experiment]) -> dict[str, 
 
 
 _SAYS = {
-    "quadratic_damping": "damping that grows with the square of the rate acts in the {where} balance",
+    "quadratic_damping": "damping that grows with the rate squared acts in the {where} balance",
     "coulomb_friction": "dry (Coulomb) friction acts in the {where} balance",
     "cubic_stiffness": "the restoring {where} is not linear: it has a cubic term",
     "offset": "a constant {where} acts on the system",
-    "extra_input": "the recorded channel {where} acts on the system although the model leaves it out",
+    "extra_input": "the recorded channel {where} acts on the system, which the model leaves out",
     "parameter_jump": "the parameter {where} changes during the record",
     "sensor_bias": "the channel {where} has a constant bias",
     "time_delay": "the channel {where} arrives late",
@@ -364,7 +372,9 @@ def _report(
         provenance=baseline.provenance,
         settings={
             "fitted records": ", ".join(e.name for e in split.fitted),
-            "held out": "nothing" if split.is_empty else (
+            "held out": "nothing"
+            if split.is_empty
+            else (
                 ", ".join(e.name for e in split.apart)
                 or f"the last {100 * float(np.mean(split.held[0])):.0f} % of each record"
             ),
@@ -382,9 +392,7 @@ def _report(
 def _limits(fit: Fit) -> dict[str, float]:
     """Clipping levels of the outputs, where the model has them."""
     values = fit.values
-    return {
-        s.channel: values[s.parameter] for s in fit.criterion.model.stages if s.kind == "clip"
-    }
+    return {s.channel: values[s.parameter] for s in fit.criterion.model.stages if s.kind == "clip"}
 
 
 def _rmse(
@@ -413,11 +421,7 @@ def _rmse(
 
 def _noise_floor(search: Search, at: Weighted) -> dict[str, float]:
     """Rms that the best possible model would leave: output noise and measured inputs' noise."""
-    measured = {
-        s: search.input_floor(at, s)
-        for s in at.full.source_sd
-        if s in at.model.inputs
-    }
+    measured = {s: search.input_floor(at, s) for s in at.full.source_sd if s in at.model.inputs}
     quiet = at.full.quiet(measured)
     floors = np.array([quiet.floor(e) for e in range(len(at.criterion.data))])
     weight = np.array([d.N for d in at.criterion.data], dtype=float)
@@ -550,11 +554,12 @@ def _advice(verdict: Verdict, causes: list[Cause], search: Search, why_undecided
     tied = [c for c in causes if c.alternatives]
     if tied:
         c = tied[0]
-        others = ", ".join(sorted({a.kind for a in c.alternatives}))
-        return f"To tell {c.kind} from {others}: {_SEPARATES[c.kind]}."
+        others = ", ".join(f"{a.kind} in {a.where}" for a in c.alternatives)
+        return f"To tell {c.kind} in {c.where} from {others}: {_SEPARATES[c.kind]}."
     if verdict == "deficient":
         return (
-            "Use the extended model; confirm it on a record of its own (--hold-out FILE), best with "
+            "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
+            f"with "
             f"{_SEPARATES[causes[0].kind]}."
         )
     invisible = search.invisible()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib.metadata
 import platform
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from casid.data import Experiment, Record
@@ -19,17 +19,14 @@ from casid.problem import Problem
 from casid.simulation_error import (
     Constraint,
     Fit,
-    Signals,
     SimulationError,
-    Simulated,
     describe_null,
     local_rank,
     minimize_simulation_error,
-    signals_of,
 )
 from casid.uncertainty import sandwich, whiteness
 
-Array = np.ndarray
+Array = np.ndarray[Any, Any]
 
 SOURCES = (
     "H. G. Bock, in Numerical Treatment of Inverse Problems, Birkhauser 1983: multiple shooting",
@@ -173,6 +170,7 @@ def experiments_of(
     problem: Problem, experiments: Sequence[Experiment] | Experiment | Record | None
 ) -> list[Experiment]:
     """What the caller gave as a list of experiments, names made unique; the example by default."""
+    chosen: list[Experiment]
     if experiments is None:
         chosen = problem.examples()
     elif isinstance(experiments, Record):
@@ -238,7 +236,9 @@ def estimate_of(
     scale = np.array([v.scale for v in criterion.variables])
     rank = local_rank(solution.hessian, fit.x, criterion.names, scale)
     unseen = {n for direction in rank.null for n in direction}
-    parameters, states, warnings = [], [], list(notes)
+    parameters: list[Estimated] = []
+    states: list[Estimated] = []
+    warnings = list(notes)
     for i, v in enumerate(criterion.variables):
         if "[" in v.name:
             continue  # inner nodes of multiple shooting
@@ -249,7 +249,9 @@ def estimate_of(
         if v.name in solution.at_lower or v.name in solution.at_upper:
             side = "lower" if v.name in solution.at_lower else "upper"
             note, shown = f"at {side} bound: no standard error", None
-            warnings.append(f"{v.name} is at its {side} bound: other errors are given it stays there")
+            warnings.append(
+                f"{v.name} is at its {side} bound: other errors are given it stays there"
+            )
         elif v.name in unseen:
             note, shown = "not identifiable at the estimate", None
         row = Estimated(v.name, float(fit.x[i]), unit, False, shown, v.start, note)
@@ -281,8 +283,14 @@ def estimate_of(
     return Estimate(
         problem=problem.name,
         method=method
-        or ("simulation error, " + ("single shooting" if criterion.segments == 1 else
-            f"multiple shooting ({criterion.segments})")),
+        or (
+            "simulation error, "
+            + (
+                "single shooting"
+                if criterion.segments == 1
+                else f"multiple shooting ({criterion.segments})"
+            )
+        ),
         parameters=tuple(parameters),
         initial_states=tuple(states),
         covariance_names=criterion.names,
@@ -297,7 +305,9 @@ def estimate_of(
         rmse=by_record,
         nrmse_fit=fits,
         held_out_rmse={
-            h.name: dict(zip(criterion.outputs, rms(h.measured - h.simulated).tolist(), strict=True))
+            h.name: dict(
+                zip(criterion.outputs, rms(h.measured - h.simulated).tolist(), strict=True)
+            )
             for h in held
         },
         held_out_fit={
@@ -333,6 +343,6 @@ def versions() -> dict[str, str]:
     return {
         "casid": own,
         "python": platform.python_version(),
-        "casadi": str(ca.__version__),
+        "casadi": importlib.metadata.version("casadi"),
         "numpy": str(np.__version__),
     }
