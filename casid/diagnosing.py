@@ -45,7 +45,7 @@ SOURCES = (
 
 def diagnose(
     problem: Problem,
-    experiments: Sequence[Experiment] | Experiment | Record | None = None,
+    experiments: Sequence[Experiment | Record] | Experiment | Record | None = None,
     *,
     hold_out: float | Sequence[Experiment] | Experiment = 0.3,
     false_alarm_rate: float = 0.05,

@@ -124,7 +124,7 @@ def _steps_matter(fit: Fit) -> bool:
 
 def identify(
     problem: Problem,
-    experiments: Sequence[Experiment] | Experiment | Record | None = None,
+    experiments: Sequence[Experiment | Record] | Experiment | Record | None = None,
     *,
     hold_out: float | Sequence[Experiment] = 0.0,
     settings: FitSettings | None = None,
@@ -167,7 +167,7 @@ def identify(
 
 
 def experiments_of(
-    problem: Problem, experiments: Sequence[Experiment] | Experiment | Record | None
+    problem: Problem, experiments: Sequence[Experiment | Record] | Experiment | Record | None
 ) -> list[Experiment]:
     """What the caller gave as a list of experiments, names made unique; the example by default."""
     chosen: list[Experiment]
