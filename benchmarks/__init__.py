@@ -1,0 +1,1 @@
+"""Benchmarks of casid against other packages and against its own promises."""
