@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from casid.data import Experiment, Record
-from casid.diagnosis import Alternative, Cause, Diagnosis, Ranked, RecordView, Verdict
+from casid.diagnosis import Alternative, Cause, Diagnosis, Ranked, Verdict
 from casid.estimate import Estimate, Estimated
 from casid.holdout import (
     Split,
     held_out_error,
+    record_views,
     simulate_apart,
     split_records,
     validation,
@@ -362,7 +363,7 @@ def _report(
         ranking=_ranking(search, adopted, causes),
         baseline=baseline,
         extended=extended,
-        records=tuple(_views(base_fit, extended_fit, split)),
+        records=record_views(base_fit, extended_fit, split),
         fitted=fitted,
         held_out=held,
         advice=_advice(verdict, causes, search, why_undecided),
@@ -599,41 +600,3 @@ def _ranking(search: Search, adopted: list[Adopted], causes: list[Cause]) -> tup
             s.effect.kind, s.effect.where, s.p_value, s.adjusted, gains.get(key), status, why
         )
     return tuple(rows.values())
-
-
-def _views(base: Fit, extended: Fit | None, split: Split) -> list[RecordView]:
-    best = extended or base
-    model = base.criterion.model
-    out = []
-    for e in range(len(split.whole) + len(split.apart)):
-        apart = e >= len(split.whole)
-        experiment = split.apart[e - len(split.whole)] if apart else split.whole[e]
-        before = simulate_apart(base, experiment) if apart else whole_simulation(base, split, e)
-        after = before
-        if extended is not None:
-            after = (
-                simulate_apart(extended, experiment)
-                if apart
-                else whole_simulation(extended, split, e)
-            )
-        d, y, _ = before
-        out.append(
-            RecordView(
-                name=experiment.name,
-                t=d.t,
-                outputs=base.criterion.outputs,
-                output_units=tuple(unit for _, unit in model.outputs.values()),
-                measured=d.y,
-                used=d.used,
-                fitted=np.zeros(d.N, dtype=bool) if apart else ~split.held[e],
-                baseline=y,
-                extended=after[1] if extended is not None else None,
-                inputs=tuple(model.inputs),
-                input_units=tuple(u.unit for u in model.inputs.values()),
-                u=d.u,
-                states=tuple(model.states),
-                state_units=tuple(s.unit for s in model.states.values()),
-                x=after[2][:, : len(best.criterion.model.states)],
-            )
-        )
-    return out

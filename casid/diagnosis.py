@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from casid.estimate import Estimate, Estimated
+from casid.estimate import Estimate, Estimated, RecordView
 
 Array = np.ndarray[Any, Any]
 Verdict = Literal["adequate", "deficient", "undecided"]
@@ -69,27 +69,6 @@ class Ranked:
     gain: float | None  # fall of the criterion after a refit, None where it was not refitted
     status: str  # "named", "cannot be rejected", "rejected", "not significant", "invisible"
     why: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordView:
-    """Measured and simulated signals of one record, for figures. SI units."""
-
-    name: str
-    t: Array  # (N,) s, the record's own clock
-    outputs: tuple[str, ...]
-    output_units: tuple[str, ...]
-    measured: Array  # (N, ny)
-    used: Array  # (N, ny) bool, False where a sample is left out (missing, outlier, clipped)
-    fitted: Array  # (N,) bool, False in the held-out part
-    baseline: Array  # (N, ny) simulation before
-    extended: Array | None  # (N, ny) simulation after
-    inputs: tuple[str, ...]
-    input_units: tuple[str, ...]
-    u: Array  # (N, nu)
-    states: tuple[str, ...]
-    state_units: tuple[str, ...]
-    x: Array  # (N, nx) simulated states of the best model
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -70,6 +70,27 @@ class Identifiability:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RecordView:
+    """Measured and simulated signals of one record, for figures. SI units."""
+
+    name: str
+    t: Array  # (N,) s, the record's own clock
+    outputs: tuple[str, ...]
+    output_units: tuple[str, ...]
+    measured: Array  # (N, ny)
+    used: Array  # (N, ny) bool, False where a sample is left out (missing, outlier, clipped)
+    fitted: Array  # (N,) bool, False in the held-out part
+    baseline: Array  # (N, ny) simulation before
+    extended: Array | None  # (N, ny) simulation after
+    inputs: tuple[str, ...]
+    input_units: tuple[str, ...]
+    u: Array  # (N, nu)
+    states: tuple[str, ...]
+    state_units: tuple[str, ...]
+    x: Array  # (N, nx) simulated states of the best model
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """Values, covariance, what it assumes, solver evidence, fit and provenance."""
 
@@ -97,6 +118,7 @@ class Estimate:
     provenance: tuple[str, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     sources: tuple[str, ...] = ()
+    records: tuple[RecordView, ...] = ()  # measured and simulated signals, for figures
 
     def __getitem__(self, name: str) -> float:
         """The value of a parameter or initial state."""

@@ -11,6 +11,7 @@ from scipy.stats import norm
 
 from casid.data import Experiment, Record
 from casid.errors import DataError
+from casid.estimate import RecordView
 from casid.identification import HeldOut
 from casid.simulation_error import (
     Fit,
@@ -172,3 +173,42 @@ def why_no_better(before: Array, after: Array) -> str:
     if p > 0.2 and new > 0.9 * old:
         return f"its held-out improvement of {100 * (1 - np.sqrt(new / old)):.2g} % may be chance"
     return ""
+
+
+def record_views(base: Fit, extended: Fit | None, split: Split) -> tuple[RecordView, ...]:
+    """Measured and simulated signals of every record, fitted ones first, for figures."""
+    best = extended or base
+    model = base.criterion.model
+    out = []
+    for e in range(len(split.whole) + len(split.apart)):
+        apart = e >= len(split.whole)
+        experiment = split.apart[e - len(split.whole)] if apart else split.whole[e]
+        before = simulate_apart(base, experiment) if apart else whole_simulation(base, split, e)
+        after = before
+        if extended is not None:
+            after = (
+                simulate_apart(extended, experiment)
+                if apart
+                else whole_simulation(extended, split, e)
+            )
+        d, y, _ = before
+        out.append(
+            RecordView(
+                name=experiment.name,
+                t=d.t,
+                outputs=base.criterion.outputs,
+                output_units=tuple(unit for _, unit in model.outputs.values()),
+                measured=d.y,
+                used=d.used,
+                fitted=np.zeros(d.N, dtype=bool) if apart else ~split.held[e],
+                baseline=y,
+                extended=after[1] if extended is not None else None,
+                inputs=tuple(model.inputs),
+                input_units=tuple(u.unit for u in model.inputs.values()),
+                u=d.u,
+                states=tuple(model.states),
+                state_units=tuple(s.unit for s in model.states.values()),
+                x=after[2][:, : len(best.criterion.model.states)],
+            )
+        )
+    return tuple(out)

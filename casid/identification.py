@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import platform
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -154,7 +154,7 @@ def identify(
     SolveError
         The simulation diverges at the start, or the solver finds no optimum.
     """
-    from casid.holdout import split_records, validation
+    from casid.holdout import record_views, split_records, validation
 
     say = progress or (lambda _: None)
     chosen = experiments_of(problem, experiments)
@@ -163,7 +163,7 @@ def identify(
     say(f"fit {', '.join(e.name for e in split.fitted)}")
     fit = fit_model(problem.model, split.fitted, settings, start=start)
     held = validation(fit, split)
-    return estimate_of(problem, fit, held)
+    return replace(estimate_of(problem, fit, held), records=record_views(fit, None, split))
 
 
 def experiments_of(

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.diagnosis import Diagnosis, RecordView
-from casid.estimate import Estimate, Estimated
+from casid.diagnosis import Diagnosis
+from casid.estimate import Estimate, Estimated, RecordView
 
 Array = NDArray[Any]
 

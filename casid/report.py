@@ -15,8 +15,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from casid.diagnosis import Cause, Diagnosis, RecordView
-from casid.estimate import Estimate, Estimated
+from casid.diagnosis import Cause, Diagnosis
+from casid.estimate import Estimate, Estimated, RecordView
 from casid.plotting import (
     before_and_after,
     diagnosis_figures,

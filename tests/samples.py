@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from casid.diagnosis import Alternative, Cause, Diagnosis, Ranked, RecordView
-from casid.estimate import Estimate, Estimated, Identifiability
+from casid.diagnosis import Alternative, Cause, Diagnosis, Ranked
+from casid.estimate import Estimate, Estimated, Identifiability, RecordView
 
 TS = 0.02
 NOISE = 0.010
