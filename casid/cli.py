@@ -658,7 +658,9 @@ def identify(
             )
             result = run(model, fitted, hold_out=hold_out, settings=settings, progress=progress)
             progress("write the report")
-            page = estimate_page(result, result.records)  # before anything is written: both files or none
+            page = estimate_page(
+                result, result.records
+            )  # before anything is written: both files or none
             result.write(folder)
             write_text(folder / "report.html", page)
     _say_where(folder, ("report.html", "estimate.json"), quiet)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
 from casid.data import Experiment, Record
 from casid.errors import DataError
@@ -169,7 +169,7 @@ def why_no_better(before: Array, after: Array) -> str:
         return "it does not improve the held-out error"
     lags = bartlett_lags(difference[:, None])
     sd = float(np.sqrt(long_run_covariance(difference[:, None], lags)[0, 0]))
-    p = float(norm.sf((old - new) / sd)) if sd > 0 else 0.0
+    p = 0.5 * math.erfc((old - new) / sd / math.sqrt(2.0)) if sd > 0 else 0.0
     if p > 0.2 and new > 0.9 * old:
         return f"its held-out improvement of {100 * (1 - np.sqrt(new / old)):.2g} % may be chance"
     return ""

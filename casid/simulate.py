@@ -22,6 +22,9 @@ from casid.model import Explicit, Model
 
 Array = np.ndarray[Any, Any]
 
+BLOCK = 2000
+"""Samples that one mapped CasADi function steps through."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
@@ -57,7 +60,9 @@ class Simulator:
         self._tangent: dict[int, Any] = {}
         u_next = ca.SX.sym("u_next", self.nu)
         x_next = self._step(e, u_next)
-        self._plain_step = ca.Function("step", [e.x, e.u, u_next, e.p], [x_next, e.h])
+        self._plain_step = ca.Function(
+            "step", [e.x, e.u, u_next, e.p], [ca.densify(x_next), ca.densify(e.h)]
+        )
         self._tangent_step = self._differentiate(e, u_next, x_next)
 
     def _step(self, e: Explicit, u_next: Any) -> Any:
@@ -105,10 +110,35 @@ class Simulator:
             ],
         )
 
-    def _mapped(self, cache: dict[int, Any], step: Any, n: int) -> Any:
-        if n not in cache:
-            cache[n] = step.mapaccum("trajectory", n)
-        return cache[n]
+    def _run(
+        self, cache: dict[int, Any], step: Any, start: Array, u: Array, after: Array, p: Array
+    ) -> tuple[Array, Array]:
+        """States after each sample (N, ...) and outputs (N, ...), block by block.
+
+        Blocks keep the mapped functions few and small; CasADi reads and writes the arrays in place.
+        """
+        n_state, n_out = step.numel_out(0), step.numel_out(1)
+        states, outputs = np.empty((len(u), n_state)), np.empty((len(u), n_out))
+        state = np.ascontiguousarray(start, dtype=float)
+        u, after = np.ascontiguousarray(u), np.ascontiguousarray(after)
+        for first in range(0, len(u), BLOCK):
+            last = min(first + BLOCK, len(u))
+            n = last - first
+            if n not in cache:
+                function = step.mapaccum("block", n)
+                cache[n] = (function, *function.buffer())
+            _, buffer, trigger = cache[n]
+            repeated = np.tile(np.asarray(p, dtype=float), (n, 1))
+            arguments = [state, u[first:last], after[first:last], repeated]
+            for i, argument in enumerate(arguments):
+                if argument.size:
+                    buffer.set_arg(i, argument.data)
+            buffer.set_res(0, states[first:last].data)
+            if n_out:
+                buffer.set_res(1, outputs[first:last].data)
+            trigger()
+            state = states[last - 1].copy()
+        return states, outputs
 
     @staticmethod
     def _next(u: Array, after: Array | None = None) -> Array:
@@ -120,11 +150,8 @@ class Simulator:
 
         Values that overflow come back as inf or NaN: the caller knows what diverged.
         """
-        n = len(u)
-        run = self._mapped(self._plain, self._plain_step, n)
-        x, y = run(x0, u.T, self._next(u).T, p)
-        states = np.vstack([np.reshape(x0, (1, self.nx)), np.array(x).T])
-        return Trajectory(np.array(y).T.reshape(n, self.ny), states)
+        x, y = self._run(self._plain, self._plain_step, np.ravel(x0), u, self._next(u), p)
+        return Trajectory(y, np.vstack([np.reshape(x0, (1, self.nx)), x]))
 
     def sensitivities(
         self, u: Array, p: Array, x0: Array, *, after: Array | None = None
@@ -136,9 +163,14 @@ class Simulator:
         n, nx, nv, ny = len(u), self.nx, self.nv, self.ny
         start = np.zeros((nv, nx))
         start[nv - nx :, :] = np.eye(nx)
-        run = self._mapped(self._tangent, self._tangent_step, n)
-        xs, yd = run(np.concatenate([np.ravel(x0), start.ravel()]), u.T, self._next(u, after).T, p)
-        xs, yd = np.array(xs).T, np.array(yd).T
+        xs, yd = self._run(
+            self._tangent,
+            self._tangent_step,
+            np.concatenate([np.ravel(x0), start.ravel()]),
+            u,
+            self._next(u, after),
+            p,
+        )
         return Trajectory(
             y=yd[:, :ny],
             x=np.vstack([np.reshape(x0, (1, nx)), xs[:, :nx]]),

@@ -169,6 +169,8 @@ class SimulationError:
         self._index: list[list[Array]] = []  # per experiment and segment: (nv,) variable or -1
         self._cuts: list[Array] = []
         self._lay_out(dict(start or {}))
+        # What was simulated last, as the solver, scores and reports ask for the same point.
+        self._last: dict[int, tuple[bytes, Simulated]] = {}
 
     # -- the variables -----------------------------------------------------------------------
 
@@ -382,12 +384,24 @@ class SimulationError:
 
     def simulated(self, x: Array, experiment: int, *, signals: Signals | None = None) -> Simulated:
         """Residuals and sensitivities of one experiment, unweighted."""
-        d = signals if signals is not None else self.data[experiment]
+        if signals is None:
+            key = x.tobytes()
+            if self._last.get(experiment, (b"", None))[0] != key:
+                self._last[experiment] = (
+                    key,
+                    self._simulated(x, experiment, self.data[experiment]),
+                )
+            return self._last[experiment][1]
+        return self._simulated(x, experiment, signals)
+
+    def _simulated(self, x: Array, experiment: int, d: Signals) -> Simulated:
         with np.errstate(all="ignore"):
             y, states, jac = self.simulate(x, experiment, signals=d, tangent=True)
         assert jac is not None
         used = d.used
-        return Simulated(y, np.where(used, d.y - y, 0.0), jac * used[:, :, None], states)
+        if not used.all():
+            jac *= used[:, :, None]
+        return Simulated(y, np.where(used, d.y - y, 0.0), jac, states)
 
     def columns(
         self, x: Array, experiment: int, *, signals: Signals | None = None

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
 Array = np.ndarray[Any, Any]
 
@@ -104,9 +103,9 @@ def sandwich(
 def autocorrelation(residual: Array, lags: int) -> Array:
     """Autocorrelation of a residual (N,) at lags 1..lags."""
     centred = residual - residual.mean()
-    size = next_fast_len(len(centred) + lags)
-    spectrum = np.abs(rfft(centred, size)) ** 2
-    gamma = irfft(spectrum, size)[: lags + 1]
+    size = 1 << (len(centred) + lags).bit_length()
+    spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
+    gamma = np.fft.irfft(spectrum, size)[: lags + 1]
     return np.asarray(gamma[1:] / max(float(gamma[0]), 1e-300))
 
 
