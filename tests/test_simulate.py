@@ -1,4 +1,4 @@
-"""A simulation has the order of its integrator, holds inputs as told, and knows its own gradient."""
+"""A simulation has its integrator's order, holds inputs as told, and knows its own gradient."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def test_single_and_multiple_shooting_share_one_optimum(segments):
     for name in (*TRUE, "x(0)", "v(0)"):
         a, b = one.parameter(name), many.parameter(name)
         assert b.value == pytest.approx(a.value, rel=1e-5, abs=1e-3 * a.std_error)
-        # The number of lags (Andrews) follows the scores of all unknowns, so it may differ a little.
+        # The number of lags (Andrews) follows the scores of all unknowns, so may differ.
         assert b.std_error == pytest.approx(a.std_error, rel=0.05)
     assert many.rmse["r"]["position"] == pytest.approx(one.rmse["r"]["position"], rel=1e-7)
 
@@ -135,7 +135,7 @@ def test_the_gradient_is_that_of_the_criterion_as_computed(model, own):
     if own:
         x[criterion.names.index(own[0])] = own[1]
     at = criterion.evaluate(x)
-    _, _, jac = criterion.simudelay_columns(x, 0, tangent=True)
+    _, _, jac = criterion.simulate(x, 0, tangent=True)
     for i, v in enumerate(criterion.variables):
         h = 1e-6 * v.scale if v.scale < 1 else 1e-6
         up, down = x.copy(), x.copy()
@@ -145,9 +145,7 @@ def test_the_gradient_is_that_of_the_criterion_as_computed(model, own):
         # Truncation, rounding, and (clipping) a sample that passes the limit within h.
         size = np.sqrt(at.hessian[i, i] * at.value)
         assert at.gradient[i] == pytest.approx(slope, abs=1e-4 * size)
-        column = (
-            criterion.simudelay_columns(up, 0)[0] - criterion.simudelay_columns(down, 0)[0]
-        ) / (2 * h)
+        column = (criterion.simulate(up, 0)[0] - criterion.simudelay_columns(down, 0)[0]) / (2 * h)
         assert np.abs(jac[:, :, i] - column).mean() < 1e-4 * np.abs(column).max()
 
 
@@ -158,7 +156,7 @@ def test_the_delay_of_an_output_and_of_an_input_are_found_where_they_are():
     x = fine.start
     for name, value in TRUE.items():
         x[fine.names.index(name)] = value
-    y, _, _ = fine.simudelay_columns(x, 0)
+    y, _, _ = fine.simulate(x, 0)
     x[fine.names.index("delay_force")] = 0.0
     found = casid.identify(
         problem(with_delay()),
@@ -380,7 +378,7 @@ def test_a_missing_channel_is_refused_with_the_mapping_to_give():
 def test_the_criterion_is_half_the_weighted_sum_of_squares():
     criterion = SimulationError(oscillator(), [experiment(noise=0.01)], weights=np.array([7.0]))
     x = criterion.start
-    y, _, _ = criterion.simudelay_columns(x, 0)
+    y, _, _ = criterion.simulate(x, 0)
     r = 7.0 * (criterion.data[0].y - y)
     assert criterion.evaluate(x).value == pytest.approx(0.5 * float(np.sum(r**2)), rel=1e-12)
 
