@@ -13,6 +13,7 @@ import numpy as np
 from casid.data import Experiment, Record
 from casid.errors import DataError
 from casid.estimate import Estimate, Estimated, Identifiability
+from casid.local_rank import describe_null, local_rank
 from casid.model import Model
 from casid.nlp import Solver
 from casid.problem import Problem
@@ -20,8 +21,6 @@ from casid.simulation_error import (
     Constraint,
     Fit,
     SimulationError,
-    describe_null,
-    local_rank,
     minimize_simulation_error,
 )
 from casid.uncertainty import sandwich, whiteness

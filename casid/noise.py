@@ -21,6 +21,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.optimize import nnls
 
 from casid.model import Model
+from casid.simulate import rk4_sample
 from casid.simulation_error import Signals, SimulationError
 
 Array = np.ndarray[Any, Any]
@@ -45,25 +46,9 @@ def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Res
     _, states, _ = criterion.simulate(x, experiment)
     disturbed = _with_disturbances(model)
     e = disturbed.explicit()
-    f = ca.Function("f", [e.x, e.u, e.p], [e.f])
     nb = len(model.balances)
     u_next = ca.SX.sym("un", len(e.inputs))
-    h = d.Ts / criterion.substeps
-    foh = np.array([disturbed.inputs[n].hold == "foh" for n in e.inputs])
-
-    def at(c: float) -> Any:
-        return ca.vertcat(
-            *[e.u[i] + c * (u_next[i] - e.u[i]) if foh[i] else e.u[i] for i in range(len(foh))]
-        )
-
-    xs = e.x
-    for i in range(criterion.substeps):
-        left, mid, right = (at((i + c) / criterion.substeps) for c in (0.0, 0.5, 1.0))
-        k1 = f(xs, left, e.p)
-        k2 = f(xs + h / 2 * k1, mid, e.p)
-        k3 = f(xs + h / 2 * k2, mid, e.p)
-        k4 = f(xs + h * k3, right, e.p)
-        xs = xs + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    xs = rk4_sample(disturbed, e, u_next, d.Ts, criterion.substeps)
     jac = ca.Function(
         "lin",
         [e.x, e.u, u_next, e.p],

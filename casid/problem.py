@@ -41,7 +41,7 @@ class Problem:
     model: Model
     channels: Mapping[str, str] = field(default_factory=dict)
     recorded: Mapping[str, str] = field(default_factory=dict)
-    time: str | None = None
+    time: str | ColumnSpec | None = None
     load_cases: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     example: Callable[[], Sequence[Experiment]] | None = None

@@ -36,6 +36,28 @@ class Trajectory:
     dx_end: Array | None = None  # (nx, nv): d x[N] / d (...)
 
 
+def rk4_sample(model: Model, e: Explicit, u_next: Any, Ts: float, substeps: int) -> Any:
+    """One sample of Runge-Kutta 4 as an expression, each input held or joined by straight lines."""
+    f = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    h = Ts / substeps
+    moves = [model.inputs[name].hold == "foh" for name in e.inputs]
+
+    def u(at: float) -> Any:
+        return ca.vertcat(
+            *[e.u[i] + at * (u_next[i] - e.u[i]) if m else e.u[i] for i, m in enumerate(moves)]
+        )
+
+    x = e.x
+    for i in range(substeps):
+        left, mid, right = (u((i + c) / substeps) for c in (0.0, 0.5, 1.0))
+        k1 = f(x, left, e.p)
+        k2 = f(x + h / 2 * k1, mid, e.p)
+        k3 = f(x + h / 2 * k2, mid, e.p)
+        k4 = f(x + h * k3, right, e.p)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x
+
+
 class Simulator:
     """Simulates one model at one sample time, differentiated in chosen parameters.
 
@@ -55,38 +77,14 @@ class Simulator:
         e = self.equations
         self.nx, self.nu, self.ny = len(e.states), len(e.inputs), len(e.outputs)
         self.nv = len(self.free) + self.nx
-        self._holds = np.array([model.inputs[name].hold == "foh" for name in e.inputs], dtype=bool)
         self._plain: dict[int, Any] = {}
         self._tangent: dict[int, Any] = {}
         u_next = ca.SX.sym("u_next", self.nu)
-        x_next = self._step(e, u_next)
+        x_next = rk4_sample(model, e, u_next, Ts, substeps)
         self._plain_step = ca.Function(
             "step", [e.x, e.u, u_next, e.p], [ca.densify(x_next), ca.densify(e.h)]
         )
         self._tangent_step = self._differentiate(e, u_next, x_next)
-
-    def _step(self, e: Explicit, u_next: Any) -> Any:
-        """One sample of Runge-Kutta 4 as an expression, inputs held or joined by straight lines."""
-        f = ca.Function("f", [e.x, e.u, e.p], [e.f])
-        h = self.Ts / self.substeps
-
-        def u(at: float) -> Any:
-            return ca.vertcat(
-                *[
-                    e.u[i] + at * (u_next[i] - e.u[i]) if self._holds[i] else e.u[i]
-                    for i in range(self.nu)
-                ]
-            )
-
-        x = e.x
-        for i in range(self.substeps):
-            left, mid, right = (u((i + c) / self.substeps) for c in (0.0, 0.5, 1.0))
-            k1 = f(x, left, e.p)
-            k2 = f(x + h / 2 * k1, mid, e.p)
-            k3 = f(x + h / 2 * k2, mid, e.p)
-            k4 = f(x + h * k3, right, e.p)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        return x
 
     def _differentiate(self, e: Explicit, u_next: Any, x_next: Any) -> Any:
         columns = [e.parameters.index(name) for name in self.free]

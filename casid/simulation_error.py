@@ -18,6 +18,7 @@ import numpy as np
 
 from casid.data import Experiment
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
+from casid.local_rank import describe_null, local_rank
 from casid.model import Model
 from casid.nlp import Evaluation, Nlp, Solution, Solver
 from casid.simulate import Simulator
@@ -495,85 +496,6 @@ def delay_columns(y: Array, samples: float, *, derivative: bool = False) -> Arra
     n = len(y)
     first = pad - whole - 2
     return np.asarray(sum(w[i] * long[first + i : first + i + n] for i in range(4)))
-
-
-# -- identifiability at a point -----------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LocalRank:
-    """Rank of the scaled sensitivities at a point, and the directions the data do not see."""
-
-    rank: int
-    unknowns: int
-    smallest: float  # smallest singular value of the columns scaled to length one
-    null: tuple[Mapping[str, float], ...]  # relative directions, largest entry 1
-
-    @property
-    def is_full(self) -> bool:
-        """True if every direction is seen."""
-        return self.rank == self.unknowns
-
-
-def local_rank(hessian: Array, x: Array, names: Sequence[str], scale: Array) -> LocalRank:
-    """Rank of J from J'J with columns of unit length; directions relative to the values."""
-    length = np.sqrt(np.maximum(np.diag(hessian), 0.0))
-    largest = float(np.max(length * scale, initial=0.0))
-    seen = length * scale > 1e-9 * max(largest, 1e-300)
-    null: list[Mapping[str, float]] = [{names[i]: 1.0} for i in np.flatnonzero(~seen)]
-    index = np.flatnonzero(seen)
-    smallest = 0.0
-    if index.size:
-        unit = hessian[np.ix_(index, index)] / np.outer(length[index], length[index])
-        values, vectors = np.linalg.eigh(unit)
-        smallest = float(np.sqrt(max(values[0], 0.0))) if not null else 0.0
-        for value, vector in zip(values, vectors.T, strict=True):
-            if value < 1e-11 * index.size:
-                size = np.where(np.abs(x[index]) > 0, np.abs(x[index]), scale[index])
-                step = vector / length[index] / size * np.sign(np.where(x[index] == 0, 1, x[index]))
-                step = step / step[np.argmax(np.abs(step))]
-                null.append(
-                    {names[i]: float(s) for i, s in zip(index, step, strict=True) if abs(s) > 1e-3}
-                )
-    return LocalRank(len(x) - len(null), len(x), smallest, tuple(null))
-
-
-def describe_null(rank: LocalRank) -> str:
-    """What the data cannot tell, what they tell instead, and the mend, in a sentence or two."""
-    parts = []
-    for direction in rank.null:
-        names = list(direction)
-        if len(names) == 1:
-            parts.append(
-                f"{names[0]} does not move any output in this record: give it a known value, or "
-                "record an experiment that excites it"
-            )
-            continue
-        together = ", ".join(f"{n} {100 * v:+.3g} %" for n, v in direction.items())
-        combos = _invariants(direction)
-        tells = f"; the record tells {', '.join(combos)} instead" if combos else ""
-        parts.append(
-            f"{' and '.join(names)} cannot be told apart ({together} changes nothing)"
-            f"{tells}: give one of them a known value"
-        )
-    return "; ".join(parts)
-
-
-def _invariants(direction: Mapping[str, float]) -> list[str]:
-    """Power products that stay constant along a relative direction, with small exponents."""
-    from fractions import Fraction
-
-    items = list(direction.items())
-    base, b = items[0]
-    out = []
-    for name, v in items[1:]:
-        q = Fraction(b / v).limit_denominator(4)
-        if q == 0 or abs(float(q) - b / v) > 1e-3 * abs(b / v):
-            return []
-        sign = "/" if q > 0 else " "
-        power = "" if abs(q) == 1 else f"^({abs(q)})"
-        out.append(f"{base}{sign}{name}{power}")
-    return out
 
 
 # -- minimising ---------------------------------------------------------------------------------

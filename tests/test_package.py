@@ -25,7 +25,7 @@ HEAVY = "casadi numpy scipy sympy control pandas pyarrow pint joblib plotly rich
 # line here is free, as long as there is no circle.
 LAYERS = """
 errors
-units uncertainty spikes expressions nlp writing
+units uncertainty spikes expressions nlp writing local_rank
 data
 reading prepare
 checking model
