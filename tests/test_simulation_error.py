@@ -145,7 +145,7 @@ def test_the_gradient_is_that_of_the_criterion_as_computed(model, own):
         # Truncation, rounding, and (clipping) a sample that passes the limit within h.
         size = np.sqrt(at.hessian[i, i] * at.value)
         assert at.gradient[i] == pytest.approx(slope, abs=1e-4 * size)
-        column = (criterion.simulate(up, 0)[0] - criterion.simudelay_columns(down, 0)[0]) / (2 * h)
+        column = (criterion.simulate(up, 0)[0] - criterion.simulate(down, 0)[0]) / (2 * h)
         assert np.abs(jac[:, :, i] - column).mean() < 1e-4 * np.abs(column).max()
 
 

@@ -1,0 +1,98 @@
+"""Noise of sensors and of measured inputs is told apart by what the model does to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import casid
+from casid.noise import estimate_noise, input_noise_floor, noise_response
+from casid.simulation_error import SimulationError, minimize_simulation_error, signals_of
+from problems import pendulum
+from tests import truth
+
+OUTPUT, INPUT = 0.01, 0.01  # rad/s, m/s^2: the truth's white noise
+
+
+def record_of(hidden: truth.TruthRecord) -> casid.Record:
+    return casid.Record(
+        {n: c for n, c in hidden.columns.items() if n != "t"},
+        {n: u for n, u in hidden.units.items() if n != "t"},
+        Ts=hidden.Ts,
+    )
+
+
+def fitted(seed: int, duration: float = 60.0):
+    hidden = truth.cart_pendulum(seed=seed, duration=duration)
+    experiment = casid.Experiment(record_of(hidden), {}, "r")
+    criterion = SimulationError(pendulum.problem.model, [experiment])
+    return hidden, minimize_simulation_error(criterion)
+
+
+def test_the_noise_of_gyro_and_accelerometer_is_recovered():
+    """The resonance amplifies the accelerometer's noise: colour tells the two apart."""
+    found = []
+    for seed in range(40, 46):
+        _, fit = fitted(seed)
+        noise = estimate_noise(fit.criterion, fit.x)
+        found.append([noise.output_sd[0], noise.source_sd["accel"]])
+    mean = np.mean(found, axis=0)
+    # 6000 white samples: sd of an sd 0.9 %. The input's shows within the resonance only, some 3 %
+    # of the band and twice as many samples as bins there: 5 % a record, 2 % for the mean of six.
+    assert mean[0] == pytest.approx(OUTPUT, rel=0.02)
+    assert mean[1] == pytest.approx(INPUT, rel=0.05)
+    assert np.all(np.abs(np.array(found)[:, 0] / OUTPUT - 1) < 0.05)
+    assert np.all(np.abs(np.array(found)[:, 1] / INPUT - 1) < 0.20)
+
+
+def test_a_known_noise_is_used_and_not_estimated():
+    _, fit = fitted(40)
+    noise = estimate_noise(fit.criterion, fit.x, known={"gyro": 0.0123})
+    assert noise.output_sd[0] == pytest.approx(0.0123, rel=1e-9)
+
+
+def test_the_floor_is_the_rms_error_of_the_true_model():
+    """(1) integrated over frequency is the variance of what the true parameters leave."""
+    hidden, fit = fitted(41)
+    noise = estimate_noise(fit.criterion, fit.x)
+    rms = float(np.std(hidden.columns["gyro"] - fit.criterion.simulate(fit.x, 0)[0][:, 0]))
+    assert noise.floor(0)[0] == pytest.approx(rms, rel=0.05)
+
+
+def test_whitened_residuals_of_the_model_are_white_and_of_unit_size():
+    _, fit = fitted(41)
+    noise = estimate_noise(fit.criterion, fit.x)
+    c = fit.criterion
+    r = noise.whiten(c.simulated(fit.x, 0).residual[:, :, None] * c.weights[:, None], 0)[:, 0, 0]
+    assert np.std(r) == pytest.approx(1.0, rel=4 / np.sqrt(2 * len(r)) + 0.02)
+    spectrum = np.abs(np.fft.rfft(r)) ** 2 / len(r)
+    parts = [p.mean() for p in np.array_split(spectrum[1:], 10)]
+    # 300 bins each, exponential: sd 6 %; four of them, and the fit's own error.
+    assert parts == pytest.approx(np.ones(10), abs=0.25)
+
+
+def test_the_response_is_that_of_the_linear_model():
+    """G(i w) of (7.24), times (sin x / x)^4, x = w Ts / 2, for straight lines between samples."""
+    _, fit = fitted(41)
+    r = noise_response(fit.criterion, fit.x, 0)
+    v, c = fit.values, pendulum.problem.model.parameters
+    S = c["M"].value * c["z_g"].value
+    I_2 = v["I_x"] + c["M"].value * c["z_g"].value ** 2 - c["z_s"].value * S
+    w = r.omega / 0.01
+    s = 1j * w
+    G = s / (I_2 * s**2 + v["d"] * s + v["k"])
+    j = r.sources.index("torque")
+    band = (w > 0.5) & (w < 40.0)  # above, the spectrum folds
+    G = G * np.sinc(w * 0.01 / (2 * np.pi)) ** 2
+    assert r.gain2[band, 0, j] == pytest.approx(np.abs(G[band]) ** 2, rel=1e-3)
+    i = r.sources.index("accel")
+    assert r.gain2[band, 0, i] == pytest.approx(S**2 * np.abs(G[band]) ** 2, rel=1e-3)
+
+
+def test_the_quiet_part_of_an_inputs_spectrum_bounds_its_noise():
+    hidden = truth.cart_pendulum(seed=41)
+    experiment = casid.Experiment(record_of(hidden), {}, "r")
+    model = pendulum.problem.model
+    bound = input_noise_floor(signals_of(model, experiment), list(model.inputs))
+    # The quietest 5 of 20 bands of 150 bins (sd of a power 8 %, tapered 10 %) lie below the mean.
+    assert 0.85 * INPUT < bound["accel"] < 1.1 * INPUT
