@@ -10,6 +10,7 @@ import numpy as np
 
 from casid.data import Experiment, Record
 from casid.diagnosis import Alternative, Cause, Diagnosis, Ranked, Verdict
+from casid.errors import SolveError
 from casid.estimate import Estimate, Estimated
 from casid.holdout import (
     Split,
@@ -91,7 +92,7 @@ def diagnose(
         starts=problem.starts if starts is None else starts, solver=solver, seed=seed
     )
     say("fit the model as it is")
-    base_fit = fit_model(problem.model, split.fitted, settings)
+    base_fit = fit_model(problem.model, split.fitted, settings, throw=False)
     spikes, split = _without_spikes(base_fit, split, false_alarm_rate)
     if spikes:
         say(f"leave out {sum(s.count for s in spikes)} outliers and fit again")
@@ -112,6 +113,11 @@ def diagnose(
     extended_fit: Fit | None = None
     why_undecided = _undecidable(search, base_fit, at)
     if not why_undecided:
+        if not base_fit.solution.is_converged:
+            raise SolveError(
+                f"{problem.name}: the model as it is could not be fitted "
+                f"({base_fit.solution.status}): {base_fit.solution.mend}"
+            )
         adopted, at, extended_fit = _search(search, at, base_fit, split, settings)
     return _report(
         problem,
@@ -345,6 +351,7 @@ def _report(
 
     causes = _causes(search, adopted, spikes, extended or baseline, best_fit)
     verdict: Verdict = "adequate"
+    why_undecided = why_undecided or _unlike(fitted, held)
     if causes:
         verdict = "deficient"
     elif why_undecided:
@@ -388,6 +395,22 @@ def _report(
         versions=versions(),
         sources=SOURCES,
     )
+
+
+def _unlike(
+    fitted: Mapping[str, Mapping[str, float]], held: Mapping[str, Mapping[str, float]]
+) -> str:
+    """Why what was held out forbids to call the model adequate, or an empty text."""
+    for output, error in held.get("baseline_rmse", {}).items():
+        inside = fitted["baseline_rmse"][output]
+        floor = fitted["noise_floor"][output]
+        if error > 1.5 * max(inside, floor):
+            return (
+                f"the fitted part hides nothing, but the simulation of {output} is wrong by "
+                f"{error:.3g} where it was not fitted, against {inside:.3g} where it was: "
+                "diagnose the whole record (--hold-out 0), or that part of it (--window)"
+            )
+    return ""
 
 
 def _limits(fit: Fit) -> dict[str, float]:

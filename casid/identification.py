@@ -118,7 +118,7 @@ def _steps_matter(fit: Fit) -> bool:
             a, b = old.simulate(fit.x, e)[0], fine.simulate(fit.x, e)[0]
             moved += float(np.sum(((a - b) * d.used * old.weights) ** 2))
             left += float(np.sum(((d.y - a) * d.used * old.weights) ** 2))
-    return bool(np.isfinite(moved)) and moved > 1e-4 * left + 1e-24 * old.n_samples
+    return bool(np.isfinite(moved)) and moved > 1e-4 * left + 1e-16 * old.n_samples
 
 
 def identify(

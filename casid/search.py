@@ -494,16 +494,17 @@ class Search:
         The noise's size is then not known, only what each candidate leaves. n is the number of
         independent samples worth as much as the residual of the best: misfit is no white noise.
         """
-        left = [float(np.sum(self._losses(c))) for c in found]
-        r2 = self._losses(found[int(np.argmin(left))])
+        r2 = self._losses(max(found, key=lambda c: c.gain))
         spread = float(np.var(r2)) * len(r2)
         long_run = float(long_run_covariance(r2[:, None], bartlett_lags(r2[:, None]))[0, 0])
         n = float(np.clip(len(r2) * spread / max(long_run, 1e-300), 8.0, len(r2)))
         out = []
-        for c, after in zip(found, left, strict=True):
-            before = self._value_on(at, c)
+        before = self._base_value(at)
+        for c in found:
+            # Less what input noise gives to each: a noise-free channel must not win by that alone.
+            after = max(before - 0.5 * c.gain, 1e-12 * before)
             k = c.effect.cost
-            gain = n * float(np.log(before / max(after, 1e-300)))
+            gain = n * float(np.log(before / after))
             out.append(replace(c, gain=gain, cost=k * float(np.log(n)) + k))
         # In a decay, time and amplitude go together and a jump imitates whatever depends on
         # amplitude: it must explain clearly more than the best that does (a heuristic).
@@ -512,13 +513,6 @@ class Search:
             key=lambda c: -(c.merit - (0.4 * lasting if c.effect.kind == "parameter_jump" else 0))
         )
         return out
-
-    def _value_on(self, at: Weighted, c: Candidate) -> float:
-        """The criterion of the model without the effect, on the candidate's samples."""
-        base = self._criterion(at.model, at.noise, at.fit.values, at.criterion)
-        for mine, other in zip(base.data, c.fit.criterion.data, strict=True):
-            mine.used[:] = other.used
-        return base.evaluate(base.start).value
 
     def rejudge(
         self, at: Weighted, found: list[Candidate], count: int = 6, rounds: int = 2

@@ -578,6 +578,9 @@ def minimize_simulation_error(
         except SolveError as error:
             failures.append(str(error))
             continue
+        if not solution.is_converged:
+            # The natural scales of a far start are wrong at the end: once more from there.
+            solution = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
         values.append(solution.value)
         if best is None or (solution.is_converged, -solution.value) > (
             best.is_converged,
@@ -643,5 +646,5 @@ def _divergence(criterion: SimulationError, x: Array) -> str:
             )
     return (
         f"{criterion.model.name}: the sensitivities are not finite at the start; "
-        "change the start values"
+        "change the start values, or use multiple shooting (segments=...) if the model is unstable"
     )

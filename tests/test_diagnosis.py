@@ -132,9 +132,6 @@ def test_a_gyro_that_comes_late_is_a_delay_and_the_accelerometer_may_be_early_in
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="the reference acts as a short delay does and is named in its place", strict=True
-)
 @pytest.mark.parametrize("seed", [204, 404])
 def test_a_delay_is_not_taken_for_the_reference_that_drives_the_cart(seed):
     """a_y' = (ref - a_y) / T: late by tau, a_y is (1 + tau / T) a_y - tau / T ref."""
@@ -165,7 +162,6 @@ def test_outliers_are_counted():
     assert share == pytest.approx(0.01, rel=0.1)
 
 
-@pytest.mark.xfail(reason="the verdict looks at the fitted part only", strict=True)
 def test_a_model_that_fails_on_its_held_out_end_is_not_called_adequate():
     """All clipped samples of this record lie in its last 30 %, where the error doubles."""
     hidden, d = on_the_pendulum("saturation", 1.2, 107)
@@ -259,9 +255,6 @@ def test_a_record_too_short_for_its_unknowns_is_undecided():
     assert "too few" in d.sentence
 
 
-@pytest.mark.xfail(
-    reason="SolveError: Ipopt succeeded, with a scaled gradient of 4e-4", strict=True
-)
 def test_a_record_too_short_for_its_unknowns_does_not_fail_in_the_solver():
     record = record_of(truth.cart_pendulum(seed=3, duration=5.0)).between(0.0, 0.6)
     assert casid.diagnose(pendulum.problem, record).verdict == "undecided"
