@@ -614,7 +614,19 @@ def _refuse_unidentifiable(criterion: SimulationError, x0: Array, hessian: Array
     raise IdentifiabilityError(
         f"{criterion.model.name}: rank {rank.rank} of {rank.unknowns} unknowns in "
         f"{', '.join(d.name for d in criterion.data)}; {describe_null(rank)}"
+        f"{_constant_inputs(criterion)}"
     )
+
+
+def _constant_inputs(criterion: SimulationError) -> str:
+    """Inputs that never move, which may be why; an empty text where all do."""
+    said = [
+        f"{name} of {d.name} is constant ({d.u[0, i]:g})"
+        for d in criterion.data
+        for i, (name, entry) in enumerate(criterion.model.inputs.items())
+        if entry.kind == "measured" and np.ptp(d.u[:, i]) == 0.0
+    ]
+    return f". Input {' and '.join(said)}: check its cable and its mapping" if said else ""
 
 
 def _random_start(criterion: SimulationError, x0: Array, rng: np.random.Generator) -> Array:

@@ -298,7 +298,7 @@ def test_files_that_are_none_are_refused(here: Path) -> None:
 def test_an_input_that_never_moves_is_refused_or_undecided(here: Path) -> None:
     """Without force only k/m and d/m are known: in m x'' + d x' + k x = F the mass has no scale."""
     rewrite("run.csv", "still.csv", constant)
-    refused(casid("identify", "mass.py", "still.csv"), "rank", "m/k")
+    refused(casid("identify", "mass.py", "still.csv"), "rank", "m/k", "is constant", "mapping")
     result = casid("diagnose", "mass.py", "still.csv", "--json")
     if result.exit_code == 0:
         assert json.loads(result.stdout)["verdict"] == "undecided"
