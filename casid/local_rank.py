@@ -36,7 +36,7 @@ def local_rank(hessian: Array, x: Array, names: Sequence[str], scale: Array) -> 
     length = np.sqrt(np.maximum(np.diag(hessian), 0.0))
     largest = float(np.max(length * scale, initial=0.0))
     seen = length * scale > 1e-9 * max(largest, 1e-300)
-    null: list[Mapping[str, float]] = [{names[i]: 1.0} for i in np.flatnonzero(~seen)]
+    null: list[Mapping[str, float]] = [{names[i]: 1.0} for i in np.flatnonzero(~seen).tolist()]
     index = np.flatnonzero(seen)
     smallest = 0.0
     if index.size:
@@ -49,7 +49,11 @@ def local_rank(hessian: Array, x: Array, names: Sequence[str], scale: Array) -> 
                 step = vector / length[index] / size * np.sign(np.where(x[index] == 0, 1, x[index]))
                 step = step / step[np.argmax(np.abs(step))]
                 null.append(
-                    {names[i]: float(s) for i, s in zip(index, step, strict=True) if abs(s) > 1e-3}
+                    {
+                        names[i]: float(s)
+                        for i, s in zip(index.tolist(), step, strict=True)
+                        if abs(s) > 1e-3
+                    }
                 )
     return LocalRank(len(x) - len(null), len(x), smallest, tuple(null))
 

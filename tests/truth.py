@@ -112,7 +112,7 @@ class _Draws:
     t_jump: float  # [s]
     frequency: float  # [Hz]
     phase: float  # [rad]
-    at: Array  # indices of spoilt samples
+    at: np.ndarray[Any, np.dtype[np.signedinteger[Any]]]  # indices of spoilt samples
     spikes: Array  # their relative heights
 
 
