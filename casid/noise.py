@@ -102,7 +102,6 @@ class NoiseModel:
     source_sd: Mapping[str, float]  # measured input or balance -> white noise per sample
     responses: Sequence[Response]  # one an experiment
     weights: Array
-    whittle: float = 0.0  # minus two log likelihood of the residuals that gave it
 
     def quiet(self, input_sd: Mapping[str, float]) -> NoiseModel:
         """The same without disturbances: sensors and measured inputs only."""
@@ -200,7 +199,6 @@ def estimate_noise(
         solution = new if k == 0 else 0.5 * (solution + new)
         s = np.maximum(free @ solution + offset, floor)
     value[~fixed] = solution
-    whittle = float(np.sum(2 * count * (np.log(s) + power / s)))
     output_sd = np.sqrt(np.maximum(value[:ny], floor))
     found = {name: float(np.sqrt(v)) for name, v in zip(sources, value[ny:], strict=True)}
     return NoiseModel(
@@ -208,7 +206,6 @@ def estimate_noise(
         source_sd={name: found.get(name, 0.0) for name in responses[0].sources},
         responses=responses,
         weights=criterion.weights,
-        whittle=whittle,
     )
 
 
