@@ -150,7 +150,7 @@ def simulate(
         level = rng.uniform(-1.0, 1.0, N)
         ref = level[np.maximum.accumulate(np.where(steps, np.arange(N), 0))]
     N = len(ref)
-    phi, p, a_y, p_dot = _motion(ref, Ts, substeps, k=k, d=d, I_x=I_x, m=m, d_2=d_2)
+    phi, p, a_y, p_dot = motion(ref, Ts, substeps, k=k, d=d, I_x=I_x, m=m, d_2=d_2)
     accel = z_s * p_dot + g * np.sin(phi) - a_y * np.cos(phi)
     t = Ts * np.arange(N)
     phase = rng.uniform(0, 2 * np.pi, 4)
@@ -171,7 +171,7 @@ def simulate(
     )
 
 
-def _motion(
+def motion(
     ref: Array, Ts: float, substeps: int, *, k: float, d: float, I_x: float, m: float, d_2: float
 ) -> Array:
     """(4, N): phi, phi', a_y and phi'' at the samples, from rest, by Runge-Kutta 4."""
