@@ -1,0 +1,149 @@
+"""Linear systems with process and measurement noise, and their exact sampling.
+
+    x[t+1] = A x[t] + B u[t] + w[t],    y[t] = C x[t] + D u[t] + v[t],                      (1)
+    cov [w; v] = [Q S; S' R], white.
+
+Source: (2.25)-(2.28) of Linder (2017).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from casid.errors import ModelError
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoisySystem:
+    """System (1), sampled.
+
+    Parameters
+    ----------
+    A (nx, nx), B (nx, nu), C (ny, nx), D (ny, nu)
+    Q (nx, nx), R (ny, ny), S (nx, ny) : covariances of w and v, and E[w v'] (default zero).
+    Ts : sample time [s].
+    states, outputs : names, for messages and for python-control.
+
+    Raises
+    ------
+    ModelError
+        For shapes that do not fit, or a noise covariance that is not symmetric or not positive
+        semidefinite.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    Q: Array
+    R: Array
+    S: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    Ts: float = 1.0
+    states: Sequence[str] = ()
+    outputs: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        n, ny = len(np.atleast_2d(self.A)), len(np.atleast_2d(self.C))
+        if not np.size(self.S):
+            object.__setattr__(self, "S", np.zeros((n, ny)))
+        nu = np.atleast_2d(self.B).shape[1]
+        shapes = {
+            "A": (n, n),
+            "B": (n, nu),
+            "C": (ny, n),
+            "D": (ny, nu),
+            "Q": (n, n),
+            "S": (n, ny),
+            "R": (ny, ny),
+        }
+        for name, shape in shapes.items():
+            value = np.atleast_2d(np.asarray(getattr(self, name), dtype=float))
+            if value.shape != shape:
+                raise ModelError(
+                    f"noisy system: {name} is {value.shape}, but {n} states, {ny} outputs and {nu} "
+                    f"inputs need {shape}; check how it was built"
+                )
+            if not np.all(np.isfinite(value)):
+                raise ModelError(
+                    f"noisy system: {name} holds entries that are not finite; check the parameters "
+                    "it was computed from"
+                )
+            object.__setattr__(self, name, value)
+        joint = np.block([[self.Q, self.S], [self.S.T, self.R]])
+        size = np.sqrt(np.maximum(np.diag(joint), 0.0))
+        unit = joint / np.outer(np.where(size > 0, size, 1.0), np.where(size > 0, size, 1.0))
+        if not np.allclose(unit, unit.T, atol=1e-9):
+            raise ModelError(
+                "noisy system: the covariance [Q S; S' R] is not symmetric; give Q and R as "
+                "0.5 * (Q + Q.T)"
+            )
+        smallest = float(np.linalg.eigvalsh(unit)[0]) if len(unit) else 0.0
+        if smallest < -1e-9 or float(np.min(np.diag(joint), initial=0.0)) < 0.0:
+            raise ModelError(
+                f"noisy system: the covariance [Q S; S' R] is not positive semidefinite (smallest "
+                f"eigenvalue {smallest:.2g} after scaling); build it as G G' from the noise gains"
+            )
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.C)
+
+    def state_name(self, i: int) -> str:
+        """The name of a state, or its number."""
+        return str(self.states[i]) if self.states else f"x{i + 1}"
+
+    def output_name(self, i: int) -> str:
+        """The name of an output, or its number."""
+        return str(self.outputs[i]) if self.outputs else f"y{i + 1}"
+
+
+# -- sampling -----------------------------------------------------------------------------------
+
+
+def sample_system(
+    A: Array, B: Array, C: Array, D: Array, Ts: float, hold: Sequence[str]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Exact sampling of dx/dt = A x + B u, y = C x + D u: (Ad, Bd, C, Dd, shift).
+
+    Inputs are held (``"zoh"``) or joined by straight lines (``"foh"``). For ``foh`` the state of
+    the sampled system is x - shift u, which keeps form (1): x[t+1] = Ad x + B0 u[t] + B1 u[t+1].
+    Complex matrices are allowed (complex-step derivatives).
+    """
+    n, nu = B.shape
+    kind = np.result_type(A, B, C, D, float)
+    block = np.zeros((n + 2 * nu, n + 2 * nu), dtype=kind)
+    block[:n, :n], block[:n, n : n + nu] = A * Ts, B * Ts
+    block[n : n + nu, n + nu :] = np.eye(nu)
+    power = linalg.expm(block)
+    Ad, held, ramp = power[:n, :n], power[:n, n : n + nu], power[:n, n + nu :]
+    straight = np.array([h == "foh" for h in hold], dtype=float)
+    shift = ramp * straight  # what u[t+1] does to x[t+1]
+    return Ad, Ad @ shift + held - shift, C, D + C @ shift, shift
+
+
+def sample_noise(A: Array, W: Array, Ts: float) -> Array:
+    """Covariance over one sample of dx/dt = A x + white noise of intensity W: (nx, nx).
+
+    Q = int_0^Ts e^(A s) W e^(A' s) ds, by one matrix exponential (C. F. van Loan, IEEE Trans.
+    Autom. Control 23 (1978) 395-404). Complex matrices are allowed (complex-step derivatives).
+    """
+    n = len(A)
+    block = np.zeros((2 * n, 2 * n), dtype=np.result_type(A, W, float))
+    block[:n, :n], block[:n, n:], block[n:, n:] = -A * Ts, W * Ts, A.T * Ts
+    power = linalg.expm(block)
+    Q = power[n:, n:].T @ power[:n, n:]
+    return np.asarray((Q + Q.T) / 2)
