@@ -1,0 +1,185 @@
+"""Noise models D v = C e of a measured disturbance: autoregressive moving average.
+
+`arma` fits one to a residual, as refined instrumental variables ask for in every round (thesis
+(2.51)); `Arma.whiten` is their prefilter L = D/C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from casid.errors import ModelError, SolveError
+from casid.nlp import Solver
+from casid.polynomial import prediction_error
+from casid.polynomial_model import PolynomialModel
+from casid.polynomial_orders import Orders, is_stable, largest_root
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arma:
+    """v = (ma/ar) e, e white with `variance`; both monic, ascending powers of q^-1.
+
+    Attributes
+    ----------
+    ar : (na + 1,), ma : (nc + 1,).
+    variance : of e, unit of v squared.
+    covariance : (na + nc, na + nc) of [ar[1:], ma[1:]].
+    fit : the estimate with everything else; None where nothing was estimated.
+    """
+
+    ar: Array
+    ma: Array
+    variance: float
+    covariance: Array
+    fit: PolynomialModel | None = None
+
+    @property
+    def theta(self) -> Array:
+        """[ar[1:], ma[1:]], the eta of thesis (2.51)."""
+        return np.concatenate([self.ar[1:], self.ma[1:]])
+
+    @property
+    def std_errors(self) -> Array:
+        """Standard errors of `theta`."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def is_invertible(self) -> bool:
+        """Whether `whiten` is stable: roots of ma inside the unit circle."""
+        return is_stable(self.ma)
+
+    @property
+    def is_stationary(self) -> bool:
+        """Whether v has a finite variance: roots of ar inside the unit circle."""
+        return is_stable(self.ar)
+
+    @property
+    def is_converged(self) -> bool:
+        """Whether the estimate is an optimum."""
+        return self.fit is None or self.fit.is_converged
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Reflected roots, near cancellations."""
+        return () if self.fit is None else self.fit.notes
+
+    @property
+    def memory(self) -> int:
+        """Samples until the start-up transient of `whiten` has fallen to 1 %."""
+        radius = largest_root(self.ma)
+        tail = np.log(0.01) / np.log(min(radius, 0.99999)) if radius > 1e-6 else 0
+        return len(self.ar) - 1 + int(np.ceil(tail))
+
+    def whiten(self, x: ArrayLike) -> Array:
+        """L x = (ar/ma) x along the first axis, (N,) or (N, m), from rest."""
+        from scipy.signal import lfilter
+
+        self._refuse_noninvertible()
+        return np.asarray(lfilter(self.ar, self.ma, np.asarray(x, dtype=np.float64), axis=0))
+
+    def colour(self, e: ArrayLike) -> Array:
+        """(ma/ar) e along the first axis, from rest: the inverse of `whiten`."""
+        from scipy.signal import lfilter
+
+        return np.asarray(lfilter(self.ma, self.ar, np.asarray(e, dtype=np.float64), axis=0))
+
+    def spectrum(self, omega: ArrayLike, Ts: float = 1.0) -> Array:
+        """variance |ma/ar|^2 at omega [rad/s]; its mean over 0 .. pi/Ts is the variance of v."""
+        z = np.exp(-1j * np.asarray(omega, dtype=np.float64) * Ts)
+        polyval = np.polynomial.polynomial.polyval
+        return np.asarray(self.variance * np.abs(polyval(z, self.ma) / polyval(z, self.ar)) ** 2)
+
+    def _refuse_noninvertible(self) -> None:
+        if not self.is_invertible:
+            raise ModelError(
+                f"ma has a root of modulus {largest_root(self.ma):.6g}, so L = ar/ma is unstable; "
+                "reflect it inside the unit circle (same spectrum), or lower nc"
+            )
+
+    def __repr__(self) -> str:
+        return f"<Arma({len(self.ar) - 1}, {len(self.ma) - 1}): variance {self.variance:.4g}>"
+
+
+def arma(
+    residual: ArrayLike | Sequence[ArrayLike],
+    na: int,
+    nc: int,
+    *,
+    start: Arma | None = None,
+    discard: int | None = None,
+    solver: Solver | None = None,
+    throw: bool = True,
+) -> Arma:
+    """Fit ar v = ma e to a residual by prediction error.
+
+    Parameters
+    ----------
+    residual : (N,) array of zero mean, or a list of them (records, gaps).
+    na, nc : free coefficients of ar and ma; both 0 gives the variance alone.
+    start : a previous estimate with the same orders, as inside an iteration.
+    discard, solver, throw : as `casid.polynomial.prediction_error`.
+
+    Raises
+    ------
+    DataError, ModelError, SolveError
+        As `casid.polynomial.prediction_error`.
+    """
+    if na == 0 and nc == 0:
+        parts = residual if isinstance(residual, list | tuple) else [residual]
+        both = np.concatenate([np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parts])
+        one = np.ones(1)
+        return Arma(one, one.copy(), float(np.mean(both**2)), np.zeros((0, 0)))
+    model = prediction_error(
+        residual,
+        None,
+        Orders(na=na, nc=nc),
+        start=None if start is None else start.fit,
+        discard=discard,
+        solver=solver,
+        throw=throw,
+    )
+    return Arma(model.A, model.C, model.noise_variance, model.covariance, model)
+
+
+def arma_order(
+    residual: ArrayLike | Sequence[ArrayLike], *, largest_na: int = 4, largest_nc: int = 4
+) -> Arma:
+    """The ARMA model of the smallest BIC up to the orders given.
+
+    Every candidate is fitted to the same residuals: what the longest of them needs is discarded.
+    Candidates that do not converge are left out.
+
+    Raises
+    ------
+    DataError, ModelError
+        As `casid.polynomial.prediction_error`.
+    """
+    several = isinstance(residual, list | tuple) and np.ndim(residual[0]) > 0
+    parts: list[Any] = (
+        list(residual) if isinstance(residual, list | tuple) and several else [residual]
+    )
+    arrays = [np.asarray(p, dtype=np.float64) for p in parts]
+    full = arma(residual, largest_na, largest_nc, throw=False)
+    discard = max(full.fit.discarded) if full.fit is not None else 0
+    count = sum(len(a) - discard for a in arrays)
+    power = float(sum(np.sum(a[discard:] ** 2) for a in arrays))
+    white = arma(residual, 0, 0)
+    best, least = white, count * (np.log(2 * np.pi * power / count) + 1) + np.log(count)
+    for na in range(largest_na + 1):
+        for nc in range(largest_nc + 1):
+            if na == nc == 0:
+                continue
+            try:
+                candidate = arma(residual, na, nc, discard=discard)
+            except SolveError:
+                continue
+            if candidate.fit is not None and candidate.fit.bic < least:
+                best, least = candidate, candidate.fit.bic
+    return best

@@ -1,0 +1,326 @@
+"""The linear polynomial model A y = sum_i (B_i/F_i) u_i + (C/D) e, estimated.
+
+Coefficients are in ascending powers of q^-1, index = lag: A = [1, a1, .., a_na], and B_i carries
+its delay as leading zeros. Thesis (2.13) with an F_i for every input (Ljung 1999, (4.33)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from casid.errors import DataError, ModelError, SolveError
+from casid.polynomial_orders import is_stable, largest_root
+
+Array = NDArray[Any]
+
+
+def one_record(y: ArrayLike, u: Any, inputs: Sequence[str] | None = None) -> tuple[Array, Any]:
+    """y (N,) and u as a dict of (N,) arrays, float64, checked.
+
+    Raises
+    ------
+    DataError
+        If a shape does not fit, a sample is not finite, or inputs differ from `inputs`.
+    """
+    out = np.asarray(y, dtype=np.float64)
+    if out.ndim != 1:
+        raise DataError(
+            f"y has shape {out.shape}; give one output as (N,), y[:, 0], and records as a list"
+        )
+    channels: dict[str, Array] = {}
+    if isinstance(u, Mapping):
+        channels = {str(k): np.asarray(v, dtype=np.float64) for k, v in u.items()}
+    elif u is not None:
+        array = np.asarray(u, dtype=np.float64)
+        if array.ndim == 1:
+            channels = {inputs[0] if inputs and len(inputs) == 1 else "u": array}
+        elif array.ndim == 2:
+            names = inputs or [f"u{i + 1}" for i in range(array.shape[1])]
+            if array.shape[0] != len(out) or len(names) != array.shape[1]:
+                raise DataError(
+                    f"u has shape {array.shape} beside {len(out)} samples of y; give (N, number of "
+                    "inputs) or a mapping from input to (N,)"
+                )
+            channels = dict(zip(names, array.T, strict=True))
+        else:
+            raise DataError(f"u has shape {array.shape}; give (N,), (N, nu) or a mapping")
+    if inputs is not None and set(channels) != set(inputs):
+        raise DataError(
+            f"inputs are {', '.join(channels) or 'none'}, the model has "
+            f"{', '.join(inputs) or 'none'}; give every input of the model by its name"
+        )
+    for name, values in [("y", out), *channels.items()]:
+        if values.shape != out.shape:
+            raise DataError(
+                f"{name} has shape {values.shape}, y has {out.shape}; cut both to the same samples"
+            )
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise DataError(
+                f"{name} holds {bad.size} samples that are not finite, the first at k = {bad[0]}; "
+                "cut the record there and give the parts as a list of records"
+            )
+    return out, channels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolynomialModel:
+    """An estimate of A y = sum_i (B_i/F_i) u_i + (C/D) e, e white with variance `noise_variance`.
+
+    Attributes
+    ----------
+    A, C, D : (order + 1,) monic, ascending powers of q^-1.
+    B : input -> (nk + nb,), the first nk zero; output unit per input unit.
+    F : input -> (nf + 1,) monic.
+    covariance : (n, n) of `theta`, thesis (2.54)-(2.56), under what `assumes` says.
+    noise_variance : sum eps^2 / (N - n), output unit squared.
+    loss : V_N of thesis (2.36), sum eps^2 / (2 N).
+    fit : NRMSE fit of the one-step prediction [%], 100 (1 - |eps| / |y - mean y|).
+    N : residuals that count, over all records.
+    residuals : (N_r,) for each record, from the first sample on.
+    discarded : for each record, how many first residuals do not count.
+    notes : reflected roots, near cancellations, what else spoils a number.
+    """
+
+    structure: str
+    A: Array
+    B: Mapping[str, Array]
+    C: Array
+    D: Array
+    F: Mapping[str, Array]
+    nk: Mapping[str, int]
+    names: tuple[str, ...]
+    theta: Array
+    covariance: Array
+    assumes: str
+    noise_variance: float
+    loss: float
+    fit: float
+    N: int
+    Ts: float
+    status: str
+    is_converged: bool
+    iterations: int
+    scaled_gradient: float
+    start: str
+    residuals: tuple[Array, ...]
+    discarded: tuple[int, ...]
+    notes: tuple[str, ...] = ()
+
+    # -- numbers -----------------------------------------------------------------------------
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return tuple(self.B)
+
+    @property
+    def n(self) -> int:
+        """Number of free coefficients."""
+        return len(self.theta)
+
+    @property
+    def std_errors(self) -> dict[str, float]:
+        """Standard error of each free coefficient by name."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Each free coefficient by name."""
+        return dict(zip(self.names, self.theta.tolist(), strict=True))
+
+    def __getitem__(self, name: str) -> float:
+        """A free coefficient by name, as ``model["b1[u]"]``."""
+        if name not in self.names:
+            raise KeyError(f"no coefficient {name!r}; there are {', '.join(self.names)}")
+        return float(self.theta[self.names.index(name)])
+
+    @property
+    def residual(self) -> Array:
+        """The N residuals that count, records one after the other."""
+        parts = [r[d:] for r, d in zip(self.residuals, self.discarded, strict=True)]
+        return np.concatenate(parts)
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion of the Gaussian likelihood; the variance counts as a parameter."""
+        return self._minus_two_log_likelihood + 2 * (self.n + 1)
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion, counted as `aic`."""
+        return self._minus_two_log_likelihood + float(np.log(self.N)) * (self.n + 1)
+
+    @property
+    def _minus_two_log_likelihood(self) -> float:
+        return self.N * (float(np.log(2 * np.pi * max(2 * self.loss, 1e-300))) + 1)
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the simulation is stable: roots of A and F inside the unit circle."""
+        return all(is_stable(p) for p in (self.A, *self.F.values()))
+
+    @property
+    def is_predictor_stable(self) -> bool:
+        """Whether the one-step predictor is stable: roots of C and F inside the unit circle."""
+        return all(is_stable(p) for p in (self.C, *self.F.values()))
+
+    # -- signals -----------------------------------------------------------------------------
+
+    def prediction_errors(self, y: ArrayLike, u: Any = None) -> Array:
+        """eps = (D/C) (A y - sum_i (B_i/F_i) u_i), (N,), from zero filter states."""
+        from scipy.signal import lfilter
+
+        out, channels = one_record(y, u, self.inputs)
+        v = lfilter(self.A, [1.0], out)
+        for name, signal in channels.items():
+            v = v - lfilter(self.B[name], self.F[name], signal)
+        return np.asarray(lfilter(self.D, self.C, v))
+
+    def predict(self, y: ArrayLike, u: Any = None) -> Array:
+        """One-step prediction (2.19), (N,): y_t from y and u up to t - 1 (u_t where nk = 0).
+
+        Filter states are zero at the first sample, so the beginning holds a transient.
+        """
+        return np.asarray(np.asarray(y, dtype=np.float64) - self.prediction_errors(y, u))
+
+    def simulate(self, u: Any) -> Array:
+        """Noise-free response sum_i B_i/(A F_i) u_i, (N,), from rest.
+
+        Raises
+        ------
+        SolveError
+            If A or an F_i is unstable.
+        """
+        from scipy.signal import lfilter
+
+        if not self.inputs:
+            raise ModelError(f"a model of structure {self.structure} has no input to simulate from")
+        if isinstance(u, Mapping):
+            n = len(np.asarray(next(iter(u.values()), np.zeros(0))))
+        else:
+            n = len(np.asarray(u))
+        _, channels = one_record(np.zeros(n), u, self.inputs)
+        if not self.is_stable:
+            raise SolveError(
+                f"the simulation diverges: A or F has a root of modulus "
+                f"{max(largest_root(p) for p in (self.A, *self.F.values())):.4g}; use predict, or "
+                "simulate the closed loop from its external signal"
+            )
+        total = np.zeros(n)
+        for name, signal in channels.items():
+            total += lfilter(self.B[name], np.convolve(self.A, self.F[name]), signal)
+        return total
+
+    # -- frequency ---------------------------------------------------------------------------
+
+    def response(self, omega: ArrayLike) -> dict[str, Array]:
+        """Frequency responses G_i = B_i/(A F_i) at omega [rad/s], complex."""
+        z = np.exp(-1j * np.asarray(omega, dtype=np.float64) * self.Ts)
+        a = _at(self.A, z)
+        return {i: np.asarray(_at(self.B[i], z) / (a * _at(self.F[i], z))) for i in self.inputs}
+
+    def spectrum(self, omega: ArrayLike) -> Array:
+        """Spectrum of the disturbance C/(A D) e at omega [rad/s], output unit squared.
+
+        lambda |C/(A D)|^2: its mean over 0 .. pi/Ts is the disturbance's variance; times Ts/pi it
+        is a density per rad/s.
+        """
+        z = np.exp(-1j * np.asarray(omega, dtype=np.float64) * self.Ts)
+        h = _at(self.C, z) / (_at(self.A, z) * _at(self.D, z))
+        return np.asarray(self.noise_variance * np.abs(h) ** 2)
+
+    def to_control(self, *, noise: bool = False) -> Any:
+        """The model as a `control.TransferFunction` in z with sample time Ts.
+
+        Inputs are the model's in order; with `noise` the innovation e is the last one.
+        """
+        import control
+
+        pairs = [(self.B[i], np.convolve(self.A, self.F[i])) for i in self.inputs]
+        if noise:
+            pairs.append((self.C, np.convolve(self.A, self.D)))
+        if not pairs:
+            raise ModelError("no input: ask for to_control(noise=True), the noise model")
+        num, den = [], []
+        for b, a in pairs:
+            length = max(len(a), len(b))
+            num.append(np.concatenate([b, np.zeros(length - len(b))]))
+            den.append(np.concatenate([a, np.zeros(length - len(a))]))
+        names = [*self.inputs, *(["e"] if noise else [])]
+        return control.TransferFunction([num], [den], self.Ts, inputs=names, outputs=["y"])
+
+    # -- text --------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        word = "" if self.is_converged else ", NOT converged"
+        return (
+            f"<PolynomialModel {self.structure}: {self.n} coefficients, N = {self.N}, "
+            f"fit {self.fit:.1f} %{word}>"
+        )
+
+    def __str__(self) -> str:
+        errors = self.std_errors
+        left = "y(t)" if len(self.A) == 1 else "A(q) y(t)"
+        right = []
+        lines = []
+        if len(self.A) > 1:
+            lines.append(("A(q)", _text(self.A, "a", "", errors)))
+        for i in self.inputs:
+            mark = f"[{i}]" if len(self.inputs) > 1 else ""
+            over = len(self.F[i]) > 1
+            right.append(f"{'[' if over else ''}B{mark}(q){f'/F{mark}(q)]' if over else ''} {i}(t)")
+            lines.append((f"B{mark}(q)", _text(self.B[i], "b", f"[{i}]", errors)))
+        c, d = len(self.C) > 1, len(self.D) > 1
+        noise = f"{'[' if d else ''}{'C(q)' if c else '1' if d else ''}{'/D(q)]' if d else ''}"
+        right.append(f"{noise} e(t)".strip())
+        for name, p in (("C", self.C), ("D", self.D)):
+            if len(p) > 1:
+                lines.append((f"{name}(q)", _text(p, name.lower(), "", errors)))
+        for i in self.inputs:
+            if len(self.F[i]) > 1:
+                mark = f"[{i}]" if len(self.inputs) > 1 else ""
+                lines.append((f"F{mark}(q)", _text(self.F[i], "f", f"[{i}]", errors)))
+        width = max((len(label) for label, _ in lines), default=0)
+        head = f"{self.structure} model: {left} = {' + '.join(right)}, Ts = {self.Ts:g} s"
+        body = [f"  {label:<{width}} = {text}" for label, text in lines]
+        body.append("  (+/- one standard error; a delay shows as the first power of q^-1)")
+        first = ", ".join(str(d) for d in self.discarded[:5])
+        first += ", .." if len(self.discarded) > 5 else ""
+        body += [
+            f"  status          {self.status}, {self.iterations} iterations, scaled gradient "
+            f"{self.scaled_gradient:.0e}",
+            f"  start           {self.start}",
+            f"  residuals       N = {self.N}, {len(self.residuals)} record(s), first samples that "
+            f"do not count: {first}",
+            f"  noise variance  {self.noise_variance:.6g}   loss {self.loss:.6g}",
+            f"  fit             {self.fit:.2f} % (one step ahead)",
+            f"  AIC {self.aic:.6g}   BIC {self.bic:.6g}",
+            f"  errors assume   {self.assumes}",
+        ]
+        body += [f"  NOTE            {note}" for note in self.notes]
+        return "\n".join([head, *body])
+
+
+def _at(polynomial: Array, z: Array) -> Array:
+    """A polynomial in ascending powers at z = exp(-i omega Ts)."""
+    return np.asarray(np.polynomial.polynomial.polyval(z, polynomial))
+
+
+def _text(polynomial: Array, letter: str, mark: str, errors: Mapping[str, float]) -> str:
+    """1 - 1.5 (+/- 0.01) q^-1 + ..., monic or with leading zeros left out."""
+    parts: list[str] = []
+    for lag, value in enumerate(polynomial.tolist()):
+        error = errors.get(f"{letter}{lag}{mark}")
+        if error is None and value == 0.0:
+            continue
+        sign = "-" if value < 0 else "+" if parts else ""
+        size = f"{abs(value):.5g}" + (f" (+/- {error:.2g})" if error is not None else "")
+        power = f" q^-{lag}" if lag else ""
+        parts.append(f"{sign}{' ' if parts else ''}{size}{power}")
+    return " ".join(parts)
