@@ -4,6 +4,9 @@ Every estimator of casid states its problem here and hands it to a solver, which
 ``Solver("ipopt")`` by default, any other CasADi ``nlpsol`` plug-in by name. An objective is either
 a CasADi expression (exact derivatives) or a `Criterion`, a Python object whose value, gradient and
 Gauss-Newton matrix come from one pass over the data.
+
+An expression may depend on parameters, numbers that are given when it is solved: the moments of a
+record, say. ``Nlp.compile`` builds such a program once, to be solved for many records.
 """
 
 from __future__ import annotations
@@ -11,13 +14,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casid.errors import SolveError
+
+if TYPE_CHECKING:
+    from casid.compiled import Compiled
 
 Array = NDArray[Any]
 
@@ -76,6 +82,18 @@ _QUIET: dict[str, dict[str, Any]] = {
     },
 }
 
+# What each plug-in calls the number of iterations; the others keep their own default.
+_MAX_ITERATIONS = {
+    "ipopt": "ipopt.max_iter",
+    "sqpmethod": "max_iter",
+    "feasiblesqpmethod": "max_iter",
+    "qrsqp": "max_iter",
+    "scpgen": "max_iter",
+    "blocksqp": "max_iter",
+    "fatrop": "fatrop.max_iter",
+    "uno": "uno.max_iterations",
+}
+
 _MENDS = {
     "Infeasible_Problem_Detected": "the constraints contradict each other near the start: "
     "drop one, or start from values that satisfy them",
@@ -107,7 +125,7 @@ class Solver:
         """Options as `casadi.nlpsol` takes them."""
         # NaN on the way is the line search's business; one at the start is refused before.
         merged = dict(_QUIET.get(self.name, {"print_time": False})) | {"show_eval_warnings": False}
-        key = {"ipopt": "ipopt.max_iter", "sqpmethod": "max_iter"}.get(self.name)
+        key = _MAX_ITERATIONS.get(self.name)
         if key is not None:
             merged[key] = self.max_iterations
         merged.update(self.options)
@@ -136,6 +154,7 @@ class Solution:
     hessian: Array  # (n, n) of the criterion at x
     constraint_jacobian: Array  # (m, n)
     solver: str
+    evaluations: int = 0  # of the objective, 0 where the solver does not count them
 
     @property
     def is_converged(self) -> bool:
@@ -258,7 +277,8 @@ class Nlp:
         self._lower: list[float] = []
         self._upper: list[float] = []
         self._scale: list[float] = []
-        self._constraints: list[tuple[str, Any, float, float]] = []
+        self._parameters: dict[str, Any] = {}
+        self._constraints: list[tuple[str, Any, float, float]] = []  # one scalar each
         self._objective: Any = None
 
     def variable(
@@ -279,7 +299,7 @@ class Nlp:
         SolveError
             If the bounds cross, or the start lies outside them.
         """
-        if name in self._names:
+        if name in self._names or name in self._parameters:
             raise SolveError(f"{self.name}: variable {name!r} declared twice; give it another name")
         if lower > upper:
             raise SolveError(
@@ -306,33 +326,188 @@ class Nlp:
         """Names of the variables in order."""
         return tuple(self._names)
 
+    def parameter(self, name: str, rows: int = 1, columns: int = 1) -> Any:
+        """Declare numbers that are given when the program is solved; returns their CasADi symbol.
+
+        Returns
+        -------
+        (rows, columns) CasADi MX, physical units, to be used in the objective, in constraints and
+        in the limits of constraints.
+
+        Raises
+        ------
+        SolveError
+            If the name is taken.
+        """
+        if name in self._names or name in self._parameters:
+            raise SolveError(
+                f"{self.name}: parameter {name!r} declared twice; give it another name"
+            )
+        if rows < 1 or columns < 1:
+            raise SolveError(
+                f"{self.name}: parameter {name} has {rows} rows and {columns} columns; "
+                "give at least one of each"
+            )
+        self._parameters[name] = ca.MX.sym(name, rows, columns)
+        return self._parameters[name]
+
+    @property
+    def parameters(self) -> Mapping[str, tuple[int, int]]:
+        """Rows and columns of each declared parameter."""
+        return {name: symbol.shape for name, symbol in self._parameters.items()}
+
     def minimize(self, objective: Any) -> None:
         """Set the objective: a scalar CasADi expression of the variables, or a `Criterion`."""
         self._objective = objective
 
-    def equality(self, expression: Any, value: float = 0.0, name: str = "") -> None:
-        """Require `expression == value`."""
+    def equality(self, expression: Any, value: Any = 0.0, name: str = "") -> None:
+        """Require `expression == value`; a column (m, 1) states m constraints."""
         self.between(expression, value, value, name)
 
-    def between(self, expression: Any, lower: float, upper: float, name: str = "") -> None:
-        """Require `lower <= expression <= upper`."""
-        if lower > upper:
+    def between(self, expression: Any, lower: Any, upper: Any, name: str = "") -> None:
+        """Require `lower <= expression <= upper`.
+
+        `expression` is a scalar or a column (m, 1). The limits are numbers, or CasADi expressions
+        of the parameters, scalar or (m, 1); such a limit is taken to the left-hand side.
+
+        Raises
+        ------
+        SolveError
+            If numeric limits cross, or the shapes do not agree.
+        """
+        expression = ca.MX(expression)
+        rows = expression.shape[0]
+        name = name or f"constraint {len(self._constraints) + 1}"
+        limits: list[Any] = [v if isinstance(v, ca.MX) else ca.DM(v) for v in (lower, upper)]
+        for limit in limits:
+            if expression.shape[1] != 1 or limit.shape not in ((1, 1), (rows, 1)):
+                raise SolveError(
+                    f"{self.name}: constraint {name} compares shapes {expression.shape} and "
+                    f"{limit.shape}; give columns of one length (ca.vec makes a matrix one)"
+                )
+        low, high = (  # a row of numbers, or an expression
+            limit if isinstance(limit, ca.MX) else np.broadcast_to(np.array(limit).ravel(), rows)
+            for limit in limits
+        )
+        names = [name] if rows == 1 else [f"{name}[{i}]" for i in range(rows)]
+
+        def require(left: Any, floor: Any, ceiling: Any) -> None:
+            floor, ceiling = np.broadcast_to(floor, rows), np.broadcast_to(ceiling, rows)
+            for i, label in enumerate(names):
+                self._constraints.append((label, left[i], float(floor[i]), float(ceiling[i])))
+
+        if isinstance(low, ca.MX) and (lower is upper or ca.is_equal(low, limits[1], 1)):
+            require(expression - low, 0.0, 0.0)
+        elif isinstance(low, ca.MX) or isinstance(high, ca.MX):
+            for limit, sign in ((low, 1.0), (high, -1.0)):  # sign * (expression - limit) >= 0
+                if isinstance(limit, ca.MX):
+                    require(sign * (expression - limit), 0.0, np.inf)
+                elif np.any(np.isfinite(limit)):
+                    ends = (limit, np.inf) if sign > 0 else (-np.inf, limit)
+                    require(expression, *ends)
+        else:
+            for i, label in enumerate(names):
+                if not low[i] <= high[i]:
+                    raise SolveError(
+                        f"{self.name}: constraint {label} has lower {low[i]:g} above upper "
+                        f"{high[i]:g}; exchange them"
+                    )
+            require(expression, low, high)
+
+    def compile(self, solver: Solver | None = None) -> Compiled:
+        """Build solver and derivatives once, to solve for many values of the parameters.
+
+        Example
+        -------
+        >>> nlp = Nlp("mean")
+        >>> a, data = nlp.variable("a", 0.0), nlp.parameter("data", 3)
+        >>> nlp.minimize(ca.sumsqr(data - a))
+        >>> mean = nlp.compile()
+        >>> [round(mean.solve({"data": d})["a"], 6) for d in ([1, 2, 3], [4, 4, 7])]
+        [2.0, 5.0]
+
+        Raises
+        ------
+        SolveError
+            If the objective is missing or a `Criterion` (its data are its own, not parameters),
+            if an undeclared symbol is used, or the solver cannot be set up.
+        """
+        from casid.compiled import Compiled
+
+        if self._objective is None:
+            raise SolveError(f"{self.name}: no objective; call minimize first")
+        if not isinstance(self._objective, ca.MX):
             raise SolveError(
-                f"{self.name}: constraint {name or expression} has lower {lower:g} above upper "
-                f"{upper:g}; exchange them"
+                f"{self.name}: a {type(self._objective).__name__} cannot be compiled, since it "
+                "carries its own data; state the objective as a CasADi expression of variables and "
+                "parameters, or call solve"
             )
-        name = name or str(expression)
-        self._constraints.append((name, expression, float(lower), float(upper)))
+        own = ca.vertcat(*[c[1] for c in self._constraints]) if self._constraints else ca.MX(0, 1)
+        arguments: list[Any] = [*self._symbols, *self._parameters.values()]
+        try:
+            results: list[Any] = [self._objective, own]
+            inner = ca.Function("inner", arguments, results)
+        except RuntimeError as error:
+            free = ", ".join(
+                str(s)
+                for s in ca.symvar(ca.veccat(self._objective, own))
+                if not any(ca.is_equal(s, a) for a in arguments)
+            )
+            raise SolveError(
+                f"{self.name}: objective or constraints use {free or 'undeclared symbols'}; "
+                "declare them with variable or parameter"
+            ) from error
+        symbols = list(self._parameters.values())
+        ends = np.cumsum([0] + [symbol.numel() for symbol in symbols]).tolist()
+        xs, ps = ca.MX.sym("x", len(self._symbols)), ca.MX.sym("p", ends[-1])
+        given = [
+            ca.reshape(ps[first:last], *symbol.shape)
+            for symbol, first, last in zip(symbols, ends, ends[1:], strict=False)
+        ]
+        stated: list[Any] = list(inner(*ca.vertsplit(xs), *given))
+        function = ca.Function("program", [xs, ps], stated)
+        return Compiled(
+            name=self.name,
+            names=self.names,
+            parameters=self.parameters,
+            function=function,
+            start=tuple(self._start),
+            lower=tuple(self._lower),
+            upper=tuple(self._upper),
+            scale=tuple(self._scale),
+            constraints=tuple(c[0] for c in self._constraints),
+            limits=tuple((c[2], c[3]) for c in self._constraints),
+            solver=solver or Solver(),
+        )
+
+    def _given(self, parameters: Mapping[str, Any] | None) -> tuple[Any, list[Any]]:
+        """Objective and constraints with the parameters' values put in."""
+        expressions = [c[1] for c in self._constraints]
+        if not self._parameters and not parameters:
+            return self._objective, expressions
+        flat = np.empty(sum(symbol.numel() for symbol in self._parameters.values()))
+        windows = views(self.parameters, flat)
+        fill(self.name, windows, parameters or {}, flat)
+        symbols = list(self._parameters.values())
+        values: list[Any] = [ca.MX(ca.DM(window)) for window in windows.values()]
+        is_expression = isinstance(self._objective, ca.MX)
+        put = ca.substitute(
+            [*expressions, *([self._objective] if is_expression else [])], symbols, values
+        )
+        return (put[-1] if is_expression else self._objective), put[: len(expressions)]
 
     def solve(
         self,
         solver: Solver | None = None,
         start: Sequence[float] | None = None,
         *,
+        parameters: Mapping[str, Any] | None = None,
         throw: bool = True,
         natural_scales: bool = False,
     ) -> Solution:
-        """Solve from `start` (n,) or the declared starts.
+        """Solve from `start` (n,) or the declared starts, with values for declared parameters.
+
+        To solve for many values, `compile` first.
 
         `natural_scales` takes the criterion's own curvature at the start as the size of its
         variables, and stops at its rounding error: right where the start is of the right order,
@@ -342,26 +517,23 @@ class Nlp:
         ------
         SolveError
             If no optimum was reached (the solver's reason and a mend); `throw=False` returns the
-            unconverged `Solution` instead. A failing evaluation at the start always raises.
+            unconverged `Solution` instead. A start outside the bounds (by more than rounding), a
+            parameter without a value and a failing evaluation at the start always raise.
         """
         solver = solver or Solver()
         scale = np.array(self._scale)
         lower, upper = np.array(self._lower), np.array(self._upper)
         x0: Array = np.array(self._start if start is None else start, dtype=float).ravel()
-        if len(x0) != len(scale):
-            raise SolveError(
-                f"{self.name}: start has {len(x0)} values for {len(scale)} variables; give one for "
-                f"each of {', '.join(self._names)}"
-            )
-        x0 = np.clip(x0, lower, upper)
+        x0 = inside(self.name, self.names, x0, lower, upper, scale)
         n = len(scale)
         if self._objective is None:
             raise SolveError(f"{self.name}: no objective; call minimize first")
+        objective, expressions = self._given(parameters)
 
         x = ca.vertcat(*self._symbols)
         z = ca.MX.sym("z", n)
         physical = ca.DM(scale) * z
-        own = ca.vertcat(*[c[1] for c in self._constraints]) if self._constraints else ca.MX(0, 1)
+        own = ca.vertcat(*expressions) if expressions else ca.MX(0, 1)
         g_user = ca.Function("g", [x], [own])
         m_user = len(self._constraints)
         lbg = [c[2] for c in self._constraints]
@@ -369,11 +541,11 @@ class Nlp:
         options = solver.nlpsol_options()
         keep: list[Any] = []  # callbacks must outlive the solver
 
-        if isinstance(self._objective, ca.MX):
-            f = ca.Function("f", [x], [self._objective])
+        if isinstance(objective, ca.MX):
+            f = ca.Function("f", [x], [objective])
             problem = {"x": z, "f": f(physical), "g": g_user(physical)}
-            hess, grad = ca.hessian(self._objective, x)
-            derivatives = ca.Function("df", [x], [self._objective, grad, ca.densify(hess)])
+            hess, grad = ca.hessian(objective, x)
+            derivatives = ca.Function("df", [x], [objective, grad, ca.densify(hess)])
 
             def evaluate(point: Array) -> Evaluation:
                 v, gr, h = derivatives(point)
@@ -399,41 +571,19 @@ class Nlp:
 
         first = evaluate(x0)
         if not (np.isfinite(first.value) and np.all(np.isfinite(first.gradient))):
-            raise SolveError(
-                f"{self.name}: the criterion is not finite at the start "
-                f"({', '.join(f'{k} = {v:g}' for k, v in zip(self._names, x0, strict=True))}); "
-                "change the start values or tighten the bounds"
-            )
-        if not _is_installed(solver.name):
-            raise SolveError(
-                f"{self.name}: solver {solver.name!r} is no CasADi plug-in that loads here; use "
-                "Solver('ipopt') or Solver('sqpmethod')"
-            )
-        try:
-            nlpsol = ca.nlpsol("nlp", solver.name, problem, options)
-        except RuntimeError as error:
-            raise SolveError(
-                f"{self.name}: solver {solver.name!r} cannot be set up: "
-                f"{str(error).strip().splitlines()[-1]}; check Solver(options=...)"
-            ) from error
+            raise not_finite(self.name, self.names, x0)
+        nlpsol = set_up(self.name, solver, problem, options)
         try:
             result = nlpsol(x0=x0 / scale, lbx=lower / scale, ubx=upper / scale, lbg=lbg, ubg=ubg)
         except RuntimeError as error:
-            raise SolveError(
-                f"{self.name}: {solver.name} stopped: {str(error).strip().splitlines()[-1]}; "
-                "change the start values or tighten the bounds"
-            ) from error
+            raise gave_up(self.name, solver.name, error) from error
         try:
             stats = nlpsol.stats()
         except RuntimeError:  # sqpmethod has no words for a QP that failed
             stats = {"return_status": "Subproblem_Failed", "iter_count": 0}
         solution = self._judge(solver, evaluate, g_user, result, stats, scale, lbg, ubg)
         if throw and not solution.is_converged:
-            raise SolveError(
-                f"{self.name}: {solver.name} stopped with {solution.status} after "
-                f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e},"
-                f" constraint violation {solution.constraint_violation:.1e}): {solution.mend}"
-            )
+            raise not_converged(self.name, solution)
         return solution
 
     def _with_criterion(
@@ -503,31 +653,179 @@ class Nlp:
         lower, upper = np.array(self._lower), np.array(self._upper)
         x = np.clip(np.array(result["x"]).ravel() * scale, lower, upper)
         at = evaluate(x)
-        span = 1e-6 * scale
-        at_lower, at_upper = x <= lower + span, x >= upper - span
         symbol = ca.MX.sym("x", len(x))
         jac = np.array(ca.Function("j", [symbol], [ca.jacobian(g_user(symbol), symbol)])(x))
-        jacobian = np.vstack([at.jacobian.reshape(-1, len(x)), jac.reshape(-1, len(x))])
-        g = np.concatenate([at.constraints, np.array(g_user(x)).ravel()])
-        low, high = np.array(lbg), np.array(ubg)
-        violation = float(np.max(np.r_[0.0, low - g, g - high]))
-        size = _scaled_gradient(
-            at, jacobian, low - g, high - g, np.maximum(np.abs(x), scale), at_lower, at_upper
+        at = Evaluation(
+            at.value,
+            at.gradient,
+            at.hessian,
+            np.concatenate([at.constraints, np.array(g_user(x)).ravel()]),
+            np.vstack([at.jacobian.reshape(-1, len(x)), jac.reshape(-1, len(x))]),
         )
-        return Solution(
-            names=self.names,
-            x=x,
-            value=at.value,
-            status=str(stats["return_status"]),
-            iterations=int(stats["iter_count"]),
-            scaled_gradient=size,
-            constraint_violation=violation,
-            at_lower=tuple(n for n, held in zip(self._names, at_lower, strict=True) if held),
-            at_upper=tuple(n for n, held in zip(self._names, at_upper, strict=True) if held),
-            hessian=at.hessian,
-            constraint_jacobian=jacobian,
-            solver=solver.name,
+        box = (lower, upper, np.array(lbg), np.array(ubg))
+        return judged(self.names, x, at, scale, box, stats, solver.name)
+
+
+def views(shapes: Mapping[str, tuple[int, int]], flat: Array) -> dict[str, Array]:
+    """Windows of declared shape on the vector that holds all parameters."""
+    found: dict[str, Array] = {}
+    place = 0
+    for name, (rows, columns) in shapes.items():
+        found[name] = flat[place : place + rows * columns].reshape((rows, columns), order="F")
+        place += rows * columns
+    return found
+
+
+def fill(
+    program: str, windows: Mapping[str, Array], values: Mapping[str, Any], flat: Array
+) -> None:
+    """Put values into the windows of their parameters, which look at `flat`.
+
+    Raises
+    ------
+    SolveError
+        If a value is missing, unknown, not finite or of another shape than was declared.
+    """
+    if values.keys() != windows.keys():
+        missing = [name for name in windows if name not in values]
+        unknown = [name for name in values if name not in windows]
+        words = [f"no value for parameter {', '.join(missing)}"] if missing else []
+        words += [f"no parameter is called {', '.join(unknown)}"] if unknown else []
+        raise SolveError(
+            f"{program}: {' and '.join(words)}; give values for exactly "
+            f"{', '.join(windows) or 'none'}"
         )
+    for name, window in windows.items():
+        value = np.asarray(values[name], dtype=float)
+        if value.shape != window.shape:
+            if value.size != window.size or max(window.shape) != window.size:
+                raise SolveError(
+                    f"{program}: parameter {name} has shape {value.shape}; give {window.shape}, "
+                    "as it was declared"
+                )
+            value = value.reshape(window.shape)  # a vector, lying or standing
+        window[...] = value
+    if not np.isfinite(flat).all():
+        bad = [name for name, window in windows.items() if not np.isfinite(window).all()]
+        raise SolveError(
+            f"{program}: parameter {', '.join(bad)} holds values that are not finite; mend the "
+            "data that they come from (record.mark_missing, record.between)"
+        )
+
+
+def inside(
+    program: str, names: Sequence[str], x: Array, lower: Array, upper: Array, scale: Array
+) -> Array:
+    """A start within its bounds, put onto a bound that it misses by rounding alone.
+
+    Raises
+    ------
+    SolveError
+        If the start has another length than the variables, or lies outside by more than 1e-6 of a
+        variable's scale: a solver that began elsewhere would silently answer another question.
+    """
+    if len(x) != len(names):
+        raise SolveError(
+            f"{program}: start has {len(x)} values for {len(names)} variables; give one for "
+            f"each of {', '.join(names)}"
+        )
+    clipped: Array = np.minimum(np.maximum(x, lower), upper)
+    if (np.abs(x - clipped) > 1e-6 * np.maximum(scale, np.abs(clipped))).any():
+        i = int(np.argmax(np.abs(x - clipped) / scale))
+        raise SolveError(
+            f"{program}: start {names[i]} = {x[i]:g} lies outside its bounds "
+            f"[{lower[i]:g}, {upper[i]:g}]; move the start inside or widen the bounds"
+        )
+    return clipped
+
+
+def not_finite(program: str, names: Sequence[str], x: Array) -> SolveError:
+    """The refusal of a start without a value."""
+    return SolveError(
+        f"{program}: the criterion is not finite at the start "
+        f"({', '.join(f'{k} = {v:g}' for k, v in zip(names, x, strict=True))}); "
+        "change the start values or tighten the bounds"
+    )
+
+
+def not_converged(program: str, solution: Solution) -> SolveError:
+    """The refusal of a point that is no optimum: the solver's reason, the measures and a mend."""
+    return SolveError(
+        f"{program}: {solution.solver} stopped with {solution.status} after "
+        f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e},"
+        f" constraint violation {solution.constraint_violation:.1e}): {solution.mend}"
+    )
+
+
+def gave_up(program: str, solver: str, error: Exception) -> SolveError:
+    """The refusal of a solver that ended in an exception."""
+    return SolveError(
+        f"{program}: {solver} stopped: {str(error).strip().splitlines()[-1]}; "
+        "change the start values or tighten the bounds"
+    )
+
+
+def set_up(program: str, solver: Solver, problem: Mapping[str, Any], options: Any) -> Any:
+    """The CasADi solver of a problem.
+
+    Raises
+    ------
+    SolveError
+        If the plug-in is not installed or refuses its options.
+    """
+    if not _is_installed(solver.name):
+        raise SolveError(
+            f"{program}: solver {solver.name!r} is no CasADi plug-in that loads here; use "
+            "Solver('ipopt') or Solver('sqpmethod')"
+        )
+    try:
+        return ca.nlpsol("nlp", solver.name, problem, options)
+    except RuntimeError as error:
+        raise SolveError(
+            f"{program}: solver {solver.name!r} cannot be set up: "
+            f"{str(error).strip().splitlines()[-1]}; check Solver(options=...)"
+        ) from error
+
+
+def judged(
+    names: tuple[str, ...],
+    x: Array,
+    at: Evaluation,
+    scale: Array,
+    box: tuple[Array, Array, Array, Array],
+    stats: Mapping[str, Any],
+    solver: str,
+) -> Solution:
+    """The point where a solver stopped, its optimality measured apart from the solver's verdict.
+
+    `at` holds the criterion with all constraints at `x` (n,); `box` the lower and upper bounds of
+    the variables (n,) and limits of the constraints (m,).
+    """
+    lower, upper, low, high = box
+    span = 1e-6 * scale
+    at_lower, at_upper = x <= lower + span, x >= upper - span
+    to_lower, to_upper = low - at.constraints, high - at.constraints
+    violation = float(max(to_lower.max(initial=0.0), -to_upper.min(initial=0.0)))
+    if not np.isfinite(at.constraints).all():
+        violation = float("inf")
+    size = _scaled_gradient(
+        at, at.jacobian, to_lower, to_upper, np.maximum(np.abs(x), scale), at_lower, at_upper
+    )
+    return Solution(
+        names=names,
+        x=x,
+        value=at.value,
+        status=str(stats["return_status"]),
+        iterations=int(stats["iter_count"]),
+        scaled_gradient=size,
+        constraint_violation=violation,
+        at_lower=tuple(n for n, held in zip(names, at_lower, strict=True) if held),
+        at_upper=tuple(n for n, held in zip(names, at_upper, strict=True) if held),
+        hessian=at.hessian,
+        constraint_jacobian=at.jacobian,
+        solver=solver,
+        evaluations=int(stats.get("n_call_nlp_f", 0)),
+    )
 
 
 def _scaled_gradient(

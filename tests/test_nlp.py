@@ -280,3 +280,24 @@ def test_a_start_of_wrong_length_and_a_missing_objective_are_refused():
         decay(None).solve(start=[1.0, 2.0])
     with pytest.raises(SolveError, match="no objective; call minimize first"):
         Nlp().solve()
+
+
+@SOLVERS
+def test_a_start_outside_the_bounds_is_refused_and_rounding_is_not(solver):
+    """Solving from the nearest point instead would silently answer another question."""
+    nlp = Nlp()
+    a = nlp.variable("a", 1.0, lower=0.0, upper=2.0)
+    nlp.minimize((a - 1.5) ** 2)
+    with pytest.raises(SolveError, match=r"start a = 7 lies outside its bounds \[0, 2\]; move"):
+        nlp.solve(solver, start=[7.0])
+    assert nlp.solve(solver, start=[2.0 + 1e-9])["a"] == pytest.approx(1.5, abs=1e-7)
+
+
+@SOLVERS
+def test_a_column_of_constraints_is_as_many_constraints(solver):
+    H, c, A, b, expected = quadratic_program()
+    nlp = Nlp()
+    x = ca.vertcat(*[nlp.variable(f"x{i}", 1.0) for i in range(4)])
+    nlp.minimize(0.5 * ca.bilin(ca.DM(H), x, x) - ca.dot(ca.DM(c), x))
+    nlp.equality(ca.mtimes(ca.DM(A), x), b, "affine")
+    assert nlp.solve(solver).x == pytest.approx(expected, abs=1e-8)
