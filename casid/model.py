@@ -103,6 +103,17 @@ class Stage:
 
 
 @dataclass(frozen=True, slots=True)
+class _Measured:
+    """What an elimination took away: the unknown input, and the output it was eliminated with."""
+
+    unknown: Input
+    output: str
+    residual: Expr  # 0 = output's expression - its measured symbol, before any branch was chosen
+    input_place: int
+    output_place: int
+
+
+@dataclass(frozen=True, slots=True)
 class Explicit:
     """The model as (1): SX right-hand sides and outputs, and the symbols they are made of."""
 
@@ -146,6 +157,7 @@ class Model:
         self._derivatives: dict[str, Any] = {}  # state -> symbol of its derivative
         self._rates: dict[str, Expr] = {}  # state -> explicit right-hand side
         self._eliminations: list[tuple[str, str, Expr]] = []  # (unknown, equation's name, residual)
+        self._measured: list[_Measured] = []  # what each elimination took away, in that order
         self.eliminated_units: dict[str, str] = {}
         self._explicit: Explicit | None = None
 
@@ -287,6 +299,7 @@ class Model:
                 + (f"; did you mean {near[0]!r}?" if near else "")
             )
         new = self._copy(self.name)
+        places = list(self.inputs).index(name), list(self.outputs).index(using)
         expression, unit = new.outputs.pop(using)
         measured = self.eliminated_symbol(using)
         residual = expression - measured
@@ -294,10 +307,57 @@ class Model:
             residual = self._symbols[name] - ca.SX(solution)
             self._check_branch(expression, measured, name, ca.SX(solution), using)
         new._symbols[using] = measured
+        new._measured.append(_Measured(new.inputs[name], using, expression - measured, *places))
         new.eliminated_units[name] = new.inputs.pop(name).unit
         new.inputs[using] = Input(using, unit, "measured", "foh")
         new._eliminations.append((name, using, residual))
         new.explicit()  # refuse here, where the user can mend it
+        return new
+
+    def direct(self) -> Model:
+        """This model with every elimination undone: unknown inputs and their outputs are back.
+
+        The direct model has as its inputs what acts on the system, unknown inputs among them, and
+        as an output each channel that an unknown input was eliminated with. Effects that came
+        later stay: a bias of the input `accel` becomes the bias of the output `accel`.
+
+        Raises
+        ------
+        ModelError
+            If an effect made an equation depend nonlinearly on an eliminated channel.
+
+        Source: Linder (2017), (4.1)-(4.4), (7.10) for the pendulum.
+        """
+        new = self._copy(self.name)
+        new._eliminations, new._measured, new.eliminated_units = [], [], {}
+        kept = list(self._measured)
+        while kept:
+            gone = kept.pop()
+            measured, residual = self._symbols[gone.output], gone.residual
+            for stage in new.stages:
+                if (stage.kind, stage.channel) == ("delay_input", gone.output):
+                    # The output itself is late now; the slope that carried the tangent goes.
+                    slope = f"slope of {gone.output}"
+                    residual = ca.substitute(residual, self._symbols[slope], 0)
+                    del new.inputs[slope]
+                    late = replace(stage, kind="delay")
+                    new.stages = tuple(late if s is stage else s for s in new.stages)
+            slope_of = ca.jacobian(residual, measured)
+            if any(ca.which_depends(slope_of, measured)) or slope_of.nnz() == 0:
+                raise ModelError(
+                    f"{self.name}: {gone.output} enters its own equation nonlinearly, so it has "
+                    "no direct model; call direct() before that effect extends the model"
+                )
+            expression = -ca.substitute(residual, measured, 0) / slope_of
+            if slope_of.is_constant() and float(slope_of) == -1.0:
+                expression = ca.substitute(residual, measured, 0)
+            unit = new.inputs.pop(gone.output).unit
+            new._swap(measured, expression)
+            for i, k in enumerate(kept):
+                kept[i] = replace(k, residual=ca.substitute(k.residual, measured, expression))
+            new.inputs = _inserted(new.inputs, gone.input_place, gone.unknown.name, gone.unknown)
+            new.outputs = _inserted(new.outputs, gone.output_place, gone.output, (expression, unit))
+        new._explicit = None
         return new
 
     def eliminated_symbol(self, output: str) -> Any:
@@ -359,8 +419,9 @@ class Model:
 
     def substitute_symbol(self, name: str, expression: Expr) -> None:
         """Replace a parameter or input by an expression wherever it stands (used by effects)."""
-        old = self._symbols[name]
+        self._swap(self._symbols[name], expression)
 
+    def _swap(self, old: Any, expression: Expr) -> None:
         def swap(expr: Expr) -> Expr:
             return ca.substitute(ca.SX(expr), old, expression)
 
@@ -371,6 +432,7 @@ class Model:
         self._rates = {key: swap(e) for key, e in self._rates.items()}
         self.outputs = {key: (swap(e), unit) for key, (e, unit) in self.outputs.items()}
         self._eliminations = [(w, y, swap(r)) for w, y, r in self._eliminations]
+        self._measured = [replace(m, residual=swap(m.residual)) for m in self._measured]
         self._explicit = None
 
     def free_name(self, wanted: str) -> str:
@@ -527,6 +589,7 @@ class Model:
         new._derivatives = dict(self._derivatives)
         new._rates = dict(self._rates)
         new._eliminations = list(self._eliminations)
+        new._measured = list(self._measured)
         new.eliminated_units = dict(self.eliminated_units)
         new._explicit = None
         return new
@@ -534,6 +597,12 @@ class Model:
     def copy(self, name: str | None = None) -> Model:
         """An independent copy that shares the symbols."""
         return self._copy(name or self.name)
+
+
+def _inserted(entries: Mapping[str, Any], place: int, name: str, entry: Any) -> dict[str, Any]:
+    """A dict with one more entry, at `place` in its order."""
+    items = [(k, v) for k, v in entries.items() if k != name]
+    return dict([*items[:place], (name, entry), *items[place:]])
 
 
 def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: int) -> Any:
