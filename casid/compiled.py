@@ -105,6 +105,7 @@ class Compiled:
         self._values = np.zeros(function.numel_in(1))
         self._windows = views(self.parameters, self._values)
         derivatives = _derivatives(function, symbol)
+        self._curvature = _curvature(function, symbol)
         self._derivatives = _Buffered(derivatives, {"x": np.zeros(n), "p": self._values})
 
         size = len(self._values)
@@ -149,6 +150,7 @@ class Compiled:
         start: Sequence[float] | Array | None = None,
         *,
         throw: bool = True,
+        polish: bool = True,
     ) -> Solution:
         """Solve for these values of the parameters, from `start` (n,) or the declared starts.
 
@@ -156,6 +158,9 @@ class Compiled:
         ----------
         values : one array of the declared shape for each parameter, physical units; vectors may
             have shape (rows,).
+        polish : where the solver stops short of 1e-7 in the scaled gradient, take Newton steps on
+            the optimality conditions of the limits that it found active. Data with little noise
+            need it: a solver's tolerance is relative to the start, not to what is left.
 
         Raises
         ------
@@ -199,8 +204,46 @@ class Compiled:
             )
         else:
             solution = judged(names, x, at, scale, self._box, stats, self.solver.name)
+            if polish and math.isfinite(solution.scaled_gradient):
+                solution = self._polished(solution, at, out["pull"].copy(), stats)
         if throw and not solution.is_converged:
             raise not_converged(self.name, solution)
+        return solution
+
+    def _polished(
+        self, solution: Solution, at: Evaluation, lam: Array, stats: Mapping[str, Any]
+    ) -> Solution:
+        """The better one of `solution` and what Newton steps lead to from there.
+
+        A step solves the optimality conditions, linearised, for the variables that no bound holds
+        and the constraints at their limits; it counts if the measures of optimality agree.
+        """
+        lower, upper, low, high = self._box
+        for _ in range(5):
+            if solution.scaled_gradient < _PROVEN and solution.constraint_violation < 1e-12:
+                break
+            held = {*solution.at_lower, *solution.at_upper}
+            free = np.array([name not in held for name in self.names])
+            active = np.flatnonzero((low == high) | (lam != 0))
+            limit = np.where(lam > 0, high, low)[active]
+            W = np.array(self._curvature(solution.x, self._values, lam))[np.ix_(free, free)]
+            A = at.jacobian[active][:, free]
+            step = _newton_step(W, A, at.gradient[free], at.constraints[active] - limit)
+            if step is None:
+                break
+            x, lam = solution.x.copy(), np.zeros(len(low))
+            x[free] += step[: len(W)]
+            lam[active] = step[len(W) :]
+            x = np.minimum(np.maximum(x, lower), upper)
+            at = self.evaluate(x)
+            found = judged(self.names, x, at, self._scale, self._box, stats, self.solver.name)
+            is_better = (
+                found.scaled_gradient < 0.5 * solution.scaled_gradient
+                and found.constraint_violation <= max(solution.constraint_violation, 1e-9)
+            )
+            if not is_better:
+                break
+            solution = found
         return solution
 
 
@@ -220,6 +263,28 @@ def _evaluation(out: Mapping[str, Array], n: int) -> Evaluation:
     )
 
 
+def _newton_step(W: Array, A: Array, gradient: Array, g: Array) -> Array | None:
+    """Step of the variables and new multipliers (n + m,), None where the system is singular.
+
+    W (n, n) is the Hessian of the Lagrangian, A (m, n) the Jacobian of the active constraints g.
+    """
+    diagonal = np.abs(np.diagonal(W))
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    rows = np.abs(A * scale).max(axis=1, initial=0.0)
+    if not rows.all():
+        return None
+    A, m = A * scale / rows[:, None], len(rows)
+    kkt = np.block([[W * np.outer(scale, scale), A.T], [A, np.zeros((m, m))]])
+    try:
+        step: Array = -np.linalg.solve(kkt, np.r_[gradient * scale, g / rows])
+    except np.linalg.LinAlgError:
+        return None
+    if not np.isfinite(step).all():
+        return None
+    step = np.r_[step[: len(W)] * scale, step[len(W) :] / rows]
+    return step
+
+
 _NAMES = ["f", "gradient", "hessian", "g", "jacobian"]
 
 
@@ -230,6 +295,14 @@ def _derivatives(function: Any, symbol: Any) -> Any:
     hessian, gradient = ca.hessian(f, x)
     results = [ca.densify(e) for e in (f, gradient, hessian, g, ca.jacobian(g, x))]
     return ca.Function("derivatives", [x, p], results, ["x", "p"], _NAMES)
+
+
+def _curvature(function: Any, symbol: Any) -> Any:
+    """(x, p, lam) -> Hessian of the Lagrangian f + lam'g."""
+    x, p = (symbol.sym(name, function.numel_in(i)) for i, name in enumerate("xp"))
+    lam = symbol.sym("lam", function.numel_out(1))
+    f, g = function(x, p)
+    return ca.Function("curvature", [x, p, lam], [ca.densify(ca.hessian(f + lam.T @ g, x)[0])])
 
 
 def _preparation(derivatives: Any, symbol: Any, scale: Array, box: Any) -> Any:
@@ -278,7 +351,8 @@ def _judgement(derivatives: Any, symbol: Any, scale: Array, box: Any) -> Any:
     unit = ca.if_else(curved, ca.fmax(ca.sqrt(ca.fabs(f)), 1e-4 * root * weighs), ca.sqrt(safe))
     # Only a constraint at its limit has a multiplier, and it pushes inwards.
     tolerance = 1e-6 * ca.fmax(ca.mtimes(ca.fabs(jacobian), weighs), 1e-300)
-    pull = lam * units[size] / units[size + 1 :]
+    _, objective, rows = ca.vertsplit(units, [0, size, size + 1, size + 1 + m])
+    pull = lam * objective / rows
     at_low, at_high = ca.fabs(low - g) < tolerance, ca.fabs(high - g) < tolerance
     pull = ca.if_else(
         low == high,
@@ -298,10 +372,11 @@ def _judgement(derivatives: Any, symbol: Any, scale: Array, box: Any) -> Any:
             *[ca.densify(e) for e in (x, f, gradient, hessian, g, jacobian)],
             ca.if_else(concave, np.inf, ca.norm_inf(slope / unit)),
             ca.densify(violation),
+            ca.densify(pull),
             ca.densify(held_low + 2 * held_high),
         ],
         ["z", "p", "lam", "units"],
-        ["x", *_NAMES, "scaled_gradient", "violation", "held"],
+        ["x", *_NAMES, "scaled_gradient", "violation", "pull", "held"],
     )
 
 

@@ -207,6 +207,36 @@ def test_starts_steer_and_are_checked():
         compiled.solve({"square": 1.0}, [0.0, 1.0])
 
 
+@SOLVERS
+@pytest.mark.parametrize("noise", [1e-3, 1e-6])
+def test_data_with_little_noise_are_solved_to_rounding(solver, noise):
+    """A lifted program (theta = g(a, b)) has the optimum of the eliminated one.
+
+    At noise 1e-6 a criterion of 1e-11 is left of 1e2 at the start: no relative tolerance of a
+    solver reaches so deep, Newton steps on the optimality conditions do.
+    """
+    rng = np.random.default_rng(3)
+    Phi = rng.normal(size=(20, 2))
+    Y = Phi @ [2.0 * 0.5, 2.0 + 0.5] + noise * rng.normal(size=20)
+    values = {"Phi": Phi, "Y": Y}
+    found = {}
+    for is_lifted in (False, True):
+        nlp = Nlp()
+        a, b = nlp.variable("a", 1.6), nlp.variable("b", 0.3)
+        theta = ca.vertcat(a * b, a + b)
+        if is_lifted:
+            free = ca.vertcat(nlp.variable("theta0", 0.5), nlp.variable("theta1", 2.0))
+            nlp.equality(free - theta)
+            theta = free
+        nlp.minimize(ca.sumsqr(nlp.parameter("Y", 20) - nlp.parameter("Phi", 20, 2) @ theta))
+        solution = nlp.compile(solver).solve(values)
+        assert solution.scaled_gradient < 1e-7
+        found[is_lifted] = solution.x[:2]
+    assert found[True] == pytest.approx(found[False], rel=1e-12)
+    exact = np.linalg.lstsq(Phi, Y, rcond=None)[0]  # the map is onto here: ordinary least squares
+    assert np.prod(found[True]) == pytest.approx(exact[0], rel=1e-11)
+
+
 # Refusals
 
 
