@@ -232,9 +232,9 @@ def test_data_with_little_noise_are_solved_to_rounding(solver, noise):
         solution = nlp.compile(solver).solve(values)
         assert solution.scaled_gradient < 1e-7
         found[is_lifted] = solution.x[:2]
-    assert found[True] == pytest.approx(found[False], rel=1e-12)
+    assert found[True] == pytest.approx(found[False], rel=1e-10)
     exact = np.linalg.lstsq(Phi, Y, rcond=None)[0]  # the map is onto here: ordinary least squares
-    assert np.prod(found[True]) == pytest.approx(exact[0], rel=1e-11)
+    assert np.prod(found[True]) == pytest.approx(exact[0], rel=1e-10)
 
 
 # Refusals
