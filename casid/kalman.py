@@ -149,6 +149,13 @@ def _gain(s: NoisySystem, P: Array) -> tuple[Array, Array]:
     return F, np.linalg.solve(F, (s.A @ PC + s.S).T).T
 
 
+def step(s: NoisySystem, P: Array) -> tuple[Array, Array, Array]:
+    """One step of (2.35): innovation covariance and gain at P, and P one sample later."""
+    F, K = _gain(s, P)
+    after = s.A @ P @ s.A.T + s.Q - K @ F @ K.T
+    return F, K, (after + after.T) / 2
+
+
 def _refuse_singular_noise(s: NoisySystem) -> None:
     size = np.sqrt(np.diag(s.R))
     quiet = [s.output_name(i) for i in np.flatnonzero(size == 0.0).tolist()]
@@ -260,14 +267,14 @@ def time_varying(
     y = np.where(mask, y, 0.0)
     known = u @ s.D.T
     driven = u @ s.B.T
-    scale = None if limit is None else _scale(limit.P)
+    scale = None if limit is None else covariance_scale(limit.P, P)
     for t in range(N):
         if limit is not None and scale is not None and t > last_gap:
             if np.max(np.abs((P - limit.P) / scale), initial=0.0) < tolerance:
                 converged = t
                 break
         now = s if whole or mask[t].all() else _without(s, mask[t])
-        F[t], K = _gain(now, P)
+        F[t], K, after = step(now, P)
         if not np.all(np.isfinite(F[t])) or np.linalg.eigvalsh(F[t])[0] <= 0.0:
             raise ModelError(
                 f"the innovation covariance at sample {t} is singular; give every output some "
@@ -275,8 +282,7 @@ def time_varying(
             )
         e[t] = np.where(mask[t], y[t] - s.C @ x[t] - known[t], 0.0)
         x[t + 1] = s.A @ x[t] + driven[t] + K @ e[t]
-        P = s.A @ P @ s.A.T + s.Q - K @ F[t] @ K.T
-        P = (P + P.T) / 2
+        P = after
     if converged is not None and limit is not None:
         rest = limit.run(y[converged:], u[converged:], x[converged])
         e[converged:], x[converged:], F[converged:] = rest.innovations, rest.x, limit.F
@@ -310,9 +316,10 @@ def _initial_covariance(s: NoisySystem, P0: Array | None) -> Array:
     return P
 
 
-def _scale(P: Array) -> Array:
-    """(nx, nx) sizes of the entries of a covariance: the product of its standard deviations."""
-    size = np.sqrt(np.maximum(np.diag(P), 1e-24 * max(float(np.max(np.diag(P))), 1e-300)))
+def covariance_scale(P: Array, P0: Array) -> Array:
+    """(nx, nx) sizes of the entries of a covariance that settles at P from P0."""
+    variance = np.maximum(np.diag(P), 1e-6 * np.diag(P0))
+    size = np.sqrt(np.maximum(variance, 1e-24 * max(float(np.max(variance, initial=0.0)), 1e-270)))
     return np.asarray(np.outer(size, size))
 
 

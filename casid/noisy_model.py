@@ -1,0 +1,221 @@
+"""A model and the white noise that acts on it and on its sensors, sampled with exact derivatives.
+
+    dx/dt = A x + B u + G w,    y[t] = C x + D u + E w + v[t]                               (1)
+
+with A .. E functions of the physical parameters, w continuous white noise or noise held over each
+sample, v the noise of the sensors. Continuous noise is sampled exactly (van Loan); derivatives come
+from complex steps (Squire and Trapp, SIAM Review 40 (1998) 110-112), which subtract nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.errors import ModelError
+from casid.kalman import SystemTangent
+from casid.linear import linearise
+from casid.model import Input, Model
+from casid.noisy_system import NoisySystem, sample_noise, sample_system
+
+Array = NDArray[Any]
+
+_STEP = 1e-40  # of the complex step: no subtraction, so as small as may be
+
+
+@dataclass(frozen=True, slots=True)
+class White:
+    """White noise: where it enters and how large it is.
+
+    Parameters
+    ----------
+    where : an output (noise of every sample), an unknown input or a balance (process noise).
+    sd : standard deviation, the start of its estimation or, if `is_known`, its value. Noise of an
+        output has the output's unit; continuous process noise has the root of an intensity, unit
+        of the input times sqrt(s); held process noise has the input's unit.
+    held : process noise that is constant over each sample instead of continuous. Needed where an
+        output feels it at once: an accelerometer sees a torque, and continuous white noise has no
+        finite variance at an instant.
+    """
+
+    where: str
+    sd: float
+    is_known: bool = False
+    held: bool = False
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.sd) or self.sd < 0 or (self.sd == 0 and not self.is_known):
+            raise ModelError(
+                f"noise of {self.where}: sd = {self.sd:g}; give a positive start, or zero as known"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sampled:
+    """One experiment's model, sampled, at one point; `offset` (ny,) is the output at rest."""
+
+    system: NoisySystem
+    shift: Array  # (nx, nu): the state of `system` is x - shift u, see sample_system
+    offset: Array
+
+
+class NoisyModel:
+    """A model, linear or linearised about its rest at zero, with its noise.
+
+    Parameters
+    ----------
+    model : inputs that are unknown must be noise.
+    noise : one `White` for each output, and for each source of process noise.
+    free : names of the parameters to differentiate in.
+
+    Raises
+    ------
+    ModelError
+        For noise that is missing, or enters nowhere; a model that cannot be linearised.
+    """
+
+    def __init__(self, model: Model, noise: Sequence[White], free: Sequence[str] = ()) -> None:
+        self.model, self.noise, self.free = model, tuple(noise), tuple(free)
+        self.outputs = tuple(model.outputs)
+        self._sort_noise()
+        self.driven = model.copy()  # without its noise inputs: what a record has to hold
+        for source in self.process:
+            self.driven.inputs.pop(source.where, None)
+        self.inputs = tuple(self.driven.inputs)
+        self.hold = [self.driven.inputs[name].hold for name in self.inputs]
+        self._matrices = self._linear()
+
+    @property
+    def sources(self) -> tuple[White, ...]:
+        """All noise in the order of the variances: process noise, then that of the outputs."""
+        return (*self.process, *self.measured)
+
+    def noise_name(self, w: White) -> str:
+        """What the noise's size is called among the variables: a variance or an intensity."""
+        return f"{'var' if w.held or w.where in self.outputs else 'intensity'}({w.where})"
+
+    def _sort_noise(self) -> None:
+        places = [w.where for w in self.noise]
+        twice = {w for w in places if places.count(w) > 1}
+        if twice:
+            raise ModelError(f"noise of {', '.join(sorted(twice))} stated twice; give it once")
+        for name in self.outputs:
+            if name not in places:
+                raise ModelError(
+                    f"{self.model.name}: output {name} has no noise; give White({name!r}, sd=...)"
+                )
+        unknown = [n for n, i in self.model.inputs.items() if i.kind == "unknown"]
+        for name in unknown:
+            if name not in places:
+                raise ModelError(
+                    f"{self.model.name}: input {name} is unknown; give White({name!r}, sd=...) if "
+                    "it is white noise, make it a state (as_random_walk), or eliminate it"
+                )
+        self.measured = [w for name in self.outputs for w in self.noise if w.where == name]
+        self.process = [w for w in self.noise if w.where not in self.outputs]
+        for source in self.process:
+            if source.where not in unknown and source.where not in self.model.balances:
+                raise ModelError(
+                    f"{self.model.name}: noise of {source.where!r} enters nowhere; name one of its "
+                    f"outputs ({', '.join(self.outputs)}), balances "
+                    f"({', '.join(self.model.balances) or 'none'}) or unknown inputs "
+                    f"({', '.join(unknown) or 'none'})"
+                )
+
+    def _linear(self) -> Any:
+        """p (np,) -> the entries of A, B, C, D and the output at rest, and their derivatives."""
+        model = self.model.copy()
+        for source in self.process:
+            if source.where in model.balances:
+                unit = model.balances[source.where].unit
+                w = model.add_input(Input(f"noise of {source.where}", unit, "unknown"))
+                model.add_term(source.where, w)
+        self.linear = linear = linearise(model)
+        names = [
+            f"noise of {s.where}" if s.where in model.balances else s.where for s in self.process
+        ]
+        order = [linear.inputs.index(n) for n in (*self.inputs, *names)]
+        rest = ca.vertcat(*[linear.equilibrium[n] for n in linear.outputs])
+        parts = [linear.A, linear.B[:, order], linear.C, linear.D[:, order], rest]
+        flat = ca.densify(ca.vertcat(*[ca.vec(ca.densify(m)) for m in parts]))
+        columns = [linear.parameters.index(f) for f in self.free]
+        slopes = ca.densify(ca.jacobian(flat, linear.p))[:, columns]
+        return ca.Function("linear", [linear.p], [flat, slopes])
+
+    def sampled(
+        self, p: Array, variances: Array, Ts: float, wanted: Sequence[bool] | None = None
+    ) -> tuple[Sampled, SystemTangent, Array, Array]:
+        """The sampled system, its tangent, and those of shift and offset.
+
+        Parameters
+        ----------
+        p : (np,) all parameters of the model in its order.
+        variances : of `sources`.
+        wanted : for each free parameter whether its derivative is (default all; else it is zero).
+
+        Returns
+        -------
+        Tangents have one row for each free parameter, then one for each variance.
+        """
+        flat, slopes = (np.array(v) for v in self._matrices(p))
+        m = len(self.free)
+        base = self._sample(flat[:, 0], variances, Ts)
+        n_v = m + len(self.noise)
+        tangents = [np.zeros((n_v, *part.shape)) for part in base]
+        for i in range(m):
+            if wanted is not None and not wanted[i]:
+                continue
+            moved = self._sample(flat[:, 0] + 1j * _STEP * slopes[:, i], variances, Ts)
+            for t, part in zip(tangents, moved, strict=True):
+                t[i] = part.imag / _STEP
+        for j in range(len(self.noise)):  # Q, S and R are linear in the variances
+            unit = self._sample(flat[:, 0], np.eye(len(self.noise))[j], Ts)
+            for k in (4, 5, 6):
+                tangents[k][m + j] = unit[k]
+        A, B, C, D, Q, S, R, shift, offset = base
+        system = NoisySystem(A, B, C, D, Q, R, S, Ts, tuple(self.model.states), self.outputs)
+        tangent = SystemTangent(*tangents[:7])
+        return Sampled(system, shift, offset), tangent, tangents[7], tangents[8]
+
+    def _sample(self, flat: Array, variances: Array, Ts: float) -> tuple[Array, ...]:
+        """A, B, C, D, Q, S, R, shift, offset of the sampled model; complex where `flat` is."""
+        nx, ny, nu = len(self.model.states), len(self.outputs), len(self.inputs)
+        k = nu + len(self.process)
+        cuts = np.cumsum([nx * nx, nx * k, ny * nx, ny * k])
+        parts = np.split(flat, cuts)
+        A, B, C, D = (
+            part.reshape((columns, rows)).T
+            for part, (rows, columns) in zip(
+                parts, ((nx, nx), (nx, k), (ny, nx), (ny, k)), strict=False
+            )
+        )
+        q, r = variances[: len(self.process)], variances[len(self.process) :]
+        held = np.array([w.held for w in self.process], dtype=bool)
+        flowing = B[:, nu:][:, ~held]
+        if np.any(np.abs(D[:, nu:][:, ~held]) > 1e-12 * max(float(np.max(np.abs(D))), 1e-300)):
+            self._refuse_instant(D[:, nu:], held)
+        index = [*range(nu), *(nu + np.flatnonzero(held))]
+        hold = [*self.hold, *["zoh"] * int(held.sum())]
+        Ad, Bd, Cd, Dd, shift = sample_system(A, B[:, index], C, D[:, index], Ts, hold)
+        G, E = Bd[:, nu:], Dd[:, nu:]
+        Q = (G * q[held]) @ G.T
+        if flowing.shape[1]:
+            Q = Q + sample_noise(A, (flowing * q[~held]) @ flowing.T, Ts)
+        S = (G * q[held]) @ E.T
+        R = (E * q[held]) @ E.T + np.diag(r)
+        return Ad, Bd[:, :nu], Cd, Dd[:, :nu], Q, S, R, shift[:, :nu], parts[4]
+
+    def _refuse_instant(self, D: Array, held: Array) -> None:
+        for j, source in enumerate(self.process):
+            felt = [o for o, d in zip(self.outputs, D[:, j], strict=True) if abs(d) > 0]
+            if not held[j] and felt:
+                raise ModelError(
+                    f"{self.model.name}: output {', '.join(felt)} feels the noise of "
+                    f"{source.where} at once, and continuous white noise has no finite variance at "
+                    f"an instant; use White({source.where!r}, ..., held=True)"
+                )
