@@ -13,11 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from casid.errors import ModelError, SolveError
+from casid.errors import DataError, ModelError
+from casid.moments import Moments, moments
 from casid.nlp import Solver
 from casid.polynomial import prediction_error
+from casid.polynomial_data import records_of
 from casid.polynomial_model import PolynomialModel
 from casid.polynomial_orders import Orders, is_stable, largest_root
+from casid.polynomial_start import long_model, long_order
 
 Array = NDArray[Any]
 
@@ -132,8 +135,7 @@ def arma(
         As `casid.polynomial.prediction_error`.
     """
     if na == 0 and nc == 0:
-        parts = residual if isinstance(residual, list | tuple) else [residual]
-        both = np.concatenate([np.atleast_1d(np.asarray(p, dtype=np.float64)) for p in parts])
+        both = np.concatenate([y for y, _ in records_of(residual, None)[0]])
         one = np.ones(1)
         return Arma(one, one.copy(), float(np.mean(both**2)), np.zeros((0, 0)))
     model = prediction_error(
@@ -151,35 +153,49 @@ def arma(
 def arma_order(
     residual: ArrayLike | Sequence[ArrayLike], *, largest_na: int = 4, largest_nc: int = 4
 ) -> Arma:
-    """The ARMA model of the smallest BIC up to the orders given.
+    """The ARMA model whose order has the smallest BIC up to the orders given.
 
-    Every candidate is fitted to the same residuals: what the longest of them needs is discarded.
-    Candidates that do not converge are left out.
+    All orders are judged by the regressions of Hannan and Rissanen (1982) on the same samples;
+    the three best are fitted and judged by their own BIC, again on the same samples.
 
     Raises
     ------
-    DataError, ModelError
+    DataError, ModelError, SolveError
         As `casid.polynomial.prediction_error`.
     """
-    several = isinstance(residual, list | tuple) and np.ndim(residual[0]) > 0
-    parts: list[Any] = (
-        list(residual) if isinstance(residual, list | tuple) and several else [residual]
-    )
-    arrays = [np.asarray(p, dtype=np.float64) for p in parts]
-    full = arma(residual, largest_na, largest_nc, throw=False)
-    discard = max(full.fit.discarded) if full.fit is not None else 0
-    count = sum(len(a) - discard for a in arrays)
-    power = float(sum(np.sum(a[discard:] ** 2) for a in arrays))
-    white = arma(residual, 0, 0)
-    best, least = white, count * (np.log(2 * np.pi * power / count) + 1) + np.log(count)
+    data, _ = records_of(residual, None)
+    records = [[y] for y, _ in data]
+    least = largest_na + largest_nc
+    order = long_order([len(y) for y, _ in data], 1, least)
+    _, innovations = long_model(records, order)
+    lags = max(largest_na, largest_nc)
+    parts = [(y[order:], e[order:]) for (y, _), e in zip(data, innovations, strict=True)]
+    total = sum(moments({"v": v, "e": e}, lags) for v, e in parts if len(v) > lags)
+    if not isinstance(total, Moments) or total.N <= least:
+        raise DataError(
+            f"{sum(len(y) for y, _ in data)} samples are too few to choose among ARMA orders up to "
+            f"({largest_na}, {largest_nc}); give longer records or lower the largest orders"
+        )
+    count = total.N
+    judged = []
     for na in range(largest_na + 1):
         for nc in range(largest_nc + 1):
-            if na == nc == 0:
-                continue
-            try:
-                candidate = arma(residual, na, nc, discard=discard)
-            except SolveError:
-                continue
-            if candidate.fit is not None and candidate.fit.bic < least:
-                best, least = candidate, candidate.fit.bic
-    return best
+            place = [*range(1, na + 1), *range(lags + 2, lags + 2 + nc)]
+            gram, right = total.gram[np.ix_(place, place)], total.gram[place, 0]
+            explained = float(right @ np.linalg.lstsq(gram, right, rcond=1e-12)[0])
+            variance = max(float(total.gram[0, 0]) - explained, 1e-300) / count
+            judged.append((count * np.log(variance) + (na + nc) * np.log(count), na, nc))
+    finalists = [(na, nc) for _, na, nc in sorted(judged)[:3]]
+    fits = [arma(residual, na, nc, throw=False) for na, nc in finalists]
+    discard = max([0, *(max(f.fit.discarded) for f in fits if f.fit is not None)])
+
+    def bic(fit: Arma) -> float:
+        if fit.fit is None:
+            return count_bic(np.concatenate([y[discard:] for y, _ in data]), 0)
+        residuals = np.concatenate([r[discard:] for r in fit.fit.residuals])
+        return count_bic(residuals, fit.fit.n) if fit.is_converged else np.inf
+
+    def count_bic(e: Array, n: int) -> float:
+        return float(len(e) * np.log(e @ e / len(e)) + n * np.log(len(e)))
+
+    return min(fits, key=bic)

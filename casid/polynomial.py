@@ -8,28 +8,40 @@ the search stays where both are stable.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
-from casid.local_rank import describe_null, local_rank
+from casid.excitation import require_excitation, unseen
 from casid.nlp import Nlp, Solution, Solver
 from casid.polynomial_criterion import PredictionErrors
-from casid.polynomial_model import PolynomialModel, one_record
-from casid.polynomial_orders import Layout, Orders, PerInput, largest_root
-from casid.polynomial_start import candidates, lagged
+from casid.polynomial_data import records_of
+from casid.polynomial_model import PolynomialModel
+from casid.polynomial_orders import Layout, Orders, PerInput, Polynomials, largest_root
+from casid.polynomial_start import Candidate, Data, candidates
 from casid.uncertainty import sandwich
 
 Array = NDArray[Any]
 Errors = Literal["white", "robust"]
+NEAR = 0.999  # a root with this modulus or more is at the unit circle
+NO_NOISE = 1e-24  # of the power of y: what is left is rounding
 ASSUMES = {
     "white": "white innovations, i.e. a true system in the model set: (2.54)-(2.56) with "
     "Q = lambda V''",
     "robust": "residuals of short memory, in the model set or not: (2.54)-(2.56), Q by a Bartlett "
     "sum",
 }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Units:
+    """What the data were divided by before solving."""
+
+    y: float
+    factors: Array  # (n,), theta = factors * (theta of the scaled data)
 
 
 def prediction_error(
@@ -81,7 +93,7 @@ def prediction_error(
     Consistent in open and closed loop if the true system is in the model set; with G alone in it
     (OE, a wrong noise model) in open loop only (Ljung 1999, sections 8.4 and 13.4).
     """
-    data, inputs = _records(y, u)
+    raw, inputs = records_of(y, u)
     layout = Layout.of(orders, inputs)
     if layout.n == 0:
         raise ModelError("every order is 0: nothing to estimate; give at least one above 0")
@@ -89,39 +101,25 @@ def prediction_error(
         raise ModelError(f"errors = {errors!r}; choose 'white' or 'robust'")
     if not (np.isfinite(Ts) and Ts > 0):
         raise DataError(f"sample time Ts = {Ts!r}; give a number of seconds above 0")
-    least = layout.longest_lag if discard != 0 else 0
-    _refuse_short(data, layout, least if discard is None else discard)
-    _refuse_unexciting(data, layout)
-    if layout.is_linear and solver is None:
-        return _closed_form(data, layout, Ts, discard, errors)
-    points = _starts(data, layout, start)
-    chosen = _discards(data, layout, points[0][1], discard)
-    criterion = PredictionErrors(layout, data, chosen)
-    ranked = sorted(
-        ((criterion.evaluate(theta).value, i) for i, (_, theta, _) in enumerate(points)),
-        key=lambda item: (not np.isfinite(item[0]), item[0]),
+    _refuse_short(raw, layout, discard)
+    data, units = _near_one(raw, layout)
+    counts = [nb + nf for nb, nf in zip(layout.nb, layout.nf, strict=True)]
+    require_excitation(
+        data,
+        {i: (k, c) for i, k, c in zip(inputs, layout.nk, counts, strict=True)},
+        "B and F ask for" if any(layout.nf) else "B asks for",
     )
-    best: Solution | None = None
-    label, notes = "", ()
-    for value, i in ranked[:3]:
-        if not np.isfinite(value):
-            continue
-        solution = _minimise(criterion, points[i][1], solver, data)
-        if best is None or (solution.is_converged, -solution.value) > (
-            best.is_converged,
-            -best.value,
-        ):
-            best, label, notes = solution, points[i][0], points[i][2]
-        if best.is_converged:
-            break
-    if best is None:
-        raise SolveError(
-            f"{layout.structure}: the criterion is not finite at any start value; scale y and u to "
-            "a size near one, or give start="
+    if layout.is_linear and solver is None:
+        criterion = PredictionErrors(
+            layout, data, _discards(data, layout, np.zeros(layout.n), discard)
         )
+        return _model(criterion, _closed_form(criterion), units, Ts, errors, "none needed", ())
+    points = candidates(data, layout) if start is None else [_given(start, layout, units)]
+    criterion = PredictionErrors(layout, data, _discards(data, layout, points[0][1], discard))
+    best, label, notes = _best(criterion, points, solver)
     if throw and not best.is_converged:
         raise SolveError(_failure(layout, best))
-    return _model(criterion, best, Ts, errors, label, notes, data)
+    return _model(criterion, best, units, Ts, errors, label, notes)
 
 
 def arx(
@@ -163,48 +161,25 @@ def bj(
 # -- data ---------------------------------------------------------------------------------------
 
 
-def _records(y: Any, u: Any) -> tuple[list[tuple[Array, dict[str, Array]]], tuple[str, ...]]:
-    several = isinstance(y, list | tuple) and len(y) > 0 and np.ndim(y[0]) > 0
-    ys = list(y) if several else [y]
-    if not several:
-        us = [u]
-    elif u is None:
-        us = [None] * len(ys)
-    elif isinstance(u, list | tuple) and len(u) == len(ys):
-        us = list(u)
-    else:
-        raise DataError(
-            f"y is a list of {len(ys)} records; give u as a list of {len(ys)} entries beside it"
-        )
-    data: list[tuple[Array, dict[str, Array]]] = []
-    inputs: tuple[str, ...] | None = None
-    for k, (one_y, one_u) in enumerate(zip(ys, us, strict=True)):
-        try:
-            data.append(one_record(one_y, one_u, inputs))
-        except DataError as error:
-            raise DataError(f"record {k + 1}: {error}" if several else str(error)) from None
-        inputs = tuple(data[-1][1]) if inputs is None else inputs
-    return data, inputs or ()
-
-
-def _refuse_short(data: Any, layout: Layout, discard: Any) -> None:
-    if isinstance(discard, bool) or int(discard) != discard or discard < 0:
+def _refuse_short(data: Data, layout: Layout, discard: Any) -> None:
+    first = layout.longest_lag if discard is None else discard
+    if isinstance(first, bool) or int(first) != first or first < 0:
         raise DataError(
             f"discard = {discard!r}; give the whole number of first samples that do not count"
         )
     for k, (y, _) in enumerate(data):
-        if len(y) <= max(discard, layout.longest_lag):
+        where = f"record {k + 1}: " if len(data) > 1 else ""
+        if len(y) <= max(first, layout.longest_lag):
             raise DataError(
-                f"record {k + 1} has {len(y)} samples, the predictor reaches back "
-                f"{layout.longest_lag} and {discard} do not count; leave the record out, or lower "
-                "the orders"
+                f"{where}{len(y)} samples, but the predictor reaches back {layout.longest_lag} and "
+                f"the first {first} do not count; leave the record out, or lower the orders"
             )
         if not np.any(y != y[0]):
             raise DataError(
-                f"record {k + 1}: y is constant ({y[0]:g}); there is nothing to fit. Check the "
-                "channel's cable and mapping, or leave the record out"
+                f"{where}y is constant ({y[0]:g}); there is nothing to fit. Check the channel's "
+                "cable and mapping, or leave the record out"
             )
-    left = sum(len(y) - discard for y, _ in data)
+    left = sum(len(y) - first for y, _ in data)
     if left <= layout.n:
         raise DataError(
             f"{left} residuals cannot pay for {layout.n} coefficients; give longer records or "
@@ -212,93 +187,84 @@ def _refuse_short(data: Any, layout: Layout, discard: Any) -> None:
         )
 
 
-def _refuse_unexciting(data: Any, layout: Layout) -> None:
-    """The lagged inputs that B/F needs are linearly independent (persistently exciting)."""
-    if not layout.inputs:
-        return
-    counts = [b + f for b, f in zip(layout.nb, layout.nf, strict=True)]
-    names = [
-        f"{i}[t-{k}]" if k else f"{i}[t]"
-        for i, nk, c in zip(layout.inputs, layout.nk, counts, strict=True)
-        for k in range(nk, nk + c)
-    ]
-    first = max(nk + c - 1 for nk, c in zip(layout.nk, counts, strict=True))
-    gram = np.zeros((len(names), len(names)))
-    for y, u in data:
-        begin = min(first, len(y) - 1)
-        parts = [
-            lagged(u[i], nk, c, begin) if begin >= nk + c - 1 else np.zeros((0, c))
-            for i, nk, c in zip(layout.inputs, layout.nk, counts, strict=True)
-        ]
-        if all(len(p) for p in parts):
-            phi = np.hstack(parts)
-            gram += phi.T @ phi
-    length = np.sqrt(np.diag(gram))
-    rank = local_rank(gram, np.zeros(len(names)), names, 1 / np.where(length > 0, length, 1.0))
-    if rank.is_full:
-        return
-    constant = [
-        f"input {i} is constant ({u[i][0]:g}) in record {k + 1}"
-        for k, (_, u) in enumerate(data)
-        for i in layout.inputs
-        if not np.any(u[i] != u[i][0])
-    ]
-    directions = [
-        " ".join(f"{'+' if v > 0 else '-'} {abs(v):.3g} {n}" for n, v in d.items())
-        for d in rank.null
-    ]
-    raise IdentifiabilityError(
-        f"{layout.structure}: the inputs excite {rank.rank} of the {rank.unknowns} lags that B"
-        f"{' and F ask' if any(layout.nf) else ' asks'} for; "
-        f"{' and '.join(f'{d} = 0' for d in directions)} over the record"
-        f"{'; ' + ', '.join(constant) if constant else ''}. Record an experiment with a richer "
-        "input, or lower nb" + (" and nf" if any(layout.nf) else "")
-    )
+def _near_one(data: Data, layout: Layout) -> tuple[Data, Units]:
+    """Signals of size near one, and the units taken out: powers of two, so no digit is lost."""
+
+    def unit(parts: list[Array]) -> float:
+        power = sum(float(p @ p) for p in parts) / sum(len(p) for p in parts)
+        return float(2.0 ** round(np.log2(power) / 2)) if power > 0 else 1.0
+
+    of_y = unit([y for y, _ in data])
+    of_u = {i: unit([u[i] for _, u in data]) for i in layout.inputs}
+    scaled = [(y / of_y, {i: u[i] / of_u[i] for i in layout.inputs}) for y, u in data]
+    factors = np.ones(layout.n)
+    place = layout.na
+    for i, nb in zip(layout.inputs, layout.nb, strict=True):
+        factors[place : place + nb] = of_y / of_u[i]
+        place += nb
+    return scaled, Units(of_y, factors)
 
 
-def _discards(data: Any, layout: Layout, theta: Array, wanted: int | None) -> list[int]:
+def _discards(data: Data, layout: Layout, theta: Array, wanted: int | None) -> list[int]:
     if wanted is not None:
         return [wanted] * len(data)
     p = layout.split(theta)
-    settle = 0
-    for f in p.F or [np.ones(1)]:
-        radius = max(largest_root(p.C), largest_root(f))
-        if radius > 1e-6:
-            settle = max(settle, int(np.ceil(np.log(0.01) / np.log(min(radius, 0.99999)))))
+    radius = max(largest_root(polynomial) for polynomial in (p.C, *p.F))
+    settle = max([layout.nc, *layout.nf])
+    if radius > 1e-6:
+        settle = max(settle, int(np.ceil(np.log(0.01) / np.log(min(radius, 0.99999)))))
     return [layout.longest_lag + min(settle, (len(y) - layout.longest_lag) // 5) for y, _ in data]
 
 
 # -- solving ------------------------------------------------------------------------------------
 
 
-def _starts(data: Any, layout: Layout, start: PolynomialModel | None) -> list[Any]:
-    found: list[Any] = []
-    if start is not None:
-        if start.names != layout.names:
-            raise ModelError(
-                f"start has the coefficients {', '.join(start.names)}, the orders ask for "
-                f"{', '.join(layout.names)}; give a model of the same orders and inputs"
-            )
-        found.append(("the model given", np.array(start.theta), ()))
-        return found
-    return candidates(data, layout)
+def _given(start: PolynomialModel, layout: Layout, units: Units) -> Candidate:
+    if start.names != layout.names or tuple(start.nk.values()) != layout.nk:
+        raise ModelError(
+            f"start has the coefficients {', '.join(start.names)}, the orders ask for "
+            f"{', '.join(layout.names)}; give a model of the same orders and inputs"
+        )
+    return "the model given", np.array(start.theta) / units.factors, ()
 
 
-def _minimise(
-    criterion: PredictionErrors, theta: Array, solver: Solver | None, data: Any
-) -> Solution:
+def _best(
+    criterion: PredictionErrors, points: list[Candidate], solver: Solver | None
+) -> tuple[Solution, str, tuple[str, ...]]:
+    """The optimum reached from the best start; from the next ones where that fails."""
+    values = [criterion.evaluate(theta).value for _, theta, _ in points]
+    order = [i for i in np.argsort(values).tolist() if np.isfinite(values[i])]
+    if not order:
+        raise SolveError(
+            f"{criterion.layout.structure}: the criterion is not finite at any start value; look "
+            "for outliers in y and u, or give start="
+        )
+    best: Solution | None = None
+    chosen = order[0]
+    for i in order:
+        solution = _minimise(criterion, points[i][1], solver)
+        if best is None or (solution.is_converged, -solution.value) > (
+            best.is_converged,
+            -best.value,
+        ):
+            best, chosen = solution, i
+        if best.is_converged or _at_circle(criterion.layout, best)[1] > NEAR:
+            break
+    assert best is not None
+    return best, points[chosen][0], points[chosen][2]
+
+
+def _minimise(criterion: PredictionErrors, theta: Array, solver: Solver | None) -> Solution:
     layout = criterion.layout
+    if criterion.evaluate(theta).value < NO_NOISE * criterion.N:
+        # Data without noise: the start reproduces them to rounding, and there is no slope left.
+        return _standing(criterion, theta, "exact: the start reproduces the data")
     nlp = Nlp(layout.structure)
     for name, value in zip(layout.names, theta.tolist(), strict=True):
         nlp.variable(name, value, scale=max(abs(value), 1e-3))
     nlp.minimize(criterion)
-    at = criterion.evaluate(theta)
-    power = sum(float(y @ y) for y, _ in data)
-    if at.value < 1e-24 * power:
-        # Data without noise: the start reproduces them to rounding, and there is no slope left.
-        return _standing(criterion, theta, "start reproduces the data to rounding")
     solution = nlp.solve(solver, theta.tolist(), throw=False, natural_scales=True)
-    if not solution.is_converged and np.isfinite(solution.value):
+    if not solution.is_converged and _at_circle(layout, solution)[1] < NEAR:
         again = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
         if again.value <= solution.value:
             return again
@@ -323,43 +289,45 @@ def _standing(criterion: PredictionErrors, theta: Array, status: str) -> Solutio
     )
 
 
-def _failure(layout: Layout, solution: Solution) -> str:
+def _closed_form(criterion: PredictionErrors) -> Solution:
+    """ARX and FIR: linear least squares by an orthogonal factorisation."""
+    layout = criterion.layout
+    jacobian, y = criterion.jacobian(np.zeros(layout.n))
+    rank, equations = unseen(jacobian.T @ jacobian, layout.names)
+    if not rank.is_full:
+        raise IdentifiabilityError(
+            f"{layout.structure}: the record tells {rank.rank} of {rank.unknowns} coefficients; "
+            f"the regressors of {', '.join(layout.names)} are dependent, {equations}. Lower the "
+            "orders (data without noise have one order only), or record a richer input"
+        )
+    theta = -np.linalg.lstsq(jacobian, y, rcond=None)[0]
+    return _standing(criterion, theta, "closed form")
+
+
+def _at_circle(layout: Layout, solution: Solution) -> tuple[str, float]:
+    """The polynomial, C or an F, with the root nearest to the unit circle, and its modulus."""
     p = layout.split(solution.x)
     near = [("C", largest_root(p.C))]
     near += [(f"F[{i}]", largest_root(f)) for i, f in zip(layout.inputs, p.F, strict=True)]
-    name, radius = max(near, key=lambda item: item[1])
+    return max(near, key=lambda item: item[1])
+
+
+def _failure(layout: Layout, solution: Solution) -> str:
+    name, radius = _at_circle(layout, solution)
     why = solution.mend
-    if radius > 0.999:
-        lower = "nc" if name == "C" else "nf"
+    if radius > NEAR:
         why = (
             f"the search ran to a root of {name} of modulus {radius:.6f}, on the unit circle, "
-            f"where the predictor is no longer stable. Lower {lower}, do not difference or detrend "
-            "the data more than they need, or add the missing dynamics"
+            "where the predictor is no longer stable. "
+        )
+        why += (
+            "Lower nc, or do not difference the data more than they need"
+            if name == "C"
+            else "Lower nf, or use A in place of F (ARMAX), which may be unstable"
         )
     return (
         f"{layout.structure}: {solution.solver} stopped with {solution.status} after "
         f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e}): {why}"
-    )
-
-
-def _closed_form(
-    data: Any, layout: Layout, Ts: float, discard: int | None, errors: Errors
-) -> PolynomialModel:
-    """ARX and FIR: linear least squares by an orthogonal factorisation."""
-    criterion = PredictionErrors(layout, data, _discards(data, layout, np.zeros(layout.n), discard))
-    jacobian, y = criterion.jacobian(np.zeros(layout.n))
-    length = np.linalg.norm(jacobian, axis=0)
-    rank = local_rank(
-        jacobian.T @ jacobian,
-        np.zeros(layout.n),
-        layout.names,
-        1 / np.where(length > 0, length, 1.0),
-    )
-    if not rank.is_full:
-        raise IdentifiabilityError(f"{layout.structure}: {describe_null(rank)}")
-    theta = -np.linalg.lstsq(jacobian, y, rcond=None)[0]
-    return _model(
-        criterion, _standing(criterion, theta, "closed form"), Ts, errors, "none needed", (), data
     )
 
 
@@ -369,47 +337,33 @@ def _closed_form(
 def _model(
     criterion: PredictionErrors,
     solution: Solution,
+    units: Units,
     Ts: float,
     errors: Errors,
     label: str,
     notes: tuple[str, ...],
-    data: Any,
 ) -> PolynomialModel:
-    layout, theta, N = criterion.layout, np.array(solution.x), criterion.N
-    n = layout.n
+    """The estimate in the data's own units, with its covariance."""
+    layout, N, n = criterion.layout, criterion.N, criterion.layout.n
+    power = units.y**2
     variance = 2 * solution.value / max(N - n, 1)
-    said = list(notes)
     root = np.sqrt(np.maximum(np.diag(solution.hessian), 1e-300))
     unit = solution.hessian / np.outer(root, root)
-    smallest = float(np.linalg.eigvalsh(unit)[0])
-    if smallest < 1e-7:
-        said.append(
-            "polynomials nearly cancel (smallest eigenvalue of the scaled information "
-            f"{smallest:.1e}): the orders are too high, and errors of single coefficients large"
-        )
+    values, vectors = np.linalg.eigh(unit)
+    smallest = float(values[0])
     if errors == "white":
-        inverse = np.linalg.pinv(unit, rcond=1e-15, hermitian=True)
-        covariance = variance * inverse / np.outer(root, root)
+        # A direction that the data do not see gets a huge error, not the none of a pseudo-inverse.
+        q = vectors / np.sqrt(np.maximum(values, 1e-16))
+        covariance = variance * (q @ q.T) / np.outer(root, root)
     else:
-        covariance, _ = sandwich(solution.hessian, criterion.scores(theta), np.ones(n, dtype=bool))
+        scores = criterion.scores(solution.x)
+        covariance, _ = sandwich(solution.hessian, scores, np.ones(n, dtype=bool))
+    theta = np.array(solution.x) * units.factors
     p = layout.split(theta)
-    stretch = [("C", p.C), *((f"F[{i}]", f) for i, f in zip(layout.inputs, p.F, strict=True))]
-    for name, polynomial in stretch:
-        if (radius := largest_root(polynomial)) > 0.999:
-            said.append(
-                f"{name} has a root of modulus {radius:.6f}: transients last longer than "
-                f"{int(1 / max(1 - radius, 1e-6))} samples, and normal errors are doubtful"
-            )
-    for name, polynomial in (("A", p.A), ("D", p.D)):
-        if (radius := largest_root(polynomial)) >= 1:
-            said.append(f"{name} has a root of modulus {radius:.4f}: the model itself is unstable")
-    residuals = criterion.residuals(theta)
-    spread = sum(
-        float(np.sum((y[d:] - y[d:].mean()) ** 2))
-        for (y, _), d in zip(data, criterion.discard, strict=True)
-    )
-    for r in residuals:
-        r.flags.writeable = False
+    residuals = tuple(r * units.y for r in criterion.residuals(solution.x))
+    for array in (theta, covariance, *residuals):
+        array.flags.writeable = False
+    no_noise = 2 * solution.value < NO_NOISE * N
     return PolynomialModel(
         structure=layout.structure,
         A=p.A,
@@ -420,11 +374,11 @@ def _model(
         nk=dict(zip(layout.inputs, layout.nk, strict=True)),
         names=layout.names,
         theta=theta,
-        covariance=covariance,
+        covariance=covariance * np.outer(units.factors, units.factors),
         assumes=ASSUMES[errors],
-        noise_variance=variance,
-        loss=solution.value / N,
-        fit=100 * (1 - np.sqrt(2 * solution.value / spread)) if spread > 0 else 0.0,
+        noise_variance=variance * power,
+        loss=solution.value / N * power,
+        fit=100 * (1 - float(np.sqrt(2 * solution.value / criterion.spread))),
         N=N,
         Ts=float(Ts),
         status=solution.status,
@@ -434,5 +388,28 @@ def _model(
         start=label,
         residuals=residuals,
         discarded=criterion.discard,
-        notes=tuple(said),
+        notes=(*notes, *_doubts(layout, p, smallest, no_noise)),
     )
+
+
+def _doubts(layout: Layout, p: Polynomials, smallest: float, no_noise: bool) -> list[str]:
+    """What spoils numbers of the result, in sentences."""
+    said = []
+    if no_noise and (layout.nc or layout.nd):
+        said.append("the data hold no noise: C and D mean nothing")
+    elif smallest < 1e-7:
+        said.append(
+            "polynomials nearly cancel (smallest eigenvalue of the scaled information "
+            f"{smallest:.1e}): the orders are too high, and errors of single coefficients large"
+        )
+    stretch = [("C", p.C), *((f"F[{i}]", f) for i, f in zip(layout.inputs, p.F, strict=True))]
+    for name, polynomial in stretch:
+        if (radius := largest_root(polynomial)) > NEAR:
+            said.append(
+                f"{name} has a root of modulus {radius:.6f}: transients last longer than "
+                f"{int(1 / max(1 - radius, 1e-6))} samples, and normal errors are doubtful"
+            )
+    for name, polynomial in (("A", p.A), ("D", p.D)):
+        if (radius := largest_root(polynomial)) >= 1:
+            said.append(f"{name} has a root of modulus {radius:.4f}: the model itself is unstable")
+    return said

@@ -65,6 +65,12 @@ class PredictionErrors:
         lengths = [len(y) - self._pad for y, _ in self._data]
         return int(sum(n - d for n, d in zip(lengths, self.discard, strict=True)))
 
+    @property
+    def spread(self) -> float:
+        """Sum of squares of y about its mean in each record, of the samples that count."""
+        parts = [y[self._pad + d :] for (y, _), d in zip(self._data, self.discard, strict=True)]
+        return float(sum(np.sum((part - part.mean()) ** 2) for part in parts)) or 1.0
+
     def _signals(self, theta: Array, record: int) -> tuple[Array, Shifts]:
         """Residual with `pad` zeros in front, and the shifted signals of its derivative."""
         from scipy.signal import lfilter

@@ -6,66 +6,18 @@ its delay as leading zeros. Thesis (2.13) with an F_i for every input (Ljung 199
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from casid.errors import DataError, ModelError, SolveError
+from casid.errors import ModelError, SolveError
+from casid.polynomial_data import one_record
 from casid.polynomial_orders import is_stable, largest_root
 
 Array = NDArray[Any]
-
-
-def one_record(y: ArrayLike, u: Any, inputs: Sequence[str] | None = None) -> tuple[Array, Any]:
-    """y (N,) and u as a dict of (N,) arrays, float64, checked.
-
-    Raises
-    ------
-    DataError
-        If a shape does not fit, a sample is not finite, or inputs differ from `inputs`.
-    """
-    out = np.asarray(y, dtype=np.float64)
-    if out.ndim != 1:
-        raise DataError(
-            f"y has shape {out.shape}; give one output as (N,), y[:, 0], and records as a list"
-        )
-    channels: dict[str, Array] = {}
-    if isinstance(u, Mapping):
-        channels = {str(k): np.asarray(v, dtype=np.float64) for k, v in u.items()}
-    elif u is not None:
-        array = np.asarray(u, dtype=np.float64)
-        if array.ndim == 1:
-            channels = {inputs[0] if inputs and len(inputs) == 1 else "u": array}
-        elif array.ndim == 2:
-            names = inputs or [f"u{i + 1}" for i in range(array.shape[1])]
-            if array.shape[0] != len(out) or len(names) != array.shape[1]:
-                raise DataError(
-                    f"u has shape {array.shape} beside {len(out)} samples of y; give (N, number of "
-                    "inputs) or a mapping from input to (N,)"
-                )
-            channels = dict(zip(names, array.T, strict=True))
-        else:
-            raise DataError(f"u has shape {array.shape}; give (N,), (N, nu) or a mapping")
-    if inputs is not None and set(channels) != set(inputs):
-        raise DataError(
-            f"inputs are {', '.join(channels) or 'none'}, the model has "
-            f"{', '.join(inputs) or 'none'}; give every input of the model by its name"
-        )
-    for name, values in [("y", out), *channels.items()]:
-        if values.shape != out.shape:
-            raise DataError(
-                f"{name} has shape {values.shape}, y has {out.shape}; cut both to the same samples"
-            )
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            raise DataError(
-                f"{name} holds {bad.size} samples that are not finite, the first at k = {bad[0]}; "
-                "cut the record there and give the parts as a list of records"
-            )
-    return out, channels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
