@@ -30,6 +30,8 @@ Array = NDArray[Any]
 
 _ITERATIONS = 60
 _STARTS = 12  # further starts, where the first does not converge
+_TOLERANCE = 1e-13  # relative step at which the iteration ends
+_ROUNDING = 1e-7  # relative step below which steps that do not shrink are rounding
 _RANK = 1e-11  # a relative singular value below this is none
 
 
@@ -101,7 +103,7 @@ def invert(
     upper = np.array([(bounds or {}).get(n, (-np.inf, np.inf))[1] for n in free])
     x0 = np.clip(p[map_.index], lower, upper)
     rng = np.random.default_rng(2)
-    trouble = ""
+    trouble: list[str] = []
     for attempt in range(1 + _STARTS):
         x = x0
         if attempt:
@@ -111,16 +113,16 @@ def invert(
         try:
             x, r, J = _newton(map_, p, x, theta, lower, upper, weight)
         except _Stuck as reason:
-            trouble = str(reason)
+            trouble.append(str(reason))
             continue
         inside = (x > lower) & (x < upper)
         _require_rank(equation, free, x, J, inside)
         return x, _derivative(map_, p, x, r, J, inside, weight)
-    if trouble.startswith("rank"):
+    if trouble[0].startswith("rank"):
         _require_rank(equation, free, x0, map_(p, x0)[1], np.ones(len(free), dtype=bool))
     raise SolveError(
-        f"{equation.name}: no {', '.join(free)} give these coefficients ({trouble}, from "
-        f"{1 + _STARTS} starts); check the known values and the sample time, or give a better start"
+        f"{equation.name}: no {', '.join(free)} give these coefficients ({trouble[0]}, then from "
+        f"{_STARTS} other starts); check the known values and the sample time, or give a better start"
     )
 
 
@@ -191,25 +193,21 @@ def _newton(
         out = ((x <= lower) & (step < 0)) | ((x >= upper) & (step > 0))
         if out.any():
             step, solve = _step(J, r, W, out, False)
-        size = float(np.abs(step).max(initial=0.0))
-        scale = np.abs(x) + 1e-12 * np.abs(x).max(initial=1.0)
-        t = 1.0
+        scale = np.maximum(np.abs(x), 1e-12 * np.abs(x).max(initial=1.0))
         # The test in parameter units: the simplified step from the new point must be shorter
         # (Deuflhard 2004, Newton Methods for Nonlinear Problems, section 3.2).
-        merit = float(np.linalg.norm(step / np.maximum(scale, 1e-300)))
+        length = float(np.linalg.norm(step / scale))
+        t = 1.0
         while True:
             new = np.clip(x + t * step, lower, upper)
             value, J_new = map_(p, new)
             r_new = theta - value
-            is_done = np.all(np.abs(new - x) <= 1e-13 * np.abs(new)) or size == 0.0
-            if np.isfinite(r_new).all():
-                ahead = float(np.linalg.norm(solve(r_new) / np.maximum(scale, 1e-300)))
-                if is_done or ahead <= (1.0 - 0.25 * t) * merit or ahead <= 1e-12:
-                    break
-                if merit <= 1e-9:  # rounding is all that is left
-                    new, r_new, is_done = x, r, True
-                    _, J_new = map_(p, x)
-                    break
+            ahead = float(np.linalg.norm(solve(r_new) / scale))  # not a number is not shorter
+            if ahead <= (1.0 - 0.25 * t) * length or ahead <= _TOLERANCE:
+                is_done = ahead <= _TOLERANCE
+                break
+            if length <= _ROUNDING:  # steps that no longer shrink
+                return x, r, J
             t *= 0.5
             if t < 1e-6:
                 raise _Stuck("the residual stops decreasing")
