@@ -31,10 +31,10 @@ class Moments:
         total + rest = sum over t of v_t v_t'.
 
     Each stretch of data adds its samples t = lags .. N_stretch - 1. Stretches, records, files and
-    machines are joined by ``+`` or `sum`. Every entry is within (BLOCK + lags + 2) u sum |v_i v_j|
-    of the exact sum, u = 2^-53, however many samples and pieces there are (Higham 2002, Accuracy
-    and Stability of Numerical Algorithms, eq. (3.5), for the blocks; the blocks are added with
-    compensation, section 4.3).
+    machines are joined by ``+`` or `sum`. Every entry is within gamma_n sum |v_i v_j| of the exact
+    sum, gamma_n = n u / (1 - n u), u = 2^-53, n = BLOCK + 2 lags + 3, however many samples and
+    pieces there are: Higham (2002), Accuracy and Stability of Numerical Algorithms, eq. (3.5), for
+    the products in a block; blocks and pieces are added with compensation, section 4.3.
 
     Attributes
     ----------
@@ -149,12 +149,13 @@ class Moments:
 
     def _weights(self, columns: Sequence[Column]) -> Array:
         weights = np.zeros((len(columns), len(self.total)))
+        order = max((column.order for column in columns), default=0)
         for row, column in zip(weights, columns, strict=True):
             for channel, lag, weight in column.taps:
                 if not 0 <= lag <= self.lags:
                     raise DataError(
                         f"column {column.name} reaches to lag {lag}, the moments keep lags 0 to "
-                        f"{self.lags}. Compute them with lags={max(lag, column.order)}."
+                        f"{self.lags}. Compute them with lags={order}."
                     )
                 row[self._place(channel) + (0 if channel == CONSTANT else lag)] += weight
         return weights
@@ -236,16 +237,18 @@ def _shifted(column: Column, lag: int) -> Column:
 
 
 def checked_channels(channels: Sequence[str]) -> tuple[str, ...]:
-    names = tuple(str(name) for name in channels)
-    if not names or len(set(names)) < len(names) or CONSTANT in names:
+    """Refuse no names, names given twice, and the constant's."""
+    names = (channels,) if isinstance(channels, str) else tuple(str(name) for name in channels)
+    if isinstance(channels, str) or not names or len(set(names)) < len(names) or CONSTANT in names:
         raise DataError(
-            f"channels {', '.join(map(repr, names)) or 'none'}. Give at least one, each name once; "
-            f"{CONSTANT!r} is the constant and always there."
+            f"channels {', '.join(map(repr, names)) or 'none'}. Give a list of at least one, "
+            f"each name once; {CONSTANT!r} is the constant and always there."
         )
     return names
 
 
-def checked_lags(lags: int) -> int:
+def checked_lags(lags: int, name: str = "lags") -> int:
+    """Refuse what is not a number of samples, 0, 1, ..."""
     if isinstance(lags, bool) or int(lags) != lags or lags < 0:
-        raise DataError(f"lags = {lags!r}. Give the largest lag, an integer of at least 0.")
+        raise DataError(f"{name} = {lags!r}. Give a number of samples, an integer of at least 0.")
     return int(lags)

@@ -181,7 +181,7 @@ class Accumulator:
         self.lags = checked_lags(lags)
         self.prefilter = prefilter
         self._rational = None if rational is None else _checked_rational(rational)
-        self._settle = settle
+        self._settle = checked_lags(settle, "settle")
         nc = len(self.channels)
         self._taps = None if prefilter is None else prefilter.taps
         self._raw = None if prefilter is None else Window(nc, BLOCK, 2 * prefilter.half)
@@ -193,6 +193,7 @@ class Accumulator:
         self._begin()
 
     def _begin(self) -> None:
+        self._is_open = False
         self._count = 0  # samples that reached the sums
         self._skip = self._settle
         self._head = np.zeros((len(self.channels), 2 * self.lags))
@@ -242,6 +243,8 @@ class Accumulator:
 
     def gap(self) -> None:
         """End the stretch: what comes next is not a continuation."""
+        if not self._is_open:
+            return
         self._closed = self._closed + self._stretch()
         self._begin()
 
@@ -256,6 +259,7 @@ class Accumulator:
         return self._closed + self._stretch()
 
     def _add_finite(self, rows: Sequence[Array]) -> None:
+        self._is_open = self._is_open or rows[0].size > 0
         if self._rational is None:
             self._add_settled(rows)
             return
