@@ -18,6 +18,7 @@ from casid.nlp import (
     Evaluation,
     Solution,
     Solver,
+    account,
     fill,
     gave_up,
     inside,
@@ -138,6 +139,81 @@ class Compiled:
             f"constraints, parameters {given or 'none'}, {self.solver.name}>"
         )
 
+    @property
+    def start(self) -> Array:
+        """The declared starts (n,)."""
+        return self._start.copy()
+
+    @property
+    def scale(self) -> Array:
+        """What the solver sees as one (n,)."""
+        return self._scale.copy()
+
+    @property
+    def box(self) -> tuple[Array, Array, Array, Array]:
+        """Lower and upper bounds of the variables (n,), limits of the constraints (m,)."""
+        return self._box
+
+    def with_solver(self, solver: Solver) -> Compiled:
+        """The same program for another solver."""
+        return Compiled(**(self._state | {"solver": solver}))
+
+    def put(self, values: Mapping[str, Any]) -> None:
+        """Give the parameters values, without solving.
+
+        Raises
+        ------
+        SolveError
+            If a value is missing, unknown, not finite or of another shape than was declared.
+        """
+        fill(self.name, self._windows, values, self._values)
+
+    def lagrangian_hessian(self, x: Array, lam: Array) -> Array:
+        """Hessian (n, n) of f + lam'g at `x` (n,), `lam` (m,), at the last values given."""
+        return np.array(self._curvature(x, self._values, lam))
+
+    def polished(self, solution: Solution, lam: Array | None = None) -> Solution:
+        """The better one of `solution` and what Newton steps lead to from there.
+
+        A step solves the optimality conditions, linearised, for the variables that no bound holds
+        and the constraints at their limits; it counts if the measures of optimality agree. `lam`
+        (m,) are the multipliers to begin with; without them equalities alone count as active.
+        """
+        lower, upper, low, high = self._box
+        lam = np.zeros(len(low)) if lam is None else lam
+        at = self.evaluate(solution.x)
+        for _ in range(5):
+            if solution.scaled_gradient < _PROVEN and solution.constraint_violation < 1e-12:
+                break
+            held = {*solution.at_lower, *solution.at_upper}
+            free = np.array([name not in held for name in self.names])
+            active = np.flatnonzero((low == high) | (lam != 0))
+            limit = np.where(lam > 0, high, low)[active]
+            W = self.lagrangian_hessian(solution.x, lam)[np.ix_(free, free)]
+            A = at.jacobian[active][:, free]
+            step = _newton_step(W, A, at.gradient[free], at.constraints[active] - limit)
+            if step is None:
+                break
+            x, lam = solution.x.copy(), np.zeros(len(low))
+            x[free] += step[: len(W)]
+            lam[active] = step[len(W) :]
+            x = np.minimum(np.maximum(x, lower), upper)
+            at = self.evaluate(x)
+            stats = {
+                "return_status": solution.status,
+                "iter_count": solution.iterations,
+                "n_call_nlp_f": solution.evaluations,
+            }
+            found = judged(self.names, x, at, self._scale, self._box, stats, solution.solver)
+            is_better = (
+                found.scaled_gradient < 0.5 * solution.scaled_gradient
+                and found.constraint_violation <= max(solution.constraint_violation, 1e-9)
+            )
+            if not is_better:
+                break
+            solution = found
+        return solution
+
     def evaluate(self, x: Array) -> Evaluation:
         """Criterion, constraints and their derivatives at `x` (n,), at the last values given."""
         self._derivatives.arguments["x"][:] = x
@@ -158,7 +234,7 @@ class Compiled:
         ----------
         values : one array of the declared shape for each parameter, physical units; vectors may
             have shape (rows,).
-        polish : where the solver stops short of 1e-7 in the scaled gradient, take Newton steps on
+        polish : where the solver stops short of 1e-9 in the scaled gradient, take Newton steps on
             the optimality conditions of the limits that it found active. Data with little noise
             need it: a solver's tolerance is relative to the start, not to what is left.
 
@@ -167,7 +243,7 @@ class Compiled:
         SolveError
             As `Nlp.solve`; a missing, misshapen or non-finite value always raises.
         """
-        fill(self.name, self._windows, values, self._values)
+        self.put(values)
         names, scale, (lower, upper, _, _) = self.names, self._scale, self._box
         x = self._start
         if start is not None:
@@ -187,12 +263,13 @@ class Compiled:
         size = float(out["scaled_gradient"][0])
         if size < _PROVEN:
             held = out["held"].tolist()
+            status, iterations, evaluations = account(stats)
             solution = Solution(
                 names=names,
                 x=x,
                 value=at.value,
-                status=str(stats["return_status"]),
-                iterations=int(stats["iter_count"]),
+                status=status,
+                iterations=iterations,
                 scaled_gradient=size,
                 constraint_violation=float(out["violation"][0]),
                 at_lower=tuple(n for n, side in zip(names, held, strict=True) if int(side) & 1),
@@ -200,56 +277,20 @@ class Compiled:
                 hessian=at.hessian,
                 constraint_jacobian=at.jacobian,
                 solver=self.solver.name,
-                evaluations=int(stats.get("n_call_nlp_f", 0)),
+                evaluations=evaluations,
             )
         else:
             solution = judged(names, x, at, scale, self._box, stats, self.solver.name)
             if polish and math.isfinite(solution.scaled_gradient):
-                solution = self._polished(solution, at, out["pull"].copy(), stats)
+                solution = self.polished(solution, out["pull"].copy())
         if throw and not solution.is_converged:
             raise not_converged(self.name, solution)
-        return solution
-
-    def _polished(
-        self, solution: Solution, at: Evaluation, lam: Array, stats: Mapping[str, Any]
-    ) -> Solution:
-        """The better one of `solution` and what Newton steps lead to from there.
-
-        A step solves the optimality conditions, linearised, for the variables that no bound holds
-        and the constraints at their limits; it counts if the measures of optimality agree.
-        """
-        lower, upper, low, high = self._box
-        for _ in range(5):
-            if solution.scaled_gradient < _PROVEN and solution.constraint_violation < 1e-12:
-                break
-            held = {*solution.at_lower, *solution.at_upper}
-            free = np.array([name not in held for name in self.names])
-            active = np.flatnonzero((low == high) | (lam != 0))
-            limit = np.where(lam > 0, high, low)[active]
-            W = np.array(self._curvature(solution.x, self._values, lam))[np.ix_(free, free)]
-            A = at.jacobian[active][:, free]
-            step = _newton_step(W, A, at.gradient[free], at.constraints[active] - limit)
-            if step is None:
-                break
-            x, lam = solution.x.copy(), np.zeros(len(low))
-            x[free] += step[: len(W)]
-            lam[active] = step[len(W) :]
-            x = np.minimum(np.maximum(x, lower), upper)
-            at = self.evaluate(x)
-            found = judged(self.names, x, at, self._scale, self._box, stats, self.solver.name)
-            is_better = (
-                found.scaled_gradient < 0.5 * solution.scaled_gradient
-                and found.constraint_violation <= max(solution.constraint_violation, 1e-9)
-            )
-            if not is_better:
-                break
-            solution = found
         return solution
 
 
 # The solver's multipliers prove an optimum when the Lagrangian's gradient vanishes with them; where
 # it does not (they are in another scaling, or missing) better ones are sought by least squares.
-_PROVEN = 1e-7
+_PROVEN = 1e-9
 
 
 def _evaluation(out: Mapping[str, Array], n: int) -> Evaluation:

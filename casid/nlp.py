@@ -811,12 +811,13 @@ def judged(
     size = _scaled_gradient(
         at, at.jacobian, to_lower, to_upper, np.maximum(np.abs(x), scale), at_lower, at_upper
     )
+    status, iterations, evaluations = account(stats)
     return Solution(
         names=names,
         x=x,
         value=at.value,
-        status=str(stats["return_status"]),
-        iterations=int(stats["iter_count"]),
+        status=status,
+        iterations=iterations,
         scaled_gradient=size,
         constraint_violation=violation,
         at_lower=tuple(n for n, held in zip(names, at_lower, strict=True) if held),
@@ -824,8 +825,19 @@ def judged(
         hessian=at.hessian,
         constraint_jacobian=at.jacobian,
         solver=solver,
-        evaluations=int(stats.get("n_call_nlp_f", 0)),
+        evaluations=evaluations,
     )
+
+
+def account(stats: Mapping[str, Any]) -> tuple[str, int, int]:
+    """Status in words, iterations and evaluations of the objective, as far as a solver tells."""
+    status = stats.get("return_status")
+    if not isinstance(status, str):  # a number, or nothing: the word that all plug-ins share
+        words = {"SOLVER_RET_SUCCESS": "Solved", "SOLVER_RET_LIMITED": "Limit_Reached"}
+        unified = str(stats.get("unified_return_status", ""))
+        status = "Solved" if stats.get("success") else words.get(unified, "Not_Solved")
+    counters = ("n_call_nlp_f", "n_call_nlp_fg", "n_call_nlp_psi")
+    return status, int(stats.get("iter_count", 0)), sum(int(stats.get(c, 0)) for c in counters)
 
 
 def _scaled_gradient(
