@@ -1,0 +1,460 @@
+"""What to do about an input that nobody controls: the options of Linder (2017), 7.3, side by side.
+
+(A) the input is known, or measured with noise; (B) it is a state, a random walk, with or without a
+measurement of its integral (a speed for an acceleration); (C) it is eliminated with an output that
+feels it, which leaves the indirect model. One call fits a direct model in each of these ways.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.data import Experiment, Record
+from casid.errors import CasidError, DataError, ModelError
+from casid.estimate import Estimate
+from casid.identification import FitSettings, identify
+from casid.model import Model
+from casid.nlp import Solver
+from casid.noisy_model import White
+from casid.prediction_error import minimize_prediction_error
+from casid.problem import Problem
+from casid.units import unit_quotient
+
+Array = NDArray[Any]
+
+KNOWN = "known"
+AS_EXACT = "measured, taken as exact"
+WITH_ERRORS = "measured, with errors in it"
+WALK = "random walk"
+WALK_INTEGRAL = "random walk, integral measured"
+SIMULATION = "eliminated, simulation error"
+PREDICTION = "eliminated, prediction error"
+OPTIONS = (KNOWN, AS_EXACT, WITH_ERRORS, WALK, WALK_INTEGRAL, SIMULATION, PREDICTION)
+"""The options in the order of 7.3: (A) the first three, (B) two, (C) two."""
+
+_LETTER = dict(zip(OPTIONS, "AAABBCC", strict=True))
+
+
+# -- the models ---------------------------------------------------------------------------------
+
+
+def as_known(model: Model, unknown: str) -> Model:
+    """The model with its unknown input recorded in a channel of the same name."""
+    _require_unknown(model, unknown)
+    new = model.copy()
+    new.inputs[unknown] = replace(new.inputs[unknown], kind="known")
+    return new
+
+
+def as_random_walk(
+    model: Model,
+    unknown: str,
+    *,
+    measured: bool = False,
+    integral: str | None = None,
+    integral_unit: str | None = None,
+) -> tuple[Model, str]:
+    """The model with its unknown input as a state that is driven by white noise.
+
+    Parameters
+    ----------
+    measured : the input has a noisy channel of its own name, which becomes an output.
+    integral : channel of its integral (a speed where the input is an acceleration), an output too.
+    integral_unit : SI unit of that channel.
+
+    Returns
+    -------
+    The model, and the name of the white noise that drives the state: an unknown input, to be given
+    as `White(name, sd)` with sd in units of the input's rate times sqrt(s).
+    """
+    _require_unknown(model, unknown)
+    unit = model.inputs[unknown].unit
+    new = model.copy()
+    state = new.state(new.free_name(f"{unknown} as state"), unit)
+    rate = f"rate of {unknown}"
+    new.derivative(state, new.unknown_input(rate, unit_quotient(unit, "s")))
+    new.substitute_symbol(unknown, state)
+    del new.inputs[unknown]
+    if measured:
+        new.output(unknown, state, unit)
+    if integral is not None:
+        unit = integral_unit or unit_quotient(unit, "s", -1)
+        moved = new.state(new.free_name(f"integral of {unknown}"), unit)
+        new.derivative(moved, state)
+        new.output(integral, moved, unit)
+    return new, rate
+
+
+def _require_unknown(model: Model, unknown: str) -> None:
+    names = [n for n, i in model.inputs.items() if i.kind == "unknown"]
+    if unknown not in names:
+        raise ModelError(
+            f"{model.name}: {unknown!r} is not an unknown input; it has "
+            f"{', '.join(names) or 'none (give the direct model, before eliminate)'}"
+        )
+
+
+# -- the comparison -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OptionRow:
+    """One option: what it estimates, how well it predicts, and whether it can be trusted."""
+
+    option: str
+    letter: str  # (A), (B) or (C) of 7.3
+    estimate: Estimate | None  # None where the option failed: `remark` says why
+    parameters: tuple[str, ...]
+    error: Mapping[str, float]  # parameter -> estimate minus truth, empty where no truth is given
+    prediction_rms: Mapping[str, float]  # output -> rms of the one-step prediction error
+    is_consistent: bool
+    remark: str
+
+    def value(self, name: str) -> float:
+        """The estimate of a parameter; NaN where the option failed."""
+        return float("nan") if self.estimate is None else self.estimate[name]
+
+    def std_error(self, name: str) -> float:
+        """Its standard error; NaN where there is none."""
+        found = None if self.estimate is None else self.estimate.parameter(name).std_error
+        return float("nan") if found is None else found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnknownInputComparison:
+    """The options for one unknown input on the same records."""
+
+    model: str
+    unknown: str
+    parameters: tuple[str, ...]
+    units: Mapping[str, str]
+    truth: Mapping[str, float]
+    outputs: tuple[str, ...]
+    rows: tuple[OptionRow, ...]
+
+    def __getitem__(self, option: str) -> OptionRow:
+        """The row of an option, by its name."""
+        for row in self.rows:
+            if row.option == option:
+                return row
+        raise KeyError(f"no option {option!r}; there are {', '.join(r.option for r in self.rows)}")
+
+    def cells(self) -> tuple[list[str], list[list[str]]]:
+        """Heads and rows of the table, as text."""
+        heads = ["option"]
+        for name in self.parameters:
+            heads.append(f"{name} [{self.units[name]}]")
+            if name in self.truth:
+                heads.append("error")
+        heads += [f"rms {o}" for o in self.outputs]
+        rows = []
+        for row in self.rows:
+            cells = [f"({row.letter}) {row.option}"]
+            for name in self.parameters:
+                value = row.value(name)
+                cells.append(
+                    "--" if np.isnan(value) else f"{value:.5g} +- {row.std_error(name):.2g}"
+                )
+                if name in self.truth:
+                    cells.append(f"{row.error[name]:+.2g}" if name in row.error else "--")
+            for output in self.outputs:
+                rms = row.prediction_rms.get(output)
+                cells.append("--" if rms is None else f"{rms:.4g}")
+            rows.append(cells)
+        return heads, rows
+
+    def __repr__(self) -> str:
+        return f"<UnknownInputComparison {self.model}/{self.unknown}: {len(self.rows)} options>"
+
+    def __str__(self) -> str:
+        heads, rows = self.cells()
+        widths = [max(len(r[i]) for r in [heads, *rows]) for i in range(len(heads))]
+
+        def line(cells: Sequence[str]) -> str:
+            first = cells[0].ljust(widths[0])
+            rest = (c.rjust(w) for c, w in zip(cells[1:], widths[1:], strict=True))
+            return "  ".join([first, *rest])
+
+        lines = [f"Options for the unknown input {self.unknown} of {self.model}"]
+        if self.truth:
+            known = ", ".join(
+                f"{n} = {self.truth[n]:g}" for n in self.parameters if n in self.truth
+            )
+            lines.append(f"  truth {known}")
+        lines += ["", line(heads), *[line(r) for r in rows], ""]
+        lines += [f"({r.letter}) {r.option}: {r.remark}" for r in self.rows]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        heads, rows = self.cells()
+        head = "".join(f"<th>{html.escape(h)}</th>" for h in [*heads, "remark"])
+        body = "".join(
+            "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in [*cells, row.remark]) + "</tr>"
+            for cells, row in zip(rows, self.rows, strict=True)
+        )
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def compare_unknown_input_options(
+    model: Model,
+    experiments: Sequence[Experiment | Record] | Experiment | Record,
+    *,
+    unknown: str | None = None,
+    using: str | None = None,
+    exact: str | None = None,
+    measured: str | None = None,
+    integral: str | None = None,
+    noise: Mapping[str, float] | None = None,
+    process: Sequence[White] = (),
+    truth: Mapping[str, float] | None = None,
+    options: Sequence[str] | None = None,
+    solver: Solver | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> UnknownInputComparison:
+    """Fit a direct model in every way that its records allow; one row an option.
+
+    Parameters
+    ----------
+    model : direct, with one unknown input (`unknown`, where it has several); other inputs recorded.
+    experiments : records with the model's outputs, and the channels named below.
+    using : the output to eliminate the unknown input with; default the last that feels it.
+    exact : channel that holds the unknown input without error (a simulation's), for "known".
+    measured : channel that holds it with noise; default the one of its own name, where there is.
+    integral : channel that holds its integral with noise (a speed where it is an acceleration).
+    noise : output or channel -> standard deviation to start from; default a guess from its second
+        differences. All are estimated.
+    process : process noise that every option has (estimated from its start).
+    truth : parameter -> true value, where data are simulated.
+    options : which of `OPTIONS` (default all that the records allow).
+
+    Returns
+    -------
+    UnknownInputComparison
+        An option that cannot be fitted keeps its row: its remark says why.
+
+    Raises
+    ------
+    ModelError
+        If the model has no unknown input, or several and none is named.
+    DataError
+        If a channel named here is missing, or an option asked for lacks its channel.
+    """
+    say = progress or (lambda _: None)
+    given = [experiments] if isinstance(experiments, Experiment | Record) else list(experiments)
+    chosen = [Experiment(e, {}, e.name) if isinstance(e, Record) else e for e in given]
+    unknown = _the_unknown(model, unknown)
+    if measured is None and all(unknown in e.record for e in chosen) and exact != unknown:
+        measured = unknown
+    channels = {"exact": exact, "measured": measured, "integral": integral}
+    for role, channel in channels.items():
+        for e in chosen:
+            if channel is not None and channel not in e.record:
+                raise DataError(
+                    f"{e.name}: no channel {channel!r} for {role}; it has "
+                    f"{', '.join(e.record.names)}"
+                )
+    needs = {KNOWN: exact, AS_EXACT: measured, WITH_ERRORS: measured, WALK_INTEGRAL: integral}
+    words = {KNOWN: "exact", AS_EXACT: "measured", WITH_ERRORS: "measured"}
+    for option in options or ():
+        if option not in OPTIONS:
+            raise DataError(f"no option {option!r}; there are {', '.join(OPTIONS)}")
+        if option in needs and needs[option] is None:
+            raise DataError(
+                f"option {option!r} needs a channel: give "
+                f"{words.get(option, 'integral')}='name of the channel'"
+            )
+    wanted = options or [o for o in OPTIONS if o not in needs or needs[o] is not None]
+    job = _Job(
+        model,
+        unknown,
+        chosen,
+        using or _last_that_feels(model, unknown),
+        exact,
+        measured,
+        integral,
+        dict(noise or {}),
+        tuple(process),
+        solver,
+    )
+    rows = []
+    names = tuple(p.name for p in model.parameters.values() if not p.is_known)
+    names = tuple(n for n in names if not all(n in e.known for e in chosen))
+    for option in wanted:
+        say(option)
+        rows.append(_row(job, option, names, truth or {}))
+    outputs = tuple(dict.fromkeys(o for row in rows for o in row.prediction_rms))
+    return UnknownInputComparison(
+        model=model.name,
+        unknown=unknown,
+        parameters=names,
+        units={n: model.parameters[n].unit for n in names},
+        truth={n: float(v) for n, v in (truth or {}).items() if n in names},
+        outputs=outputs,
+        rows=tuple(rows),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    model: Model
+    unknown: str
+    experiments: list[Experiment]
+    using: str
+    exact: str | None
+    measured: str | None
+    integral: str | None
+    noise: dict[str, float]
+    process: tuple[White, ...]
+    solver: Solver | None
+
+    def with_input(self, channel: str | None) -> list[Experiment]:
+        """The experiments, the unknown input's own channel being a copy of `channel`."""
+        if channel is None or channel == self.unknown:
+            return self.experiments
+        out = []
+        for e in self.experiments:
+            r = e.record.without(self.unknown) if self.unknown in e.record else e.record
+            r = r.with_channel(self.unknown, e.record[channel], e.record.units[channel])
+            out.append(Experiment(r, e.known, e.name))
+        return out
+
+    def white(self, model: Model, experiments: Sequence[Experiment]) -> list[White]:
+        """The noise of every output, and the process noise that all options have."""
+        sources = []
+        for name in model.outputs:
+            of = self.measured if name == self.unknown and self.measured else name
+            guess = max(_noise_guess(e.record[name]) for e in experiments)
+            sources.append(White(name, self.noise.get(of, guess)))
+        return [*sources, *self.process]
+
+    def roughness(self) -> float:
+        """A start for the intensity of the random walk: its output's spread a second."""
+        return max(float(np.std(e.record[self.using])) for e in self.experiments) or 1.0
+
+
+def _noise_guess(y: Array) -> float:
+    """White noise from second differences, at least a thousandth of the spread (a heuristic)."""
+    spread = float(np.std(y))
+    rough = float(np.std(np.diff(y, 2))) / np.sqrt(6) if len(y) > 3 else 0.0
+    return max(rough, 1e-3 * spread) or 1e-6
+
+
+def _the_unknown(model: Model, unknown: str | None) -> str:
+    names = [n for n, i in model.inputs.items() if i.kind == "unknown"]
+    if unknown is None and len(names) == 1:
+        return names[0]
+    if unknown is None and len(names) > 1:
+        raise ModelError(
+            f"{model.name} has several unknown inputs ({', '.join(names)}); say which with unknown="
+        )
+    _require_unknown(model, unknown or "")
+    return str(unknown)
+
+
+def _last_that_feels(model: Model, unknown: str) -> str:
+    import casadi as ca
+
+    e = model.explicit()
+    felt = [
+        name for i, name in enumerate(e.outputs) if ca.depends_on(e.h[i], model.symbol(unknown))
+    ]
+    if not felt:
+        raise ModelError(
+            f"{model.name}: no output feels {unknown} at once, so it cannot be eliminated; leave "
+            "the options (C) out, options=[...], or add a sensor that does"
+        )
+    return felt[-1]
+
+
+def _row(job: _Job, option: str, names: tuple[str, ...], truth: Mapping[str, float]) -> OptionRow:
+    consistent, remark = _judgement(job, option)
+    try:
+        estimate = _fit(job, option)
+    except CasidError as why:
+        return OptionRow(option, _LETTER[option], None, names, {}, {}, False, f"failed: {why}")
+    rms: dict[str, float] = {}
+    for output in next(iter(estimate.rmse.values())):
+        sizes = [by_output[output] for by_output in estimate.rmse.values()]
+        rms[output] = float(np.sqrt(np.mean(np.square(sizes))))
+    coloured = [name for name, said in estimate.whiteness.items() if "coloured" in said]
+    if consistent and coloured:
+        remark += f". Here {', '.join(coloured)} leave coloured residuals: the condition fails"
+    if not estimate.is_converged:
+        remark += f". {estimate.status}: not converged"
+    error = {n: estimate[n] - truth[n] for n in names if n in truth}
+    return OptionRow(option, _LETTER[option], estimate, names, error, rms, consistent, remark)
+
+
+def _fit(job: _Job, option: str) -> Estimate:
+    if option in (KNOWN, AS_EXACT):
+        model = as_known(job.model, job.unknown)
+        experiments = job.with_input(job.exact if option == KNOWN else job.measured)
+        noise = job.white(model, experiments)
+    elif option in (WITH_ERRORS, WALK, WALK_INTEGRAL):
+        record = job.experiments[0].record
+        model, rate = as_random_walk(
+            job.model,
+            job.unknown,
+            measured=option == WITH_ERRORS,
+            integral=job.integral if option == WALK_INTEGRAL else None,
+            integral_unit=None if job.integral is None else record.units[job.integral],
+        )
+        experiments = job.with_input(job.measured if option == WITH_ERRORS else None)
+        noise = [*job.white(model, experiments), White(rate, job.roughness())]
+    else:
+        model = job.model.eliminate(job.unknown, using=job.using)
+        experiments = job.experiments
+        if option == SIMULATION:
+            problem = Problem(name=model.name, model=model)
+            settings = FitSettings(starts=1, solver=job.solver)
+            return identify(problem, experiments, settings=settings)
+        noise = job.white(model, experiments)
+        if not job.process:
+            level = max(w.sd for w in noise)
+            noise += [White(b, level, held=True) for b in model.balances]
+    return minimize_prediction_error(
+        model, experiments, noise, solver=job.solver, throw=False
+    ).estimate
+
+
+def _judgement(job: _Job, option: str) -> tuple[bool, str]:
+    """Whether an option is consistent, and why."""
+    u, y = job.unknown, job.using
+    return {
+        KNOWN: (True, f"consistent: {u} is exact and the noise white; the bound for the others"),
+        AS_EXACT: (
+            False,
+            f"not consistent: the noise of {u} acts on the model but not on the system "
+            "(errors in variables); its gain is drawn to zero, more the noisier it is (3.55)",
+        ),
+        WITH_ERRORS: (
+            True,
+            f"consistent if {u} is a random walk and the noises are white; {u} is smoothed, not "
+            "believed",
+        ),
+        WALK: (
+            True,
+            f"consistent if {u} is a random walk; the outputs alone tell what it was",
+        ),
+        WALK_INTEGRAL: (
+            True,
+            f"consistent if {u} is a random walk; its measured integral {job.integral} keeps slow "
+            "changes apart from the model's own",
+        ),
+        SIMULATION: (
+            False,
+            f"not consistent: {y} is an input with noise, fed back by the system itself (7.30); "
+            f"no assumption on {u}",
+        ),
+        PREDICTION: (
+            False,
+            f"not consistent: the noise of {y} acts like process noise only where {y} itself is "
+            f"much larger; the loop has a direct term (7.31). No assumption on {u}",
+        ),
+    }[option]
