@@ -422,86 +422,111 @@ def _say_where(folder: Path, names: Sequence[str], quiet: bool) -> None:
         _say("wrote " + " and ".join(str(folder / name) for name in names))
 
 
-def _command_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The options that `diagnose` and `identify` share."""
-    for decorate in reversed(
-        (
-            click.option(
-                "--map",
-                "maps",
-                multiple=True,
-                metavar="SIGNAL=COLUMN[:UNIT]",
-                help="Column of a signal, and its unit in the file, as in phi=roll:deg; t=COLUMN "
-                "names the time stamps. Repeatable.",
-            ),
-            click.option(
-                "--set",
-                "settings",
-                multiple=True,
-                metavar="NAME=VALUE",
-                help="A parameter that is known, SI units. Repeatable.",
-            ),
-            click.option(
-                "--window",
-                metavar="START:STOP",
-                help="Seconds of the record's own clock, as in 27:91; run.csv@12:194 gives a file "
-                "its own.",
-            ),
-            click.option(
-                "--resample",
-                type=float,
-                metavar="TS",
-                help="Interpolate irregular records onto this sample time [s].",
-            ),
-            click.option(
-                "--lowpass",
-                type=float,
-                metavar="HZ",
-                help="Low-pass every channel alike (zero phase). First of the preparations.",
-            ),
-            click.option(
-                "--decimate",
-                type=click.IntRange(min=1),
-                default=1,
-                metavar="N",
-                help="Keep every N-th sample behind an anti-alias filter. Second.",
-            ),
-            click.option(
-                "--detrend", is_flag=True, help="Subtract the mean of every channel. Third."
-            ),
-            click.option(
-                "--starts",
-                type=click.IntRange(min=1),
-                metavar="N",
-                help="Starts of the estimation; the best optimum is kept. Default: the problem's.",
-            ),
-            click.option(
-                "--seed",
-                type=click.IntRange(min=0),
-                default=0,
-                show_default=True,
-                help="Seed of the random starts.",
-            ),
-            click.option(
-                "--solver",
-                default="ipopt",
-                show_default=True,
-                metavar="NAME",
-                help="A CasADi NLP solver.",
-            ),
-            click.option(
-                "--out",
-                type=click.Path(path_type=Path),
-                metavar="DIR",
-                help="Folder of the results; default a new reports/<problem>-<n>.",
-            ),
-            click.option("--force", is_flag=True, help="Write into a folder that is not empty."),
-            click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
-            click.option("--quiet", is_flag=True, help="No progress; errors alone."),
-        )
-    ):
-        command = decorate(command)
-    return command
+_DATA_OPTIONS = (
+    click.option(
+        "--map",
+        "maps",
+        multiple=True,
+        metavar="SIGNAL=COLUMN[:UNIT]",
+        help="Column of a signal, and its unit in the file, as in phi=roll:deg; t=COLUMN names the "
+        "time stamps. Repeatable.",
+    ),
+    click.option(
+        "--window",
+        metavar="START:STOP",
+        help="Seconds of the record's own clock, as in 27:91; run.csv@12:194 gives a file its own.",
+    ),
+    click.option(
+        "--resample",
+        type=float,
+        metavar="TS",
+        help="Interpolate irregular records onto this sample time [s].",
+    ),
+    click.option(
+        "--lowpass",
+        type=float,
+        metavar="HZ",
+        help="Low-pass every channel alike (zero phase). First of the preparations.",
+    ),
+    click.option(
+        "--decimate",
+        type=click.IntRange(min=1),
+        default=1,
+        metavar="N",
+        help="Keep every N-th sample behind an anti-alias filter. Second.",
+    ),
+    click.option("--detrend", is_flag=True, help="Subtract the mean of every channel. Third."),
+)
+"""Where records come from, and how they are prepared."""
+
+_FIT_OPTIONS = (
+    click.option(
+        "--set",
+        "settings",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="A parameter that is known, SI units. Repeatable.",
+    ),
+    click.option(
+        "--starts",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Starts of the estimation; the best optimum is kept. Default: the problem's.",
+    ),
+    click.option(
+        "--solver",
+        default="ipopt",
+        show_default=True,
+        metavar="NAME",
+        help="A CasADi NLP solver.",
+    ),
+)
+"""How a fit is sought."""
+
+_OUTPUT_OPTIONS = (
+    click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
+    click.option("--quiet", is_flag=True, help="No progress; errors alone."),
+)
+"""What is said."""
+
+
+def _seed_option(help: str) -> Any:
+    return click.option(
+        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help=help
+    )
+
+
+def _folder_options(default: str, force: str) -> tuple[Any, Any]:
+    return (
+        click.option(
+            "--out",
+            type=click.Path(path_type=Path),
+            metavar="DIR",
+            help=f"Folder of the results; default {default}.",
+        ),
+        click.option("--force", is_flag=True, help=force),
+    )
+
+
+def _options(*options: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command these options, in this order."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+_RECORD_OPTIONS = _options(
+    *_DATA_OPTIONS,
+    *_FIT_OPTIONS,
+    _seed_option("Seed of the random starts."),
+    *_folder_options("a new reports/<problem>-<n>", "Write into a folder that is not empty."),
+    *_OUTPUT_OPTIONS,
+)
+"""The options of what works on records."""
 
 
 def _hold_out_option(default: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -557,7 +582,7 @@ def main(context: click.Context) -> None:
     show_default=True,
     help="Stop the search there.",
 )
-@_command_options
+@_RECORD_OPTIONS
 def diagnose(
     problem: str,
     false_alarm_rate: float,
@@ -618,7 +643,7 @@ def diagnose(
     show_default=True,
     help="Multiple shooting with so many segments a record, for unstable models.",
 )
-@_command_options
+@_RECORD_OPTIONS
 def identify(
     problem: str,
     segments: int,
