@@ -419,10 +419,11 @@ class _Work:
             cause = cause.__cause__ or cause.__context__
         name = type(error).__name__
         if "Pickl" in name or "pickle" in str(error) or "un-serialize" in str(error):
+            lines = str(error.__cause__ or error).strip().splitlines()  # a worker's traceback
             raise DataError(
-                f"{_name_of(self.function)} cannot be sent to the workers ({error}); define it, "
-                "and what it uses, at the top of a module that they can import, or run in one "
-                "process with joblib.parallel_config(n_jobs=1)"
+                f"{_name_of(self.function)} cannot be sent to the workers ({lines[-1].strip()}); "
+                "define it, and what it uses, at the top of a module that they can import, or run "
+                "in one process with joblib.parallel_config(n_jobs=1)"
             ) from error
         if isinstance(error, ValueError) and "return_as" in str(error):
             raise DataError(

@@ -276,7 +276,7 @@ def _difference(folder: Path, there: Mapping[str, Any], new: Mapping[str, Any]) 
     ]
     return (
         f"{folder} holds another campaign: {'; '.join(differ)}. Name another folder, or repeat the "
-        "call as it was to continue that one, or begin anew without resuming"
+        "call as it was to continue that one, or begin anew (resume=False, or --force)"
     )
 
 

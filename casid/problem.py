@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib.util
+import math
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -33,8 +34,13 @@ class Problem:
     load_cases : name -> values of parameters known in that case.
     noise : channel -> standard deviation of its white noise, where known (SI units).
     example : returns the example experiments (their effect is for the diagnosis to find).
+    simulate : takes a seed and returns experiments with noise drawn from it, for Monte Carlo
+        studies; the system is to be the same for every seed.
+    truth : name -> value that `simulate` gives the parameter (SI units), where the model has it
+        right; what it leaves out shows as bias.
     starts : how many starts an estimation tries.
     description, references : for reports.
+    source : the file it was loaded from; worker processes load it again.
     """
 
     name: str
@@ -45,9 +51,12 @@ class Problem:
     load_cases: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     example: Callable[[], Sequence[Experiment]] | None = None
+    simulate: Callable[[int], Sequence[Experiment | Record]] | None = None
+    truth: Mapping[str, float] = field(default_factory=dict)
     starts: int = 3
     description: str = ""
     references: tuple[str, ...] = ()
+    source: Path | None = None
 
     def __post_init__(self) -> None:
         from casid.dimensions import check_units
@@ -67,7 +76,14 @@ class Problem:
                         f"problem {self.name}: load case {case} sets {key!r}, which is no "
                         f"parameter{_near(key, list(self.model.parameters))}"
                     )
-        for name in ("channels", "recorded", "load_cases", "noise"):
+        for key, value in self.truth.items():
+            if key not in self.model.parameters or not math.isfinite(value):
+                raise ModelError(
+                    f"problem {self.name}: truth of {key!r} = {value} is no finite value of a "
+                    f"parameter{_near(key, list(self.model.parameters))}; it has "
+                    f"{', '.join(self.model.parameters)}"
+                )
+        for name in ("channels", "recorded", "load_cases", "noise", "truth"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __repr__(self) -> str:
@@ -174,6 +190,29 @@ class Problem:
             )
         return list(self.example())
 
+    def simulated(self, seed: int) -> list[Experiment]:
+        """Experiments drawn anew with this seed.
+
+        Raises
+        ------
+        DataError
+            If the problem has no simulator, or it returns no experiments.
+        """
+        if self.simulate is None:
+            raise DataError(
+                f"problem {self.name} has no simulator; give it one, "
+                "casid.Problem(..., simulate=f, truth={name: value}), where f takes a seed and "
+                "returns experiments"
+            )
+        drawn = self.simulate(seed)
+        experiments = [self.experiment(e) if isinstance(e, Record) else e for e in drawn]
+        if not experiments:
+            raise DataError(
+                f"the simulator of problem {self.name} returns no experiment; return a list of "
+                "casid.Experiment or casid.Record"
+            )
+        return experiments
+
     def with_known(self, known: Mapping[str, float]) -> Problem:
         """A copy whose model knows the given values."""
         return replace(self, model=self.model.with_known(**known))
@@ -233,7 +272,7 @@ def load_problem(path: str | Path) -> Problem:
             f"problem file {path} defines no `problem` (a casid.Problem, or a function returning "
             f"one){hint}"
         )
-    return found
+    return replace(found, source=path.resolve())
 
 
 def _line(error: Exception, path: Path) -> str:

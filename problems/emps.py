@@ -88,12 +88,19 @@ def example() -> list[casid.Experiment]:
     return [casid.Experiment(simulate(), {}, "example")]
 
 
+def draw(seed: int) -> list[casid.Experiment]:
+    """Twelve seconds of the closed loop with the friction of (1) alone, noise from this seed."""
+    return [casid.Experiment(simulate(F_c=0.0, F_0=0.0, seed=seed), {}, "drawn")]
+
+
 problem = casid.Problem(
     name="emps",
     model=rail_model(),
     channels={"q": "q_meas_m:m", "force": "force_N:N"},
     time="t_s",
     example=example,
+    simulate=draw,
+    truth={"M": 95.0, "F_v": 200.0},
     description="Motor-driven cart on a rail; position and drive force, in closed loop.",
     references=(
         "A. Janot, M. Gautier, M. Brunot, Data Set and Reference Models of EMPS, Workshop on "

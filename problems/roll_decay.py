@@ -75,12 +75,19 @@ def example() -> list[casid.Experiment]:
     return [casid.Experiment(simulate(), {}, "example")]
 
 
+def draw(seed: int) -> list[casid.Experiment]:
+    """One minute of decay as (1) has it, with noise from this seed."""
+    return [casid.Experiment(simulate(B_2=0.0, C_3=0.0, seed=seed), {}, "drawn")]
+
+
 problem = casid.Problem(
     name="roll_decay",
     model=decay_model(),
     channels={"phi": "phi_rad:rad"},
     time="t_s",
     example=example,
+    simulate=draw,
+    truth={"B_1": 0.012, "C_1": 6.06, "phi_0": 0.0},
     description="Free roll decay of a ship model at rest, released from a held heel.",
     references=(
         "M. Alexandersson, roll decay tests of KVLCC2 at SSPA, doi 10.17632/2stvkyngj9.1, 2020",
