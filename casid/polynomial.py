@@ -105,7 +105,7 @@ def prediction_error(
     data, units = _near_one(raw, layout)
     counts = [nb + nf for nb, nf in zip(layout.nb, layout.nf, strict=True)]
     require_excitation(
-        data,
+        raw,
         {i: (k, c) for i, k, c in zip(inputs, layout.nk, counts, strict=True)},
         "B and F ask for" if any(layout.nf) else "B asks for",
     )
