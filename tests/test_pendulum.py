@@ -244,6 +244,9 @@ def test_a_run_is_the_same_whoever_draws_it_and_when():
     np.testing.assert_array_equal(loaded.record["gyro"], first["loaded"])
     assert (dict(nominal.known), dict(loaded.known)) == ({"m": 0.0}, {})
     assert np.abs(first["nominal"] - first["loaded"]).max() > 1e-3
+    for case, drawn in study.draw(study.generator(np.random.SeedSequence(9))).items():
+        again = other.draw(other.generator(np.random.SeedSequence(9)))
+        np.testing.assert_array_equal(drawn["gyro"], again[case]["gyro"])
 
 
 def test_an_unknown_truth_is_refused():
