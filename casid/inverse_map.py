@@ -122,7 +122,7 @@ def invert(
         _require_rank(equation, free, x0, map_(p, x0)[1], np.ones(len(free), dtype=bool))
     raise SolveError(
         f"{equation.name}: no {', '.join(free)} give these coefficients ({trouble[0]}, then from "
-        f"{_STARTS} other starts); check the known values and the sample time, or give a better start"
+        f"{_STARTS} other starts); check the known values and the sample time, or start nearer"
     )
 
 
