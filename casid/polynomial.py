@@ -113,12 +113,16 @@ def prediction_error(
         criterion = PredictionErrors(
             layout, data, _discards(data, layout, np.zeros(layout.n), discard)
         )
-        return _model(criterion, _closed_form(criterion), units, Ts, errors, "none needed", ())
+        notes = _offsets(raw)
+        return _model(criterion, _closed_form(criterion), units, Ts, errors, "none needed", notes)
     points = candidates(data, layout) if start is None else [_given(start, layout, units)]
     criterion = PredictionErrors(layout, data, _discards(data, layout, points[0][1], discard))
     best, label, notes = _best(criterion, points, solver)
     if throw and not best.is_converged:
         raise SolveError(_failure(layout, best))
+    notes = (*notes, *_offsets(raw))
+    if discard is None:
+        notes = (*notes, *_long_transients(layout, best.x, raw, criterion.discard))
     return _model(criterion, best, units, Ts, errors, label, notes)
 
 
@@ -216,6 +220,38 @@ def _discards(data: Data, layout: Layout, theta: Array, wanted: int | None) -> l
     return [layout.longest_lag + min(settle, (len(y) - layout.longest_lag) // 5) for y, _ in data]
 
 
+def _offsets(data: Data) -> tuple[str, ...]:
+    """Records whose mean is larger than their spread, which a model without an offset fits."""
+    said = []
+    for k, (y, u) in enumerate(data):
+        where = f" of record {k + 1}" if len(data) > 1 else ""
+        for name, x in (("y", y), *u.items()):
+            mean, spread = float(np.mean(x)), float(np.std(x))
+            if spread > 0 and abs(mean) > spread:
+                said.append(
+                    f"{name}{where} has mean {mean:.3g} and spread {spread:.3g}, and the model has "
+                    "no offset: take the means off, or give an input of ones"
+                )
+    return tuple(said)
+
+
+def _long_transients(
+    layout: Layout, theta: Array, data: Data, discarded: tuple[int, ...]
+) -> tuple[str, ...]:
+    """Records too short to discard the start-up transient of the estimate."""
+    name, radius = _at_circle(layout, theta)
+    said = []
+    for k, ((y, _), d) in enumerate(zip(data, discarded, strict=True)):
+        if 0.1 < radius <= NEAR and radius ** (d - layout.longest_lag) > 0.1:
+            settle = int(np.log(0.01) / np.log(radius))
+            said.append(
+                f"the transient of 1/{name} needs {settle} samples to fall to 1 %, but only {d} of "
+                f"the {len(y)} of record {k + 1} are discarded: what came before it may bias the "
+                "estimate"
+            )
+    return tuple(said)
+
+
 # -- solving ------------------------------------------------------------------------------------
 
 
@@ -239,19 +275,23 @@ def _best(
             f"{criterion.layout.structure}: the criterion is not finite at any start value; look "
             "for outliers in y and u, or give start="
         )
-    best: Solution | None = None
-    chosen = order[0]
+    tried: list[tuple[Solution, int]] = []
     for i in order:
-        solution = _minimise(criterion, points[i][1], solver)
-        if best is None or (solution.is_converged, -solution.value) > (
-            best.is_converged,
-            -best.value,
-        ):
-            best, chosen = solution, i
-        if best.is_converged or _at_circle(criterion.layout, best)[1] > NEAR:
+        tried.append((_minimise(criterion, points[i][1], solver), i))
+        if tried[-1][0].is_converged:
             break
-    assert best is not None
-    return best, points[chosen][0], points[chosen][2]
+    best, chosen = min(tried, key=lambda item: (not item[0].is_converged, item[0].value))
+    label, _, notes = points[chosen]
+    lower = [s for s, _ in tried if s.value < best.value and not s.is_converged]
+    if lower:
+        name, radius = _at_circle(criterion.layout, min(lower, key=lambda s: s.value).x)
+        gain = 1 - min(s.value for s in lower) / best.value
+        notes = (
+            *notes,
+            f"another start went to a root of {name} of modulus {radius:.6f} with a loss lower by "
+            f"{100 * gain:.2g} %: the optimum given is a local one",
+        )
+    return best, label, notes
 
 
 def _minimise(criterion: PredictionErrors, theta: Array, solver: Solver | None) -> Solution:
@@ -264,7 +304,7 @@ def _minimise(criterion: PredictionErrors, theta: Array, solver: Solver | None) 
         nlp.variable(name, value, scale=max(abs(value), 1e-3))
     nlp.minimize(criterion)
     solution = nlp.solve(solver, theta.tolist(), throw=False, natural_scales=True)
-    if not solution.is_converged and _at_circle(layout, solution)[1] < NEAR:
+    if not solution.is_converged and _at_circle(layout, solution.x)[1] < NEAR:
         again = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
         if again.value <= solution.value:
             return again
@@ -304,16 +344,16 @@ def _closed_form(criterion: PredictionErrors) -> Solution:
     return _standing(criterion, theta, "closed form")
 
 
-def _at_circle(layout: Layout, solution: Solution) -> tuple[str, float]:
+def _at_circle(layout: Layout, theta: Array) -> tuple[str, float]:
     """The polynomial, C or an F, with the root nearest to the unit circle, and its modulus."""
-    p = layout.split(solution.x)
+    p = layout.split(theta)
     near = [("C", largest_root(p.C))]
     near += [(f"F[{i}]", largest_root(f)) for i, f in zip(layout.inputs, p.F, strict=True)]
     return max(near, key=lambda item: item[1])
 
 
 def _failure(layout: Layout, solution: Solution) -> str:
-    name, radius = _at_circle(layout, solution)
+    name, radius = _at_circle(layout, solution.x)
     why = solution.mend
     if radius > NEAR:
         why = (

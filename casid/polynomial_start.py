@@ -108,16 +108,6 @@ def steiglitz_mcbride(
     return best[1:]
 
 
-def hannan_rissanen(
-    signals: Sequence[Array], residuals: Sequence[Array], na: int, nc: int, start: int
-) -> tuple[Array, Array]:
-    """AR and MA polynomials of signals whose innovations are nearly `residuals` from `start` on."""
-    records = [(v[start:], e[start:]) for v, e in zip(signals, residuals, strict=True)]
-    theta = regress(records, [(0, 1, na), (1, 1, nc)], max(na, nc))
-    one = np.ones(1)
-    return np.concatenate([one, -theta[:na]]), np.concatenate([one, theta[na:]])
-
-
 def candidates(data: Data, layout: Layout) -> list[Candidate]:
     """Points of the model set with a stable predictor, from the best founded to the simplest."""
     if any(layout.nf) or (layout.nd and layout.inputs):
@@ -198,8 +188,12 @@ def _with_own_dynamics(data: Data, layout: Layout) -> list[Candidate]:
             rest.append(total)
         c, d = one, one
         if layout.nc or layout.nd:
-            _, e, start = _long([[r] for r in rest], layout.nc + layout.nd)
-            d, c = hannan_rissanen(rest, e, layout.nd, layout.nc, start)
+            noise = Layout((), 0, (), layout.nc, layout.nd, (), ())
+            left: Data = [(r, {}) for r in rest]
+            found = [theta for _, theta, _ in _equation_error(left, noise)]
+            sizes = [sum(float(e @ e) for e in _errors(left, noise, t)) for t in found]
+            p = noise.split(found[int(np.argmin(sizes))])
+            c, d = p.C, p.D
         a = np.concatenate([one, np.zeros(layout.na)])
         return _finish(label, layout, Polynomials(a, bs, c, d, fs), said)
 
