@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import tempfile
 import zipfile
@@ -26,7 +27,7 @@ CONSTANT = "1"  # the channel that is 1 at every sample, for offsets
 class Moments:
     """The Gram matrix of all lags of all channels; immutable, additive, small.
 
-    With v_t = every channel at lags 0 .. `lags` (channel major), then 1,
+    With v_t = every channel at lags 0 .. `lags` (channel major), then 1 where `constant` is set,
 
         total + rest = sum over t of v_t v_t'.
 
@@ -40,14 +41,17 @@ class Moments:
     ----------
     channels : names, in the order of the matrix
     lags : the largest lag
-    total : (m + 1, m + 1) array, m = len(channels) (lags + 1); products of the channels' units
+    total : (m + 1, m + 1) array, m = len(channels) (lags + 1); products of the channels' units; the
+        last entry is N, and the rest of its row the sums of v_t, or zero without `constant`
     rest : (m + 1, m + 1) array, what rounding left out of `total`
+    constant : whether the sums of the channels themselves were taken
     """
 
     channels: tuple[str, ...]
     lags: int
     total: Array
     rest: Array
+    constant: bool = False
 
     def __post_init__(self) -> None:
         channels = checked_channels(self.channels)
@@ -65,14 +69,16 @@ class Moments:
             ("lags", lags),
             ("total", total),
             ("rest", rest),
+            ("constant", bool(self.constant)),
         ):
             object.__setattr__(self, name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:  # through the constructor: arrays stay read-only
-        return Moments, (self.channels, self.lags, self.total, self.rest)
+        return Moments, (self.channels, self.lags, self.total, self.rest, self.constant)
 
     def __repr__(self) -> str:
-        return f"<Moments of {', '.join(self.channels)}: lags 0 to {self.lags}, N = {self.N}>"
+        names = (*self.channels, *([CONSTANT] if self.constant else []))
+        return f"<Moments of {', '.join(names)}: lags 0 to {self.lags}, N = {self.N}>"
 
     # ------------------------------------------------------------------ reading them
 
@@ -88,14 +94,21 @@ class Moments:
 
     @property
     def sums(self) -> Array:
-        """(m,) sum of v_t, in the order of `gram`."""
+        """(m,) sum of v_t, in the order of `gram`.
+
+        Raises
+        ------
+        DataError
+            If they were not taken.
+        """
+        self._place(CONSTANT)
         return self.total[:-1, -1]
 
     def between(self, left: Sequence[Column], right: Sequence[Column]) -> Array:
         """Return sum over t of left_t right_t', (len(left), len(right)).
 
-        A tap on the channel "1" is a constant. Where columns are differences of nearly equal
-        samples their moments lose the digits that the differences cancel.
+        A tap on the channel "1" is a constant, where the moments were taken with `constant`. Where
+        columns are differences of nearly equal samples, their moments lose the digits that cancel.
 
         Raises
         ------
@@ -135,43 +148,27 @@ class Moments:
             )
         kept = [self._place(name) + i for name in names for i in range(order + 1)]
         cut = np.ix_([*kept, -1], [*kept, -1])
-        return Moments(names, order, self.total[cut], self.rest[cut])
+        return Moments(names, order, self.total[cut], self.rest[cut], self.constant)
 
     def _place(self, channel: str) -> int:
-        if channel == CONSTANT:
-            return len(self.total) - 1
-        if channel not in self.channels:
-            raise DataError(
-                f"no moments of channel {channel!r}; there are those of "
-                f"{', '.join(self.channels)}. Name one of them, or compute the moments with it."
-            )
-        return self.channels.index(channel) * (self.lags + 1)
+        return _place(self.channels, self.lags, self.constant, channel)
 
     def _weights(self, columns: Sequence[Column]) -> Array:
-        weights = np.zeros((len(columns), len(self.total)))
-        order = max((column.order for column in columns), default=0)
-        for row, column in zip(weights, columns, strict=True):
-            for channel, lag, weight in column.taps:
-                if not 0 <= lag <= self.lags:
-                    raise DataError(
-                        f"column {column.name} reaches to lag {lag}, the moments keep lags 0 to "
-                        f"{self.lags}. Compute them with lags={order}."
-                    )
-                row[self._place(channel) + (0 if channel == CONSTANT else lag)] += weight
-        return weights
+        return _weights(self.channels, self.lags, self.constant, tuple(columns))
 
     # ------------------------------------------------------------------ adding them
 
     def __add__(self, other: Moments) -> Moments:
         if not isinstance(other, Moments):
             return NotImplemented
-        if (self.channels, self.lags) != (other.channels, other.lags):
+        kind, second = ((x.channels, x.lags, x.constant) for x in (self, other))
+        if kind != second:
             raise DataError(
-                f"{self!r} and {other!r} do not add: channels and lags differ. Bring both to the "
-                "same with moments.select(channels, lags), or compute them alike."
+                f"{self!r} and {other!r} do not add: channels, lags or constant differ. Bring both "
+                "to the same with moments.select(channels, lags), or compute them alike."
             )
         high, low = two_sum(self.total, other.total)
-        return Moments(self.channels, self.lags, *fast_two_sum(high, low + self.rest + other.rest))
+        return Moments(*kind[:2], *fast_two_sum(high, low + self.rest + other.rest), self.constant)
 
     def __radd__(self, other: int) -> Moments:
         """0 + moments, with which `sum` begins."""
@@ -198,6 +195,7 @@ class Moments:
                     lags=np.array(self.lags),
                     total=self.total,
                     rest=self.rest,
+                    constant=np.array(self.constant),
                 )
             os.chmod(name, 0o644)
             os.replace(name, path)
@@ -221,12 +219,45 @@ class Moments:
         try:
             with np.load(path, allow_pickle=False) as file:
                 channels = tuple(str(name) for name in file["channels"])
-                return cls(channels, int(file["lags"]), file["total"], file["rest"])
+                sums = (file["total"], file["rest"], bool(file["constant"]))
+                return cls(channels, int(file["lags"]), *sums)
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise DataError(
                 f"{path}: no moments are to be read from it ({error}). Give a file written by "
                 "Moments.save."
             ) from error
+
+
+def _place(channels: tuple[str, ...], lags: int, constant: bool, channel: str) -> int:
+    if channel == CONSTANT and constant:
+        return len(channels) * (lags + 1)
+    if channel not in channels:
+        mend = "constant=True" if channel == CONSTANT else "it"
+        raise DataError(
+            f"no moments of channel {channel!r}; there are those of {', '.join(channels)}. Name "
+            f"one of them, or compute the moments with {mend}."
+        )
+    return channels.index(channel) * (lags + 1)
+
+
+@functools.lru_cache(maxsize=256)  # campaigns ask for the same columns in every run
+def _weights(
+    channels: tuple[str, ...], lags: int, constant: bool, columns: tuple[Column, ...]
+) -> Array:
+    """(len(columns), m + 1): each column as a combination of the entries of v_t."""
+    weights = np.zeros((len(columns), len(channels) * (lags + 1) + 1))
+    order = max((column.order for column in columns), default=0)
+    for row, column in zip(weights, columns, strict=True):
+        for channel, lag, weight in column.taps:
+            if not 0 <= lag <= lags:
+                raise DataError(
+                    f"column {column.name} reaches to lag {lag}, the moments keep lags 0 to "
+                    f"{lags}. Compute them with lags={order}."
+                )
+            place = _place(channels, lags, constant, channel)
+            row[place + (0 if channel == CONSTANT else lag)] += weight
+    weights.flags.writeable = False
+    return weights
 
 
 def _shifted(column: Column, lag: int) -> Column:

@@ -37,6 +37,7 @@ def moments(
     prefilter: FirFilter | None = None,
     rational: Rational | None = None,
     settle: int = 0,
+    constant: bool = False,
 ) -> Moments:
     """Compute the cross moments of signals held in memory, as one stretch.
 
@@ -48,7 +49,7 @@ def moments(
     ----------
     signals : mapping of channel to (N,) array, N > lags
     lags : the largest lag, >= 0
-    prefilter, rational, settle
+    prefilter, rational, settle, constant
         As `Accumulator`.
 
     Raises
@@ -59,17 +60,25 @@ def moments(
     rows = _checked_signals(signals)
     channels, lags, N = tuple(signals), checked_lags(lags), rows[0].size
     if prefilter is not None or rational is not None or settle:
-        stream = Accumulator(channels, lags, prefilter=prefilter, rational=rational, settle=settle)
+        stream = Accumulator(
+            channels,
+            lags,
+            prefilter=prefilter,
+            rational=rational,
+            settle=settle,
+            constant=constant,
+        )
         stream._add_finite(rows)
         result = stream.moments
     elif N < max(2 * lags, 1):
-        result = Moments(channels, lags, *short_stretch(np.stack(rows), lags))
+        sums = short_stretch(np.stack(rows), lags, constant)
+        result = Moments(channels, lags, *sums, constant)
     else:  # as the accumulator has it, without its buffers
-        core = Core(len(rows), lags)
+        core = Core(len(rows), lags, constant)
         for start in range(lags, N - lags, BLOCK):
             core.add(rows, start, min(start + BLOCK, N - lags))
-        ends = [np.stack([row[cut] for row in rows]) for cut in np.s_[: 2 * lags, N - 2 * lags :]]
-        result = Moments(channels, lags, *core.joined(N, *ends))
+        ends = [np.concatenate([row[: 2 * lags], row[N - 2 * lags :]]) for row in rows]
+        result = Moments(channels, lags, *core.joined(N, np.stack(ends)), constant)
     _filled(result, f"a record of {N} samples")
     if not np.isfinite(result.total).all():
         for name, row in zip(signals, rows, strict=True):
@@ -161,6 +170,8 @@ class Accumulator:
         it comes before `prefilter` and starts from rest in each stretch.
     settle : int
         Samples of `rational`'s output left out at the start of each stretch.
+    constant : bool
+        Take the sums of the channels themselves as well, for offsets: a sixth more time.
 
     Raises
     ------
@@ -176,6 +187,7 @@ class Accumulator:
         prefilter: FirFilter | None = None,
         rational: Rational | None = None,
         settle: int = 0,
+        constant: bool = False,
     ) -> None:
         self.channels = checked_channels(channels)
         self.lags = checked_lags(lags)
@@ -186,9 +198,10 @@ class Accumulator:
         self._taps = None if prefilter is None else prefilter.taps
         self._raw = None if prefilter is None else Window(nc, BLOCK, 2 * prefilter.half)
         self._window = Window(nc, BLOCK, 2 * self.lags)
-        self._core = Core(nc, self.lags)
+        self._core = Core(nc, self.lags, constant)
         m = nc * (self.lags + 1) + 1
-        self._nothing = Moments(self.channels, self.lags, np.zeros((m, m)), np.zeros((m, m)))
+        zero = np.zeros((m, m))
+        self._nothing = Moments(self.channels, self.lags, zero, zero, constant)
         self._closed = self._nothing
         self._begin()
 
@@ -308,15 +321,16 @@ class Accumulator:
         if self._raw is not None and self._raw.fill > self._raw.overlap:
             last._window, last._head = copy.deepcopy(self._window), self._head.copy()
             last._sum(self._smooth(list(self._raw.held)))
-        return Moments(self.channels, self.lags, *last._ended())
+        return Moments(self.channels, self.lags, *last._ended(), self._core.constant)
 
     def _ended(self) -> tuple[Array, Array]:
         held, L = self._window.held, self.lags
         if self._count < max(2 * L, L + 1):
-            return short_stretch(held, L)
+            return short_stretch(held, L, self._core.constant)
         if held.shape[1] > 2 * L:
             self._core.add(list(held), L, held.shape[1] - L)
-        return self._core.joined(self._count, self._head, held[:, held.shape[1] - 2 * L :])
+        ends = np.hstack([self._head, held[:, held.shape[1] - 2 * L :]])
+        return self._core.joined(self._count, ends)
 
 
 def of_record(
@@ -327,13 +341,14 @@ def of_record(
     prefilter: FirFilter | None = None,
     rational: Rational | None = None,
     settle: int = 0,
+    constant: bool = False,
 ) -> Moments:
     """Compute the cross moments of a record; missing samples are gaps.
 
     Parameters
     ----------
     channels : names; all of the record's where not given
-    lags, prefilter, rational, settle
+    lags, prefilter, rational, settle, constant
         As `Accumulator`.
 
     Raises
@@ -343,7 +358,9 @@ def of_record(
         is long enough.
     """
     names = record.names if channels is None else tuple(channels)
-    total = Accumulator(names, lags, prefilter=prefilter, rational=rational, settle=settle)
+    total = Accumulator(
+        names, lags, prefilter=prefilter, rational=rational, settle=settle, constant=constant
+    )
     _check_sample_time(record.name, prefilter, record.Ts)
     for start in range(0, record.N, BLOCK):
         cut = slice(start, start + BLOCK)
@@ -365,6 +382,7 @@ def of_file(
     prefilter: FirFilter | None = None,
     rational: Rational | None = None,
     settle: int = 0,
+    constant: bool = False,
     chunk: int = 100_000,
 ) -> Moments:
     """Compute the cross moments of a CSV or Parquet file, `chunk` rows at a time.
@@ -374,7 +392,7 @@ def of_file(
     columns : mapping of channel to column of the file, as `casid.reading.iter_chunks`
         With units converted to SI.
     time : the column of the time stamps, as `casid.reading.iter_chunks`
-    lags, prefilter, rational, settle
+    lags, prefilter, rational, settle, constant
         As `Accumulator`.
 
     Raises
@@ -385,7 +403,14 @@ def of_file(
     from casid.reading import iter_chunks
 
     path = Path(path)
-    total = Accumulator(tuple(columns), lags, prefilter=prefilter, rational=rational, settle=settle)
+    total = Accumulator(
+        tuple(columns),
+        lags,
+        prefilter=prefilter,
+        rational=rational,
+        settle=settle,
+        constant=constant,
+    )
     for index, part in enumerate(iter_chunks(path, columns, chunk, time=time)):
         if index == 0 and "t" in part and "t" not in columns and part["t"].size > 1:
             _check_sample_time(path.name, prefilter, float(np.median(np.diff(part["t"]))))

@@ -58,7 +58,7 @@ def exact(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fed(signals: dict[str, np.ndarray], lags: int, cuts: list[int], **filters) -> Accumulator:
-    stream = Accumulator(tuple(signals), lags, **filters)
+    stream = Accumulator(tuple(signals), lags, constant=True, **filters)
     N = len(next(iter(signals.values())))
     edges = [0, *sorted(c for c in cuts if c <= N), N]
     for a, b in zip(edges, edges[1:], strict=False):
@@ -77,12 +77,15 @@ def test_the_gram_matrix_is_that_of_all_lags_of_all_channels(N, lags, nc):
     """Sums of small integers are exact in any order: there is no tolerance."""
     rng = np.random.default_rng(7)
     signals = {f"x{c}": rng.integers(-9, 10, N).astype(float) for c in range(nc)}
-    result, v = moments(signals, lags), stacked(signals, lags)
+    result, v = moments(signals, lags, constant=True), stacked(signals, lags)
     assert np.array_equal(result.total, v.T @ v)
     assert np.array_equal(result.gram, (v.T @ v)[:-1, :-1])
     assert np.array_equal(result.sums, v.sum(axis=0)[:-1])
     assert not result.rest.any()
     assert result.N == N - lags
+    without = moments(signals, lags)
+    assert np.array_equal(without.gram, result.gram)
+    assert without.N == N - lags
 
 
 def test_entries_that_a_shift_of_time_relates_differ_by_products_at_the_ends():
@@ -116,7 +119,7 @@ def test_a_constant_is_a_column_too():
     """An offset in the regression: y_t = 0.5 y_{t-1} + 2 without noise is recovered."""
     y = 4.0 + 3.0 * 0.5 ** np.arange(30)
     columns = [*lagged("y", range(1, 2)), ONE]
-    result = moments({"y": y}, 1)
+    result = moments({"y": y}, 1, constant=True)
     Phi_Phi, Phi_Y = (
         result.between(columns, columns),
         result.between(columns, lagged("y", range(1))),
@@ -142,7 +145,7 @@ def test_a_correlation_depends_on_the_difference_of_the_lags_alone():
 
 
 def test_some_channels_and_fewer_lags_are_a_part_of_the_whole():
-    result = moments(noise(300, "y", "u", "w"), 3)
+    result = moments(noise(300, "y", "u", "w"), 3, constant=True)
     part = result.select(["w", "y"], 1)
     columns = [*lagged("w", range(2)), *lagged("y", range(2)), ONE]
     assert (part.channels, part.lags, part.N) == (("w", "y"), 1, 297)
@@ -184,7 +187,8 @@ def test_chunks_give_what_the_whole_gives_to_the_last_bit(N, lags, cuts, filters
             assert np.array_equal(result.total, whole.total)
             assert np.array_equal(result.rest, whole.rest)
         if whole.N:
-            assert np.array_equal(moments(signals, lags, **kinds[filters]).total, whole.total)
+            again = moments(signals, lags, constant=True, **kinds[filters])
+            assert np.array_equal(again.total, whole.total)
 
 
 @settings(max_examples=40)
@@ -239,7 +243,7 @@ def test_moments_add_across_processes():
         "a, b = int(sys.argv[1]), int(sys.argv[2])\n"
         "rng = np.random.default_rng(3)\n"
         "x = {c: rng.standard_normal(100_000)[a:b] for c in ('y', 'u')}\n"
-        "sys.stdout.buffer.write(pickle.dumps(moments(x, 2)))\n"
+        "sys.stdout.buffer.write(pickle.dumps(moments(x, 2, constant=True)))\n"
     )
     sent = [
         subprocess.run(
@@ -253,7 +257,7 @@ def test_moments_add_across_processes():
     assert max(map(len, sent)) < 4096
     total, signals = sum(map(pickle.loads, sent)), noise(100_000)
     bound = gamma(casid.moments.BLOCK + 7) * (np.abs(v := stacked(signals, 2)).T @ np.abs(v))
-    assert (np.abs(total.total - moments(signals, 2).total) <= 2 * bound).all()
+    assert (np.abs(total.total - stacked(signals, 2).T @ stacked(signals, 2)) <= 2 * bound).all()
     assert total.N == 99_998
 
 
@@ -286,7 +290,8 @@ def test_a_gap_ends_a_stretch_and_nothing_is_carried_across():
 def test_missing_samples_of_any_channel_are_gaps():
     signals = noise(400)
     expected = sum(
-        moments({c: x[cut] for c, x in signals.items()}, 2) for cut in np.s_[:100, 101:200, 203:]
+        moments({c: x[cut] for c, x in signals.items()}, 2, constant=True)
+        for cut in np.s_[:100, 101:200, 203:]
     )
     signals["y"][[100, 200]] = np.nan, np.inf
     signals["u"][[201, 202]] = -np.inf, np.nan
@@ -294,7 +299,7 @@ def test_missing_samples_of_any_channel_are_gaps():
     assert np.array_equal(stream.moments.total, expected.total)
     marks = {c: ~np.isfinite(x) for c, x in signals.items()}
     record = Record(signals, {"y": "m", "u": "N"}, 0.1, missing=marks)
-    assert np.array_equal(of_record(record, 2).total, expected.total)
+    assert np.array_equal(of_record(record, 2, constant=True).total, expected.total)
     assert of_record(record, 2, ["u"]).N == 201 - 2 + 197 - 2
 
 
@@ -316,7 +321,9 @@ def test_a_rational_prefilter_starts_from_rest_in_each_stretch():
     stream.gap()
     stream.add({c: x[:200] for c, x in signals.items()})
     filtered = {c: lfilter([1.0], [1.0, -0.9], x) for c, x in signals.items()}
-    expected = sum(moments({c: x[50:n] for c, x in filtered.items()}, 1) for n in (600, 200))
+    expected = sum(
+        moments({c: x[50:n] for c, x in filtered.items()}, 1, constant=True) for n in (600, 200)
+    )
     assert np.array_equal(stream.moments.total, expected.total)
 
 
@@ -398,7 +405,7 @@ def test_files_with_a_faulty_clock_or_too_few_samples_are_refused(tmp_path):
 
 
 def test_saved_moments_are_the_same_when_loaded(tmp_path):
-    result = moments(noise(50_000), 3)
+    result = moments(noise(50_000), 3, constant=True)
     path = result.save(tmp_path / "sums.npz")
     again = Moments.load(path)
     assert (again.channels, again.lags, again.N) == (result.channels, result.lags, result.N)
@@ -416,13 +423,13 @@ def test_saved_moments_are_the_same_when_loaded(tmp_path):
 
 
 def test_moments_cannot_be_changed_and_pickle_small():
-    result = moments(noise(100_000), 2)
+    result = moments(noise(100_000), 2, constant=True)
     copy = pickle.loads(data := pickle.dumps(result))
     assert len(data) < 4096
     for x in (result, copy):
         with pytest.raises(ValueError, match="read-only"):
             x.gram[0, 0] = 0.0
-    assert repr(copy) == "<Moments of y, u: lags 0 to 2, N = 99998>"
+    assert repr(copy) == "<Moments of y, u, 1: lags 0 to 2, N = 99998>"
 
 
 # ---------------------------------------------------------------------- weights
@@ -432,7 +439,7 @@ def test_weights_of_one_change_nothing_and_weights_of_zero_leave_samples_out():
     signals = noise(70_000)
     left = [Column("u[t] - u[t-2]", (("u", 0, 1.0), ("u", 2, -1.0))), ONE]
     right = [*lagged("y", range(3))]
-    plain = moments(signals, 2).between(left, right)
+    plain = moments(signals, 2, constant=True).between(left, right)
     bound = 2 * gamma(casid.moments.BLOCK + 7) * 70_000 * 2
     ones = weighted(left, right, signals, np.ones(69_998))
     assert np.allclose(ones, plain, rtol=0, atol=bound)
@@ -463,8 +470,9 @@ def test_moments_of_other_channels_or_lags_do_not_add():
     a = moments(noise(50), 2)
     with pytest.raises(DataError, match=r"lags 0 to 2.*lags 0 to 3.*moments\.select"):
         a + moments(noise(50), 3)
-    with pytest.raises(DataError, match=r"moments\.select"):
-        a + moments(noise(50, "u", "y"), 2)
+    for other in (moments(noise(50, "u", "y"), 2), moments(noise(50), 2, constant=True)):
+        with pytest.raises(DataError, match=r"moments\.select.*compute them alike"):
+            a + other
     assert (a + moments(noise(50, "u", "y"), 3).select(["y", "u"], 2)).N == 48 + 47
     with pytest.raises(TypeError):
         a + 1.0
@@ -472,6 +480,10 @@ def test_moments_of_other_channels_or_lags_do_not_add():
 
 def test_columns_beyond_the_moments_are_refused_with_what_would_hold_them():
     result = moments(noise(50), 2)
+    with pytest.raises(DataError, match=r"'1'.*constant=True"):
+        result.between([ONE], [ONE])
+    with pytest.raises(DataError, match=r"constant=True"):
+        result.sums  # noqa: B018
     with pytest.raises(DataError, match=r"y\[t-3\].*lags=4"):
         result.between(lagged("y", range(5)), [ONE])
     with pytest.raises(DataError, match=r"'w'.*y, u.*compute the moments with it"):
