@@ -312,13 +312,6 @@ def _estimate(
                 raise ModelError(
                     f"{f} is estimated and has a prior value; take it out of one of the two"
                 )
-    everywhere = {f for s in specs for f in s.free}
-    lacking = [n for n in declared if n not in everywhere]
-    if lacking:
-        raise ModelError(
-            f"{model.name}: {', '.join(lacking)} is neither known nor estimated; give it a value "
-            "(prior=, a load case, model.with_known), or free it in a stage"
-        )
     equations = cache.setdefault("equations", {})
     loops: dict[float, Loop] = cache.setdefault("loops", {})
     fits: list[StageFit] = []
@@ -335,7 +328,7 @@ def _estimate(
                 )
             chosen = [by_name[r] for r in s.records]
         parts = parts_of(model, chosen, method=own.method, outputs=own.outputs, equations=equations)
-        _refuse_waiting(specs, i, parts)
+        _refuse_undetermined(specs, i, parts, {*declared} - {*found} - {*s.free})
         key = ("stage", i, tuple((p.name, p.Ts, p.known) for p in parts))
         if key not in cache:
             cache[key] = Stage(
@@ -359,8 +352,10 @@ def _estimate(
     return MomentEstimate(model, estimate, propagated, tuple(fits), prior)
 
 
-def _refuse_waiting(specs: Sequence[StageSpec], i: int, parts: Sequence[Part]) -> None:
-    """A parameter that only a later stage estimates must be known in this stage's records."""
+def _refuse_undetermined(
+    specs: Sequence[StageSpec], i: int, parts: Sequence[Part], undetermined: set[str]
+) -> None:
+    """What a stage's records feel has to be known there, or estimated by now."""
     later = {f for s in specs[i + 1 :] for f in s.free}
     for p in parts:
         slope = np.asarray(p.equation.jacobian([p.values[q] for q in p.equation.parameters])[1])
@@ -369,12 +364,18 @@ def _refuse_waiting(specs: Sequence[StageSpec], i: int, parts: Sequence[Part]) -
             for q, column in zip(p.equation.parameters, slope.T, strict=True)
             if np.any(np.abs(column) > 1e-12)  # where no load is on, its height has no effect
         }
-        missing = sorted((later - p.known) & felt)
+        missing = sorted(((undetermined | later) - p.known) & felt)
+        waiting = [q for q in missing if q in later]
+        if waiting:
+            raise ModelError(
+                f"stage {i + 1}, record {p.record}: {', '.join(waiting)} is estimated only in a "
+                f"later stage and not known here; give its value in the record's load case "
+                f"(Experiment(record, {{{waiting[0]!r}: ...}})), or reorder the stages"
+            )
         if missing:
             raise ModelError(
-                f"stage {i + 1}, record {p.record}: {', '.join(missing)} is estimated only in a "
-                f"later stage and not known here; give its value in the record's load case "
-                f"(Experiment(record, {{{missing[0]!r}: ...}})), or reorder the stages"
+                f"record {p.record}: {', '.join(missing)} is neither known nor estimated; give it "
+                "a value (prior=, a load case, model.with_known), or free it in a stage"
             )
 
 

@@ -217,8 +217,8 @@ class Stage:
 
     def inverse(
         self, theta: Array, values: Sequence[Mapping[str, float]], start: Array, metric: Array
-    ) -> Array | None:
-        """theta_p with g(theta_p) nearest to theta in ||metric (theta - g)||; None: not found."""
+    ) -> Array:
+        """theta_p inside its bounds with g(theta_p) nearest to theta in ||metric (theta - g)||."""
         k = self._known_vector(values)
         low = np.array([p.lower for p in self.parameters])
         high = np.array([p.upper for p in self.parameters])
@@ -271,8 +271,34 @@ class Stage:
                 name=self.name,
             )
         solution = self._physical.solve(data, values, start.tolist())
+        if solution.at_lower or solution.at_upper:
+            solution = self._from_elsewhere(self._physical, data, values, start, solution)
         theta_p = np.array([solution[f] for f in self.free])
         return theta_p, self._split(self.image(theta_p, values)), solution
+
+    def _from_elsewhere(
+        self,
+        nlp: PhysicalNlp,
+        data: Sequence[Condensed],
+        values: Sequence[Mapping[str, float]],
+        start: Array,
+        found: Solution,
+    ) -> Solution:
+        """A bound may hold a local optimum: four more starts, the best optimum counts."""
+        rng = np.random.default_rng(17)
+        low = np.array([p.lower for p in self.parameters])
+        high = np.array([p.upper for p in self.parameters])
+        for _ in range(4):
+            beside = np.where(start == 0.0, 0.1, start) * np.exp(
+                0.5 * rng.standard_normal(len(start))
+            )
+            try:
+                other = nlp.solve(data, values, np.clip(beside, low, high).tolist())
+            except SolveError:
+                continue
+            if other.value < found.value * (1 - 1e-9):
+                found = other
+        return found
 
     def _solve_linear(
         self, data: Sequence[Condensed], values: Sequence[Mapping[str, float]], start: Array
@@ -292,8 +318,12 @@ class Stage:
         solution = self._linear[rows].solve(data, B, b, theta0)
         metric = _block_diagonal([d.right for d in data])
         theta_p = self.inverse(solution.x, values, start, metric)
-        if theta_p is None:
-            raise SolveError(f"{self.name}: no physical parameters give the estimated coefficients")
+        low = np.array([p.lower for p in self.parameters])
+        high = np.array([p.upper for p in self.parameters])
+        # Coefficients outside the image of the box: theta_p stands at its wall.
+        at_lower = tuple(f for f, held in zip(self.free, theta_p <= low, strict=True) if held)
+        at_upper = tuple(f for f, held in zip(self.free, theta_p >= high, strict=True) if held)
+        solution = replace(solution, at_lower=at_lower, at_upper=at_upper)
         return theta_p, self._split(solution.x), solution
 
     def _constraints(
@@ -354,6 +384,7 @@ class Stage:
         if check:
             self.require_identifiable(theta_p, values)
         simulated: list[Simulated | None] = [None] * len(parts)
+        first = simulated
         remarks: list[str] = []
         references = []
         if self.instruments is not None:
@@ -366,7 +397,7 @@ class Stage:
                 {k: p.channels[k] for k in dict.fromkeys(c for c, _ in self._drives(p).values())}
                 for p in parts
             ]
-            simulated = [from_reference(r, self.instruments.n_delta0) for r in raw]
+            first = simulated = [from_reference(r, self.instruments.n_delta0) for r in raw]
             if self.instruments.initial == "model":
                 at = [
                     self._at(v, theta_p, fixed) for v, fixed in zip(values, self.known, strict=True)
@@ -375,13 +406,31 @@ class Stage:
         prefilters: list[Any] = [None] * len(parts)
         history: list[Array] = []
         settled, j = False, 0
+        before = (simulated, prefilters)
         allowed = 0 if self.instruments is None and s.noise_model is None else s.iterations
         while True:
-            equations = [
-                moment_equations(p, z, f, burn=s.burn)
-                for p, z, f in zip(parts, simulated, prefilters, strict=True)
-            ]
-            correlations = [e.require_correlation() for e in equations] if check else []
+            try:
+                equations = self._equations(parts, simulated, prefilters)
+                correlations = [e.require_correlation() for e in equations] if check else []
+            except IdentifiabilityError as blind:
+                if j == 0 and first is not simulated:
+                    remarks.append(
+                        f"{self.name}: instruments simulated with the start values do not see all "
+                        "coefficients; lags of the reference are used"
+                    )
+                    simulated = first
+                    continue
+                if j == 0:
+                    raise
+                remarks.append(
+                    f"instruments simulated with the estimate of iteration {j} are worse than "
+                    f"those of before, which are kept ({blind})"
+                )
+                simulated, prefilters, settled = *before, True
+                equations = self._equations(parts, simulated, prefilters)
+                correlations = [e.require_correlation() for e in equations]
+                allowed = j
+            before = (simulated, prefilters)
             equations, roots = self._weigh(equations, parts, values, theta_p, history)
             old = theta_p
             theta_p, thetas, solution = self.solve(equations, roots, values, theta_p)
@@ -393,7 +442,7 @@ class Stage:
             at = [self._at(v, theta_p, fixed) for v, fixed in zip(values, self.known, strict=True)]
             moved = float(np.max(np.abs(theta_p - old) / np.maximum(np.abs(theta_p), 1e-12)))
             if j >= allowed:
-                settled = allowed == 0 or moved < s.tolerance
+                settled = settled or allowed == 0 or moved < s.tolerance
                 break
             change = 0.0
             if s.noise_model is not None:
@@ -427,6 +476,17 @@ class Stage:
             remarks=tuple(dict.fromkeys(remarks)),
             history=tuple(history),
         )
+
+    def _equations(
+        self,
+        parts: Sequence[Part],
+        simulated: Sequence[Simulated | None],
+        prefilters: Sequence[Any],
+    ) -> list[MomentEquations]:
+        return [
+            moment_equations(p, z, f, burn=self.settings.burn)
+            for p, z, f in zip(parts, simulated, prefilters, strict=True)
+        ]
 
     def _drives(self, part: Part) -> dict[str, tuple[str, Any]]:
         assert self.instruments is not None
