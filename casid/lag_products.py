@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-BLOCK = 32_768  # samples a dot product: fits the cache, and bounds the rounding
+BLOCK = 65_536  # samples a dot product: fits the cache, and bounds the rounding
 
 
 class Core:
