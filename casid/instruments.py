@@ -29,49 +29,9 @@ from casid.discretise import discretise
 from casid.errors import DataError, ModelError
 from casid.linear import linearise
 from casid.model import Model
+from casid.reference_filter import Filter, ReferenceFilter
 
 Array = NDArray[Any]
-
-
-@dataclass(frozen=True, slots=True)
-class ReferenceFilter:
-    """F_delta(s) = numerator / denominator, from the external reference to an unknown input.
-
-    Attributes
-    ----------
-    numerator, denominator : coefficients in descending powers of s; gain 1 by default.
-    """
-
-    numerator: tuple[float, ...] = (1.0,)
-    denominator: tuple[float, ...] = (1.0,)
-
-    @classmethod
-    def lag(cls, time_constant: float, gain: float = 1.0) -> ReferenceFilter:
-        """gain / (time_constant s + 1), `time_constant` in seconds."""
-        return cls((gain,), (time_constant, 1.0))
-
-    def __post_init__(self) -> None:
-        if not self.denominator or self.denominator[0] == 0.0:
-            raise ModelError("F_delta: the leading coefficient of its denominator is zero; drop it")
-        if len(self.numerator) > len(self.denominator):
-            raise ModelError(
-                "F_delta: its numerator has a higher degree than its denominator, so it would "
-                "differentiate the reference; give a proper filter"
-            )
-        if np.any(np.real(np.roots(self.denominator)) >= 0):
-            raise ModelError(
-                f"F_delta: denominator {list(self.denominator)} has a root that is not stable; "
-                "the reference would be filtered to infinity. Reflect the root"
-            )
-
-    def apply(self, reference: Array, Ts: float) -> Array:
-        """F_delta discretised by the bilinear transform, applied to (N,) samples."""
-        if len(self.denominator) == 1:
-            return np.asarray(self.numerator[0] / self.denominator[0] * reference)
-        from scipy.signal import bilinear, lfilter
-
-        b, a = bilinear(self.numerator, self.denominator, 1 / Ts)
-        return np.asarray(lfilter(b, a, reference))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +42,8 @@ class Instruments:
     ----------
     reference : recorded channel that drives the unknown input; or a mapping of the direct model's
         inputs to channels where several have to be driven.
-    F_delta : filter from the reference to the unknown input (a guess will do), or a mapping.
+    F_delta : filter from the reference to the unknown input, or a mapping; a guess will do, or
+        `casid.reference_filter.estimate_reference_filter`.
     initial : where the first instruments come from: ``"model"``, the loop simulated with the start
         values (its own lags reach much further than those of the reference), or ``"reference"``,
         lags of the reference as in Algorithm 2.1; these also where the start's loop is unstable.
@@ -92,9 +53,7 @@ class Instruments:
     """
 
     reference: str | Mapping[str, str]
-    F_delta: ReferenceFilter | Mapping[str, ReferenceFilter] = field(
-        default_factory=ReferenceFilter
-    )
+    F_delta: Filter | Mapping[str, Filter] = field(default_factory=ReferenceFilter)
     initial: Literal["model", "reference"] = "model"
     n_delta0: int = 8
     n_delta: int = 4
@@ -111,7 +70,7 @@ class Instruments:
         if self.n_delta + self.n_y + self.n_u == 0:
             raise ModelError("instruments: n_delta, n_y and n_u are all 0; give one of them lags")
 
-    def drives(self, direct: Model) -> dict[str, tuple[str, ReferenceFilter]]:
+    def drives(self, direct: Model) -> dict[str, tuple[str, Filter]]:
         """Input of the direct model -> (channel, filter).
 
         Raises
@@ -139,9 +98,9 @@ class Instruments:
                 "declare it known=True if no disturbance reaches it, or map it to a reference: "
                 f"Instruments(reference={{{lacking[0]!r}: 'channel'}})"
             )
-        filters = self.F_delta if isinstance(self.F_delta, Mapping) else {}
-        default = self.F_delta if isinstance(self.F_delta, ReferenceFilter) else ReferenceFilter()
-        plain = ReferenceFilter()
+        plain: Filter = ReferenceFilter()
+        filters: Mapping[str, Filter] = self.F_delta if isinstance(self.F_delta, Mapping) else {}
+        default = plain if isinstance(self.F_delta, Mapping) else self.F_delta
         return {
             name: (chosen[name], filters.get(name, default if name in unknown else plain))
             for name in direct.inputs

@@ -20,7 +20,8 @@ from casid.instrumental import (
     least_squares,
     multistage,
 )
-from casid.instruments import Instruments, ReferenceFilter
+from casid.instruments import Instruments
+from casid.reference_filter import ReferenceFilter, estimate_reference_filter
 from casid.resampling import bootstrap, profile
 from casid.stage import MomentSettings
 from casid.validation import validate
@@ -310,3 +311,15 @@ def test_simulation_from_the_reference_meets_data_that_were_not_fitted(study, st
     wrong = validate(model(), {**staged.values, "k": 6.0}, fresh[1:], TRUE_LAG)
     assert wrong["loaded", "gyro"].fit < gyro.fit - 20
     assert len(check.plot().data) == 4
+
+
+def test_the_reference_filter_is_found_where_nobody_knows_it(records, staged) -> None:
+    """F_delta = 1/(0.2 s + 1): the pole of its samples is exp(-Ts/0.2), the static gain 1."""
+    found = estimate_reference_filter(model(), staged.values, records[1], "ref")
+    assert found.a[1] == pytest.approx(-np.exp(-0.01 / 0.2), rel=0.01)
+    assert found.b.sum() / found.a.sum() == pytest.approx(1.0, rel=0.02)
+    e = multistage(model(), records, STAGES, Instruments("ref", found))
+    assert abs(e["m"] - TABLE_7_2["m"]) < 4 * e.std_error("m")
+    slower = casid.Experiment(casid.decimate(records[1].record, 2), {}, "loaded")
+    with pytest.raises(casid.DataError, match="estimate it again"):
+        validate(model(), staged.values, slower, Instruments("ref", found))
