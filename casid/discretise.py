@@ -26,7 +26,14 @@ from numpy.typing import NDArray
 
 from casid.errors import ModelError
 from casid.expressions import nearest
-from casid.linear import LinearModel, TransferMatrix, faddeev_leverrier, parameter_vector
+from casid.linear import (
+    LinearModel,
+    TransferMatrix,
+    faddeev_leverrier,
+    packed_rows,
+    parameter_vector,
+    unpacked_rows,
+)
 from casid.model import Parameter
 
 Array = NDArray[Any]
@@ -86,6 +93,10 @@ class DiscreteTransfer:
     def poles(self, values: Mapping[str, float] | None = None) -> Array:
         """The poles in the q plane, (n,) complex."""
         return np.asarray(np.roots(self.evaluate(values)[0]), dtype=complex)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        fields = {k: getattr(self, k) for k in _PLAIN}
+        return _discrete_from, (packed_rows(self), fields)
 
     def __repr__(self) -> str:
         return (
@@ -198,6 +209,13 @@ def hold_matrices(A: Expr, squarings: int, method: str) -> tuple[Expr, Expr, Exp
     block = ca.blockcat([[A, eye, zero], [zero, zero, eye], [zero, zero, zero]])
     e = pade_exponential(block, squarings)
     return e[:n, :n], e[:n, n : 2 * n], e[:n, 2 * n :]
+
+
+_PLAIN = ("name", "Ts", "method", "inputs", "outputs", "parameters", "description")
+
+
+def _discrete_from(function: ca.Function, fields: dict[str, Any]) -> DiscreteTransfer:
+    return DiscreteTransfer(**unpacked_rows(function, fields))
 
 
 # -- inside ------------------------------------------------------------------------------------

@@ -13,10 +13,8 @@ and removed: states that no input reaches or no output sees, coefficients, commo
 from __future__ import annotations
 
 import difflib
-import random
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
@@ -26,12 +24,10 @@ from numpy.typing import NDArray
 
 from casid.errors import ModelError
 from casid.model import Model, Parameter
-from casid.symbolic import evaluate_exactly
+from casid.vanishing import float_points, remove_zeros
 
 Array = NDArray[Any]
 Expr = Any  # a CasADi SX expression
-
-_VANISHES = 1e-12  # an entry below this at random points of order 1 is zero, where it is irrational
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +148,11 @@ class LinearModel:
             description=self.description,
         )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        expressions = [self.A, self.B, self.C, self.D, *self.equilibrium.values()]
+        fields = dict(self.__dict__, equilibrium=tuple(self.equilibrium))
+        return _linear_from, (packed(self.p, expressions), _plain(fields))
+
     def _output(self, name: str) -> int:
         if name not in self.outputs:
             near = difflib.get_close_matches(name, self.outputs, 1)
@@ -217,6 +218,9 @@ class TransferMatrix:
         flat: list[Array] = [np.array(b).ravel() for b in self.function.call([vector])]
         nu = len(self.inputs)
         return flat[0], [flat[1 + i * nu : 1 + (i + 1) * nu] for i in range(len(self.outputs))]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _transfer_from, (packed_rows(self), _plain(self.__dict__))
 
     def __repr__(self) -> str:
         return (
@@ -353,66 +357,48 @@ def parameter_vector(
     return np.array([values.get(q.name, q.value) for q in description], dtype=float)
 
 
-def exact_points(
-    expressions: Sequence[Expr], p: Expr, count: int, *, seed: int = 5
-) -> list[list[Fraction]] | None:
-    """Scalar SX expressions at random rational parameter points, without any rounding.
-
-    Returns
-    -------
-    `count` rows, one entry for each expression; None if an expression is not rational in `p`.
-    """
-    function = ca.Function("e", [p], [ca.densify(ca.vertcat(*expressions))], {"cse": True})
-    rng = random.Random(seed)
-    rows: list[list[Fraction]] = []
-    tries = 0
-    while len(rows) < count and tries < 20 * count:
-        tries += 1
-        point = [Fraction(rng.randint(2, 97), rng.randint(2, 23)) for _ in range(p.numel())]
-        try:
-            rows.append(evaluate_exactly(function, point)[0])
-        except ModelError:
-            return None
-        except ZeroDivisionError:
-            continue
-    return rows if len(rows) == count else None
+# -- pickling ----------------------------------------------------------------------------------
+# An SX expression cannot be pickled, a Function of SX expressions can: zeros stay structural.
 
 
-def float_points(
-    expressions: Sequence[Expr], p: Expr, count: int, *, seed: int = 5
-) -> list[list[float]]:
-    """Scalar SX expressions at random parameter points of order 1 where they are finite."""
-    function = ca.Function("e", [p], [ca.densify(ca.vertcat(*expressions))], {"cse": True})
-    rng = np.random.default_rng(seed)
-    rows: list[list[float]] = []
-    for _ in range(20 * count):
-        values = np.array(function(rng.uniform(0.2, 1.7, p.numel()))).ravel()
-        if np.isfinite(values).all():
-            rows.append([float(v) for v in values])
-        if len(rows) == count:
-            break
-    return rows
+def packed(p: Expr, expressions: Sequence[Expr]) -> ca.Function:
+    """Expressions of p as one function, which can be pickled."""
+    return ca.Function("packed", [p], [ca.SX(e) for e in expressions])
 
 
-def remove_zeros(expressions: Iterable[Expr], p: Expr) -> list[Expr]:
-    """The same scalar expressions, structural zeros where one vanishes for all parameters.
+def unpacked(function: ca.Function, names: Sequence[str]) -> tuple[Expr, list[Expr]]:
+    """New symbols with these names, and what `packed` got as expressions of them."""
+    p = ca.vertcat(ca.SX(0, 1), *[ca.SX.sym(n) for n in names])
+    return p, list(function.call([p]))
 
-    Exact for rational expressions, but for a probability below 1e-3 an entry at each of 4 points;
-    others are judged in floating point.
-    """
-    expressions = [ca.SX(e) for e in expressions]
-    doubtful = [e for e in expressions if e.nnz() and not (e.is_constant() and not e.is_zero())]
-    if not doubtful:
-        return expressions
-    points: Sequence[Sequence[Fraction | float]] = exact_points(doubtful, p, 4) or []
-    limit = 0.0 if points else _VANISHES
-    points = points or float_points(doubtful, p, 4)
-    if not points:
-        return expressions
-    vanishing = {
-        id(e): max(abs(float(row[k])) for row in points) <= limit for k, e in enumerate(doubtful)
-    }
-    return [ca.SX(1, 1) if vanishing.get(id(e), False) else e for e in expressions]
+
+def packed_rows(system: Any) -> ca.Function:
+    """The polynomials of a (discrete) transfer matrix, packed."""
+    return packed(system.p, [system.denominator, *(b for row in system.numerators for b in row)])
+
+
+def unpacked_rows(function: ca.Function, fields: Mapping[str, Any]) -> dict[str, Any]:
+    """p, denominator and numerators from `packed_rows`, beside the other fields."""
+    p, (denominator, *flat) = unpacked(function, fields["parameters"])
+    nu = len(fields["inputs"])
+    rows = tuple(tuple(flat[i * nu : (i + 1) * nu]) for i in range(len(fields["outputs"])))
+    return {**fields, "p": p, "denominator": denominator, "numerators": rows}
+
+
+def _plain(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields that are neither expressions nor derived."""
+    left_out = {"A", "B", "C", "D", "p", "denominator", "numerators", "function"}
+    return {k: v for k, v in fields.items() if k not in left_out}
+
+
+def _linear_from(function: ca.Function, fields: dict[str, Any]) -> LinearModel:
+    p, (A, B, C, D, *values) = unpacked(function, fields["parameters"])
+    fields["equilibrium"] = dict(zip(fields["equilibrium"], values, strict=True))
+    return LinearModel(A=A, B=B, C=C, D=D, p=p, **fields)
+
+
+def _transfer_from(function: ca.Function, fields: dict[str, Any]) -> TransferMatrix:
+    return TransferMatrix(**unpacked_rows(function, fields))
 
 
 # -- inside ------------------------------------------------------------------------------------

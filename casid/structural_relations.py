@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.discretise import DiscreteTransfer, discretise, substitution
-from casid.linear import TransferMatrix, exact_points, float_points
+from casid.linear import TransferMatrix
+from casid.vanishing import exact_points, float_points
 
 Array = NDArray[Any]
 Expr = Any  # a CasADi SX expression

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 import sympy
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from casid.difference_equation import difference_equation, difference_equations
+from casid.difference_equation import difference_equation, difference_equations, invert
 from casid.discretise import METHODS, SUBSTITUTIONS, discretise
 from casid.errors import ModelError
 from casid.linear import linearise
@@ -453,3 +455,19 @@ def test_the_equation_is_printed_as_it_is_fitted():
     text = str(difference_equation(indirect(), "gyro", 0.01))
     assert "gyro[t] = a1 (-gyro[t-1]) + a2 (-gyro[t-2]) + b0[accel]" in text
     assert "does not depend on g" in text
+
+
+def test_a_pickled_equation_is_the_equation():
+    """Campaigns send it to other processes; what was cached is left behind."""
+    e = difference_equation(indirect(), "gyro", 0.01)
+    assert e.jacobian is not None
+    other = pickle.loads(pickle.dumps(e))
+    np.testing.assert_array_equal(other.theta(NOMINAL), e.theta(NOMINAL))
+    assert (other.columns, other.left, str(other)) == (e.columns, e.left, str(e))
+    np.testing.assert_array_equal(
+        invert(other, e.theta(LOADED), NOMINAL, ("m", "z_m"))[0],
+        invert(e, e.theta(LOADED), NOMINAL, ("m", "z_m"))[0],
+    )
+    discrete = discretise(e.transfer, 0.01)
+    again = pickle.loads(pickle.dumps(discrete))
+    np.testing.assert_array_equal(again.evaluate(NOMINAL)[0], discrete.evaluate(NOMINAL)[0])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -363,3 +365,20 @@ def test_a_channel_made_nonlinear_cannot_be_undone():
     m.substitute_symbol("accel", m.symbol("accel") ** 3)
     with pytest.raises(ModelError, match=r"accel enters .* call direct\(\) before"):
         m.direct()
+
+
+# -- travelling to other processes -------------------------------------------------------------
+
+
+def test_a_pickled_model_is_the_model():
+    """Matrices, equilibrium and transfer functions share their parameters' symbols again."""
+    model = linearise(indirect())
+    other = pickle.loads(pickle.dumps(model))
+    for got, wanted in zip(other.matrices(NOMINAL), model.matrices(NOMINAL), strict=True):
+        np.testing.assert_array_equal(got, wanted)
+    assert (other.A[0, 0].nnz(), other.notes) == (0, model.notes)
+    transfer = pickle.loads(pickle.dumps(other.transfer()))
+    np.testing.assert_array_equal(
+        transfer.evaluate(NOMINAL)[0], model.transfer().evaluate(NOMINAL)[0]
+    )
+    assert [transfer.numerators[0][0][k].nnz() for k in range(3)] == [0, 1, 0]
