@@ -101,8 +101,13 @@ class Filtered:
         return np.asarray(np.linalg.solve(lower, self.innovations[:, :, None])[:, :, 0])
 
 
-def steady_state(system: NoisySystem) -> Predictor:
+def steady_state(system: NoisySystem, near: Array | None = None) -> Predictor:
     """The steady-state predictor, from the Riccati equation (2.31).
+
+    Parameters
+    ----------
+    near : (nx, nx) covariance of a similar system: where its gain stabilises this one, Newton's
+        method (Kleinman 1968; Hewer 1971) starts there, several times faster.
 
     Raises
     ------
@@ -112,27 +117,61 @@ def steady_state(system: NoisySystem) -> Predictor:
 
     Notes
     -----
-    `scipy.linalg.solve_discrete_are`, then one Newton step (Kleinman 1968; Hewer 1971) that removes
-    its rounding error.
+    `scipy.linalg.solve_discrete_are`, then a Newton step that removes its rounding error.
     """
     s = system
     _refuse_singular_noise(s)
+    if near is not None:
+        found = _newton(s, near)
+        if found is not None:
+            return found
     try:
         P = linalg.solve_discrete_are(s.A.T, s.C.T, s.Q, s.R, s=s.S)
         _, K = _gain(s, P)
-        # Newton: the covariance that this gain really gives, nearer to the optimum than P itself.
-        closed = s.A - K @ s.C
-        if np.max(np.abs(linalg.eigvals(closed)), initial=0.0) >= 1.0:
+        if _radius(s.A - K @ s.C) >= 1.0:
             raise linalg.LinAlgError("the predictor is not stable")
-        P = linalg.solve_discrete_lyapunov(closed, joseph_noise(s, K))
+        P = _covariance_of(s, K)
     except (linalg.LinAlgError, ValueError) as error:
         raise ModelError(why_no_steady_state(s) or _unexplained(error)) from error
     reason = why_no_steady_state(s)
     if reason:
         raise ModelError(reason)
-    P = (P + P.T) / 2
     F, K = _gain(s, P)
     return Predictor(s, K, P, F)
+
+
+def _newton(s: NoisySystem, P: Array) -> Predictor | None:
+    """Newton's method for the Riccati equation; None where it does not settle at once."""
+    F, K = _gain(s, P)
+    if not np.all(np.isfinite(K)) or _radius(s.A - K @ s.C) >= 1 - ON_CIRCLE:
+        return None
+    for _ in range(12):
+        new = _covariance_of(s, K)
+        change = float(np.max(np.abs(new - P) / covariance_scale(new, new), initial=0.0))
+        P = new
+        F, K = _gain(s, P)
+        if change < 1e-7:  # squared by the step just taken
+            return Predictor(s, K, P, F)
+    return None
+
+
+def _covariance_of(s: NoisySystem, K: Array) -> Array:
+    """The covariance that a predictor with gain K really has, by its Lyapunov equation."""
+    P = _lyapunov(s.A - K @ s.C, joseph_noise(s, K)[None])[0]
+    return np.asarray((P + P.T) / 2)
+
+
+def _lyapunov(F: Array, W: Array) -> Array:
+    """X = F X F' + W for a stack of W (m, n, n)."""
+    n, m = len(F), len(W)
+    if n > 12:  # the direct system has n^2 unknowns
+        return np.array([linalg.solve_discrete_lyapunov(F, w) for w in W]).reshape(m, n, n)
+    system = np.eye(n * n) - np.kron(F, F)
+    return np.asarray(np.linalg.solve(system, W.reshape(m, n * n).T).T.reshape(m, n, n))
+
+
+def _radius(F: Array) -> float:
+    return float(np.max(np.abs(np.linalg.eigvals(F)), initial=0.0))
 
 
 def joseph_noise(s: NoisySystem, K: Array) -> Array:
@@ -352,25 +391,41 @@ def recursion(F: Array, v: Array, x0: Array) -> Array:
     Schur form turns it into first-order filters, one after another: a compiled loop whatever F,
     defective ones included.
     """
-    from scipy.signal import lfilter
-
     n, N = len(F), len(v)
     tail = v.shape[2:]
     columns = int(np.prod(tail)) if tail else 1
-    real = n == 1 or not np.any(np.abs(linalg.eigvals(F).imag))
+    time_last = np.ascontiguousarray(v.reshape(N, n, columns).transpose(1, 2, 0))
+    x = recursion_time_last(F, time_last, np.reshape(x0, (n, columns)))
+    return np.asarray(x.transpose(2, 0, 1).reshape(N + 1, n, *tail))
+
+
+def recursion_time_last(F: Array, v: Array, x0: Array) -> Array:
+    """As `recursion` with time as the last axis: (nx, m, N + 1) for v (nx, m, N), x0 (nx, m)."""
+    from scipy.signal import lfilter
+
+    n, columns, N = v.shape
+    real = n == 1 or not np.any(np.abs(np.linalg.eigvals(F).imag))
     T, Z = linalg.schur(F, output="real" if real else "complex")
-    drive = np.tensordot(Z.conj().T, v.reshape(N, n, columns), axes=(1, 1))  # (n, N, columns)
-    drive = np.ascontiguousarray(drive.transpose(0, 2, 1))  # (n, columns, N): time runs fastest
-    start = Z.conj().T @ np.reshape(x0, (n, columns))
+    into = Z.conj().T
+    start = into @ x0
     z = np.empty((n, columns, N + 1), dtype=T.dtype)
     for i in reversed(range(n)):
+        # Sums of few long rows: quicker than a matrix product, which would start threads.
+        drive = into[i, 0] * v[0]
+        for j in range(1, n):
+            drive += into[i, j] * v[j]
         for j in range(i + 1, n):
             if T[i, j] != 0:
-                drive[i] += T[i, j] * z[j, :, :-1]
+                drive += T[i, j] * z[j, :, :-1]
         z[i, :, 0] = start[i]
-        z[i, :, 1:], _ = lfilter([1.0], [1.0, -T[i, i]], drive[i], zi=T[i, i] * start[i][:, None])
-    out = np.tensordot(Z, z, axes=(1, 0)).real  # (n, columns, N + 1)
-    return np.asarray(out.transpose(2, 0, 1).reshape(N + 1, n, *tail))
+        z[i, :, 1:], _ = lfilter([1.0], [1.0, -T[i, i]], drive, zi=T[i, i] * start[i][:, None])
+    out = np.empty((n, columns, N + 1))
+    for i in range(n):
+        total = Z[i, 0] * z[0]
+        for j in range(1, n):
+            total += Z[i, j] * z[j]
+        out[i] = total.real
+    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -424,8 +479,6 @@ def gain_tangent(predictor: Predictor, d: SystemTangent) -> GainTangent:
     p, n, m = predictor, predictor.system.nx, len(d.A)
     zero = np.zeros((m, n, n))
     _, w = riccati_step_tangent(p.system, d, p.K, p.P, p.F, zero)
-    closed = p.A_closed
-    lyapunov = np.eye(n * n) - np.kron(closed, closed)
-    dP: Array = np.linalg.solve(lyapunov, w.reshape(m, n * n).T).T.reshape(m, n, n)
+    dP = _lyapunov(p.A_closed, w)
     dP = (dP + dP.transpose(0, 2, 1)) / 2
     return riccati_step_tangent(p.system, d, p.K, p.P, p.F, dP)[0]

@@ -29,6 +29,7 @@ from casid.kalman import (
     covariance_scale,
     gain_tangent,
     recursion,
+    recursion_time_last,
     riccati_step_tangent,
     steady_state,
     step,
@@ -104,6 +105,7 @@ class PredictionError:
         self._index: list[Array] = []  # per experiment: (nv,) NLP variable of each local one, or -1
         self._lay_out(dict(start or {}))
         self._last: dict[int, tuple[bytes, list[Predicted]]] = {}
+        self._near: dict[int, Array] = {}  # the last covariance, a start for the next
 
     # -- what is what ------------------------------------------------------------------------
 
@@ -240,7 +242,8 @@ class PredictionError:
         d = self.data[e]
         at, tangent, d_shift, d_offset = self.sampled(x, e)
         s, nx = at.system, at.system.nx
-        limit = steady_state(s)
+        limit = steady_state(s, self._near.get(e))
+        self._near[e] = limit.P
         gain = gain_tangent(limit, tangent)
         m = len(tangent.A)
         _, _, x0 = self._values(x, e)
@@ -262,23 +265,21 @@ class PredictionError:
             states: Array = recursion(closed, u @ (s.B - K @ s.D).T + y @ K.T, z)[:-1]
             eps = y - states @ s.C.T - u @ s.D.T
             # Drives and outputs of the sensitivities are linear in [x, u, eps, 1].
-            known = np.hstack([states, u, eps, np.ones((len(y), 1))])
+            known = np.vstack([states.T, u.T, eps.T, np.ones(len(y))])[:, None]
             moved = np.concatenate(
                 [tangent.A - K @ tangent.C, tangent.B - K @ tangent.D, gain.K], axis=2
             )
             constant = (K @ d_y[:, :m]).T[:, :, None]
-            drive = np.zeros((len(y), nx, m + nx))
+            drive = np.zeros((nx, m + nx, len(y)))
             weights = np.concatenate([moved, constant], axis=2)  # (m, nx, columns)
-            drive[:, :, :m] = (
-                (known @ weights.reshape(m * nx, -1).T).reshape(-1, m, nx).swapaxes(1, 2)
-            )
-            dx = recursion(closed, drive, dz)[:-1]
+            _combine(weights.transpose(1, 0, 2), known, drive[:, :m])
+            dx = recursion_time_last(closed, drive, dz)[:, :, :-1]
             nil = np.zeros((m, s.ny, s.ny))
             direct = np.concatenate([tangent.C, tangent.D, nil, -d_y[:, :m].T[:, :, None]], axis=2)
-            jac = -np.matmul(s.C, dx)
-            jac[:, :, :m] -= (
-                (known @ direct.reshape(m * s.ny, -1).T).reshape(-1, m, s.ny).swapaxes(1, 2)
-            )
+            de = np.zeros((s.ny, m + nx, len(y)))
+            _combine(-direct.transpose(1, 0, 2), known, de[:, :m])
+            _combine(-s.C[:, None, :], dx, de)
+            jac = np.ascontiguousarray(de.transpose(2, 0, 1))
             dF = np.concatenate([gain.F, np.zeros((nx, s.ny, s.ny))])
             parts.append(Predicted(eps, jac, limit.F[None], dF[None]))
         return parts
@@ -376,6 +377,19 @@ class PredictionError:
         return float(-value - 0.5 * self.n_samples * np.log(2 * np.pi))
 
 
+def _combine(weights: Array, signals: Array, out: Array) -> None:
+    """out[i, j] += sum_k weights[i, j, k] signals[k, j]: few long rows, no matrix product.
+
+    `weights` (rows, m or 1, K), `signals` (K, m or 1, N), `out` (rows, m, N).
+    """
+    for i, by_column in enumerate(weights):
+        for j in range(out.shape[1]):
+            row = by_column[min(j, len(by_column) - 1)]
+            for weight, signal in zip(row, signals, strict=True):
+                if weight != 0.0:
+                    out[i, j] += weight * signal[min(j, len(signal) - 1)]
+
+
 def _likelihood(part: Predicted) -> tuple[float, Array, Array]:
     """Terms of (1) over one stretch: value, scores (N, nv), information (nv, nv)."""
     N, ny, nv = part.jacobian.shape
@@ -396,5 +410,7 @@ def _likelihood(part: Predicted) -> tuple[float, Array, Array]:
     trace = np.trace(dF, axis1=2, axis2=3)  # (N or 1, nv)
     scores = np.einsum("ti,tiv->tv", white, jac) + 0.5 * (trace - spread)
     stacked = jac.reshape(N * ny, nv)
-    information = stacked.T @ stacked + 0.5 * weight * np.einsum("tva,twa->vw", flat, flat)
+    # einsum starts no threads, which for so thin a product cost more than they bring.
+    information = np.einsum("ti,tj->ij", stacked, stacked)
+    information += 0.5 * weight * np.einsum("tva,twa->vw", flat, flat)
     return value, scores, information

@@ -163,57 +163,65 @@ class NoisyModel:
         Tangents have one row for each free parameter, then one for each variance.
         """
         flat, slopes = (np.array(v) for v in self._matrices(p))
-        m = len(self.free)
-        base = self._sample(flat[:, 0], variances, Ts)
-        n_v = m + len(self.noise)
-        tangents = [np.zeros((n_v, *part.shape)) for part in base]
-        for i in range(m):
-            if wanted is not None and not wanted[i]:
-                continue
-            moved = self._sample(flat[:, 0] + 1j * _STEP * slopes[:, i], variances, Ts)
-            for t, part in zip(tangents, moved, strict=True):
-                t[i] = part.imag / _STEP
-        for j in range(len(self.noise)):  # Q, S and R are linear in the variances
-            unit = self._sample(flat[:, 0], np.eye(len(self.noise))[j], Ts)
-            for k in (4, 5, 6):
-                tangents[k][m + j] = unit[k]
-        A, B, C, D, Q, S, R, shift, offset = base
+        m, k = len(self.free), len(self.noise)
+        index = [i for i in range(m) if wanted is None or wanted[i]]
+        # One stack: the model itself, a complex step in each parameter, a unit of each variance
+        # (Q, S and R are linear in the variances).
+        rows = np.concatenate(
+            [flat, flat + 1j * _STEP * slopes[:, index], np.repeat(flat, k, 1)], 1
+        )
+        sizes = np.vstack([np.tile(variances, (1 + len(index), 1)), np.eye(k)])
+        stack = self._sample(rows.T, sizes, Ts)
+        tangents = [np.zeros((m + k, *part.shape[1:])) for part in stack]
+        for tangent, part in zip(tangents, stack, strict=True):
+            tangent[index] = part[1 : 1 + len(index)].imag / _STEP
+        for i in (4, 5, 6):
+            tangents[i][m:] = stack[i][1 + len(index) :].real
+        A, B, C, D, Q, S, R, shift, offset = (np.ascontiguousarray(part[0].real) for part in stack)
         system = NoisySystem(A, B, C, D, Q, R, S, Ts, tuple(self.model.states), self.outputs)
-        tangent = SystemTangent(*tangents[:7])
-        return Sampled(system, shift, offset), tangent, tangents[7], tangents[8]
+        return (
+            Sampled(system, shift, offset),
+            SystemTangent(*tangents[:7]),
+            tangents[7],
+            tangents[8],
+        )
 
     def _sample(self, flat: Array, variances: Array, Ts: float) -> tuple[Array, ...]:
-        """A, B, C, D, Q, S, R, shift, offset of the sampled model; complex where `flat` is."""
+        """A, B, C, D, Q, S, R, shift, offset of a stack of models, (rows, ...) each.
+
+        `flat` (rows, entries) may be complex, `variances` (rows, sources).
+        """
         nx, ny, nu = len(self.model.states), len(self.outputs), len(self.inputs)
         k = nu + len(self.process)
         cuts = np.cumsum([nx * nx, nx * k, ny * nx, ny * k])
-        parts = np.split(flat, cuts)
+        parts = np.split(flat, cuts, axis=1)
         A, B, C, D = (
-            part.reshape((columns, rows)).T
+            part.reshape((len(flat), columns, rows)).swapaxes(1, 2)
             for part, (rows, columns) in zip(
                 parts, ((nx, nx), (nx, k), (ny, nx), (ny, k)), strict=False
             )
         )
-        q, r = variances[: len(self.process)], variances[len(self.process) :]
+        q, r = variances[:, None, : len(self.process)], variances[:, len(self.process) :]
         held = np.array([w.held for w in self.process], dtype=bool)
-        flowing = B[:, nu:][:, ~held]
-        if np.any(np.abs(D[:, nu:][:, ~held]) > 1e-12 * max(float(np.max(np.abs(D))), 1e-300)):
-            self._refuse_instant(D[:, nu:], held)
-        index = [*range(nu), *(nu + np.flatnonzero(held))]
+        flowing = B[:, :, nu:][:, :, ~held]
+        instant = np.abs(D[0, :, nu:]) * ~held
+        if np.any(instant > 1e-12 * max(float(np.max(np.abs(D[0]))), 1e-300)):
+            self._refuse_instant(instant)
+        index = [*range(nu), *(nu + np.flatnonzero(held)).tolist()]
         hold = [*self.hold, *["zoh"] * int(held.sum())]
-        Ad, Bd, Cd, Dd, shift = sample_system(A, B[:, index], C, D[:, index], Ts, hold)
-        G, E = Bd[:, nu:], Dd[:, nu:]
-        Q = (G * q[held]) @ G.T
-        if flowing.shape[1]:
-            Q = Q + sample_noise(A, (flowing * q[~held]) @ flowing.T, Ts)
-        S = (G * q[held]) @ E.T
-        R = (E * q[held]) @ E.T + np.diag(r)
-        return Ad, Bd[:, :nu], Cd, Dd[:, :nu], Q, S, R, shift[:, :nu], parts[4]
+        Ad, Bd, Cd, Dd, shift = sample_system(A, B[:, :, index], C, D[:, :, index], Ts, hold)
+        G, E = Bd[:, :, nu:], Dd[:, :, nu:]
+        Q = (G * q[:, :, held]) @ G.swapaxes(1, 2)
+        if flowing.shape[2]:
+            Q = Q + sample_noise(A, (flowing * q[:, :, ~held]) @ flowing.swapaxes(1, 2), Ts)
+        S = (G * q[:, :, held]) @ E.swapaxes(1, 2)
+        R = (E * q[:, :, held]) @ E.swapaxes(1, 2) + r[:, :, None] * np.eye(ny)
+        return Ad, Bd[:, :, :nu], Cd, Dd[:, :, :nu], Q, S, R, shift[:, :, :nu], parts[4]
 
-    def _refuse_instant(self, D: Array, held: Array) -> None:
+    def _refuse_instant(self, gain: Array) -> None:
         for j, source in enumerate(self.process):
-            felt = [o for o, d in zip(self.outputs, D[:, j], strict=True) if abs(d) > 0]
-            if not held[j] and felt:
+            felt = [o for o, g in zip(self.outputs, gain[:, j], strict=True) if g > 0]
+            if felt:
                 raise ModelError(
                     f"{self.model.name}: output {', '.join(felt)} feels the noise of "
                     f"{source.where} at once, and continuous white noise has no finite variance at "

@@ -38,6 +38,15 @@ SOURCES = (
 )
 """Papers behind the method."""
 
+_ROUGHLY = {"ipopt.tol": 1e-3, "ipopt.acceptable_iter": 0}
+_PRECISELY = {  # beyond this tolerance the rounding error of a long sum is met
+    "ipopt.tol": 1e-7,
+    "ipopt.acceptable_tol": 1e-6,
+    "ipopt.acceptable_iter": 2,
+    "ipopt.mu_strategy": "monotone",
+    "ipopt.mu_init": 1e-9,
+}
+
 ASSUMES = (
     "sandwich of Fisher information and scores ({lags} Newey-West lags): innovations of zero mean "
     "with a memory short against the record; noise on inputs taken as exact is not in it"
@@ -171,11 +180,12 @@ def minimize_prediction_error(
             f"{model.name}: rank {rank.rank} of {rank.unknowns} unknowns in "
             f"{', '.join(d.name for d in criterion.data)}; {describe_null(rank)}"
         )
-    solution = _solve(criterion, x0, solver)
-    for _ in range(3):
-        if solution.is_converged and solution.value > 0.1 * criterion.n_samples:
+    # The curvature in a variance changes by orders of magnitude on the way: once more from there.
+    solution = _solve(criterion, x0, solver, _ROUGHLY)
+    for _ in range(4):
+        solution = _solve(criterion, solution.x, solver, _PRECISELY)
+        if solution.is_converged:
             break
-        solution = _solve(criterion, solution.x, solver)
     if throw and not solution.is_converged:
         raise SolveError(
             f"{model.name}: {solution.solver} stopped with {solution.status} after "
@@ -200,7 +210,9 @@ def _quadratic(criterion: PredictionError, x: Array) -> float:
     return total
 
 
-def _solve(criterion: PredictionError, x: Array, solver: Solver | None) -> Solution:
+def _solve(
+    criterion: PredictionError, x: Array, solver: Solver | None, options: Mapping[str, Any]
+) -> Solution:
     """Minimise from `x`; the constant of the criterion makes it half the sum of squares there.
 
     Convergence is judged relative to the criterion's value, which a density alone does not have.
@@ -211,6 +223,9 @@ def _solve(criterion: PredictionError, x: Array, solver: Solver | None) -> Solut
     for v in criterion.variables:
         nlp.variable(v.name, v.start, lower=v.lower, upper=v.upper, scale=v.scale)
     nlp.minimize(criterion)
+    solver = solver or Solver()
+    if solver.name == "ipopt":
+        solver = replace(solver, options={**options, **solver.options})
     return nlp.solve(solver, x.tolist(), throw=False, natural_scales=True)
 
 

@@ -20,7 +20,7 @@ from casid.kalman import (
     steady_state,
     time_varying,
 )
-from casid.noisy_system import NoisySystem, sample_noise, sample_system
+from casid.noisy_system import NoisySystem, exponential, sample_noise, sample_system
 
 Array = np.ndarray[Any, Any]
 NAMES = "ABCDQSR"
@@ -68,6 +68,17 @@ def test_steady_state_is_a_fixed_point_of_the_riccati_recursion(seed: int) -> No
     np.testing.assert_allclose(again, p.P, rtol=0, atol=1e-12 * np.max(p.P))
     np.testing.assert_allclose(p.K @ p.F, cross, atol=1e-12 * np.max(p.P))  # (2.30)
     assert np.max(np.abs(p.poles)) < 1
+
+
+def test_newton_from_a_neighbour_finds_the_same_steady_state() -> None:
+    s = system(2)
+    cold, neighbour = steady_state(s), steady_state(replace(s, Q=1.5 * s.Q, R=2 * s.R))
+    warm = steady_state(s, near=neighbour.P)
+    np.testing.assert_allclose(warm.P, cold.P, atol=1e-12 * np.max(cold.P))
+    # A neighbour whose gain does not stabilise is no start: the answer is the same again.
+    unstable = replace(s, A=3 * s.A)
+    nothing = steady_state(unstable, near=np.zeros((3, 3)))
+    np.testing.assert_allclose(nothing.P, steady_state(unstable).P, rtol=1e-9)
 
 
 def test_random_walk_in_noise_has_the_gain_of_the_quadratic() -> None:
@@ -207,6 +218,18 @@ def test_a_constant_without_noise_is_averaged() -> None:
 
 
 # -- sampling and recursions ----------------------------------------------------------------------
+
+
+def test_exponential_of_a_stack_is_that_of_each() -> None:
+    """Against SciPy's Pade approximation, and an imaginary step against its Frechet derivative."""
+    rng = np.random.default_rng(6)
+    X, E = 3 * rng.standard_normal((5, 4, 4)), rng.standard_normal((4, 4))
+    for got, x in zip(exponential(X), X, strict=True):
+        exact = linalg.expm(x)
+        np.testing.assert_allclose(got, exact, rtol=1e-11, atol=1e-12 * np.max(np.abs(exact)))
+    slope = exponential(X[0] + 1e-40j * E).imag / 1e-40
+    exact = linalg.expm_frechet(X[0], E, compute_expm=False)
+    np.testing.assert_allclose(slope, exact, rtol=1e-10, atol=1e-11 * np.max(np.abs(exact)))
 
 
 def test_van_loan_gives_the_covariance_of_an_integrated_random_walk() -> None:
