@@ -19,6 +19,7 @@ import contextlib
 import dataclasses
 import functools
 import itertools
+import pickle
 import sys
 import time
 import warnings
@@ -42,6 +43,10 @@ Function = Callable[["SeedSequence"], Mapping[str, Any]]
 
 _SECONDS = 2.0  # that a batch is to take: what a killed campaign loses of each worker
 _LARGEST = 1000
+_UNLOADABLE = (
+    "the function cannot be sent to the workers ({}); define it, and what it uses, at the top of a "
+    "module that they can import, or run in one process with joblib.parallel_config(n_jobs=1)"
+)
 _DEATHS = 30  # of workers, one after another with no run finished: nothing will finish
 
 
@@ -136,7 +141,8 @@ def campaign(
     ----------
     function : takes a `numpy.random.SeedSequence` and returns a flat mapping of names to numbers
         and strings. Run i of a campaign has `run_seed(seed, i)`, which depends on nothing else.
-        Workers unpickle the function once a batch: define it at the top of a module.
+        A worker loads the function once and keeps it for all of its batches, caches included:
+        define it at the top of a module, and let it read large data itself.
     runs : number of runs. A campaign continued with more runs does the new ones alone.
     out : folder for the results. Each finished batch is written at once; what is there is not done
         again. None keeps everything in memory.
@@ -264,10 +270,23 @@ class _Done:
     fault: str = ""  # results that no table can hold: the campaign ends
 
 
-def _run_batch(function: Function, seed: int, runs: Sequence[int], stop: bool) -> _Done:
+@functools.lru_cache(maxsize=1)
+def _unpickled(content: bytes) -> Function:
+    """The function in a worker: once for all of its batches, with all that it keeps."""
+    return pickle.loads(content)  # type: ignore[no-any-return]
+
+
+def _run_batch(function: Function | bytes, seed: int, runs: Sequence[int], stop: bool) -> _Done:
     """Do runs one after another; executed by a worker."""
     rows: list[Row] = []
     start = time.perf_counter()
+    if isinstance(function, bytes):
+        try:
+            function = _unpickled(function)
+        except CasidError as error:
+            return _Done(rows, 0.0, str(error))
+        except Exception as error:
+            return _Done(rows, 0.0, _UNLOADABLE.format(f"{type(error).__name__}: {error}"))
     for run in runs:
         try:
             result = function(run_seed(seed, run))
@@ -297,7 +316,8 @@ class _Work:
         stop: bool,
         retries: int,
     ) -> None:
-        self.function, self.seed, self.parts, self.told = function, seed, parts, told
+        self.function: Function | bytes = function
+        self.seed, self.parts, self.told = seed, parts, told
         self.stop, self.retries = stop, retries
         self.fixed = batch is not None
         self.size = batch or 1
@@ -308,6 +328,7 @@ class _Work:
     def do(self, todo: list[int]) -> None:
         """Do every run of `todo`; what a worker died with is done again, alone."""
         left = iter(todo)
+        self._pickle()
         try:
             while True:
                 self._round(self._batches(left))
@@ -320,6 +341,25 @@ class _Work:
                     self._alone(runs)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(self._state()) from None
+
+    def _pickle(self) -> None:
+        """Pickle the function where workers are other processes.
+
+        Here and not in joblib: its Dask backend waits for ever for what it cannot pickle, and puts
+        larger objects on one worker, which may be the one that dies; it leaves bytes alone.
+        """
+        import joblib
+        from joblib.externals.loky.backend.reduction import dumps
+
+        backend, _ = joblib.parallel.get_active_backend()
+        if joblib.effective_n_jobs(None) == 1 or getattr(backend, "supports_sharedmem", False):
+            return
+        try:
+            self.function = bytes(dumps(self.function))
+        except CasidError:
+            raise
+        except Exception as error:
+            raise DataError(_UNLOADABLE.format(f"{type(error).__name__}: {error}")) from error
 
     def _batches(self, left: Iterator[int]) -> Iterator[Sequence[int]]:
         while runs := list(itertools.islice(left, self.size)):
@@ -412,19 +452,8 @@ class _Work:
 
     def _explain(self, error: Exception) -> None:
         """Raise what joblib means by an error that is no worker's death, where that is known."""
-        cause: BaseException | None = error
-        while cause is not None:
-            if isinstance(cause, CasidError):
-                raise cause
-            cause = cause.__cause__ or cause.__context__
-        name = type(error).__name__
-        if "Pickl" in name or "pickle" in str(error) or "un-serialize" in str(error):
-            lines = str(error.__cause__ or error).strip().splitlines()  # a worker's traceback
-            raise DataError(
-                f"{_name_of(self.function)} cannot be sent to the workers ({lines[-1].strip()}); "
-                "define it, and what it uses, at the top of a module that they can import, or run "
-                "in one process with joblib.parallel_config(n_jobs=1)"
-            ) from error
+        if "un-serialize" in str(error):  # casid itself, which no worker can import
+            raise DataError(_UNLOADABLE.format(error)) from error
         if isinstance(error, ValueError) and "return_as" in str(error):
             raise DataError(
                 f"{error}; choose loky, threading or dask in joblib.parallel_config"

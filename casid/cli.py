@@ -8,6 +8,7 @@ that casid does not raise on purpose is a fault of casid, and keeps its tracebac
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 import os
 import re
@@ -21,14 +22,19 @@ import click
 from casid import __version__
 from casid.errors import CasidError, DataError, ModelError
 from casid.options import (
+    FIT_OPTIONS,
+    OUTPUT_OPTIONS,
     TIME,
     Request,
     Source,
+    folder_options,
     hold_out_option,
     near,
+    options,
     parse_mapping,
     parse_setting,
     record_options,
+    seed_option,
     source_of,
     time_column,
     with_time,
@@ -62,8 +68,9 @@ class _Casid(click.Group):
                 stream.reconfigure(errors="backslashreplace")
         try:
             status = super().main(*args, **extra)
-        except click.Abort:
-            return _refuse("interrupted; nothing was written", INTERRUPTED)
+        except click.Abort as error:
+            what = str(error.__cause__ or "")  # a campaign says what it keeps
+            return _refuse(f"interrupted; {what or 'nothing was written'}", INTERRUPTED)
         except click.UsageError as error:
             path = error.ctx.command_path if error.ctx else "casid"
             return _refuse(f"{error.format_message()} (see {path} --help)")
@@ -151,9 +158,7 @@ def _reserved(out: Path | None, name: str, *, force: bool) -> Iterator[Path]:
 
     probe = out if out is not None else Path("reports")
     new = [p for p in (probe, *probe.parents) if not p.exists()]
-    folder = output_folder(
-        out, re.sub(r"[^\w.-]+", "-", name).strip("-.") or "problem", force=force
-    )
+    folder = output_folder(out, _folder_name(name), force=force)
     if out is None:
         new.insert(0, folder)
     try:
@@ -165,6 +170,10 @@ def _reserved(out: Path | None, name: str, *, force: bool) -> Iterator[Path]:
             with contextlib.suppress(OSError):  # holds something after all: not ours to remove
                 path.rmdir()
         raise
+
+
+def _folder_name(name: str) -> str:
+    return re.sub(r"[^\w.-]+", "-", name).strip("-.") or "problem"
 
 
 @contextlib.contextmanager
@@ -343,6 +352,143 @@ def identify(
         _print_json(result.to_json())
     else:
         _print(str(result))
+
+
+@main.command()
+@click.argument("problem", type=click.Path())
+@click.option(
+    "--runs",
+    type=click.IntRange(min=1),
+    default=200,
+    show_default=True,
+    metavar="N",
+    help="Runs in all; those that the folder has are not done again.",
+)
+@click.option(
+    "--method",
+    default="identify",
+    show_default=True,
+    metavar="NAME",
+    help="What every run estimates with.",
+)
+@click.option(
+    "--duration",
+    type=float,
+    metavar="S",
+    help="Use the first S seconds of every simulated record; default whole records.",
+)
+@click.option(
+    "--jobs",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Processes that work; default one for every core.",
+)
+@click.option(
+    "--dask",
+    metavar="ADDRESS",
+    help="Work on the cluster of this Dask scheduler instead, as in tcp://host:8786. Its workers "
+    "need casid, and the problem at the same path.",
+)
+@options(
+    *FIT_OPTIONS,
+    seed_option("Seed of the study; every run has its own of it."),
+    *folder_options(
+        "reports/<problem>-montecarlo-<n>, the last one if it holds this very study",
+        "Begin anew in a folder that is not empty.",
+    ),
+    *OUTPUT_OPTIONS,
+)
+def montecarlo(
+    problem: str,
+    runs: int,
+    method: str,
+    duration: float | None,
+    jobs: int | None,
+    dask: str | None,
+    settings: tuple[str, ...],
+    starts: int | None,
+    solver: str,
+    seed: int,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Simulate a problem many times and hold its estimates against the truth.
+
+    Bias, spread and coverage of the intervals, each with its own uncertainty. The problem has to
+    simulate itself: `casid.Problem(..., simulate=, truth=)`. An interrupted study continues with
+    the same command. Writes results.parquet, montecarlo.json and report.html.
+
+    Example: casid montecarlo problems/roll_decay.py --runs 1000 --out study
+    """
+    request = Request(settings=settings)
+    model = _load(problem)
+    model = model.with_known(request.known(model))
+    from casid.identification import FitSettings
+    from casid.monte_carlo import Study
+    from casid.nlp import Solver
+
+    fit = FitSettings(starts=model.starts if starts is None else starts, solver=Solver(solver))
+    study = Study(model, method, fit, duration)
+    with _study_folder(out, model.name, study.manifest(seed), force=force) as folder:
+        with _quiet_stdout(), _workers(jobs, dask):
+            result = study.run(runs, seed=seed, out=folder, resume=not force, progress=not quiet)
+            result.write(folder)
+    _say_where(folder, ("report.html", "montecarlo.json"), quiet)
+    if as_json:
+        _print_json(result.to_json())
+    else:
+        _print(str(result))
+
+
+@contextlib.contextmanager
+def _study_folder(
+    out: Path | None, name: str, manifest: dict[str, Any], *, force: bool
+) -> Iterator[Path]:
+    """The folder that holds this very study, else a reserved one."""
+    from casid.campaign import continues
+    from casid.parts import read_manifest
+
+    name = f"{_folder_name(name)}-montecarlo"
+    folders = [out] if out is not None else list(Path("reports").glob(f"{name}-*"))
+    held = [f for f in folders if read_manifest(f) is not None]
+    if out is None:
+        held = [f for f in held if continues(f, manifest)]
+    if held and not force:
+        # One with another study is refused by the campaign, which says what differs.
+        yield max(held, key=lambda f: f.stat().st_mtime_ns)
+        return
+    with _reserved(out, name, force=force) as folder:
+        yield folder
+
+
+@contextlib.contextmanager
+def _workers(jobs: int | None, dask: str | None) -> Iterator[None]:
+    """Run campaigns on so many processes, or on a Dask cluster."""
+    import joblib
+
+    if dask is None:
+        with joblib.parallel_config(n_jobs=jobs or joblib.cpu_count()):
+            yield
+        return
+    if jobs is not None:
+        raise DataError("--jobs and --dask contradict each other; the cluster has its own workers")
+    try:
+        distributed = importlib.import_module("distributed")  # an extra
+    except ImportError:
+        raise DataError(
+            "--dask needs the extra `dask`; install it with: pip install 'casid[dask]'"
+        ) from None
+    try:
+        client = distributed.Client(dask, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise DataError(
+            f"no Dask scheduler answers at {dask} ({error}); start one with `dask scheduler`, or "
+            "leave --dask out"
+        ) from error
+    with client, joblib.parallel_config(backend="dask"):
+        yield
 
 
 @main.command()

@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -428,10 +429,42 @@ def test_the_same_call_runs_on_a_dask_cluster_and_survives_a_killed_worker(tmp_p
     assert same(result, campaign(noisy, 60))
 
 
+@dataclass
+class Unloadable:
+    """Can be pickled, and not be loaded."""
+
+    def __call__(self, seed: np.random.SeedSequence) -> dict[str, float]:
+        return {}
+
+    def __reduce__(self) -> Any:
+        return int, ("no number",)
+
+
 def test_a_function_that_no_worker_can_have_is_refused() -> None:
-    lock = __import__("threading").Lock()
-    with joblib.parallel_config(n_jobs=2), pytest.raises(DataError, match="top of a module"):
-        campaign(functools.partial(noisy, scale=lock), 4)
+    lock = functools.partial(noisy, scale=threading.Lock())  # type: ignore[arg-type]
+    for function, why in ((lock, "cannot pickle"), (Unloadable(), "no number")):
+        with joblib.parallel_config(n_jobs=2), pytest.raises(DataError, match=why) as refusal:
+            campaign(function, 4)
+        assert "top of a module" in str(refusal.value)
+    assert campaign(Unloadable(), 4).runs == 4  # one process needs no pickle
+
+
+@dataclass
+class Counting:
+    """Counts its own calls."""
+
+    n: int = 0
+
+    def __call__(self, seed: np.random.SeedSequence) -> dict[str, int]:
+        self.n += 1
+        return {"call": self.n}
+
+
+def test_a_worker_keeps_the_function_and_what_it_has_built() -> None:
+    """Two workers, ten batches: had each batch a copy of its own, no count would pass two."""
+    with joblib.parallel_config(n_jobs=2):
+        result = campaign(Counting(), 20, batch=2)
+    assert result.column("call").max() >= 10
 
 
 # ---------------------------------------------------------------------- how far it is
