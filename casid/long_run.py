@@ -16,6 +16,7 @@ small difference of large numbers and any window of lags spoils it, while tapere
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -82,23 +83,6 @@ def segments(N: int) -> int:
     return int(min(LONGEST_SEGMENT, max(16, 2 ** int(np.log2(max(N / 8, 16))))))
 
 
-def segment_transforms(signal: Array, length: int) -> Array:
-    """Fourier transforms of half overlapping Hann segments of (N,) samples, (segments, length/2+1).
-
-    Normalised so that the mean over all frequencies of |F|^2 is the mean square of the signal.
-    """
-    from scipy.fft import rfft
-
-    window = np.hanning(length + 1)[:-1]
-    window /= np.linalg.norm(window)
-    if len(signal) < length:
-        padded = np.zeros(length)
-        padded[: len(signal)] = signal
-        signal = padded
-    pieces = np.lib.stride_tricks.sliding_window_view(signal, length)[:: length // 2]
-    return np.asarray(rfft(pieces * window, axis=1))
-
-
 def independent_covariances(
     errors: Sequence[Array],
     columns: Sequence[Sequence[Column]],
@@ -111,42 +95,100 @@ def independent_covariances(
     errors : (N,) of each part; columns : its instruments; signals : what these are made of.
     """
     length = segments(len(errors[0]))
-    n_frequencies = length // 2 + 1
-    angle = -2j * np.pi * np.arange(n_frequencies) / length
-    # Of a real signal one half of the spectrum is enough; its inner part counts twice.
-    weight = np.full(n_frequencies, 2.0 / length)
-    weight[[0, -1]] = 1.0 / length
-    done: dict[int, tuple[Mapping[str, Array], dict[str, Array]]] = {}
-    transformed, errors_transformed, shapes = [], [], []
-    for e, cols, found in zip(errors, columns, signals, strict=True):
-        used = sorted({c for col in cols for c, _, _ in col.taps})
-        if id(found) not in done:
-            done[id(found)] = (found, {})
-        cached = done[id(found)][1]
-        for c in used:
-            if c not in cached:
-                cached[c] = segment_transforms(found[c], length)
-        transformed.append({c: cached[c] for c in used})
-        errors_transformed.append(segment_transforms(e, length))
-        shape = np.zeros((len(cols), len(used), n_frequencies), dtype=complex)
-        for i, col in enumerate(cols):
-            for c, lag, w in col.taps:
-                shape[i, used.index(c)] += w * np.exp(angle * lag)
-        shapes.append((used, shape))
-    rows = []
-    for a in range(len(errors)):
-        row = []
-        for b in range(len(errors)):
-            error = np.mean(errors_transformed[a] * errors_transformed[b].conj(), axis=0)
-            used_a, shape_a = shapes[a]
-            used_b, shape_b = shapes[b]
-            middle = np.array(
-                [
-                    [np.mean(transformed[a][i] * transformed[b][j].conj(), axis=0) for j in used_b]
-                    for i in used_a
-                ]
-            )
-            zeta = np.einsum("ikf,klf,jlf->fij", shape_a, middle, shape_b.conj())
-            row.append(np.einsum("f,fij->ij", weight * error, zeta).real)
-        rows.append(row)
+    # Each signal once, however many parts use it.
+    place: dict[tuple[int, str], int] = {}
+    distinct = list(errors)
+    channels: list[list[str]] = []
+    for cols, found in zip(columns, signals, strict=True):
+        channels.append(sorted({c for col in cols for c, _, _ in col.taps}))
+        for c in channels[-1]:
+            if (id(found), c) not in place:
+                place[id(found), c] = len(distinct)
+                distinct.append(found[c])
+    parts = range(len(errors))
+    where = [[place[id(signals[a]), c] for c in channels[a]] for a in parts]
+    pairs = {(a, b) for a in parts for b in parts if a <= b}
+    pairs |= {(i, j) for a in parts for b in parts if a <= b for i in where[a] for j in where[b]}
+    spectra = _cross_spectra(distinct, length, sorted(pairs))
+    rows: list[list[Array]] = [[np.empty(0)] * len(errors) for _ in parts]
+    for a in parts:
+        for b in range(a, len(errors)):
+            left, right = (_taps(columns[k], channels[k]) for k in (a, b))
+            lags_a, lags_b = left.shape[2], right.shape[2]
+            block: Array = np.zeros((len(left), len(right)))
+            for i, p in enumerate(where[a]):
+                for j, q in enumerate(where[b]):
+                    shared = spectra[a, b] * spectra[p, q]
+                    r = _covariances(shared, length, max(lags_a, lags_b) - 1)
+                    lag = np.arange(lags_a)[:, None] - np.arange(lags_b)
+                    block += left[:, i] @ r[lag + len(r) // 2] @ right[:, j].T
+            rows[a][b], rows[b][a] = block, block.T
     return np.block(rows)
+
+
+def _taps(columns: Sequence[Column], channels: Sequence[str]) -> Array:
+    """Weight of each column on each channel and lag, (nz, channels, largest lag + 1)."""
+    table = np.zeros((len(columns), len(channels), max(c.order for c in columns) + 1))
+    for row, column in zip(table, columns, strict=True):
+        for channel, lag, weight in column.taps:
+            row[channels.index(channel), lag] += weight
+    return table
+
+
+def _cross_spectra(
+    signals: Sequence[Array], length: int, pairs: Sequence[tuple[int, int]]
+) -> dict[tuple[int, int], Array]:
+    """Mean over the segments of F_i conj(F_j), (length/2 + 1,), real where i is j.
+
+    A few segments at a time: they stay in the cache, and nothing of the signals' length is kept.
+    """
+    from scipy.fft import rfft
+
+    window = np.hanning(length + 1)[:-1]
+    window /= np.linalg.norm(window)
+    n = len(signals[0])
+    if n < length:
+        signals = [np.concatenate([s, np.zeros(length - n)]) for s in signals]
+    pieces = [np.lib.stride_tricks.sliding_window_view(s, length)[:: length // 2] for s in signals]
+    count = len(pieces[0])
+    at_once = max(1, 16_384 // length)
+    buffer = np.empty((at_once, length))
+    total: dict[tuple[int, int], Array] = {}
+    for first in range(0, count, at_once):
+        last = min(first + at_once, count)
+        transforms = [
+            rfft(np.multiply(p[first:last], window, out=buffer[: last - first]), axis=1)
+            for p in pieces
+        ]
+        for i, j in pairs:
+            f, g = transforms[i], transforms[j]
+            new = (
+                np.einsum("sf,sf->f", f.real, f.real) + np.einsum("sf,sf->f", f.imag, f.imag)
+                if i == j
+                else np.einsum("sf,sf->f", f, g.conj())
+            )
+            total[i, j] = total[i, j] + new if (i, j) in total else new
+    return {key: value / count for key, value in total.items()}
+
+
+def _covariances(spectrum: Array, length: int, lags: int) -> Array:
+    """sum_l of a cross spectrum (length/2 + 1,) at lags -lags .. lags, (2 lags + 1,).
+
+    Entry d is the sum over frequencies of Re S(f) exp(-2 pi i f d).
+    """
+    cosine, sine = _waves(length, lags)
+    even = cosine @ spectrum.real
+    odd = sine @ spectrum.imag if np.iscomplexobj(spectrum) else np.zeros(lags + 1)
+    return np.concatenate([(even - odd)[:0:-1], even + odd])
+
+
+@functools.lru_cache(maxsize=8)
+def _waves(length: int, lags: int) -> tuple[Array, Array]:
+    """Cosines and sines of 2 pi f d, d = 0 .. lags, weighted to be summed, (lags + 1, nf) each."""
+    n = length // 2 + 1
+    # Of a real signal one half of the spectrum is enough; its inner part counts twice.
+    weight = np.full(n, 2.0 / length)
+    weight[[0, -1]] = 1.0 / length
+    # The phase is reduced before it is rounded.
+    angle = 2 * np.pi / length * (np.outer(np.arange(lags + 1), np.arange(n)) % length)
+    return weight * np.cos(angle), weight * np.sin(angle)
