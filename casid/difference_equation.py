@@ -38,7 +38,7 @@ from casid.errors import ModelError
 from casid.inverse_map import invert as invert
 from casid.linear import LinearModel, TransferMatrix, linearise, parameter_vector
 from casid.model import Model, Parameter
-from casid.structural_relations import echelon, hold_relations, rational_relations
+from casid.structural_relations import common_degree, echelon, hold_relations, rational_relations
 
 Array = NDArray[Any]
 Expr = Any  # a CasADi SX expression
@@ -239,6 +239,12 @@ def difference_equation(
     columns = tuple(_combined(taps, -relations[:, i]) for i in range(1, relations.shape[1]))
     notes = list(linear.notes)
     notes += _stability_note(transfer, discrete, method)
+    shared = common_degree(polynomials, transfer.p) if inputs else 0
+    if shared:
+        notes.append(
+            f"numerators and denominator share a factor of degree {shared} for all parameters, so "
+            f"noise-free columns are collinear; drop {shared} state(s) that {output} does not need"
+        )
     return DifferenceEquation(
         name=f"{linear.name}, {output}",
         output=output,

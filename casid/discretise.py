@@ -155,8 +155,10 @@ def check_method(method: str, Ts: float) -> None:
         raise ModelError(f"the sample time is {Ts!r}; give a positive number of seconds")
 
 
-def substitution(n: int, Ts: Fraction, method: str) -> list[list[Fraction]]:
+def substitution(n: int, Ts: Any, method: str) -> list[list[Any]]:
     """The matrix K (n+1, n+1) of a substitution on polynomials of degree n, exact.
+
+    `Ts` is a Fraction or a sympy symbol, and so are the entries.
 
     sum_k d_k s^(n-k), multiplied by a power of T (1 + x) or T x, is sum_j (d K)_j x^j:
     row k of K holds the coefficients of h^k (1 - x)^(n-k) e(x)^k, with h = T/2 and e = 1 + x for

@@ -114,6 +114,43 @@ def _fraction(value: float) -> Fraction:
     return small if abs(float(small) - value) < 1e-7 * max(1.0, abs(value)) else Fraction(value)
 
 
+def common_degree(polynomials: Sequence[Expr], p: Expr) -> int:
+    """The degree of the factor that polynomials in s share for all parameter values.
+
+    Euclid's algorithm in fractions at one random point; 0 for irrational expressions.
+    """
+    n = polynomials[0].numel() - 1
+    flat = [b[k] for b in polynomials for k in range(n + 1)]
+    points = exact_points(flat, p, 1, seed=11)
+    if points is None:
+        return 0
+    rows = [points[0][i * (n + 1) : (i + 1) * (n + 1)] for i in range(len(polynomials))]
+    factor = rows[0]
+    for other in rows[1:]:
+        a, b = factor, _stripped(other)
+        while b:
+            a, b = b, _remainder(a, b)
+        factor = a
+    return len(factor) - 1
+
+
+def _stripped(polynomial: Sequence[Fraction]) -> list[Fraction]:
+    """Without leading zeros."""
+    first = next((i for i, c in enumerate(polynomial) if c), len(polynomial))
+    return list(polynomial[first:])
+
+
+def _remainder(a: Sequence[Fraction], b: Sequence[Fraction]) -> list[Fraction]:
+    rest = list(a)
+    while len(rest) >= len(b):
+        factor = rest[0] / b[0]
+        rest = [
+            r - factor * c for r, c in zip(rest, [*b, *[Fraction(0)] * len(rest)], strict=False)
+        ]
+        rest = rest[1:]
+    return _stripped(rest)
+
+
 def hold_relations(
     transfer: TransferMatrix,
     driven: Sequence[int],
@@ -124,8 +161,8 @@ def hold_relations(
     """As `rational_relations` for the holds, whose coefficients are no rational functions.
 
     Relations with small fractions, as b_0 + b_1 + b_2 = 0, hold at every sample time: they are
-    found in floating point where samples are as far apart as the system is fast, and kept if they
-    hold at `Ts`. Relations that change with the sample time are not found.
+    found in floating point at a sample time that suits the system's poles, and kept if they hold at
+    `Ts`. Relations that change with the sample time are not found.
     """
     nominal = np.array([q.start if q.value is None else q.value for q in transfer.description])
 
@@ -145,7 +182,7 @@ def hold_relations(
 
     poles = np.abs(np.roots(np.array(transfer.function.call([nominal])[0]).ravel()))
     fast = poles[np.isfinite(poles) & (poles > 0)]
-    coarse = discretise(transfer, 1.0 / float(fast.max(initial=1.0 / Ts)), method)
+    coarse = discretise(transfer, 1.0 / float(np.median(fast)) if len(fast) else Ts, method)
     m = (1 + len(driven)) * (transfer.order + 1)
     values, check = sample(coarse, 3 * m, 1), sample(discrete, m, 2)
     relations = np.eye(m)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from casid.difference_equation import difference_equation, difference_equations, invert
 from casid.discretise import METHODS, SUBSTITUTIONS, discretise
 from casid.errors import ModelError
+from casid.inverse_map import continuous_form
 from casid.linear import linearise
 from casid.model import Model
 from problems.pendulum import direct_model
@@ -142,18 +143,37 @@ def test_the_inverse_of_the_bilinear_map_is_7_36():
 
 
 def test_7_36_follows_symbolically():
-    """The inverse substitution on symbols a1, a2, b0 cancels to the printed formulas."""
-    from casid.difference_equation import _inverse_substitution
+    """The inverse substitution on symbols a1, a2, b0, T cancels to the printed formulas."""
+    form = continuous_form(difference_equation(indirect(), "gyro", 0.01))
+    a1, a2, b0 = sympy.symbols("a1 a2 b0[accel]")
+    T = sympy.Symbol("T", positive=True)
+    Dn = 1 - a1 + a2
+    printed = {
+        "alpha1": 4 / T * (1 - a2) / Dn,
+        "alpha2": 4 / T**2 * (1 + a1 + a2) / Dn,
+        "beta1[accel]": 8 / T * b0 / Dn,
+    }
+    assert form.keys() == printed.keys()
+    for name, expression in printed.items():
+        assert sympy.simplify(form[name] - expression) == 0
 
-    a1, a2, b0 = sympy.symbols("a1 a2 b0")
-    h = sympy.Matrix(_inverse_substitution(2, 2.0, "bilinear")).applyfunc(sympy.nsimplify)  # T/2=1
-    den, num = sympy.Matrix([[1, a1, a2]]) * h, sympy.Matrix([[b0, 0, -b0]]) * h
-    T, Dn = 2, 1 - a1 + a2
-    printed = [sympy.Rational(4, T) * (1 - a2) / Dn, sympy.Rational(4, T**2) * (1 + a1 + a2) / Dn]
-    for k in (1, 2):
-        assert sympy.simplify(den[k] / den[0] - printed[k - 1]) == 0
-    assert sympy.simplify(num[1] / den[0] - sympy.Rational(8, T) * b0 / Dn) == 0
-    assert sympy.simplify(num[0]) == sympy.simplify(num[2]) == 0
+
+@pytest.mark.parametrize("method", SUBSTITUTIONS)
+def test_the_symbolic_inverse_evaluates_to_the_numeric_one(method):
+    e = difference_equation(spring_chain(2), "q", 0.1, method=method)
+    theta = e.theta(chain_values(2, 1))
+    alpha, beta = e.continuous(theta)
+    numbers = {sympy.Symbol(n): v for n, v in zip(e.coefficients, theta, strict=True)}
+    numbers[sympy.Symbol("T", positive=True)] = 0.1
+    for name, expression in continuous_form(e).items():
+        k = int(name.removeprefix("alpha").removeprefix("beta").removesuffix("[F]"))
+        wanted = alpha[k] if name.startswith("alpha") else beta["F"][k]
+        assert float(expression.subs(numbers)) == pytest.approx(wanted, rel=1e-8)
+
+
+def test_a_hold_has_no_rational_inverse():
+    with pytest.raises(ModelError, match="logarithms .* equation.continuous"):
+        continuous_form(difference_equation(indirect(), "gyro", 0.01, method="zoh"))
 
 
 # -- the ship ----------------------------------------------------------------------------------
@@ -334,6 +354,27 @@ def test_small_sample_times_do_not_invent_relations(Ts):
     """At (w T)^4 = 1e-16 coefficients look like binomials in floating point: still 4 are free."""
     e = difference_equation(spring_chain(2), "q", Ts)
     assert [n for n in e.coefficients if n.startswith("a")] == ["a1", "a2", "a3", "a4"]
+
+
+@pytest.mark.parametrize("Ts", [1e-4, 1e-2, 0.5])
+@pytest.mark.parametrize(("hold", "count"), [("zoh", 8), ("foh", 9)])
+def test_a_hold_has_the_same_structure_at_every_sample_time(hold, count, Ts):
+    """Order 4, relative degree 2: b_0 = 0 under zoh, and nothing else."""
+    assert len(difference_equation(spring_chain(2), "q", Ts, method=hold).coefficients) == count
+
+
+def test_a_factor_common_to_all_transfer_functions_is_noted():
+    """Two equal lags side by side are one: y = 2/(s + a) u written with two states."""
+    m = Model("twice the same")
+    x, z = m.state("x", "1"), m.state("z", "1")
+    u, a = m.input("u", "1"), m.parameter("a", "1/s")
+    m.derivative(x, u - a * x)
+    m.derivative(z, u - a * z)
+    m.output("y", x + z, "1")
+    e = difference_equation(m, "y", 0.1)
+    assert any("share a factor of degree 1" in n and "drop 1 state" in n for n in e.notes)
+    single = difference_equation(indirect(), "gyro", 0.1)
+    assert not any("share" in n for n in single.notes)
 
 
 def test_holds_keep_the_structure_that_sampling_leaves():
