@@ -39,6 +39,8 @@ SOURCES = (
 """Where the methods come from."""
 
 ASSUMES = {
+    "white": "white equation errors of zero mean, independent of the instruments: right for "
+    "unfiltered records whose disturbances are those of the regression, too small otherwise",
     "independent": "equation errors of zero mean and finite memory, independent of the external "
     "reference; the discretisation's own bias is not in it",
     "scores": "autocorrelation-robust (Newey-West): equation errors of zero mean, not correlated "
@@ -348,7 +350,8 @@ def _estimate(
         how=how,
     )
     name = problem.name
-    estimate = _as_estimate(name, model, experiments, fits, propagated, settings, instruments)
+    provenance = [f"{e.name}: {line}" for e in experiments for line in e.record.provenance]
+    estimate = as_estimate(name, model, provenance, fits, propagated, settings)
     return MomentEstimate(model, estimate, propagated, tuple(fits), prior)
 
 
@@ -379,15 +382,15 @@ def _refuse_undetermined(
             )
 
 
-def _as_estimate(
+def as_estimate(
     name: str,
     model: Model,
-    experiments: Sequence[Experiment],
+    provenance: Sequence[str],
     fits: Sequence[StageFit],
     propagated: Propagated,
     settings: MomentSettings,
-    instruments: Instruments | None,
 ) -> Estimate:
+    """The estimate that the fits of all stages make."""
     sd = np.sqrt(np.maximum(np.diag(propagated.covariance), 0.0))
     rows: list[Estimated] = []
     warnings: list[str] = []
@@ -432,9 +435,14 @@ def _as_estimate(
     white: dict[str, str] = {}
     for st in fits:
         for part, e, theta in zip(st.parts, st.equations, st.thetas, strict=True):
+            output = part.equation.output
+            if not e.signals:  # sums alone: no samples to look at
+                power, total = e.error_power(theta), float(e.second[0, 0])
+                rmse.setdefault(part.record, {})[output] = power**0.5
+                nrmse.setdefault(part.record, {})[output] = 100 * (1 - (power / total) ** 0.5)
+                continue
             remainder = e.error(theta)
             left = e.equation.left.samples(e.signals, e.start)
-            output = part.equation.output
             rmse.setdefault(part.record, {})[output] = float(np.sqrt(np.mean(remainder**2)))
             nrmse.setdefault(part.record, {})[output] = float(
                 100 * (1 - np.linalg.norm(remainder) / max(float(np.linalg.norm(left)), 1e-300))
@@ -444,14 +452,17 @@ def _as_estimate(
                 "" if outside <= 3 else " (coloured; the error bars allow for it)"
             )
     last = fits[-1].solution
-    kind = "least squares" if instruments is None else "instrumental variables"
+    own = all(e.is_least_squares for st in fits for e in st.equations)
+    kind = "least squares" if own else "instrumental variables"
     stages = f"{len(fits)} stages" if len(fits) > 1 else "joint"
     noise = (
         "prefilter 1"
         if settings.noise_model is None
         else f"prefilter from ARMA{settings.noise_model}"
     )
-    how = settings.covariance or ("scores" if instruments is None else "independent")
+    how = settings.covariance or ("scores" if own else "independent")
+    if not all(e.signals for st in fits for e in st.equations):
+        how = "white"
     return Estimate(
         problem=name,
         method=f"{kind}, {stages}, {settings.form} form, {settings.method}, "
@@ -473,7 +484,7 @@ def _as_estimate(
         identifiability=Identifiability(rank, unknowns, float(smallest), "; ".join(unseen)),
         units={n: unit for n, (_, unit) in model.outputs.items()},
         warnings=tuple(dict.fromkeys(warnings)),
-        provenance=tuple(f"{e.name}: {line}" for e in experiments for line in e.record.provenance),
+        provenance=tuple(provenance),
         versions=versions(),
         sources=SOURCES,
     )

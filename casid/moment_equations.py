@@ -19,6 +19,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.column_products import column_products
 from casid.columns import Column
 from casid.data import Experiment
 from casid.difference_equation import DifferenceEquation, difference_equation
@@ -32,6 +33,7 @@ from casid.uncertainty import bartlett_lags, long_run_covariance
 
 Array = NDArray[Any]
 Weighting = Literal["2sls", "optimal", "identity"]
+Covariance = Literal["independent", "scores", "white"]
 
 
 class Whitener(Protocol):
@@ -250,11 +252,29 @@ class MomentEquations:
 
     def error(self, theta: Array) -> Array:
         """L(q) (left - columns' theta) at every sample the means were taken from, (N,)."""
-        start = self.start
-        out = self.equation.left.samples(self.signals, start)
-        for value, column in zip(theta, self.equation.columns, strict=True):
-            out = out - value * column.samples(self.signals, start)
-        return np.asarray(out)
+        weights: dict[str, Array] = {}
+        for value, column in zip([1.0, *(-theta)], self._phi, strict=True):
+            for channel, lag, weight in column.taps:
+                taps = weights.setdefault(channel, np.zeros(self._reach + 1))
+                taps[lag] += value * weight
+        out: Array | None = None
+        for channel, taps in weights.items():
+            used = np.flatnonzero(taps)
+            last = int(used[-1]) if used.size else 0
+            part = np.convolve(
+                self.signals[channel][self.start - last :], taps[: last + 1], "valid"
+            )
+            out = part if out is None else np.add(out, part, out=out)
+        assert out is not None
+        return out
+
+    @property
+    def _phi(self) -> tuple[Column, ...]:
+        return (self.equation.left, *self.equation.columns)
+
+    @property
+    def _reach(self) -> int:
+        return max(c.order for c in self._phi)
 
     @property
     def start(self) -> int:
@@ -382,32 +402,51 @@ def moment_equations(
     """
     equation = part.equation
     signals: dict[str, Array] = dict(part.signals)
-    if simulated is not None:
-        signals |= simulated.signals
+    own = {} if simulated is None else dict(simulated.signals)
     if prefilter is not None:
-        signals = {n: prefilter.whiten(s) for n, s in signals.items()}
-    columns = (equation.left, *equation.columns, *(simulated.columns if simulated else ()))
-    order = max(c.order for c in columns)
+        signals, own = (
+            {k: prefilter.whiten(v) for k, v in group.items()} for group in (signals, own)
+        )
+    phi = (equation.left, *equation.columns)
+    zeta = simulated.columns if simulated is not None else ()
+    order = max(c.order for c in (*phi, *zeta))
     n = len(next(iter(signals.values())))
     skip = max(burn, min(simulated.transient, n // 4) if simulated else 0)
-    if n - skip <= 4 * len(columns) + order:
+    if n - skip <= 4 * (len(phi) + len(zeta)) + order:
         raise DataError(
-            f"{part.name}: {n - skip} samples are left for {len(columns)} moments; "
+            f"{part.name}: {n - skip} samples are left for {len(phi) + len(zeta)} moments; "
             "give a longer record, or fewer lags"
         )
     signals = {k: v[skip:] for k, v in signals.items()}
-    if simulated is not None:
+    N = n - skip - order
+    if simulated is None:
+        second = _finite(column_products(phi, phi, signals, order), signals) / N
+        return MomentEquations(
+            part.name, equation, equation.columns, True,
+            second[1:, 1:], second[1:, 0], second[1:, 1:], second, N, signals,
+        )  # fmt: skip
+    # What comes from the instruments alone is the same for all data that meet them.
+    key = (skip, order)
+    kept = simulated.kept.get(key) if prefilter is None else None
+    if kept is None:
         # A constant error, a gyro's bias, then stays without effect.
-        for name in simulated.signals:
-            signals[name] = signals[name] - signals[name].mean()
-    sums = moments(signals, order)
-    return MomentEquations.from_moments(
-        equation,
-        sums,
-        None if simulated is None else simulated.columns,
-        name=part.name,
-        signals=signals,
+        own = {k: v[skip:] - v[skip:].mean() for k, v in own.items()}
+        kept = own, column_products(zeta, zeta, own, order) / N
+        if prefilter is None:
+            simulated.kept[key] = kept
+    signals |= kept[0]
+    second = _finite(column_products(phi, phi, signals, order), signals) / N
+    cross = _finite(column_products(zeta, phi, signals, order), signals) / N
+    return MomentEquations(
+        part.name, equation, zeta, False, cross[:, 1:], cross[:, 0], kept[1], second, N, signals
     )
+
+
+def _finite(sums: Array, signals: Mapping[str, Array]) -> Array:
+    """The sums, refused where a sample is not finite."""
+    if not np.isfinite(sums).all():
+        moments(signals, 0)  # says where, and how to mend it
+    return sums
 
 
 # -- the covariance of the moments ----------------------------------------------------------------
@@ -418,7 +457,7 @@ def moment_covariance(
     thetas: Sequence[Array],
     records: Sequence[str],
     *,
-    how: Literal["independent", "scores"] | None = None,
+    how: Covariance | None = None,
 ) -> Array:
     """Covariance of all stacked means Y - Phi theta, (sum nz, sum nz), at thetas.
 
@@ -429,13 +468,23 @@ def moment_covariance(
     how : ``"independent"``: instruments independent of the error, see `casid.long_run`; default for
         instrumental variables. ``"scores"``: autocorrelation-robust from the products themselves
         (Newey and West 1987), the only choice where the regressors are their own instruments.
+        ``"white"``: sigma^2 mean zeta zeta', all that sums without their samples can give.
     """
     sizes = [len(e.Z) for e in equations]
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
     total = np.zeros((offsets[-1], offsets[-1]))
-    errors = [e.error(t) for e, t in zip(equations, thetas, strict=True)]
+    errors = [
+        e.error(t) if e.signals else np.zeros(0) for e, t in zip(equations, thetas, strict=True)
+    ]
     for record in dict.fromkeys(records):
         index = [i for i, r in enumerate(records) if r == record]
+        if how == "white" or not all(equations[i].signals for i in index):
+            for i in index:  # parts of a record whose samples are gone: no correlation between them
+                at = slice(int(offsets[i]), int(offsets[i + 1]))
+                total[at, at] = (
+                    equations[i].error_power(thetas[i]) * equations[i].Z / equations[i].N
+                )
+            continue
         chosen = how or (
             "scores" if any(equations[i].is_least_squares for i in index) else "independent"
         )

@@ -35,6 +35,7 @@ from casid.local_rank import describe_null, local_rank
 from casid.model import Model
 from casid.moment_equations import (
     Correlation,
+    Covariance,
     MomentEquations,
     Part,
     Weighting,
@@ -79,7 +80,7 @@ class MomentSettings:
     iterations: int = 5
     tolerance: float = 1e-4
     alpha: Callable[[Array], Array] | None = None
-    covariance: Literal["independent", "scores"] | None = None
+    covariance: Covariance | None = None
     constraints: Sequence[Constraint] = ()
     solver: Solver | None = None
     burn: int = 0
@@ -475,6 +476,36 @@ class Stage:
             settled=settled,
             remarks=tuple(dict.fromkeys(remarks)),
             history=tuple(history),
+        )
+
+    def fit_equations(
+        self,
+        equations: Sequence[MomentEquations],
+        parts: Sequence[Part],
+        values: Sequence[Mapping[str, float]],
+    ) -> StageFit:
+        """Estimate from moment equations as they are: no samples, so nothing to refine."""
+        start = np.array([p.start for p in self.parameters], dtype=float)
+        self.require_identifiable(start, values)
+        correlations = [e.require_correlation() for e in equations]
+        chosen, roots = self._weigh(list(equations), parts, values, start, [])
+        theta_p, thetas, solution = self.solve(chosen, roots, values, start)
+        at = [self._at(v, theta_p, fixed) for v, fixed in zip(values, self.known, strict=True)]
+        return StageFit(
+            stage=self,
+            free=self.free,
+            theta_p=theta_p,
+            values=tuple(at),
+            parts=tuple(parts),
+            equations=tuple(chosen),
+            roots=tuple(roots),
+            thetas=tuple(thetas),
+            solution=solution,
+            correlations=tuple(correlations),
+            noise_models=(None,) * len(parts),
+            iterations=1,
+            settled=True,
+            history=(theta_p,),
         )
 
     def _equations(
