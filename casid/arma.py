@@ -19,7 +19,7 @@ from casid.nlp import Solver
 from casid.polynomial import prediction_error
 from casid.polynomial_data import records_of
 from casid.polynomial_model import PolynomialModel
-from casid.polynomial_orders import Orders, is_stable, largest_root
+from casid.polynomial_orders import Orders, is_stable, largest_root, settling
 from casid.polynomial_start import long_model, long_order
 
 Array = NDArray[Any]
@@ -76,9 +76,7 @@ class Arma:
     @property
     def memory(self) -> int:
         """Samples until the start-up transient of `whiten` has fallen to 1 %."""
-        radius = largest_root(self.ma)
-        tail = np.log(0.01) / np.log(min(radius, 0.99999)) if radius > 1e-6 else 0
-        return len(self.ar) - 1 + int(np.ceil(tail))
+        return len(self.ar) - 1 + settling(self.ma)
 
     def whiten(self, x: ArrayLike) -> Array:
         """L x = (ar/ma) x along the first axis, (N,) or (N, m), from rest."""

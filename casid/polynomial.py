@@ -20,13 +20,14 @@ from casid.nlp import Nlp, Solution, Solver
 from casid.polynomial_criterion import PredictionErrors
 from casid.polynomial_data import records_of
 from casid.polynomial_model import PolynomialModel
-from casid.polynomial_orders import Layout, Orders, PerInput, Polynomials, largest_root
+from casid.polynomial_orders import Layout, Orders, PerInput, Polynomials, largest_root, settling
 from casid.polynomial_start import Candidate, Data, candidates
 from casid.uncertainty import sandwich
 
 Array = NDArray[Any]
 Errors = Literal["white", "robust"]
 NEAR = 0.999  # a root with this modulus or more is at the unit circle
+CANCEL = 1e-3  # scaled information below which polynomials may cancel by accident: look further
 NO_NOISE = 1e-24  # of the power of y: what is left is rounding
 ASSUMES = {
     "white": "white innovations, i.e. a true system in the model set: (2.54)-(2.56) with "
@@ -213,10 +214,7 @@ def _discards(data: Data, layout: Layout, theta: Array, wanted: int | None) -> l
     if wanted is not None:
         return [wanted] * len(data)
     p = layout.split(theta)
-    radius = max(largest_root(polynomial) for polynomial in (p.C, *p.F))
-    settle = max([layout.nc, *layout.nf])
-    if radius > 1e-6:
-        settle = max(settle, int(np.ceil(np.log(0.01) / np.log(min(radius, 0.99999)))))
+    settle = settling(p.C, *p.F)
     return [layout.longest_lag + min(settle, (len(y) - layout.longest_lag) // 5) for y, _ in data]
 
 
@@ -240,10 +238,11 @@ def _long_transients(
 ) -> tuple[str, ...]:
     """Records too short to discard the start-up transient of the estimate."""
     name, radius = _at_circle(layout, theta)
+    p = layout.split(theta)
+    settle = settling(p.C, *p.F)
     said = []
     for k, ((y, _), d) in enumerate(zip(data, discarded, strict=True)):
         if 0.1 < radius <= NEAR and radius ** (d - layout.longest_lag) > 0.1:
-            settle = int(np.log(0.01) / np.log(radius))
             said.append(
                 f"the transient of 1/{name} needs {settle} samples to fall to 1 %, but only {d} of "
                 f"the {len(y)} of record {k + 1} are discarded: what came before it may bias the "
@@ -276,9 +275,9 @@ def _best(
             "for outliers in y and u, or give start="
         )
     tried: list[tuple[Solution, int]] = []
-    for i in order:
+    for i in order[:4]:
         tried.append((_minimise(criterion, points[i][1], solver), i))
-        if tried[-1][0].is_converged:
+        if tried[-1][0].is_converged and _information(tried[-1][0])[0][0] > CANCEL:
             break
     best, chosen = min(tried, key=lambda item: (not item[0].is_converged, item[0].value))
     label, _, notes = points[chosen]
@@ -309,6 +308,13 @@ def _minimise(criterion: PredictionErrors, theta: Array, solver: Solver | None) 
         if again.value <= solution.value:
             return again
     return solution
+
+
+def _information(solution: Solution) -> tuple[Array, Array, Array]:
+    """Eigenvalues and vectors of the Gauss-Newton matrix scaled to unit diagonal, and the scale."""
+    root = np.sqrt(np.maximum(np.diag(solution.hessian), 1e-300))
+    values, vectors = np.linalg.eigh(solution.hessian / np.outer(root, root))
+    return values, vectors, root
 
 
 def _standing(criterion: PredictionErrors, theta: Array, status: str) -> Solution:
@@ -387,9 +393,7 @@ def _model(
     layout, N, n = criterion.layout, criterion.N, criterion.layout.n
     power = units.y**2
     variance = 2 * solution.value / max(N - n, 1)
-    root = np.sqrt(np.maximum(np.diag(solution.hessian), 1e-300))
-    unit = solution.hessian / np.outer(root, root)
-    values, vectors = np.linalg.eigh(unit)
+    values, vectors, root = _information(solution)
     smallest = float(values[0])
     if errors == "white":
         # A direction that the data do not see gets a huge error, not the none of a pseudo-inverse.

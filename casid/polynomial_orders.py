@@ -34,6 +34,15 @@ def is_stable(polynomial: Array) -> bool:
     return bool(np.all(np.isfinite(polynomial)) and largest_root(polynomial) < LAST_STABLE)
 
 
+def settling(*polynomials: Array) -> int:
+    """Samples until the slowest of the responses 1/polynomial has fallen to about 1 %."""
+    radius = max((largest_root(p) for p in polynomials), default=0.0)
+    order = max((len(p) - 1 for p in polynomials), default=0)
+    if radius < 1e-6:
+        return order
+    return max(order, int(np.ceil(np.log(0.01) / np.log(min(radius, LAST_STABLE)))))
+
+
 def reflected(polynomial: Array) -> tuple[Array, tuple[complex, ...]]:
     """The monic polynomial with its unstable roots z replaced by 1/conj(z), and those roots.
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.moments import moments
-from casid.polynomial_orders import Layout, Polynomials, reflected
+from casid.polynomial_orders import Layout, Polynomials, reflected, settling
 
 Array = NDArray[Any]
 Data = Sequence[tuple[Array, Mapping[str, Array]]]
@@ -178,24 +178,24 @@ def _with_own_dynamics(data: Data, layout: Layout) -> list[Candidate]:
     records = [[y, *(u[i] for i in layout.inputs)] for y, u in data]
     (a_long, *b_long), _, order = _long(records, layout.longest_lag)
 
-    def complete(label: str, bs: list[Array], fs: list[Array], said: list[str]) -> Candidate:
+    def complete(label: str, bs: list[Array], fs: list[Array], said: list[str]) -> list[Candidate]:
         """C and D of what the inputs leave; A, whose roots G would share, starts at 1."""
-        rest = []
+        rest: list[tuple[Array, dict[str, Array]]] = []
         for y, u in data:
             total = y.copy()
             for name, b, f in zip(layout.inputs, bs, fs, strict=True):
                 total -= lfilter(b, f, u[name])
-            rest.append(total)
-        c, d = one, one
+            # What the record began with is in its first samples, and no noise.
+            rest.append((total[min(settling(*fs), len(y) // 5) :], {}))
+        noises = [("", one, one)]
         if layout.nc or layout.nd:
             noise = Layout((), 0, (), layout.nc, layout.nd, (), ())
-            left: Data = [(r, {}) for r in rest]
-            found = [theta for _, theta, _ in _equation_error(left, noise)]
-            sizes = [sum(float(e @ e) for e in _errors(left, noise, t)) for t in found]
-            p = noise.split(found[int(np.argmin(sizes))])
-            c, d = p.C, p.D
+            found = [(f"; {how}", noise.split(t)) for how, t, _ in _equation_error(rest, noise)]
+            noises = [(how, p.C, p.D) for how, p in found]
         a = np.concatenate([one, np.zeros(layout.na)])
-        return _finish(label, layout, Polynomials(a, bs, c, d, fs), said)
+        return [
+            _finish(label + how, layout, Polynomials(a, bs, c, d, fs), said) for how, c, d in noises
+        ]
 
     # On the response that the long model gives to each input, where noise is white and gone.
     bs, fs, said = [], [], []
@@ -206,7 +206,7 @@ def _with_own_dynamics(data: Data, layout: Layout) -> list[Candidate]:
             said.append(_said(name, out))
         bs.append(own_b)
         fs.append(own_f)
-    points = [complete("long ARX, then Steiglitz-McBride", bs, fs, said)]
+    points = complete("long ARX, then Steiglitz-McBride", bs, fs, said)
     # On the data themselves, one input after the other with the others' responses taken away.
     for label, prefilter in (("Steiglitz-McBride", one), ("prefiltered Steiglitz-McBride", a_long)):
         bs2, fs2, said2 = list(bs), list(fs), dict[str, str]()
@@ -225,7 +225,7 @@ def _with_own_dynamics(data: Data, layout: Layout) -> list[Candidate]:
                 said2.pop(name, None)
                 if out:
                     said2[name] = _said(name, out)
-        points.append(complete(label, bs2, fs2, list(said2.values())))
+        points += complete(label, bs2, fs2, list(said2.values()))
     return points
 
 

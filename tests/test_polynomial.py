@@ -17,6 +17,7 @@ from casid.polynomial import Orders, armax, arx, bj, oe, prediction_error
 from casid.polynomial_criterion import PredictionErrors
 from casid.polynomial_data import stretches
 from casid.polynomial_orders import Layout, reflected
+from casid.polynomial_start import candidates, steiglitz_mcbride
 from tests.recursion import filtered, predicted_errors, simulated
 
 A, B, C, D = (1.0, -1.5, 0.7), (0.0, 1.0, 0.5), (1.0, -0.6, 0.2), (1.0, -0.8)
@@ -152,6 +153,26 @@ def test_white_standard_errors_fail_for_coloured_noise_as_predicted_and_robust_o
     assert robust.theta == pytest.approx(white.theta, rel=1e-12)
     assert "short memory" in robust.assumes
     assert "white innovations" in white.assumes
+
+
+@STRUCTURES
+def test_start_values_are_consistent(structure):
+    """Hannan-Rissanen and Steiglitz-McBride after a long ARX: the search starts near the truth."""
+    y, u, orders, theta = record(structure, 20_000, seed=40)
+    points = candidates([(y, {"u": u})], Layout.of(orders, ["u"]))
+    model = prediction_error(y, u, orders)
+    sigma = np.sqrt(np.diag(model.covariance))
+    nearest = min(float(np.max(np.abs(point - theta) / sigma)) for _, point, _ in points)
+    # Consistent, not efficient: a few times the efficient error, 4 of them to cover the worst.
+    assert nearest < 12
+
+
+def test_steiglitz_mcbride_is_exact_without_noise():
+    u = coloured(np.random.default_rng(41), 200)
+    b, f, out = steiglitz_mcbride([(filtered(B, A, u), u)], 2, 2, 1)
+    assert b == pytest.approx(B, abs=1e-9)
+    assert f == pytest.approx(A, abs=1e-9)
+    assert out == ()
 
 
 # -- closed loop --------------------------------------------------------------------------------
@@ -476,6 +497,11 @@ def test_prediction_and_simulation_are_the_recursions(structure):
     assert model.simulate({"u": fresh_u}) == pytest.approx(expected, abs=1e-11)
     assert model.residuals[0] == pytest.approx(y - model.predict(y, u), abs=1e-11)
     assert len(model.residual) == model.N
+    counted = y[model.discarded[0] :]
+    size = np.linalg.norm(model.residual) / np.linalg.norm(counted - counted.mean())
+    assert model.fit == pytest.approx(100 * (1 - size), rel=1e-9)
+    assert model.loss == pytest.approx(float(model.residual @ model.residual) / 2 / model.N)
+    assert model.bic - model.aic == pytest.approx((model.n + 1) * (np.log(model.N) - 2))
 
 
 def test_frequency_responses_are_those_of_python_control():
@@ -554,6 +580,29 @@ def test_more_parameters_than_the_system_has_are_said_to_cancel():
     assert max(model.std_errors.values()) > 1e3 * min(
         prediction_error(y, u, Orders(nb=2, nf=2)).std_errors.values()
     )
+
+
+def test_signals_with_an_offset_are_said_to_have_one():
+    """The model has none; an input of ones, one coefficient, takes it."""
+    y, u, _, _ = record("OE", 600, seed=27)
+    assert not oe(y, u, nb=2, nf=2).notes
+    lifted = y + 40.0
+    assert any("y has mean" in note for note in oe(lifted, u, nb=2, nf=2, throw=False).notes)
+    ones = {"u": u, "one": np.ones(600)}
+    model = oe(lifted, ones, nb={"u": 2, "one": 1}, nf={"u": 2, "one": 0}, nk=1)
+    assert model["b1[one]"] == pytest.approx(40.0, abs=4 * model.std_errors["b1[one]"])
+    assert model["f1[u]"] == pytest.approx(-1.5, abs=4 * model.std_errors["f1[u]"])
+
+
+def test_a_record_too_short_for_its_transient_is_said_to_be():
+    rng = np.random.default_rng(28)
+    u = coloured(rng, 1500)
+    y = simulated(
+        0.01 * rng.normal(size=1500), {"u": u}, B={"u": (0.0, 1.0)}, F={"u": (1.0, -0.99)}
+    )
+    model = oe(y[:150], u[:150], nb=1, nf=1)
+    assert any(r"transient of 1/F[u]" in note and "150" in note for note in model.notes)
+    assert not oe(y, u, nb=1, nf=1).notes
 
 
 def test_a_reflected_polynomial_has_the_same_spectrum():
