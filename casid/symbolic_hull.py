@@ -22,6 +22,8 @@ from casid.symbolic import exact, rational_operations, walk
 
 Array = np.ndarray[Any, Any]
 
+_DEGREE = 30  # of numerators and denominators that are worth expanding
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SymbolicHull:
@@ -116,8 +118,9 @@ def symbolic_hull(
     Raises
     ------
     ModelError
-        If a name is wrong, g is not rational (an exact hold has exponentials), or the polynomials
-        outgrow `limit`; `affine_hull` minds neither.
+        If a name is wrong, g is not rational, or its polynomials are too large: more terms than
+        `limit`, or a degree beyond 30 (an exact hold's matrix exponential, even as the quotient of
+        polynomials that stands for it). `affine_hull` minds neither.
     """
     import sympy
     from sympy.polys.matrices import DomainMatrix
@@ -125,25 +128,25 @@ def symbolic_hull(
     check_names(parameters, values, free)
     n = count_of_coefficients(g, parameters)
     names = coefficient_names(coefficients, n)
-    letters = [p for p in parameters if p in free or p not in values]
-    if not letters:
-        letters = [parameters[0]]  # a field needs a generator
+    # A field needs a generator, even where all parameters are numbers.
+    letters = [p for p in parameters if p in free or p not in values] or [parameters[0]]
     symbols = {name: sympy.Symbol(name) for name in letters}
+    numbers = {p: exact(float(values[p])) for p in parameters if p not in letters}
+    if free:
+        _check_degree(g, parameters, numbers)
     quotients = sympy.QQ.frac_field(*symbols.values())
     inputs = [
-        quotients.from_sympy(symbols[p])
-        if p in free or p not in values
-        else quotients(_rational_of(p, values))
+        quotients(_qq(numbers[p])) if p in numbers else quotients.from_sympy(symbols[p])
         for p in parameters
     ]
-    theta = walk(g, [inputs], _field_operations(limit), lambda v: quotients(_qq(exact(v))))[0]
+    theta = _walk(g, inputs, quotients, lambda q: _check_terms(q, limit))
     ring = quotients.field.ring
     den = ring.one
     for t in theta:
         den = den.lcm(t.denom)
     columns = [t.numer * den.exquo(t.denom) for t in theta] + [den]
-    if max(len(c) for c in columns) > limit:
-        raise _too_large(limit)
+    for column in columns:
+        _check_terms(quotients(column), limit)
     # Monomials split into their free part, a row of the matrix, and their known part, its entries.
     is_free = [name in free for name in letters]
     known = [symbols[name] for name in letters if name not in free]
@@ -178,26 +181,15 @@ def _qq(fraction: Fraction) -> Any:
     return QQ(fraction.numerator, fraction.denominator)
 
 
-def _rational_of(name: str, values: Mapping[str, float]) -> Any:
-    return _qq(exact(float(values[name])))
-
-
-def _too_large(limit: int) -> ModelError:
-    return ModelError(
-        f"the coefficients have numerators of more than {limit} terms, too many to prove the "
-        "constraints; give more known parameters as numbers in `values`, raise `limit`, or be "
-        "content with affine_hull"
-    )
-
-
-def _field_operations(limit: int) -> dict[int, Callable[..., Any]]:
-    """Operations on quotients of polynomials, guarded against their growth."""
+def _walk(
+    g: ca.Function, inputs: list[Any], quotients: Any, check: Callable[[Any], None]
+) -> list[Any]:
+    """g on quotients of polynomials, each result on the way checked."""
 
     def guarded(operation: Callable[..., Any]) -> Callable[..., Any]:
         def run(*arguments: Any) -> Any:
             result = operation(*arguments)
-            if len(result.numer) + len(result.denom) > limit:
-                raise _too_large(limit)
+            check(result)
             return result
 
         return run
@@ -205,11 +197,48 @@ def _field_operations(limit: int) -> dict[int, Callable[..., Any]]:
     def power(base: Any, exponent: Any) -> Any:
         if not (exponent.numer.is_ground and exponent.denom.is_ground):
             raise ModelError(
-                "a parameter stands in an exponent; such coefficients are not rational"
+                "a parameter stands in an exponent; such coefficients are not rational, so use "
+                "affine_hull"
             )
         number = exponent.numer.LC / exponent.denom.LC if exponent.numer else 0
         if number != int(number):
             raise ModelError(f"a power with the exponent {number} is not rational; use affine_hull")
         return base ** int(number)
 
-    return {code: guarded(op) for code, op in rational_operations(power).items()}
+    operations = {code: guarded(op) for code, op in rational_operations(power).items()}
+    return walk(g, [inputs], operations, lambda v: quotients(_qq(exact(v))))[0]
+
+
+def _check_terms(quotient: Any, limit: int) -> None:
+    if len(quotient.numer) + len(quotient.denom) > limit:
+        raise ModelError(
+            f"the coefficients have numerators of more than {limit} terms, too many to prove the "
+            "constraints; give more known parameters as numbers in `values`, raise `limit`, or be "
+            "content with affine_hull"
+        )
+
+
+def _check_degree(
+    g: ca.Function, parameters: Sequence[str], numbers: Mapping[str, Fraction]
+) -> None:
+    """Refuse high degrees early: along a line a + b t through the letters, one letter is left."""
+    import sympy
+
+    t = sympy.Symbol("t")
+    quotients = sympy.QQ.frac_field(t)
+    inputs = [
+        quotients(_qq(numbers[p]))
+        if p in numbers
+        else quotients.from_sympy(3 + i + (7 + 2 * i) * t)
+        for i, p in enumerate(parameters)
+    ]
+
+    def check(quotient: Any) -> None:
+        if max(quotient.numer.degree(), quotient.denom.degree()) > _DEGREE:
+            raise ModelError(
+                f"the coefficients are polynomials of a degree beyond {_DEGREE}, too large to "
+                "prove the constraints (exact holds are of this kind); be content with "
+                "affine_hull, or discretise with the bilinear transform"
+            )
+
+    _walk(g, inputs, quotients, check)

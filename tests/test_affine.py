@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from casid.affine import affine_hull, check_consistent, image_dimension, symbolic_hull
+from casid.difference_equation import difference_equation
 from casid.errors import IdentifiabilityError, ModelError
+from problems.pendulum import direct_model
 
 # Table 7.2 of Linder (2017) with the load on; T is a parameter here, so that it stays a letter.
 VALUES = {
@@ -167,6 +169,53 @@ def test_the_proof_takes_known_values_as_the_decimals_that_were_written():
     proof = symbolic_hull(pendulum(), NAMES, {"T": 0.01, "d": 0.1067}, ("m", "z_m"))
     k = sympy.Symbol("k")
     assert sympy.simplify(proof.B[1] - (1 + sympy.Rational(100, 1067) * k)) == 0
+
+
+# -- on difference equations of models -------------------------------------------------------------
+
+
+def equation(method="bilinear"):
+    model = direct_model().with_unknown("M", "z_g", "m", "z_m", "I_xm", "z_s")
+    return difference_equation(model.eliminate("a_y", using="accel"), "gyro", 0.01, method=method)
+
+
+@pytest.mark.parametrize(("row", "free"), PAIRS)
+def test_the_models_own_regression_has_the_constraints_derived_by_hand(row, free):
+    found = equation()
+    values = {n: v for n, v in VALUES.items() if n != "T"} | {"g": 9.81}
+    hull = affine_hull(found.g, found.parameters, values, free, coefficients=found.coefficients)
+    expected, value = by_hand(row)
+    largest = max(expected, key=abs)
+    assert found.coefficients == ("a1", "a2", "b0[accel]")
+    # The model divides by I_2 before it is discretised: a few roundings more than (7.39).
+    np.testing.assert_allclose(hull.B, [np.array(expected) / largest], rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(hull.b, [value / largest], rtol=1e-12)
+
+
+def test_the_models_own_regression_has_the_constraint_proved():
+    import sympy
+
+    found = equation()
+    proof = symbolic_hull(found.g, found.parameters, {}, ("m", "z_m"))
+    d, k = sympy.symbols("d k")
+    expected = sympy.Matrix([[1, 1 + k / (100 * d), 0]])
+    assert sympy.simplify(proof.B - expected) == sympy.zeros(1, 3)
+    assert sympy.simplify(proof.b[0] - (k / (100 * d) - 1)) == 0
+
+
+@pytest.mark.parametrize(("method", "rank"), [("forward", 1), ("backward", 1), ("zoh", 0)])
+def test_other_discretisations_have_constraints_of_their_own(method, rank):
+    """Substitutions keep 7.47's kind of row, d/k known; an exact hold bends it into a surface."""
+    found = equation(method)
+    values = {n: v for n, v in VALUES.items() if n != "T"} | {"g": 9.81}
+    hull = affine_hull(found.g, found.parameters, values, ("m", "z_m"))
+    assert (hull.rank, hull.image_dimension, hull.nonlinear) == (rank, 2, 1 - rank)
+
+
+def test_a_proof_of_an_exact_hold_is_refused_early():
+    found = equation("zoh")
+    with pytest.raises(ModelError, match="degree beyond 30.*affine_hull, or discretise with"):
+        symbolic_hull(found.g, found.parameters, {}, ("m", "z_m"))
 
 
 # -- constraints that contradict each other -------------------------------------------------------
