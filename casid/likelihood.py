@@ -25,7 +25,6 @@ from casid.data import Experiment
 from casid.errors import DataError, ModelError, SolveError
 from casid.kalman import (
     Predictor,
-    SystemTangent,
     covariance_scale,
     gain_tangent,
     recursion,
@@ -37,7 +36,6 @@ from casid.kalman import (
 from casid.model import Model
 from casid.nlp import Evaluation
 from casid.noisy_model import NoisyModel, Sampled, White
-from casid.noisy_system import NoisySystem
 from casid.simulation_error import Variable, signals_of
 
 Array = NDArray[Any]
@@ -58,7 +56,7 @@ class PredictionError:
 
     Parameters
     ----------
-    model : linear, or linearised about its rest at zero. Inputs that are unknown must be noise.
+    model : linear, or linearised about its rest. Inputs that are unknown must be noise.
     experiments : one or more, with their own sample times; known values override the model's.
     noise : one `White` for each output, and for each source of process noise.
     own : names of parameters that every experiment has for itself.
@@ -66,6 +64,8 @@ class PredictionError:
         predictor is then the time-varying one. Default: the initial states are estimated, and the
         gain is the steady-state one from the first sample on.
     start : start values by variable name, over the model's own.
+    rest : state or input -> its value at rest, a number or an SX expression of the model's
+        parameters; 0 for what is not given.
 
     Raises
     ------
@@ -84,6 +84,7 @@ class PredictionError:
         own: Sequence[str] = (),
         initial: Mapping[str, float] | None = None,
         start: Mapping[str, float] | None = None,
+        rest: Mapping[str, Any] | None = None,
     ) -> None:
         if not experiments:
             raise DataError("no experiment to fit; give at least one record")
@@ -91,12 +92,17 @@ class PredictionError:
         self.outputs = tuple(model.outputs)
         self.initial = None if initial is None else dict(initial)
         free = [p.name for p in model.parameters.values() if not p.is_known]
-        for name in (*own, *(self.initial or {})):
+        for name in own:
+            model.parameter_named(name)
+        for name in self.initial or {}:
             if name not in model.states:
-                model.parameter_named(name)
+                raise ModelError(
+                    f"{model.name} has no state {name!r} to start in doubt; it has "
+                    f"{', '.join(model.states)}"
+                )
         self.free = [f for f in free if not all(f in e.known for e in experiments)]
         self.own = [f for f in self.free if f in own]
-        self.noisy = NoisyModel(model, noise, self.free)
+        self.noisy = NoisyModel(model, noise, self.free, rest)
         self.inputs = self.noisy.inputs
         self.data = [signals_of(self.noisy.driven, e) for e in experiments]
         self._refuse_gaps()
@@ -219,15 +225,15 @@ class PredictionError:
         p = np.array([values[n] for n in self.noisy.linear.parameters], dtype=float)
         return p, variances, np.array(initial, dtype=float)
 
-    def sampled(self, x: Array, e: int) -> tuple[Sampled, SystemTangent, Array, Array]:
-        """The sampled system of one experiment and its tangents, as `NoisyModel.sampled`."""
+    def sampled(self, x: Array, e: int) -> Sampled:
+        """The sampled system of one experiment and its derivatives."""
         p, variances, _ = self._values(x, e)
         wanted = [bool(i >= 0) for i in self._index[e][: len(self.free)]]
         return self.noisy.sampled(p, variances, self.data[e].Ts, wanted)
 
     def predictor(self, x: Array, e: int) -> Predictor:
         """The steady-state predictor of one experiment at `x`."""
-        return steady_state(self.sampled(x, e)[0].system)
+        return steady_state(self.sampled(x, e).system)
 
     # -- innovations -------------------------------------------------------------------------
 
@@ -240,36 +246,37 @@ class PredictionError:
 
     def _predicted(self, x: Array, e: int) -> list[Predicted]:
         d = self.data[e]
-        at, tangent, d_shift, d_offset = self.sampled(x, e)
-        s, nx = at.system, at.system.nx
+        at = self.sampled(x, e)
+        s, tangent, nx = at.system, at.tangent, at.system.nx
         limit = steady_state(s, self._near.get(e))
         self._near[e] = limit.P
         gain = gain_tangent(limit, tangent)
         m = len(tangent.A)
         _, _, x0 = self._values(x, e)
         u0 = d.u[0] if len(d.u) else np.zeros(0)
-        z = x0 - at.shift @ u0
-        dz = np.concatenate([-(d_shift @ u0).T, np.eye(nx)], axis=1)  # (nx, m + nx)
+        z = x0 - at.shift @ u0 + at.lead
+        dz = np.concatenate([(at.d_lead - at.d_shift @ u0).T, np.eye(nx)], axis=1)  # (nx, m + nx)
         y = d.y - at.offset
-        d_y = np.concatenate([-d_offset.T, np.zeros((s.ny, nx))], axis=1)  # (ny, m + nx)
+        d_y = np.concatenate([-at.d_offset.T, np.zeros((s.ny, nx))], axis=1)  # (ny, m + nx)
         parts = []
         first = 0
         if self.initial is not None:
             P = np.diag([self.initial.get(n, 0.0) ** 2 for n in self.model.states])
-            part, z, dz = self._transient(s, tangent, limit, gain.P, y, d.u, z, dz, P, d_y)
+            part, z, dz = self._transient(at, limit, gain.P, y, d.u, z, dz, P, d_y)
             parts.append(part)
             first = len(part.innovations)
         if first < len(y):
             K, u, y = limit.K, d.u[first:], y[first:]
             closed = limit.A_closed
-            states: Array = recursion(closed, u @ (s.B - K @ s.D).T + y @ K.T, z)[:-1]
+            driven = u @ (s.B - K @ s.D).T + y @ K.T + at.drift
+            states: Array = recursion(closed, driven, z)[:-1]
             eps = y - states @ s.C.T - u @ s.D.T
             # Drives and outputs of the sensitivities are linear in [x, u, eps, 1].
             known = np.vstack([states.T, u.T, eps.T, np.ones(len(y))])[:, None]
             moved = np.concatenate(
                 [tangent.A - K @ tangent.C, tangent.B - K @ tangent.D, gain.K], axis=2
             )
-            constant = (K @ d_y[:, :m]).T[:, :, None]
+            constant = ((K @ d_y[:, :m]).T + at.d_drift)[:, :, None]
             drive = np.zeros((nx, m + nx, len(y)))
             weights = np.concatenate([moved, constant], axis=2)  # (m, nx, columns)
             _combine(weights.transpose(1, 0, 2), known, drive[:, :m])
@@ -286,8 +293,7 @@ class PredictionError:
 
     def _transient(
         self,
-        s: NoisySystem,
-        tangent: SystemTangent,
+        at: Sampled,
         limit: Predictor,
         limit_dP: Array,
         y: Array,
@@ -298,6 +304,7 @@ class PredictionError:
         d_y: Array,
     ) -> tuple[Predicted, Array, Array]:
         """The time-varying predictor until its gain and their derivatives have settled."""
+        s, tangent = at.system, at.tangent
         m, nx = len(tangent.A), s.nx
         dP: Array = np.zeros((m, nx, nx))
         scale = covariance_scale(limit.P, P)
@@ -315,10 +322,10 @@ class PredictionError:
             e = y[t] - s.C @ z - s.D @ u[t]
             de = d_y - s.C @ dz
             de[:, :m] -= (tangent.C @ z + tangent.D @ u[t]).T
-            moved = (tangent.A @ z + tangent.B @ u[t] + gain.K @ e).T
+            moved = (tangent.A @ z + tangent.B @ u[t] + gain.K @ e + at.d_drift).T
             dz = s.A @ dz + K @ de
             dz[:, :m] += moved
-            z = s.A @ z + s.B @ u[t] + K @ e
+            z = s.A @ z + s.B @ u[t] + at.drift + K @ e
             P = after
             eps.append(e)
             jac.append(de)

@@ -9,7 +9,7 @@ from complex steps (Squire and Trapp, SIAM Review 40 (1998) 110-112), which subt
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,21 +57,40 @@ class White:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
-    """One experiment's model, sampled, at one point; `offset` (ny,) is the output at rest."""
+    """One experiment's model, sampled, at one point: system (1) of deviations, in absolute signals.
+
+        z[t+1] = A z + B u + drift + K e,   y = C z + D u + offset + e,   z[0] = x - shift u + lead
+
+    Attributes
+    ----------
+    tangent : derivatives of the system's matrices; one row for each free parameter, then one for
+        the variance of each source. The `d_...` have the same rows.
+    shift (nx, nu), see `sample_system`; offset (ny,), drift (nx,), lead (nx,) : from the rest that
+        the model was linearised about; zero for rest at zero.
+    """
 
     system: NoisySystem
-    shift: Array  # (nx, nu): the state of `system` is x - shift u, see sample_system
+    tangent: SystemTangent
+    shift: Array
     offset: Array
+    drift: Array
+    lead: Array
+    d_shift: Array
+    d_offset: Array
+    d_drift: Array
+    d_lead: Array
 
 
 class NoisyModel:
-    """A model, linear or linearised about its rest at zero, with its noise.
+    """A model, linear or linearised about its rest, with its noise.
 
     Parameters
     ----------
     model : inputs that are unknown must be noise.
     noise : one `White` for each output, and for each source of process noise.
     free : names of the parameters to differentiate in.
+    rest : state or input -> its value at rest, a number or an SX expression of the model's
+        parameters; 0 for what is not given.
 
     Raises
     ------
@@ -79,7 +98,14 @@ class NoisyModel:
         For noise that is missing, or enters nowhere; a model that cannot be linearised.
     """
 
-    def __init__(self, model: Model, noise: Sequence[White], free: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        model: Model,
+        noise: Sequence[White],
+        free: Sequence[str] = (),
+        rest: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.rest = dict(rest or {})
         self.model, self.noise, self.free = model, tuple(noise), tuple(free)
         self.outputs = tuple(model.outputs)
         self._sort_noise()
@@ -128,20 +154,22 @@ class NoisyModel:
                 )
 
     def _linear(self) -> Any:
-        """p (np,) -> the entries of A, B, C, D and the output at rest, and their derivatives."""
+        """p (np,) -> the entries of A, B, C, D, of y, x, u at rest, and their derivatives."""
         model = self.model.copy()
         for source in self.process:
             if source.where in model.balances:
                 unit = model.balances[source.where].unit
                 w = model.add_input(Input(f"noise of {source.where}", unit, "unknown"))
                 model.add_term(source.where, w)
-        self.linear = linear = linearise(model)
+        at_inputs = {n: v for n, v in self.rest.items() if n in model.inputs}
+        at_states = {n: v for n, v in self.rest.items() if n not in model.inputs}
+        self.linear = linear = linearise(model, x=at_states, u=at_inputs)
         names = [
             f"noise of {s.where}" if s.where in model.balances else s.where for s in self.process
         ]
         order = [linear.inputs.index(n) for n in (*self.inputs, *names)]
-        rest = ca.vertcat(*[linear.equilibrium[n] for n in linear.outputs])
-        parts = [linear.A, linear.B[:, order], linear.C, linear.D[:, order], rest]
+        rest = [linear.equilibrium[n] for n in (*linear.outputs, *linear.states, *self.inputs)]
+        parts = [linear.A, linear.B[:, order], linear.C, linear.D[:, order], ca.vertcat(*rest)]
         flat = ca.densify(ca.vertcat(*[ca.vec(ca.densify(m)) for m in parts]))
         columns = [linear.parameters.index(f) for f in self.free]
         slopes = ca.densify(ca.jacobian(flat, linear.p))[:, columns]
@@ -149,18 +177,14 @@ class NoisyModel:
 
     def sampled(
         self, p: Array, variances: Array, Ts: float, wanted: Sequence[bool] | None = None
-    ) -> tuple[Sampled, SystemTangent, Array, Array]:
-        """The sampled system, its tangent, and those of shift and offset.
+    ) -> Sampled:
+        """The sampled system and its derivatives.
 
         Parameters
         ----------
         p : (np,) all parameters of the model in its order.
         variances : of `sources`.
         wanted : for each free parameter whether its derivative is (default all; else it is zero).
-
-        Returns
-        -------
-        Tangents have one row for each free parameter, then one for each variance.
         """
         flat, slopes = (np.array(v) for v in self._matrices(p))
         m, k = len(self.free), len(self.noise)
@@ -177,17 +201,12 @@ class NoisyModel:
             tangent[index] = part[1 : 1 + len(index)].imag / _STEP
         for i in (4, 5, 6):
             tangents[i][m:] = stack[i][1 + len(index) :].real
-        A, B, C, D, Q, S, R, shift, offset = (np.ascontiguousarray(part[0].real) for part in stack)
+        A, B, C, D, Q, S, R, *rest = (np.ascontiguousarray(part[0].real) for part in stack)
         system = NoisySystem(A, B, C, D, Q, R, S, Ts, tuple(self.model.states), self.outputs)
-        return (
-            Sampled(system, shift, offset),
-            SystemTangent(*tangents[:7]),
-            tangents[7],
-            tangents[8],
-        )
+        return Sampled(system, SystemTangent(*tangents[:7]), *rest, *tangents[7:])
 
     def _sample(self, flat: Array, variances: Array, Ts: float) -> tuple[Array, ...]:
-        """A, B, C, D, Q, S, R, shift, offset of a stack of models, (rows, ...) each.
+        """A, B, C, D, Q, S, R, shift, offset, drift, lead of a stack of models, (rows, ...) each.
 
         `flat` (rows, entries) may be complex, `variances` (rows, sources).
         """
@@ -216,7 +235,11 @@ class NoisyModel:
             Q = Q + sample_noise(A, (flowing * q[:, :, ~held]) @ flowing.swapaxes(1, 2), Ts)
         S = (G * q[:, :, held]) @ E.swapaxes(1, 2)
         R = (E * q[:, :, held]) @ E.swapaxes(1, 2) + r[:, :, None] * np.eye(ny)
-        return Ad, Bd[:, :, :nu], Cd, Dd[:, :, :nu], Q, S, R, shift[:, :, :nu], parts[4]
+        Bd, Dd, shift = Bd[:, :, :nu], Dd[:, :, :nu], shift[:, :, :nu]
+        y, x, u = np.split(parts[4], [ny, ny + nx], axis=1)
+        ahead = u[:, :, None]
+        offset, drift = y - (Dd @ ahead)[:, :, 0], -(Bd @ ahead)[:, :, 0]
+        return Ad, Bd, Cd, Dd, Q, S, R, shift, offset, drift, (shift @ ahead)[:, :, 0] - x
 
     def _refuse_instant(self, gain: Array) -> None:
         for j, source in enumerate(self.process):

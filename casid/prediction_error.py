@@ -112,6 +112,7 @@ def minimize_prediction_error(
     own: Sequence[str] = (),
     initial: Mapping[str, float] | None = None,
     start: Mapping[str, float] | None = None,
+    rest: Mapping[str, Any] | None = None,
     solver: Solver | None = None,
     throw: bool = True,
 ) -> Prediction:
@@ -127,6 +128,8 @@ def minimize_prediction_error(
     initial : standard deviations of the initial states, for the time-varying predictor; default
         estimates the initial states with the steady-state gain.
     start : start values by variable name, over the model's own.
+    rest : state or input -> its value where a nonlinear model rests, a number or an SX expression
+        of its parameters; 0 for what is not given. The records stay near it.
 
     Raises
     ------
@@ -149,7 +152,9 @@ def minimize_prediction_error(
     chosen = [Experiment(e, {}, e.name) if isinstance(e, Record) else e for e in given]
 
     def stated(sources: Sequence[White]) -> PredictionError:
-        return PredictionError(model, chosen, sources, own=own, initial=initial, start=start)
+        return PredictionError(
+            model, chosen, sources, own=own, initial=initial, start=start, rest=rest
+        )
 
     criterion = stated(noise)
     for e in range(len(criterion.data)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -140,7 +141,7 @@ def test_likelihood_is_that_of_the_time_varying_predictor() -> None:
     model, sd = walk_model(), {"phi": 0.1, "p": 0.2, "a": 0.5}
     [nominal, _] = pendulum_experiments()
     c = PredictionError(model, [nominal], WALK_NOISE, initial=sd)
-    at = c.sampled(c.start, 0)[0]
+    at = c.sampled(c.start, 0)
     y = np.column_stack([nominal.record["gyro"], nominal.record["accel"]])
     run = time_varying(at.system, y, P0=np.diag([v**2 for v in sd.values()]))
     assert c.log_likelihood(c.start) == pytest.approx(run.log_likelihood, rel=1e-10)
@@ -288,6 +289,62 @@ def test_right_noise_model_has_the_better_akaike_criterion() -> None:
     assert "coloured" not in right.estimate.whiteness["y"]
 
 
+def tank() -> casid.Model:
+    """Outflow with the root of the level: nonlinear, at rest where the pump makes up for it."""
+    m = casid.Model("tank")
+    h = m.state("h", "m", start=1.0, lower=0.0)
+    pump, w = m.input("pump", "m^3/s", hold="zoh"), m.unknown_input("w", "m^3/s")
+    c = m.parameter("c", "m^2.5/s", start=0.04, lower=1e-3)
+    area = m.parameter("area", "m^2", start=0.8, lower=1e-2)
+    m.derivative(h, (pump + w - c * ca.sqrt(h)) / area)
+    m.output("level", h, "m")
+    return m
+
+
+def tank_record(N: int = 3000, Ts: float = 1.0) -> casid.Record:
+    """Small steps about the pump's 0.05 m^3/s, by Runge-Kutta; c = 0.05, area = 1.0."""
+    rng = np.random.default_rng(11)
+    pump = 0.05 + 0.0005 * (-1.0) ** np.cumsum(rng.random(N) < 0.03)
+    h = np.ones(N)
+
+    def rate(x: float, u: float) -> float:
+        return u - 0.05 * float(np.sqrt(x))
+
+    for t in range(N - 1):
+        x, u = float(h[t]), float(pump[t]) + 0.0005 * rng.standard_normal()
+        k1 = rate(x, u)
+        k2 = rate(x + Ts / 2 * k1, u)
+        k3 = rate(x + Ts / 2 * k2, u)
+        h[t + 1] = x + Ts / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + Ts * k3, u))
+    level = h + 0.001 * rng.standard_normal(N)
+    return casid.Record({"pump": pump, "level": level}, {"pump": "m^3/s", "level": "m"}, Ts=Ts)
+
+
+def test_nonlinear_model_is_fitted_near_its_rest() -> None:
+    """At rest h = 1, so that pump = c: the rest moves with the parameter, derivatives included.
+
+    The level strays by 2 % of 1 m, so the root's second-order term is 1e-4 of it: no bias to see.
+    """
+    model, record = tank(), tank_record()
+    rest = {"h": 1.0, "pump": model.symbol("c")}
+    noise = [White("level", 0.002), White("w", 0.001, held=True)]
+    for initial in (None, {"h": 0.01}):
+        c = PredictionError(model, [casid.Experiment(record)], noise, rest=rest, initial=initial)
+        x, at = c.start, c.evaluate(c.start)
+        unit = 1 / np.sqrt(np.diag(at.hessian))
+        for i, size in enumerate(unit):
+            step = 1e-4 * size * np.eye(len(x))[i]
+            numeric = (c.evaluate(x + step).value - c.evaluate(x - step).value) / 2e-4
+            length = np.linalg.norm(at.gradient * unit)
+            assert abs(at.gradient[i] * size - numeric) < 1e-5 * length
+    found = minimize_prediction_error(model, record, noise, rest=rest)
+    for name, value in {"c": 0.05, "area": 1.0, "var(w)": 0.0005**2, "var(level)": 1e-6}.items():
+        error = found.estimate.parameter(name).std_error
+        assert error is not None
+        assert abs(found[name] - value) < 4 * error, name
+    assert "nonlinear: valid for small deviations" in str(found)
+
+
 # -- refusals -------------------------------------------------------------------------------------
 
 
@@ -304,6 +361,13 @@ def test_noise_is_to_be_named_for_all_that_needs_it() -> None:
             fit_lag(record, noise)
     with pytest.raises(ModelError, match="give a positive start, or zero as known"):
         White("y", 0.0)
+
+
+def test_names_that_the_model_does_not_have_are_refused() -> None:
+    with pytest.raises(ModelError, match="no state 'q' to start in doubt; it has x"):
+        fit_lag(lag_record(0), initial={"q": 1.0})
+    with pytest.raises(ModelError, match="no parameter 'q'; it has a, b"):
+        fit_lag(lag_record(0), own=["q"])
 
 
 def test_continuous_noise_that_a_sensor_feels_at_once_is_refused() -> None:
