@@ -117,6 +117,7 @@ class Compiled:
         arguments = {key: np.zeros(nlpsol.numel_in(key)) for key in nlpsol.name_in()}
         arguments["lbx"][:], arguments["ubx"][:] = lower_ / self._scale, upper_ / self._scale
         self._solver = _Buffered(nlpsol, arguments)
+        self._counted = 0  # evaluations so far: CasADi's counters are never reset
         # The start is prepared, and the result judged, on the solver's own arrays.
         self._prepare = _Buffered(
             _preparation(derivatives, symbol, self._scale, self._box),
@@ -176,43 +177,43 @@ class Compiled:
         """The better one of `solution` and what Newton steps lead to from there.
 
         A step solves the optimality conditions, linearised, for the variables that no bound holds
-        and the constraints at their limits; it counts if the measures of optimality agree. `lam`
-        (m,) are the multipliers to begin with; without them equalities alone count as active.
+        and the constraints at their limits; steps go on while each is less than half the one
+        before. `lam` (m,) are the multipliers to begin with; without them equalities alone count as
+        active.
         """
         lower, upper, low, high = self._box
         lam = np.zeros(len(low)) if lam is None else lam
-        at = self.evaluate(solution.x)
-        for _ in range(5):
-            if solution.scaled_gradient < _PROVEN and solution.constraint_violation < 1e-12:
-                break
-            held = {*solution.at_lower, *solution.at_upper}
-            free = np.array([name not in held for name in self.names])
-            active = np.flatnonzero((low == high) | (lam != 0))
-            limit = np.where(lam > 0, high, low)[active]
-            W = self.lagrangian_hessian(solution.x, lam)[np.ix_(free, free)]
+        held = {*solution.at_lower, *solution.at_upper}
+        free = np.array([name not in held for name in self.names])
+        active = np.flatnonzero((low == high) | (lam != 0))
+        limit = np.where(lam > 0, high, low)[active]
+        x, last = solution.x, np.inf
+        at = self.evaluate(x)
+        for _ in range(6):
+            W = self.lagrangian_hessian(x, lam)[np.ix_(free, free)]
             A = at.jacobian[active][:, free]
-            step = _newton_step(W, A, at.gradient[free], at.constraints[active] - limit)
+            size = np.maximum(np.abs(x), self._scale)[free]
+            step = _newton_step(W, A, at.gradient[free], at.constraints[active] - limit, size)
             if step is None:
                 break
-            x, lam = solution.x.copy(), np.zeros(len(low))
+            length = np.max(np.abs(step[: len(W)]) / size, initial=0.0)
+            if length > 0.5 * last:
+                break
+            x, lam, last = x.copy(), np.zeros(len(low)), length
             x[free] += step[: len(W)]
             lam[active] = step[len(W) :]
             x = np.minimum(np.maximum(x, lower), upper)
             at = self.evaluate(x)
-            stats = {
-                "return_status": solution.status,
-                "iter_count": solution.iterations,
-                "n_call_nlp_f": solution.evaluations,
-            }
-            found = judged(self.names, x, at, self._scale, self._box, stats, solution.solver)
-            is_better = (
-                found.scaled_gradient < 0.5 * solution.scaled_gradient
-                and found.constraint_violation <= max(solution.constraint_violation, 1e-9)
-            )
-            if not is_better:
+            if length < 1e-15:
                 break
-            solution = found
-        return solution
+        told = (solution.status, solution.iterations, solution.evaluations)
+        found = judged(self.names, x, at, self._scale, self._box, told, solution.solver)
+        is_better = (
+            found.scaled_gradient <= max(solution.scaled_gradient, _PROVEN)
+            and found.constraint_violation <= max(solution.constraint_violation, 1e-12)
+            and np.isfinite(x).all()
+        )
+        return found if is_better else solution
 
     def evaluate(self, x: Array) -> Evaluation:
         """Criterion, constraints and their derivatives at `x` (n,), at the last values given."""
@@ -234,7 +235,7 @@ class Compiled:
         ----------
         values : one array of the declared shape for each parameter, physical units; vectors may
             have shape (rows,).
-        polish : where the solver stops short of 1e-9 in the scaled gradient, take Newton steps on
+        polish : where the solver stops short of 1e-10 in the scaled gradient, take Newton steps on
             the optimality conditions of the limits that it found active. Data with little noise
             need it: a solver's tolerance is relative to the start, not to what is left.
 
@@ -259,11 +260,12 @@ class Compiled:
             raise gave_up(self.name, self.solver.name, error) from error
         self._judge()
         out, stats = self._judge.results, self._solver.stats()
+        status, iterations, counted = account(stats)
+        evaluations, self._counted = counted - self._counted, counted
         at, x = _evaluation(out, len(names)), out["x"].copy()
         size = float(out["scaled_gradient"][0])
-        if size < _PROVEN:
+        if size < _PROVEN and out["relative"][0] < _ROUNDING:
             held = out["held"].tolist()
-            status, iterations, evaluations = account(stats)
             solution = Solution(
                 names=names,
                 x=x,
@@ -280,7 +282,8 @@ class Compiled:
                 evaluations=evaluations,
             )
         else:
-            solution = judged(names, x, at, scale, self._box, stats, self.solver.name)
+            told = (status, iterations, evaluations)
+            solution = judged(names, x, at, scale, self._box, told, self.solver.name)
             if polish and math.isfinite(solution.scaled_gradient):
                 solution = self.polished(solution, out["pull"].copy())
         if throw and not solution.is_converged:
@@ -290,7 +293,8 @@ class Compiled:
 
 # The solver's multipliers prove an optimum when the Lagrangian's gradient vanishes with them; where
 # it does not (they are in another scaling, or missing) better ones are sought by least squares.
-_PROVEN = 1e-9
+_PROVEN = 1e-10
+_ROUNDING = 1e-14  # of a constraint, relative to the sum of its terms
 
 
 def _evaluation(out: Mapping[str, Array], n: int) -> Evaluation:
@@ -304,25 +308,26 @@ def _evaluation(out: Mapping[str, Array], n: int) -> Evaluation:
     )
 
 
-def _newton_step(W: Array, A: Array, gradient: Array, g: Array) -> Array | None:
+def _newton_step(W: Array, A: Array, gradient: Array, g: Array, size: Array) -> Array | None:
     """Step of the variables and new multipliers (n + m,), None where the system is singular.
 
-    W (n, n) is the Hessian of the Lagrangian, A (m, n) the Jacobian of the active constraints g.
+    W (n, n) is the Hessian of the Lagrangian, A (m, n) the Jacobian of the active constraints g;
+    `size` (n,) is what the variables weigh.
     """
-    diagonal = np.abs(np.diagonal(W))
-    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    rows = np.abs(A * scale).max(axis=1, initial=0.0)
-    if not rows.all():
+    n = len(size)
+    W, A = W * np.outer(size, size), A * size
+    unit, rows = np.abs(W).max(initial=0.0), np.abs(A).max(axis=1, initial=0.0)
+    if not (unit > 0 and rows.all()):
         return None
-    A, m = A * scale / rows[:, None], len(rows)
-    kkt = np.block([[W * np.outer(scale, scale), A.T], [A, np.zeros((m, m))]])
+    A = A / rows[:, None]
+    kkt = np.block([[W / unit, A.T], [A, np.zeros((len(rows), len(rows)))]])
     try:
-        step: Array = -np.linalg.solve(kkt, np.r_[gradient * scale, g / rows])
+        step: Array = -np.linalg.solve(kkt, np.r_[gradient * size / unit, g / rows])
     except np.linalg.LinAlgError:
         return None
     if not np.isfinite(step).all():
         return None
-    step = np.r_[step[: len(W)] * scale, step[len(W) :] / rows]
+    step = np.r_[step[:n] * size, step[n:] * unit / rows]
     return step
 
 
@@ -406,6 +411,7 @@ def _judgement(derivatives: Any, symbol: Any, scale: Array, box: Any) -> Any:
     slope = ca.if_else(held_high, ca.fmax(slope, 0.0), slope)
     concave = ca.mmax((h * weighs**2 < -1e-12 * level) * (1 - held_low) * (1 - held_high))
     violation = ca.mmax(ca.vertcat(0.0, low - g, g - high))
+    relative = ca.mmax(ca.vertcat(0.0, (low - g) / tolerance, (g - high) / tolerance)) * 1e-6
     return ca.Function(
         "judgement",
         [z, p, lam, units],
@@ -413,11 +419,12 @@ def _judgement(derivatives: Any, symbol: Any, scale: Array, box: Any) -> Any:
             *[ca.densify(e) for e in (x, f, gradient, hessian, g, jacobian)],
             ca.if_else(concave, np.inf, ca.norm_inf(slope / unit)),
             ca.densify(violation),
+            ca.densify(relative),
             ca.densify(pull),
             ca.densify(held_low + 2 * held_high),
         ],
         ["z", "p", "lam", "units"],
-        ["x", *_NAMES, "scaled_gradient", "violation", "pull", "held"],
+        ["x", *_NAMES, "scaled_gradient", "violation", "relative", "pull", "held"],
     )
 
 

@@ -356,6 +356,21 @@ class Nlp:
         """Rows and columns of each declared parameter."""
         return {name: symbol.shape for name, symbol in self._parameters.items()}
 
+    @property
+    def limits(self) -> tuple[Array, Array, Array]:
+        """Lower and upper bounds and scales of the variables, each (n,)."""
+        return np.array(self._lower), np.array(self._upper), np.array(self._scale)
+
+    @property
+    def objective(self) -> Any:
+        """What is minimised: a CasADi expression, a `Criterion`, or None before `minimize`."""
+        return self._objective
+
+    @property
+    def has_criterion(self) -> bool:
+        """Whether the objective is a `Criterion`, which is no expression."""
+        return self._objective is not None and not isinstance(self._objective, ca.MX)
+
     def minimize(self, objective: Any) -> None:
         """Set the objective: a scalar CasADi expression of the variables, or a `Criterion`."""
         self._objective = objective
@@ -663,7 +678,7 @@ class Nlp:
             np.vstack([at.jacobian.reshape(-1, len(x)), jac.reshape(-1, len(x))]),
         )
         box = (lower, upper, np.array(lbg), np.array(ubg))
-        return judged(self.names, x, at, scale, box, stats, solver.name)
+        return judged(self.names, x, at, scale, box, account(stats), solver.name)
 
 
 def views(shapes: Mapping[str, tuple[int, int]], flat: Array) -> dict[str, Array]:
@@ -793,13 +808,14 @@ def judged(
     at: Evaluation,
     scale: Array,
     box: tuple[Array, Array, Array, Array],
-    stats: Mapping[str, Any],
+    told: tuple[str, int, int],
     solver: str,
 ) -> Solution:
     """The point where a solver stopped, its optimality measured apart from the solver's verdict.
 
     `at` holds the criterion with all constraints at `x` (n,); `box` the lower and upper bounds of
-    the variables (n,) and limits of the constraints (m,).
+    the variables (n,) and limits of the constraints (m,); `told` the solver's status, iterations
+    and evaluations.
     """
     lower, upper, low, high = box
     span = 1e-6 * scale
@@ -811,7 +827,7 @@ def judged(
     size = _scaled_gradient(
         at, at.jacobian, to_lower, to_upper, np.maximum(np.abs(x), scale), at_lower, at_upper
     )
-    status, iterations, evaluations = account(stats)
+    status, iterations, evaluations = told
     return Solution(
         names=names,
         x=x,
