@@ -63,6 +63,11 @@ class Moments:
                 f"moments of {len(channels)} channels with {lags} lags are {m + 1} x {m + 1}, not "
                 f"{total.shape} and {rest.shape}. Compute them with casid.moments.moments."
             )
+        if not np.isfinite(total).all():
+            raise DataError(
+                f"the moments of {', '.join(channels)} are not finite. Leave out samples that are "
+                "not, and scale the signals to their physical range."
+            )
         total.flags.writeable = rest.flags.writeable = False
         for name, value in (
             ("channels", channels),

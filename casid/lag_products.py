@@ -18,6 +18,10 @@ Array = NDArray[Any]
 BLOCK = 65_536  # samples a dot product: fits the cache, and bounds the rounding
 
 
+# Sums that overflow are refused when the moments are made of them.
+_overflowing = np.errstate(over="ignore", invalid="ignore")
+
+
 class Core:
     """Compensated sums over the samples that every shift of a stretch shares.
 
@@ -37,6 +41,7 @@ class Core:
         self.high = np.zeros_like(self.high)
         self.low = np.zeros_like(self.low)
 
+    @_overflowing
     def add(self, rows: Sequence[Array], start: int, stop: int) -> None:
         """Add s = start .. stop - 1; the rows reach `lags` samples further on either side."""
         L, place, new = self.lags, 0, self._new
@@ -53,6 +58,7 @@ class Core:
         self.high, error = two_sum(self.high, new)
         self.low = self.low + error
 
+    @_overflowing
     def joined(self, N: int, ends: Array) -> tuple[Array, Array]:
         """The matrix of the whole stretch; `ends` (nc, 4 lags): its first and last 2 lags samples.
 
@@ -117,6 +123,7 @@ def _lagged(rows: Array, shift: Array, constant: bool) -> Array:
     return v
 
 
+@_overflowing
 def short_stretch(rows: Array, L: int, constant: bool) -> tuple[Array, Array]:
     """The matrix of a stretch (nc, N) too short to have a core."""
     t = np.arange(L, rows.shape[1])

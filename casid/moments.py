@@ -60,6 +60,7 @@ def moments(
     rows = _checked_signals(signals)
     channels, lags, N = tuple(signals), checked_lags(lags), rows[0].size
     if prefilter is not None or rational is not None or settle:
+        _refuse_non_finite(channels, rows)
         stream = Accumulator(
             channels,
             lags,
@@ -68,29 +69,19 @@ def moments(
             settle=settle,
             constant=constant,
         )
-        stream._add_finite(rows)
-        result = stream.moments
-    elif N < max(2 * lags, 1):
+        stream.add_rows(rows)
+        return _filled(stream.moments, f"a record of {N} samples")
+    if N < max(2 * lags, 1):
         sums = short_stretch(np.stack(rows), lags, constant)
-        result = Moments(channels, lags, *sums, constant)
     else:  # as the accumulator has it, without its buffers
         core = Core(len(rows), lags, constant)
         for start in range(lags, N - lags, BLOCK):
             core.add(rows, start, min(start + BLOCK, N - lags))
         ends = [np.concatenate([row[: 2 * lags], row[N - 2 * lags :]]) for row in rows]
-        result = Moments(channels, lags, *core.joined(N, np.stack(ends)), constant)
-    _filled(result, f"a record of {N} samples")
-    if not np.isfinite(result.total).all():
-        for name, row in zip(signals, rows, strict=True):
-            bad = np.flatnonzero(~np.isfinite(row))
-            if bad.size:
-                raise DataError(
-                    f"signal {name} holds {bad.size} samples that are not finite, the first at "
-                    f"k = {bad[0]}. Cut them out, or pass the signals through "
-                    "casid.moments.Accumulator, which takes them as gaps."
-                )
-        raise DataError("the moments overflow. Scale the signals to their physical range.")
-    return result
+        sums = core.joined(N, np.stack(ends))
+    if not np.isfinite(sums[0]).all():
+        _refuse_non_finite(channels, rows)
+    return _filled(Moments(channels, lags, *sums, constant), f"a record of {N} samples")
 
 
 def weighted(
@@ -239,11 +230,12 @@ class Accumulator:
 
     def add_rows(self, rows: Sequence[Array]) -> None:
         """Take the next samples as one (n,) float array a channel, in the order of `channels`."""
-        # A finite sum of squares has finite terms: one pass, and no array of marks.
         with np.errstate(over="ignore", invalid="ignore"):
-            if all(np.isfinite(np.dot(row, row)) for row in rows):
-                self._add_finite(rows)
-                return
+            # A finite sum of squares has finite terms: one pass, and no array of marks.
+            finite = all(np.isfinite(np.dot(row, row)) for row in rows)
+        if finite:
+            self._add_finite(rows)
+            return
         bad = ~np.isfinite(rows[0])
         for row in rows[1:]:
             bad |= ~np.isfinite(row)
@@ -439,6 +431,17 @@ def _checked_signals(signals: Mapping[str, ArrayLike]) -> list[Array]:
             "Cut them to the same samples."
         )
     return rows
+
+
+def _refuse_non_finite(channels: Sequence[str], rows: Sequence[Array]) -> None:
+    for name, row in zip(channels, rows, strict=True):
+        bad = np.flatnonzero(~np.isfinite(row))
+        if bad.size:
+            raise DataError(
+                f"signal {name} holds {bad.size} samples that are not finite, the first at "
+                f"k = {bad[0]}. Cut them out, or pass the signals through "
+                "casid.moments.Accumulator, which takes them as gaps."
+            )
 
 
 def _checked_rational(rational: Rational) -> tuple[Array, Array]:

@@ -498,15 +498,28 @@ def test_columns_beyond_the_moments_are_refused_with_what_would_hold_them():
         ({"y": np.ones((3, 1))}, 0, "one number for each sample"),
         ({"y": ["a", "b"]}, 0, "one number for each sample"),
         ({"y": [1.0, np.nan, 3.0, 4.0]}, 1, "k = 1.*Accumulator"),
-        ({"y": [1e200, 1.0, 3.0]}, 1, "Scale the signals"),
+        ({"y": [1.0, np.inf, 3.0, 4.0]}, 1, "k = 1.*Accumulator"),
+        ({"y": [1e200, 1.0, 3.0]}, 1, "scale the signals"),
         ({"y": np.ones(9)}, 1.5, "integer of at least 0"),
         ({"1": np.ones(9)}, 1, "each name once"),
         ({}, 1, "at least one"),
     ],
 )
 def test_signals_that_have_no_moments_are_refused(signals, lags, mend):
-    with np.errstate(over="ignore", invalid="ignore"), pytest.raises(DataError, match=mend):
+    with pytest.raises(DataError, match=mend):
         moments(signals, lags)
+
+
+@pytest.mark.filterwarnings("error")
+def test_sums_that_overflow_are_refused_and_no_nan_is_handed_on():
+    stream = Accumulator(["y"], 1)
+    stream.add({"y": [1e200, 1.0, 3.0, -1e200]})
+    with pytest.raises(DataError, match="physical range"):
+        stream.moments  # noqa: B018
+    with pytest.raises(DataError, match="physical range"):
+        stream.gap()
+    with pytest.raises(DataError, match=r"k = 2.*Accumulator"):
+        moments({"y": [1.0, 2.0, np.nan]}, 0, rational=([1.0], [1.0, 0.5]))
 
 
 def test_a_chunk_without_a_channel_is_refused():
