@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 _ITERATIONS = 60
-_STARTS = 12  # further starts, where the first does not converge
+_STARTS = 24  # further starts, where the first does not converge
 _TOLERANCE = 1e-13  # relative step at which the iteration ends
 _ROUNDING = 1e-7  # relative step below which steps that do not shrink are rounding
 _RANK = 1e-11  # a relative singular value below this is none
@@ -109,6 +109,8 @@ def invert(
         if attempt:
             spread = np.exp(0.25 * attempt**0.5 * rng.standard_normal(len(x0)))
             fresh = 0.3 * rng.standard_normal(len(x0))
+            if attempt > 3:  # maps as m, z_m -> m z_m are singular between the signs
+                spread *= rng.choice([-1.0, 1.0], len(x0))
             x = np.clip(np.where(x0 == 0.0, fresh, x0 * spread), lower, upper)
         try:
             x, r, J = _newton(map_, p, x, theta, lower, upper, weight)
@@ -294,6 +296,34 @@ class ClosedForm:
 
     def __str__(self) -> str:
         return "\n".join(f"{name} = {e}" for name, e in self.expressions.items())
+
+
+def evaluate_form(
+    expressions: Mapping[str, Any], values: Mapping[str, float | Array]
+) -> dict[str, Array]:
+    """Sympy expressions at numbers or arrays, such as 10 000 samples of the coefficients at once.
+
+    Parameters
+    ----------
+    expressions : as `closed_form(...).expressions` or `continuous_form(...)`.
+    values : symbol's name -> number or (N,) array.
+
+    Raises
+    ------
+    ModelError
+        If a symbol has no value.
+    """
+    import sympy
+
+    symbols = sorted({s for e in expressions.values() for s in e.free_symbols}, key=str)
+    lacking = [str(s) for s in symbols if str(s) not in values]
+    if lacking:
+        raise ModelError(
+            f"no value for {', '.join(lacking)}; give a number or an array for each symbol"
+        )
+    function = sympy.lambdify(symbols, list(expressions.values()), "numpy", cse=True)
+    found = function(*[np.asarray(values[str(s)], dtype=float) for s in symbols])
+    return {name: np.asarray(v) for name, v in zip(expressions, found, strict=True)}
 
 
 def continuous_names(transfer: TransferMatrix, row: int = 0) -> dict[str, Any]:

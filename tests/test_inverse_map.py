@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from casid.difference_equation import difference_equation
 from casid.discretise import METHODS
 from casid.errors import IdentifiabilityError, ModelError, SolveError
-from casid.inverse_map import closed_form, invert
+from casid.inverse_map import closed_form, continuous_form, evaluate_form, invert
 from tests.linear_models import NOMINAL, SHIP, indirect, ship, spring_chain
 
 LOADED = NOMINAL | {"m": 0.2}
@@ -168,6 +168,34 @@ def test_a_closed_form_evaluates_to_the_numeric_inverse():
     for name, wanted in (("m", 0.2), ("z_m", -0.274)):
         value = form.expressions[name].subs({sympy.Symbol(n): v for n, v in numbers.items()})
         assert float(value) == pytest.approx(wanted, rel=1e-8)
+
+
+def test_closed_forms_take_whole_samples():
+    """theta -> alpha, beta (7.36) -> m, z_m (7.38), for many coefficient vectors in one call."""
+    e = difference_equation(indirect(), "gyro", 0.01)
+    rng = np.random.default_rng(4)
+    masses, places = rng.uniform(0.1, 0.5, 200), rng.uniform(-0.4, -0.2, 200)
+    thetas = [e.theta(NOMINAL | {"m": m, "z_m": z}) for m, z in zip(masses, places, strict=True)]
+    named = dict(zip(e.coefficients, np.array(thetas).T, strict=True)) | {"T": 0.01}
+    continuous = evaluate_form(continuous_form(e), named)
+    form = closed_form(e, ("m", "z_m"), using=("alpha1", "beta1[accel]"))
+    found = evaluate_form(form.expressions, {**e.known, **NOMINAL, **continuous})
+    np.testing.assert_allclose(found["m"], masses, rtol=1e-7)
+    np.testing.assert_allclose(found["z_m"], places, rtol=1e-7)
+    with pytest.raises(ModelError, match="no value for I_x, .*give a number or an array"):
+        evaluate_form(form.expressions, continuous)
+
+
+@settings(max_examples=30)
+@given(m=st.floats(0.02, 3.0), z_m=st.floats(0.02, 0.5), sign=st.sampled_from([-1, 1]))
+def test_a_load_above_or_below_is_found_from_the_same_start(m, z_m, sign):
+    """m and z_m enter as m z_m and m z_m^2: between the signs of z_m the map is singular."""
+    e = difference_equation(indirect(), "gyro", 0.01)
+    values = NOMINAL | {"m": m, "z_m": sign * z_m}
+    assume(abs(22.04 * -0.018 + m * sign * z_m) > 0.05)
+    assume(0.1385 + 22.04 * 0.0036 * -1 + m * sign * z_m * (sign * z_m + 0.218) > 0.01)
+    found, _ = invert(e, e.theta(values), NOMINAL, ("m", "z_m"))
+    np.testing.assert_allclose(found, [m, sign * z_m], rtol=1e-6)
 
 
 def test_the_ship_has_a_closed_form_too():
