@@ -114,6 +114,7 @@ class Simulated:
     signals: Mapping[str, Array]
     columns: tuple[Column, ...]
     transient: int  # samples to leave out at the start
+    kept: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)  # their own moments
 
 
 class UnstableLoop(Exception):
