@@ -67,6 +67,25 @@ def test_the_pendulums_regression_is_7_35():
     assert (e.order, e.inputs) == (2, ("accel",))
 
 
+def test_a_disturbing_torque_is_filtered_as_in_7_33():
+    """H_d = c0 (1 - q^-2) / (1 + a1 q^-1 + a2 q^-2), c0 = 2 gamma_1 T / Ibar_2, gamma_1 = 1/I_2."""
+    m = direct_model()
+    torque = m.unknown_input("torque", "N m")
+    m.add_term("torque", torque)
+    T = 0.01
+    e = difference_equation(m.eliminate("a_y", using="accel"), "gyro", T)
+    assert set(e.coefficients) == {"a1", "a2", "b0[accel]", "b0[torque]"}
+    theta = dict(zip(e.coefficients, e.theta(LOADED), strict=True))
+    I_2 = 0.1385 + M * Z_G * (Z_G - Z_S) + 0.2 * Z_M * (Z_M - Z_S)
+    Ibar_2 = 4 + 2 * (0.1067 / I_2) * T + (10.39 / I_2) * T**2
+    assert theta["b0[torque]"] == pytest.approx(2 * T / (I_2 * Ibar_2), rel=1e-12)
+    taps = {c.taps for c in e.columns}
+    assert (("torque", 0, 1.0), ("torque", 2, -1.0)) in taps
+    gamma = e.continuous(e.theta(LOADED))[1]["torque"][1]  # (7.36): (8/T) c0 / (1 - a1 + a2)
+    assert gamma == pytest.approx(8 / T * theta["b0[torque]"] / (1 - theta["a1"] + theta["a2"]))
+    assert gamma == pytest.approx(1 / I_2, rel=1e-10)
+
+
 @pytest.mark.parametrize("g", [9.81, 1.62])
 def test_the_pendulums_coefficients_are_the_published_ones(g):
     """Digest R.1, item 4: Table 7.2 at T = 0.01 s, nominal and loaded; gravity drops out."""

@@ -145,6 +145,49 @@ def test_a_missing_value_is_named():
         linearise(indirect()).matrices({"I_x": 0.1})
 
 
+def test_the_ships_poles_are_the_published_ones():
+    """(8.3)-(8.7) with Table 8.2 and the signs of erratum E-22; N_|u|v = 0. Coupled inertias."""
+    m = Model("sway, roll and yaw")
+    phi, psi = m.state("phi", "rad"), m.state("psi", "rad")
+    v, p, r = m.state("v", "m/s"), m.state("p", "rad/s"), m.state("r", "rad/s")
+    rudder, C_2 = m.input("rudder", "rad"), m.parameter("C_2", "N/rad", value=1.7)
+    z_g, g, mass, A_x, z_r, x_r = -0.028, 9.82, 22.04, 0.1385, 0.2, -0.6
+    S = mass * z_g
+    m.derivative(phi, p)
+    m.derivative(psi, r)
+    m.balance(
+        v,
+        "sway",
+        inertia=mass + 100.0,
+        terms=[(S + 0.1) * m.der(p), -m.der(r), -35.0 * v, -mass * r, C_2 * rudder],
+    )
+    m.balance(
+        p,
+        "roll",
+        inertia=A_x + mass * z_g**2,
+        terms=[
+            (S + 0.1) * m.der(v),
+            -(10.38 + S * g) * phi,
+            -0.2067 * p,
+            (-0.4 + S) * r,
+            -z_r * C_2 * rudder,
+        ],
+    )
+    m.balance(
+        r, "yaw", inertia=3 * A_x, terms=[-m.der(v), -1.4 * r, x_r * C_2 * rudder], unit="N m"
+    )
+    m.output("gyro", p, "rad/s")
+    m.output("heading", psi, "rad")
+    model = linearise(m)
+    poles = np.sort_complex(np.linalg.eigvals(model.matrices({})[0]))
+    wanted = [-2.971, -0.697 - 5.241j, -0.697 + 5.241j, -0.334, 0.0]
+    np.testing.assert_allclose(poles, wanted, atol=5e-4)
+    assert model.transfer("gyro").order == 4  # the heading is not felt
+    assert model.transfer("heading").order == 5
+    roots = np.sort_complex(np.roots(model.transfer("gyro").evaluate()[0]))
+    np.testing.assert_allclose(roots, wanted[:-1], atol=5e-4)
+
+
 # -- transfer functions ------------------------------------------------------------------------
 
 
