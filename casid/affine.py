@@ -83,6 +83,23 @@ class AffineHull:
             for row, value in zip(self.B, self.b, strict=True)
         )
 
+    def admit(self, B: Array, b: Array, labels: Sequence[str] = ()) -> tuple[Array, Array]:
+        """The hull's constraints and further ones, B (r, n) theta = b (r,), without repetitions.
+
+        Raises
+        ------
+        ModelError
+            If no coefficients satisfy all of them; says which contradict each other.
+        """
+        rows = np.vstack([self.B, np.atleast_2d(np.asarray(B, dtype=float))])
+        right = np.concatenate([self.b, np.atleast_1d(np.asarray(b, dtype=float))])
+        own = [f"the model's constraint {i + 1}" for i in range(self.rank)]
+        given = labels or [f"constraint {i + 1}" for i in range(len(right) - self.rank)]
+        kept = list(
+            check_consistent(rows, right, labels=[*own, *given], coefficients=self.coefficients)
+        )
+        return rows[kept], right[kept]
+
     def __repr__(self) -> str:
         return (
             f"<AffineHull of {len(self.coefficients)} coefficients: {self.rank} linear and "

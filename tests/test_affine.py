@@ -9,6 +9,7 @@ import pytest
 from casid.affine import affine_hull, check_consistent, image_dimension, symbolic_hull
 from casid.difference_equation import difference_equation
 from casid.errors import IdentifiabilityError, ModelError
+from casid.model import Model
 from problems.pendulum import direct_model
 
 # Table 7.2 of Linder (2017) with the load on; T is a parameter here, so that it stays a letter.
@@ -171,6 +172,51 @@ def test_the_proof_takes_known_values_as_the_decimals_that_were_written():
     assert sympy.simplify(proof.B[1] - (1 + sympy.Rational(100, 1067) * k)) == 0
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_the_hull_of_an_affine_image_of_a_curved_surface_is_the_affine_map(seed):
+    """theta = A h(x) + c with (K) functions h that no linear relation binds: n - K constraints.
+
+    A has scales over twelve orders of magnitude; B A = 0 and B c = b up to rounding of their terms.
+    """
+    rng = np.random.default_rng(seed)
+    x, n = ca.SX.sym("x", 2), int(rng.integers(4, 9))
+    h = ca.vertcat(x[0] / (1 + x[0]), x[1] ** 2, x[0] * x[1] / (2 + x[1]))[
+        : int(rng.integers(1, 4))
+    ]
+    scale = 10.0 ** rng.uniform(-6, 6, n)
+    A = scale[:, None] * rng.standard_normal((n, h.numel()))
+    c = scale * rng.standard_normal(n)
+    hull = affine_hull(ca.Function("g", [x], [A @ h + c]), ("x", "y"), {}, ("x", "y"))
+    assert hull.rank == n - h.numel()
+    assert hull.image_dimension == min(2, h.numel())
+    for image, right in ((A, 0.0 * hull.b[:, None]), (c[:, None], hull.b[:, None])):
+        terms = np.abs(hull.B) @ np.abs(image) + np.abs(right)
+        assert np.max(np.abs(hull.B @ image - right) / terms) < 1e-10
+
+
+def test_the_constraint_follows_the_units_of_coefficients_and_parameters():
+    """Parameters in other units leave B alone; coefficients in other units divide its columns."""
+    q = ca.SX.sym("q", len(NAMES))
+    unit = np.array([1e3, 1.0, 1e-3, 1e6, 1.0, 1.0, 1e3, 10.0, 10.0, 1.0])
+    size = np.array([1e-4, 1.0, 1e5])
+    g = ca.Function("g", [q], [size * pendulum()(q / unit)])
+    values = dict(zip(NAMES, np.array(list(VALUES.values())) * unit, strict=True))
+    own = affine_hull(pendulum(), NAMES, VALUES, ("I_x", "d"))
+    other = affine_hull(g, NAMES, values, ("I_x", "d"))
+    expected = own.B[0] / size
+    np.testing.assert_allclose(other.B[0], expected / expected[0], rtol=1e-12)
+
+
+def test_the_hull_admits_constraints_that_agree_with_it_and_no_others():
+    hull = affine_hull(pendulum(), NAMES, VALUES, ("I_x", "d"), coefficients=("a1", "a2", "b0"))
+    row, value = by_hand("7.43")
+    B, b = hull.admit(np.array([row, 2 * hull.B[0]]), np.array([value, 2 * hull.b[0]]))
+    assert B.shape == (2, 3)  # the second given row was the hull's own
+    np.testing.assert_allclose(np.linalg.matrix_rank(B), 2)
+    with pytest.raises(ModelError, match="the model's constraint 1 and .* imply.*wrong has 1"):
+        hull.admit(np.array([row, hull.B[0] + row]), np.array([value, 1.0]), ("d known", "wrong"))
+
+
 # -- on difference equations of models -------------------------------------------------------------
 
 
@@ -210,6 +256,44 @@ def test_other_discretisations_have_constraints_of_their_own(method, rank):
     values = {n: v for n, v in VALUES.items() if n != "T"} | {"g": 9.81}
     hull = affine_hull(found.g, found.parameters, values, ("m", "z_m"))
     assert (hull.rank, hull.image_dimension, hull.nonlinear) == (rank, 2, 1 - rank)
+
+
+def chain(n: int) -> Model:
+    """n masses in a row, a force on the last one, springs and dampers between them."""
+    model = Model("chain")
+    x = [model.state(f"x{i}", "m") for i in range(n)]
+    v = [model.state(f"v{i}", "m/s") for i in range(n)]
+    force = model.input("F", "N")
+    k = [model.parameter(f"k{i}", "N/m", start=100.0 + 10 * i) for i in range(n)]
+    d = [model.parameter(f"d{i}", "N s/m", start=0.5 + 0.1 * i) for i in range(n)]
+    pull = [
+        -k[i] * (x[i] - (x[i - 1] if i else 0)) - d[i] * (v[i] - (v[i - 1] if i else 0))
+        for i in range(n)
+    ]
+    for i in range(n):
+        after = -pull[i + 1] if i + 1 < n else force
+        mass = model.parameter(f"m{i}", "kg", start=1 + 0.2 * i)
+        model.derivative(x[i], v[i])
+        model.balance(v[i], f"mass {i}", inertia=mass, terms=[pull[i], after])
+    model.output("y", v[-1], "m/s")
+    return model
+
+
+@pytest.mark.parametrize(
+    ("free", "rank", "image"),
+    [(("k0",), 10, 1), (("k0", "d0"), 9, 2), (("k0", "m1"), 8, 2), (("k0", "k1", "k2"), 4, 3)],
+)
+def test_the_rank_of_a_sixth_order_system_is_the_one_proved(free, rank, image):
+    """Eleven coefficients at a tenth of a radian a sample, and the singular values still tell."""
+    model = chain(3)
+    found = difference_equation(model, "y", 0.01)
+    values = {name: q.start for name, q in model.parameters.items()}
+    hull = affine_hull(found.g, found.parameters, values, free)
+    numbers = {name: v for name, v in values.items() if name not in free}
+    assert hull.rank == symbolic_hull(found.g, found.parameters, numbers, free).rank == rank
+    assert hull.image_dimension == image
+    theta = found.theta(values)
+    np.testing.assert_allclose(hull.B @ theta, hull.b, atol=1e-13 * np.abs(theta).max())
 
 
 def test_a_proof_of_an_exact_hold_is_refused_early():
