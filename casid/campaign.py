@@ -16,11 +16,11 @@ stopped and continued on the way.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import functools
 import itertools
 import pickle
-import sys
+import signal
+import threading
 import time
 import warnings
 from collections import Counter
@@ -32,7 +32,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casid.errors import CasidError, DataError, SolveError
-from casid.parts import FAILED, RUN, Parts, Row, read_manifest, row_of
+from casid.manifest import manifest_of
+from casid.parts import FAILED, RUN, Parts, Row, row_of
 from casid.progress import reported
 
 if TYPE_CHECKING:
@@ -191,73 +192,6 @@ def campaign(
     )
 
 
-def manifest_of(
-    function: Function, seed: int, settings: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
-    """What the rows of a campaign depend on, as `campaign.json` has it."""
-    from casid.identification import versions
-
-    own = {**_settings_of(function), **(settings or {})}
-    return {
-        "schema": "casid.campaign/1",
-        "function": _name_of(function),
-        "seed": int(seed),
-        "settings": {name: _plain(name, value) for name, value in own.items()},
-        "versions": versions(),
-    }
-
-
-def continues(folder: Path, manifest: Mapping[str, Any]) -> bool:
-    """True if `folder` holds the campaign of this manifest."""
-    return read_manifest(folder) == manifest
-
-
-def _name_of(function: Any) -> str:
-    while isinstance(function, functools.partial):
-        function = function.func
-    named = function if hasattr(function, "__qualname__") else type(function)
-    module = named.__module__
-    if module == "__main__":  # python -m analysis.study, or python analysis/study.py
-        spec = getattr(sys.modules["__main__"], "__spec__", None)
-        module = spec.name if spec is not None else Path(sys.argv[0]).stem or module
-    return f"{module}.{named.__qualname__}"
-
-
-def _settings_of(function: Any) -> dict[str, Any]:
-    """The plain values that a partial or a dataclass carries."""
-    values: dict[str, Any] = {}
-    if isinstance(function, functools.partial):
-        values = _settings_of(function.func)
-        values |= {f"argument {i}": value for i, value in enumerate(function.args)}
-        values |= function.keywords
-    elif dataclasses.is_dataclass(function) and not isinstance(function, type):
-        values = {f.name: getattr(function, f.name) for f in dataclasses.fields(function)}
-    return {name: value for name, value in values.items() if _is_plain(value)}
-
-
-def _is_plain(value: Any) -> bool:
-    if isinstance(value, Mapping):
-        return all(isinstance(k, str) and _is_plain(v) for k, v in value.items())
-    if isinstance(value, list | tuple):
-        return all(_is_plain(v) for v in value)
-    return isinstance(value, bool | int | float | str | None) or isinstance(value, Path)
-
-
-def _plain(name: str, value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if not _is_plain(value):
-        raise DataError(
-            f"setting {name!r} is {type(value).__name__}; give numbers, strings, and lists or "
-            "mappings of them, so that a later call can be held against it"
-        )
-    if isinstance(value, Mapping):
-        return {str(k): _plain(name, v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(name, v) for v in value]
-    return str(value) if isinstance(value, Path) else value
-
-
 # ---------------------------------------------------------------------- the work
 
 
@@ -287,20 +221,48 @@ def _run_batch(function: Function | bytes, seed: int, runs: Sequence[int], stop:
             return _Done(rows, 0.0, str(error))
         except Exception as error:
             return _Done(rows, 0.0, _UNLOADABLE.format(f"{type(error).__name__}: {error}"))
-    for run in runs:
-        try:
-            result = function(run_seed(seed, run))
-        except (Exception, SystemExit) as error:
-            name = type(error).__name__
-            rows.append({RUN: run, FAILED: f"{name}: {error}" if str(error) else name})
-            if stop:
-                break
-            continue
-        try:
-            rows.append(row_of(run, result))
-        except DataError as error:
-            return _Done(rows, time.perf_counter() - start, str(error))
+    with _interrupts() as check:
+        for run in runs:
+            try:
+                result = function(run_seed(seed, run))
+            except (Exception, SystemExit) as error:
+                check()  # what Ctrl-C broke has not failed
+                name = type(error).__name__
+                rows.append({RUN: run, FAILED: f"{name}: {error}" if str(error) else name})
+                if stop:
+                    break
+                continue
+            check()
+            try:
+                rows.append(row_of(run, result))
+            except DataError as error:
+                return _Done(rows, time.perf_counter() - start, str(error))
     return _Done(rows, time.perf_counter() - start)
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[Callable[[], None]]:
+    """Remember a Ctrl-C that compiled code swallows, as solvers do; what is yielded raises it."""
+    asked = False
+
+    def remember(number: int, frame: Any) -> None:
+        nonlocal asked
+        asked = True
+        before(number, frame)
+
+    def check() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    before: Any = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield check
+        return
+    signal.signal(signal.SIGINT, remember)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class _Work:

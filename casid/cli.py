@@ -447,8 +447,7 @@ def _study_folder(
     out: Path | None, name: str, manifest: dict[str, Any], *, force: bool
 ) -> Iterator[Path]:
     """The folder that holds this very study, else a reserved one."""
-    from casid.campaign import continues
-    from casid.parts import read_manifest
+    from casid.manifest import continues, read_manifest
 
     name = f"{_folder_name(name)}-montecarlo"
     folders = [out] if out is not None else list(Path("reports").glob(f"{name}-*"))

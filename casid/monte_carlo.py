@@ -21,11 +21,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casid.campaign import Campaign, campaign, manifest_of
+from casid.campaign import Campaign, campaign
 from casid.data import Experiment
 from casid.errors import DataError, ModelError, SolveError
 from casid.estimate import Estimate
 from casid.identification import FitSettings, identify
+from casid.manifest import manifest_of, name_of
 from casid.problem import Problem, load_problem
 
 if TYPE_CHECKING:
@@ -326,13 +327,13 @@ class Study:
         return {
             "problem": self.problem.name,
             "problem sha256": digest(self.problem),
-            "method": self.method if isinstance(self.method, str) else _name(self.method),
+            "method": self.method if isinstance(self.method, str) else name_of(self.method),
             "duration": self.duration,
             "starts": fit.starts,
             "segments": fit.segments,
             "substeps": fit.substeps,
             "own": list(fit.own),
-            "constraints": [_name(c) for c in fit.constraints],
+            "constraints": [name_of(c) for c in fit.constraints],
             "seed of the starts": fit.seed,
             **solver,
             "known": {n: p.value for n, p in model.parameters.items() if p.is_known},
@@ -466,18 +467,12 @@ def digest(problem: Problem) -> str:
         repr(sorted(problem.noise.items())),
         repr(sorted(problem.truth.items())),
         repr(problem.starts),
-        _name(problem.simulate),
+        name_of(problem.simulate),
     ]
     if problem.source is not None:
         with contextlib.suppress(OSError):
             parts.append(problem.source.read_text(encoding="utf-8"))
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
-
-
-def _name(function: Any) -> str:
-    while isinstance(function, functools.partial):
-        function = function.func
-    return str(getattr(function, "__qualname__", type(function).__qualname__))
 
 
 def _study_again(

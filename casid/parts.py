@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from casid.errors import DataError
+from casid.manifest import MANIFEST, difference, read_manifest
 
 RUN, FAILED = "run", "failed"
 """The columns of every table: number of the run, and why it has no results (null: it has)."""
 
-_MANIFEST, _RESULTS, _PARTS = "campaign.json", "results.parquet", "parts"
+_RESULTS, _PARTS = "results.parquet", "parts"
 _KINDS = ("bool", "int64", "double")  # each holds the ones before it
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
@@ -181,9 +182,9 @@ class Parts:
             there = read_manifest(folder)
             if there is None:
                 self._refuse_strangers()
-                _write(folder / _MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
+                _write(folder / MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
             elif there != manifest:
-                raise DataError(_difference(folder, there, manifest))
+                raise DataError(difference(folder, there, manifest))
         self.tables = [_read(path) for path in self._files()]
         self.runs.update(*(table[RUN].to_pylist() for table in self.tables))
 
@@ -232,14 +233,14 @@ class Parts:
         for name in (_RESULTS, _PARTS):
             if (self.folder / name).exists():
                 raise DataError(
-                    f"{self.folder} holds {name} but no {_MANIFEST} that says what of; name "
+                    f"{self.folder} holds {name} but no {MANIFEST} that says what of; name "
                     "another folder"
                 )
 
     def _delete(self, *names: str) -> None:
         """Delete the campaign's files, the manifest last, or the named ones of them."""
         assert self.folder is not None
-        for name in names or (_PARTS, _RESULTS, _MANIFEST):
+        for name in names or (_PARTS, _RESULTS, MANIFEST):
             path = self.folder / name
             if path.is_dir():
                 for file in (*path.glob("*.parquet"), *path.glob(".*.parquet.*")):
@@ -247,47 +248,6 @@ class Parts:
                 path.rmdir()
             else:
                 path.unlink(missing_ok=True)
-
-
-def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """What the campaign in `folder` is, None where there is none.
-
-    Raises
-    ------
-    DataError
-        If the file is there and cannot be read.
-    """
-    path = folder / _MANIFEST
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except ValueError as error:
-        raise DataError(f"{path} is no JSON ({error}); name another folder") from error
-    return content if isinstance(content, dict) else {}
-
-
-def _difference(folder: Path, there: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    a, b = _flat(there), _flat(new)
-    differ = [
-        f"{name} is {a.get(name, 'not given')} there and {b.get(name, 'not given')} now"
-        for name in dict.fromkeys([*a, *b])
-        if a.get(name) != b.get(name)
-    ]
-    return (
-        f"{folder} holds another campaign: {'; '.join(differ)}. Name another folder, or repeat the "
-        "call as it was to continue that one, or begin anew (resume=False, or --force)"
-    )
-
-
-def _flat(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    for name, value in content.items():
-        if isinstance(value, Mapping):
-            out |= _flat(value, f"{before}{name} ")
-        else:
-            out[f"{before}{name}"] = value
-    return out
 
 
 def _parquet(table: Any) -> bytes:

@@ -383,6 +383,23 @@ def test_what_was_finished_when_a_process_is_stopped_is_kept(
         )
 
 
+def test_an_interrupt_that_a_solver_swallows_ends_the_campaign_all_the_same(tmp_path: Path) -> None:
+    """CasADi's solvers end with an error of their own at Ctrl-C: that run has not failed."""
+
+    def solver(seed: Any) -> dict[str, float]:
+        if seed.spawn_key[0] == 4:
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(1)
+            except KeyboardInterrupt:
+                raise RuntimeError("stopped by the user") from None
+        return noisy(seed)
+
+    with pytest.raises(KeyboardInterrupt, match="4 runs are kept"):
+        campaign(solver, 9, out=tmp_path, batch=2)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 # ---------------------------------------------------------------------- workers that die
 
 
