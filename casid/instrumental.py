@@ -39,8 +39,8 @@ SOURCES = (
 """Where the methods come from."""
 
 ASSUMES = {
-    "white": "white equation errors of zero mean, independent of the instruments: right for "
-    "unfiltered records whose disturbances are those of the regression, too small otherwise",
+    "white": "white equation errors of zero mean, independent of the instruments: a coloured "
+    "error makes them too large or too small, by a factor that the sums cannot tell",
     "independent": "equation errors of zero mean and finite memory, independent of the external "
     "reference; the discretisation's own bias is not in it",
     "scores": "autocorrelation-robust (Newey-West): equation errors of zero mean, not correlated "

@@ -25,7 +25,7 @@ from casid.stage import StageFit
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Bootstrap:
     """Estimates from resampled moments.
 
@@ -37,6 +37,10 @@ class Bootstrap:
     names: tuple[str, ...]
     values: Array
     failed: int
+
+    def __repr__(self) -> str:
+        spread = ", ".join(f"{n} {self.std_error(n):.2g}" for n in self.names)
+        return f"<Bootstrap of {len(self.values)} runs ({self.failed} failed): std {spread}>"
 
     def std_error(self, name: str) -> float:
         """Standard deviation over the runs."""
@@ -119,7 +123,7 @@ def _block_sums(scores: Array, length: int) -> Array:
     return np.asarray(total[length:] - total[:-length])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Profile:
     """The values of one parameter that the moments cannot reject.
 
@@ -137,6 +141,24 @@ class Profile:
     best: float
     grid: Array
     drop: Array
+
+    def __repr__(self) -> str:
+        return (
+            f"<Profile {self.name}: {100 * self.level:g} % interval {self.lower:.6g} to "
+            f"{self.upper:.6g}, best {self.best:.6g}>"
+        )
+
+    def plot(self) -> Any:
+        """The drop over the values tried, with the level that bounds the interval."""
+        import plotly.graph_objects as go
+        from scipy.stats import chi2
+
+        figure = go.Figure(go.Scatter(x=self.grid, y=self.drop, mode="lines+markers"))
+        figure.add_hline(y=float(chi2.isf(1 - self.level, 1)), line_dash="dash")
+        figure.update_layout(
+            template="plotly_white", xaxis_title=self.name, yaxis_title="2 (V - V_min)"
+        )
+        return figure
 
 
 class _Profiled:

@@ -51,8 +51,8 @@ def estimate_from_moments(
     Returns
     -------
     MomentEstimate
-        Its error bars assume white equation errors: the sums hold no more. Where the records were
-        filtered, the spread over parts of them (add the sums of halves, estimate each) says more.
+        Its error bars assume white equation errors: the sums hold no more. Sensor noise makes the
+        error coloured, A(q) e; the spread over the sums of several stretches then says more.
 
     Raises
     ------
