@@ -69,8 +69,10 @@ def bootstrap(estimate: MomentEstimate, *, runs: int = 500, seed: int = 0) -> Bo
             products = np.column_stack([c * error for c in columns])
             scores[i, k] = products - products.mean(axis=0)
             record = st.parts[k].record
-            length = max(4 * memory(error) + 1, 10)
             n = len(error)
+            # Long against the memory: what the ends of a block add is not small where the error's
+            # power lies at other frequencies than the instruments'.
+            length = max(4 * memory(error) + 1, n // 60, 10)
             old = blocks.get(record, (n, length))
             blocks[record] = (min(n, old[0]), max(length, old[1]))
     found, failed = [], 0

@@ -29,7 +29,16 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
-PAGES = ("index", "ten_lines", "problem_file", "report", "records", "diagnosis", "instruments", "limits")
+PAGES = (
+    "index",
+    "ten_lines",
+    "problem_file",
+    "report",
+    "records",
+    "diagnosis",
+    "instruments",
+    "limits",
+)
 
 
 class BuildError(Exception):
