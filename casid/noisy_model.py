@@ -36,8 +36,8 @@ class White:
     ----------
     where : an output (noise of every sample), an unknown input or a balance (process noise).
     sd : standard deviation, the start of its estimation or, if `is_known`, its value. Noise of an
-        output has the output's unit; continuous process noise has the root of an intensity, unit
-        of the input times sqrt(s); held process noise has the input's unit.
+        output has the output's unit; continuous process noise has the root of a (two-sided) power
+        spectral density, unit of the input times sqrt(s); held process noise has the input's unit.
     held : process noise that is constant over each sample instead of continuous. Needed where an
         output feels it at once: an accelerometer sees a torque, and continuous white noise has no
         finite variance at an instant.
@@ -122,8 +122,8 @@ class NoisyModel:
         return (*self.process, *self.measured)
 
     def noise_name(self, w: White) -> str:
-        """What the noise's size is called among the variables: a variance or an intensity."""
-        return f"{'var' if w.held or w.where in self.outputs else 'intensity'}({w.where})"
+        """What its size is called among the variables: a variance, or a power spectral density."""
+        return f"{'var' if w.held or w.where in self.outputs else 'psd'}({w.where})"
 
     def _sort_noise(self) -> None:
         places = [w.where for w in self.noise]

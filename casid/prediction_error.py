@@ -243,7 +243,7 @@ def _unit(criterion: PredictionError, name: str, source: str) -> str:
     if source in model.outputs:
         return f"({model.outputs[source][1]})^2"
     unit = model.inputs[source].unit if source in model.inputs else model.balances[source].unit
-    return f"({unit})^2" + (" s" if name.startswith("intensity") else "")
+    return f"({unit})^2" + (" s" if name.startswith("psd") else "")
 
 
 def _estimate(criterion: PredictionError, solution: Solution) -> Estimate:

@@ -157,10 +157,9 @@ class UnknownInputComparison:
         for row in self.rows:
             cells = [f"({row.letter}) {row.option}"]
             for name in self.parameters:
-                value = row.value(name)
-                cells.append(
-                    "--" if np.isnan(value) else f"{value:.5g} +- {row.std_error(name):.2g}"
-                )
+                value, sd = row.value(name), row.std_error(name)
+                spread = "(at bound)" if np.isnan(sd) else f"+- {sd:.2g}"
+                cells.append("--" if np.isnan(value) else f"{value:.5g} {spread}")
                 if name in self.truth:
                     cells.append(f"{row.error[name]:+.2g}" if name in row.error else "--")
             for output in self.outputs:
@@ -334,7 +333,7 @@ class _Job:
         return [*sources, *self.process]
 
     def roughness(self) -> float:
-        """A start for the intensity of the random walk: its output's spread a second."""
+        """A start for the sd of the random walk's noise: its output's spread a second."""
         return max(float(np.std(e.record[self.using])) for e in self.experiments) or 1.0
 
 

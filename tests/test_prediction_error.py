@@ -41,7 +41,7 @@ def lag_model() -> casid.Model:
 def lag_record(
     seed: int, N: int = 600, Ts: float = 0.2, q: float = 0.5, r: float = 0.2, input_sd: float = 0.0
 ) -> casid.Record:
-    """The lag sampled exactly: intensity q of the process noise, variance r of y's noise.
+    """The lag sampled exactly: process noise of spectral density q, noise of variance r on y.
 
     The input is white, and its channel has white noise of `input_sd`.
     """
@@ -125,7 +125,7 @@ def test_fisher_information_is_the_covariance_of_the_scores_at_the_truth() -> No
     (x^4 against (x^2)^2 is 3, (x^2 - 1)^4 against (2)^2 is 15, doubled and squared for safety).
     """
     record = lag_record(3, N=20_000)
-    start = {"a": A, "b": B, "intensity(w)": 0.5, "var(y)": 0.2}
+    start = {"a": A, "b": B, "psd(w)": 0.5, "var(y)": 0.2}
     c = PredictionError(lag_model(), [casid.Experiment(record)], LAG_NOISE, start=start)
     x = c.start
     s, h = c.scores(x)[:, :4], c.evaluate(x).hessian[:4, :4]
@@ -167,7 +167,7 @@ def fit_lag(record: casid.Record, noise: Sequence[White] = LAG_NOISE, **options:
 
 def test_estimates_stray_as_their_covariance_says() -> None:
     """The errors of a, b, q, r over 20 records, each normalised by its own covariance."""
-    total, truth = 0.0, {"a": A, "b": B, "intensity(w)": 0.5, "var(y)": 0.2}
+    total, truth = 0.0, {"a": A, "b": B, "psd(w)": 0.5, "var(y)": 0.2}
     for seed in range(20):
         found = fit_lag(lag_record(seed)).estimate
         index = [found.covariance_names.index(n) for n in truth]
@@ -274,7 +274,7 @@ def test_solvers_agree_on_the_optimum() -> None:
     by = [fit_lag(record, solver=Solver(name)) for name in ("ipopt", "sqpmethod")]
     # Converged means a scaled gradient below 1e-5, so a value within 1e-10 and a step of 1e-5.
     assert by[0].log_likelihood == pytest.approx(by[1].log_likelihood, rel=1e-9)
-    for name in ("a", "b", "intensity(w)", "var(y)"):
+    for name in ("a", "b", "psd(w)", "var(y)"):
         error = by[0].estimate.parameter(name).std_error
         assert error is not None
         assert abs(by[0][name] - by[1][name]) < 1e-3 * error
