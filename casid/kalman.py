@@ -121,6 +121,8 @@ def steady_state(system: NoisySystem, near: Array | None = None) -> Predictor:
     """
     s = system
     _refuse_singular_noise(s)
+    if s.nx == 0:  # nothing to predict with
+        return Predictor(s, np.zeros((0, s.ny)), np.zeros((0, 0)), s.R)
     if near is not None:
         found = _newton(s, near)
         if found is not None:
@@ -350,7 +352,8 @@ def _initial_covariance(s: NoisySystem, P0: Array | None) -> Array:
             f"{', '.join(s.state_name(i) for i in range(s.nx))}; for independent initial values "
             "give np.diag of their variances"
         )
-    if float(np.linalg.eigvalsh(P)[0]) < -1e-9 * max(float(np.max(np.abs(P))), 1e-300):
+    largest = float(np.max(np.abs(P), initial=0.0))
+    if float(np.min(np.linalg.eigvalsh(P), initial=0.0)) < -1e-9 * largest:
         raise ModelError("P0 is not positive semidefinite; give np.diag of the variances")
     return P
 
@@ -404,6 +407,8 @@ def recursion_time_last(F: Array, v: Array, x0: Array) -> Array:
     from scipy.signal import lfilter
 
     n, columns, N = v.shape
+    if n == 0:
+        return np.zeros((0, columns, N + 1))
     real = n == 1 or not np.any(np.abs(np.linalg.eigvals(F).imag))
     T, Z = linalg.schur(F, output="real" if real else "complex")
     into = Z.conj().T

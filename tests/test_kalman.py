@@ -217,6 +217,19 @@ def test_a_constant_without_noise_is_averaged() -> None:
     assert run.x[-1, 0] == pytest.approx(3.0 / (2.0 + 40 * 3.0) * y.sum(), rel=1e-10)
 
 
+def test_static_system_predicts_from_its_inputs_alone() -> None:
+    nil = np.zeros((0, 0))
+    s = NoisySystem(
+        nil, np.zeros((0, 1)), np.zeros((2, 0)), np.array([[2.0], [1.0]]), nil, np.diag([1.0, 4.0])
+    )
+    u = np.array([[1.0], [3.0], [-2.0]])
+    y = u @ s.D.T + np.array([0.5, -1.0])
+    for run in (steady_state(s).run(y, u), time_varying(s, y, u)):
+        np.testing.assert_allclose(run.innovations, np.tile([0.5, -1.0], (3, 1)))
+        one = -0.5 * (0.25 + 0.25 + np.log(4.0) + 2 * np.log(2 * np.pi))
+        assert run.log_likelihood == pytest.approx(3 * one)
+
+
 # -- sampling and recursions ----------------------------------------------------------------------
 
 
