@@ -631,7 +631,9 @@ def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: 
     order: list[int] = []
     rows = list(range(n))
     for j in range(n):
-        own = [i for i in rows if i < n_first] if j < n_first else rows
+        # An eliminated input is solved from its own output where that names it outright, and from
+        # its balance where the output feels it through a derivative alone.
+        own = [i for i in rows if i < n_first and size(a[i][j]) > 0.0] if j < n_first else []
         best = max(own or rows, key=lambda i: size(a[i][j]))
         if size(a[best][j]) == 0.0:
             raise ModelError(

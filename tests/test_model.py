@@ -175,3 +175,24 @@ def test_an_unknown_input_left_in_a_model_is_refused_before_estimating():
     record = Record({"v": np.zeros(50)}, {"v": "m/s"}, Ts=0.1)
     with pytest.raises(ModelError, match=r"input w is unknown; eliminate it"):
         signals_of(m, Experiment(record, {}, "r"))
+
+
+def test_an_input_is_eliminated_with_an_output_that_feels_it_through_a_derivative_alone() -> None:
+    """An accelerometer on mass 1 shows the unknown force on it, once the balance is read back."""
+    m = Model("two masses")
+    x1, v1 = m.state("x1", "m"), m.state("v1", "m/s")
+    x2, v2 = m.state("x2", "m"), m.state("v2", "m/s")
+    f = m.unknown_input("f", "N")
+    k, M1, M2 = m.parameter("k", "N/m"), m.parameter("M1", "kg"), m.parameter("M2", "kg")
+    m.derivative(x1, v1)
+    m.derivative(x2, v2)
+    m.balance(v1, "first", inertia=M1, terms=[k * (x2 - x1), f])
+    m.balance(v2, "second", inertia=M2, terms=[k * (x1 - x2)])
+    m.output("accel", m.der(v1), "m/s^2")
+    m.output("position", x2, "m")
+    e = m.eliminate(f, using="accel").explicit()
+    rates = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    x = [0.1, 0.2, 0.3, 0.4]
+    assert np.array(rates(x, [5.0], [2.0, 3.0, 4.0])).ravel() == pytest.approx(
+        [0.2, 5.0, 0.4, 2.0 * (0.1 - 0.3) / 4.0]
+    )
