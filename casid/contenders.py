@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from casid.errors import CasidError
@@ -29,6 +30,7 @@ class Contender:
     solver: Solver | None  # None: not a CasADi plug-in
     rule: str  # how it steps, and when it stops
     takes_criterion: bool = False  # whether it accepts a Hessian that is no expression
+    polish: bool = False  # Newton steps after it, as `Compiled.solve` takes them by default
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +56,7 @@ _QP: dict[str, tuple[dict[str, Any], str]] = {
                 "verbose": False,
                 "eps_abs": 1e-12,
                 "eps_rel": 1e-12,
-                "max_iter": 100_000,
+                "max_iter": 20_000,
                 "polish": True,
             }
         },
@@ -119,9 +121,11 @@ _CHILD = "from casid.contenders import _serve; _serve()"
 _IMPORT_SECONDS = 60.0  # that a child may take to begin
 
 NULL_SPACE = "null-space QR"
+POLISHED = "ipopt + Newton"
 TRUST_CONSTR, SLSQP = "scipy/trust-constr", "scipy/SLSQP"
 DEFAULT = (
     NULL_SPACE,
+    POLISHED,
     "ipopt",
     "sqpmethod/qrqp",
     "sqpmethod/daqp",
@@ -148,6 +152,9 @@ def contender(entry: str | Solver) -> Contender:
         return Contender(entry.name, entry, _RULES.get(entry.name, "its own options"), takes)
     if entry == NULL_SPACE:
         return Contender(entry, None, "closed form: exact to rounding, for linear constraints")
+    if entry == POLISHED:
+        rule = "Ipopt as casid calls it, then Newton steps on the optimality conditions"
+        return Contender(entry, Solver(), rule, polish=True)
     if entry == TRUST_CONSTR:
         rule = "trust region with exact Hessian; stops when the region or the gradient is tiny"
         return Contender(entry, None, rule, True)
@@ -260,7 +267,7 @@ def _serve_to(state: bytes, todo: Sequence[Contender], timeout: float) -> list[O
     done: list[Outcome] = []
     try:
         assert child.stdin is not None
-        pickle.dump((state, [(c.name, c.solver) for c in todo]), child.stdin)
+        pickle.dump((state, [(c.name, c.solver, c.polish) for c in todo]), child.stdin)
         child.stdin.close()
         begun = answers.get(timeout=max(timeout, _IMPORT_SECONDS))
         while begun is not None and len(done) < len(todo):
@@ -299,16 +306,20 @@ def _serve() -> None:
     state, entries = pickle.load(sys.stdin.buffer)
     compiled, values, start = pickle.loads(state)
     answer("ready")
-    for name, solver in entries:
-        answer(run_here(name, solver, lambda s: _attempt(compiled, s, values, start)))
+    for name, solver, polish in entries:
+        answer(run_here(name, solver, partial(_attempt, compiled, values, start, polish)))
 
 
 def _attempt(
-    compiled: Any, solver: Solver, values: Mapping[str, Any], start: Array | None
+    compiled: Any,
+    values: Mapping[str, Any],
+    start: Array | None,
+    polish: bool,
+    solver: Solver,
 ) -> tuple[Solution, float]:
-    """The plug-in's own answer, unpolished."""
+    """The plug-in's own answer, polished if so wished."""
     program = compiled.with_solver(solver)
-    return timed(lambda: program.solve(values, start, throw=False, polish=False))
+    return timed(lambda: program.solve(values, start, throw=False, polish=polish))
 
 
 def run_here(name: str, solver: Solver, solve: Any) -> Outcome:

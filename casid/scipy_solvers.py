@@ -188,5 +188,5 @@ def _method(
         if len(low)
         else ()
     )
-    tight = {"gtol": 1e-14, "xtol": 1e-14, "barrier_tol": 1e-14, "maxiter": 1000}
+    tight = {"gtol": 1e-14, "xtol": 1e-14, "barrier_tol": 1e-14, "maxiter": 300}
     return {"method": "trust-constr", "hess": hessian, "options": tight}, constraints

@@ -340,6 +340,8 @@ def _criterion_outcome(
         return _here(entry, program, start, nlp.names)
     if entry.solver is None:
         return Outcome(entry.name, reason="does not fit: the objective is no quadratic expression")
+    if entry.polish:
+        return Outcome(entry.name, reason="does not fit: Newton steps need an expression")
     if not entry.takes_criterion:
         return Outcome(entry.name, reason="does not fit: it takes no Hessian but its own")
 
