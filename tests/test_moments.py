@@ -115,6 +115,24 @@ def test_least_squares_from_moments_is_least_squares_on_the_samples():
     assert np.allclose(theta, reference, rtol=0, atol=1e-12)
 
 
+def test_extended_instruments_are_channels_like_others():
+    """min ||Y - Phi theta|| with more instruments than coefficients: (2.42)-(2.43), L = Q = 1."""
+    signals = noise(3000, "y", "u", "z")
+    signals["u"] += signals["z"]
+    left, regressors = lagged("y", range(1)), (*lagged("y", range(1, 3)), *lagged("u", range(2)))
+    instruments = lagged("z", range(6))
+    result = moments(signals, 5)
+    theta = np.linalg.lstsq(
+        result.between(instruments, regressors), result.between(instruments, left), rcond=None
+    )[0]
+    Z, Phi, Y = (
+        np.column_stack([c.samples(signals, 5) for c in columns])
+        for columns in (instruments, regressors, left)
+    )
+    reference = np.linalg.lstsq(Z.T @ Phi, Z.T @ Y, rcond=None)[0]
+    assert np.allclose(theta, reference, rtol=0, atol=1e-10)
+
+
 def test_a_constant_is_a_column_too():
     """An offset in the regression: y_t = 0.5 y_{t-1} + 2 without noise is recovered."""
     y = 4.0 + 3.0 * 0.5 ** np.arange(30)
@@ -221,6 +239,17 @@ def test_rounding_is_that_of_one_block_however_many_there_are(N, lags, cuts, see
     assert (np.abs(whole.total + whole.rest - reference) <= bound).all()
     if all(a >= lags or a == 0 for a in edges[:-1]) and 0 not in edges[1:-1]:
         assert (np.abs(pieces.total - reference) <= bound).all()
+
+
+def test_ten_thousand_blocks_add_without_losing_a_digit(monkeypatch):
+    """A large sample, then small ones: block after block is below the last place of the sum."""
+    monkeypatch.setattr(casid.moments, "BLOCK", 8)
+    y = np.full(80_000, 1e-9)
+    y[0] = 1.0
+    expected = math.fsum(y * y)
+    assert expected - 1.0 > 7e-14
+    for result in (moments({"y": y}, 0), fed({"y": y}, 0, [11, 40_000]).moments):
+        assert abs(result.gram[0, 0] - expected) <= gamma(8 + 3) * expected
 
 
 def test_ten_thousand_moments_add_without_losing_a_digit():
