@@ -213,6 +213,31 @@ def knocks(t: Array) -> Array:
     )
 
 
+def interpolated(values: Array, positions: Array) -> Array:
+    """Between equidistant values, by the polynomial through the six nearest (Lagrange).
+
+    Parameters
+    ----------
+    values : (k, n), n >= 6.
+    positions : (N,) in steps from the first value, 0 to n - 1.
+
+    Returns
+    -------
+    (k, N) array. A wave of w rad a step is met to w^6/205 of its amplitude.
+    """
+    nodes = range(-2, 4)
+    first = np.clip(np.floor(positions).astype(int), 2, values.shape[1] - 4)
+    apart = positions - first
+    total = np.zeros((len(values), len(positions)))
+    for node in nodes:
+        weight = np.ones_like(apart)
+        for other in nodes:
+            if other != node:
+                weight *= (apart - other) / (node - other)
+        total += weight * values[:, first + node]
+    return total
+
+
 def record(
     plant: Pendulum | None = None,
     *,
@@ -235,8 +260,6 @@ def record(
     sensors : noise and biases; those of an inexpensive unit by default.
     seed : of everything random, the clocks' starts included.
     """
-    from scipy.interpolate import CubicSpline
-
     plant = plant or Pendulum()
     sensors = sensors or Sensors()
     rng = np.random.default_rng(seed)
@@ -246,14 +269,13 @@ def record(
     hand = onset * dragged(half, amplitude, rng)
     disturbance = onset * dragged(half, torque, rng)
     states = plant.motion(hand, disturbance, STEP)
-    grid = RELEASED_AT + half[::2]
-    moving = CubicSpline(grid, np.vstack([states, hand[::2]]), axis=1)
+    moving = np.vstack([states, hand[::2]])
 
     def at(t: Array) -> Array:
         """phi, p, p_dot, a_y (4, N): at rest and knocked upon before the release."""
         free = t >= RELEASED_AT
         values = np.zeros((4, t.size))
-        values[:, free] = moving(t[free])
+        values[:, free] = interpolated(moving, (t[free] - RELEASED_AT) / STEP)
         values[3] += knocks(t)
         return values
 
