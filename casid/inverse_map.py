@@ -88,6 +88,12 @@ def invert(
             f"{equation.name}: {len(theta)} coefficients given for {map_.ntheta}; they are "
             f"{', '.join(equation.coefficients)}"
         )
+    if not np.isfinite(theta).all():
+        where = equation.coefficients[int(np.argmin(np.isfinite(theta)))]
+        raise ModelError(
+            f"{equation.name}: the coefficient {where} is {theta[~np.isfinite(theta)][0]}; look "
+            "for gaps in the data that it was estimated from"
+        )
     if len(free) > map_.ntheta:
         raise IdentifiabilityError(
             f"{equation.name}: {len(free)} parameters ({', '.join(free)}) cannot follow from "
@@ -101,6 +107,12 @@ def invert(
     p = equation.vector({**begin, **model_values, **{n: begin[n] for n in free}})
     lower = np.array([(bounds or {}).get(n, (-np.inf, np.inf))[0] for n in free])
     upper = np.array([(bounds or {}).get(n, (-np.inf, np.inf))[1] for n in free])
+    crossed = [n for n, a, b in zip(free, lower, upper, strict=True) if a > b]
+    if crossed:
+        raise ModelError(
+            f"{equation.name}: the lower bound of {crossed[0]} lies above its upper bound; "
+            "exchange them"
+        )
     x0 = np.clip(p[map_.index], lower, upper)
     rng = np.random.default_rng(2)
     trouble: list[str] = []

@@ -266,6 +266,20 @@ def test_wrong_names_and_lengths_are_refused():
         invert(e, e.theta(NOMINAL), {"d": 0.1}, ("I_x",))
 
 
+def test_bad_numbers_are_named():
+    e = difference_equation(indirect(), "gyro", 0.01)
+    with pytest.raises(ModelError, match="a2 is nan; look for gaps"):
+        invert(e, [1.0, np.nan, 0.1], NOMINAL, ("I_x",))
+    with pytest.raises(ModelError, match="lower bound of I_x .* exchange"):
+        invert(e, e.theta(NOMINAL), NOMINAL, ("I_x",), bounds={"I_x": (1.0, 0.1)})
+
+
+def test_nothing_free_is_nothing_found():
+    e = difference_equation(indirect(), "gyro", 0.01)
+    found, jacobian = invert(e, e.theta(NOMINAL), NOMINAL, ())
+    assert (found.shape, jacobian.shape) == ((0,), (0, 3))
+
+
 def test_a_chain_of_two_masses_comes_back():
     """Six parameters from seven coefficients; the scale is fixed by the known force."""
     e = difference_equation(spring_chain(2), "q", 0.1)

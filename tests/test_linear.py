@@ -425,3 +425,37 @@ def test_a_pickled_model_is_the_model():
         transfer.evaluate(NOMINAL)[0], model.transfer().evaluate(NOMINAL)[0]
     )
     assert [transfer.numerators[0][0][k].nnz() for k in range(3)] == [0, 1, 0]
+
+
+# -- what vanishes -----------------------------------------------------------------------------
+
+
+def test_rounded_constants_do_not_leave_coefficients_behind():
+    """0.1 * 3 q - 0.3 q is 5.5e-17 q in floating point: no coefficient, so no regressor."""
+    m = spring_chain(1)
+    q, v, c = m.symbol("q0"), m.symbol("v0"), m.parameter("c", "1/m")
+    m.output("y", c * ((0.1 * 3) * q - 0.3 * q + v), "1")
+    numerator = linearise(m).transfer("y").numerators[0][0]
+    assert [numerator[k].nnz() for k in range(3)] == [0, 1, 0]
+    m.output("z", c * (q * (c * (0.1 * 3)) - q * (0.3 * c) + v), "1")  # seen with c alone
+    numerator = linearise(m).transfer("z").numerators[0][0]
+    assert [numerator[k].nnz() for k in range(3)] == [0, 1, 0]
+
+
+def test_small_constants_are_coefficients():
+    """1e-13 q beside v is what the model says: it stays, whatever its size."""
+    m = spring_chain(1)
+    m.output("y", 1e-13 * m.symbol("q0") + m.symbol("v0"), "1")
+    numerator = linearise(m).transfer("y").numerators[0][0]
+    assert [numerator[k].nnz() for k in range(3)] == [0, 1, 1]
+
+
+def test_a_root_of_parameters_is_judged_in_floating_point():
+    """sqrt(k)^2 - k vanishes, sqrt(k) - k does not."""
+    m = spring_chain(1)
+    k, q, v = m.symbol("k0"), m.symbol("q0"), m.symbol("v0")
+    m.output("none", (ca.sqrt(k) * ca.sqrt(k) - k) * q + v, "1")
+    m.output("some", (ca.sqrt(k) - k) * q + v, "1")
+    model = linearise(m)
+    assert model.C[2, 0].nnz() == 0
+    assert model.C[3, 0].nnz() == 1
