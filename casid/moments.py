@@ -126,18 +126,31 @@ def weighted(
                     f"column {column.name} needs channel {channel!r}; there are "
                     f"{', '.join(rows)}. Give it among the signals."
                 )
+    rows.setdefault(CONSTANT, np.broadcast_to(1.0, N))
     high: Array = np.zeros((len(left), len(right)))
     low = np.zeros_like(high)
-    for first in range(start, N, BLOCK):
-        stop = min(first + BLOCK, N)
-        block: dict[str, Array] = {CONSTANT: np.ones(stop - first + order)}
-        block |= {name: row[first - order : stop] for name, row in rows.items()}
-        a = np.stack([column.samples(block, order) for column in left])
-        b = np.stack([column.samples(block, order) for column in right])
-        a *= w[first - start : stop - start]
-        high, error = two_sum(high, a @ b.T)
+    a, b = np.empty((len(left), _SHORT_BLOCK)), np.empty((len(right), _SHORT_BLOCK))
+    part = np.empty(_SHORT_BLOCK)
+    for first in range(start, N, _SHORT_BLOCK):
+        n = min(_SHORT_BLOCK, N - first)
+        for into, columns in ((a, left), (b, right)):
+            for row, column in zip(into[:, :n], columns, strict=True):
+                _write(column, rows, first, row, part[:n])
+        a[:, :n] *= w[first - start : first - start + n]
+        high, error = two_sum(high, a[:, :n] @ b[:, :n].T)
         low += error
     return np.asarray(high + low)
+
+
+_SHORT_BLOCK = 4096  # samples of every column at once stay in the cache
+
+
+def _write(column: Column, rows: Mapping[str, Array], start: int, row: Array, part: Array) -> None:
+    """Write the column's samples from t = start on into `row` (n,); `part` (n,) is scratch."""
+    row.fill(0.0)
+    for channel, lag, weight in column.taps:
+        samples = rows[channel][start - lag : start - lag + row.size]
+        row += samples if weight == 1.0 else np.multiply(samples, weight, out=part)
 
 
 # ---------------------------------------------------------------------- streaming
