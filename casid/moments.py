@@ -99,14 +99,15 @@ def weighted(
     Parameters
     ----------
     signals : mapping of channel to (N,) array
-        The channel "1" is a constant where it is not given.
+        A tap on the channel "1" is a constant.
     weights : (N - start,) array
     start : the first t; the largest lag of the columns where not given
 
     Raises
     ------
     DataError
-        If the weights do not fit, a channel is not given, or `start` is less than a lag.
+        If the weights do not fit, a channel is not given, `start` is less than a lag, or a number
+        is not finite.
     """
     rows = dict(zip(signals, _checked_signals(signals), strict=True))
     N = next(iter(rows.values())).size
@@ -126,7 +127,7 @@ def weighted(
                     f"column {column.name} needs channel {channel!r}; there are "
                     f"{', '.join(rows)}. Give it among the signals."
                 )
-    rows.setdefault(CONSTANT, np.broadcast_to(1.0, N))
+    rows[CONSTANT] = np.broadcast_to(1.0, N)
     high: Array = np.zeros((len(left), len(right)))
     low = np.zeros_like(high)
     a, b = np.empty((len(left), _SHORT_BLOCK)), np.empty((len(right), _SHORT_BLOCK))
@@ -139,6 +140,9 @@ def weighted(
         a[:, :n] *= w[first - start : first - start + n]
         high, error = two_sum(high, a[:, :n] @ b[:, :n].T)
         low += error
+    if not np.isfinite(high).all():
+        _refuse_non_finite((*rows, "weights"), (*rows.values(), w))
+        raise DataError("weighted moments overflow. Scale the signals to their physical range.")
     return np.asarray(high + low)
 
 
@@ -451,9 +455,9 @@ def _refuse_non_finite(channels: Sequence[str], rows: Sequence[Array]) -> None:
         bad = np.flatnonzero(~np.isfinite(row))
         if bad.size:
             raise DataError(
-                f"signal {name} holds {bad.size} samples that are not finite, the first at "
-                f"k = {bad[0]}. Cut them out, or pass the signals through "
-                "casid.moments.Accumulator, which takes them as gaps."
+                f"{name}: {bad.size} samples are not finite, the first at k = {bad[0]}. Cut them "
+                "out, or pass the signals through casid.moments.Accumulator, which takes them as "
+                "gaps."
             )
 
 

@@ -488,6 +488,8 @@ def test_weights_that_do_not_fit_are_refused():
         weighted(y, y, signals, np.ones(20))
     with pytest.raises(DataError, match="start >= 2"):
         weighted(y, y, signals, np.ones(19), start=1)
+    with pytest.raises(DataError, match=r"weights: 1 samples.*k = 7"):
+        weighted(y, y, signals, np.where(np.arange(18) == 7, np.nan, 1.0))
     with pytest.raises(DataError, match=r"'w'.*y, u.*Give it"):
         weighted(lagged("w", range(1)), y, signals, np.ones(18))
 
