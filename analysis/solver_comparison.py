@@ -107,8 +107,8 @@ def physical_case(key: str, fit: StageFit, *, is_lifted: bool) -> Case:
     values = program.parameters(condensed(fit), fit.values)
     expected = dict(zip(fit.free, fit.theta_p.tolist(), strict=True))
     title = f"joint: {', '.join(fit.free)} from both records, {form}"
-    # Lifted, theta is a variable: its rounding error, seen through the map, is 1e-7 of the load.
-    # Tolerances relative to the start do not reach that far, Newton steps do.
+    # Lifted, theta is a variable with a curvature 1e10 times that of the load, and tolerances are
+    # relative to the steepest direction: 1e-11 of it is 1e-6 of the load. Newton steps go on.
     must = (HOUSE,) if is_lifted else EXACT_HESSIAN
     return Case(key, title, program.nlp, values, start, must, expected=expected)
 

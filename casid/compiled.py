@@ -13,21 +13,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casid.nlp import (
+from casid.nlp_solution import (
     Array,
     Evaluation,
     Solution,
-    Solver,
     account,
-    fill,
-    gave_up,
-    inside,
     judged,
     not_converged,
     not_finite,
-    set_up,
-    views,
 )
+from casid.nlp_solver import Solver, gave_up, set_up
+from casid.nlp_values import fill, inside, views
 
 
 class _Buffered:
@@ -379,7 +375,8 @@ def _preparation(derivatives: Any, symbol: Any, scale: Array, box: Any) -> Any:
 def _judgement(derivatives: Any, symbol: Any, scale: Array, box: Any) -> Any:
     """(z, p, lam, units) -> x, its derivatives and how far it is from an optimum.
 
-    The measure is that of `casid.nlp`, with the solver's multipliers `lam` of the scaled program.
+    The measure is that of `casid.nlp_solution`, with the solver's multipliers `lam` (m,) of the
+    scaled program.
     """
     lower, upper, low, high = box
     n, m = len(scale), len(low)

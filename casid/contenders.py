@@ -78,7 +78,7 @@ _QP: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 _RULES = {
-    "ipopt": "interior point, exact Hessian; stops at 1e-12, or where steps become too small",
+    "ipopt": "interior point, exact Hessian; stops at 1e-12 of the steepest curvature",
     "blocksqp": "SQP with BFGS in place of the Hessian; stops at an optimality of 1e-10",
     "fatrop": "interior point made for optimal control; stops at 1e-12",
     "uno": "interior point or SQP by preset, exact Hessian; stops at 1e-10",
@@ -167,7 +167,12 @@ def contender(entry: str | Solver) -> Contender:
         options, rule = _QP.get(qp, ({}, "its own options"))
         options = {"error_on_fail": False, **options}
         solver = Solver("sqpmethod", options=_SQP | {"qpsol": qp, "qpsol_options": options})
-        return Contender(entry, solver, f"SQP with exact Hessian; {qp}: {rule}", True)
+        return Contender(
+            entry,
+            solver,
+            f"SQP with exact Hessian, stops at 1e-11 of the steepest curvature; {qp}: {rule}",
+            True,
+        )
     solver = Solver(plug_in, options=_OPTIONS.get(plug_in, _QUIET))
     return Contender(entry, solver, _RULES.get(plug_in, "its own rules"), plug_in == "ipopt")
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.contenders import SLSQP, timed
 from casid.errors import SolveError
-from casid.nlp import Array, Evaluation, Solution, judged
+from casid.nlp_solution import Array, Evaluation, Solution, judged
 
 
 class Program(Protocol):

@@ -33,13 +33,17 @@ from casid.contenders import (
     timed,
 )
 from casid.errors import CasidError, SolveError
-from casid.nlp import Array, Nlp, Solution, Solver, inside, judged
+from casid.nlp import Array, Nlp, Solution, Solver
+from casid.nlp_solution import judged
+from casid.nlp_values import inside
 from casid.null_space import null_space_least_squares
 from casid.scipy_solvers import CriterionProgram, Program, run_scipy
 
 __all__ = ["Row", "SolverComparison", "compare_solvers", "null_space_least_squares"]
 
 _FLAT = 1e-7  # resolutions of the criterion above this are worth a word
+# A solver that ends so has seen its gradient vanish, by its own measure.
+_BY_GRADIENT = ("Solve_Succeeded", "Solved", "Converged with feasible KKT point", "optimal")
 _FEASIBLE = 1e-6  # largest violation of a constraint, in its own units
 
 
@@ -514,7 +518,8 @@ def _reason(
         return f"a better point than the reference: its criterion is {-excess:.2g} lower"
     if "iteration" in solution.status.lower() or solution.status == "Limit_Reached":
         return f"its limit of iterations was reached, {gradient}; {entry.rule}"
-    if _FLAT < resolution and solution.scaled_gradient < 10 * resolution:
+    goes_by_gradient = solution.status in _BY_GRADIENT and entry.name not in (TRUST_CONSTR, SLSQP)
+    if not goes_by_gradient and _FLAT < resolution and solution.scaled_gradient < 10 * resolution:
         return (
             f"stopped in the rounding error of the criterion (scaled gradients below "
             f"{resolution:.0e} do not show in its value), {gradient}; {entry.rule}"

@@ -1,0 +1,195 @@
+"""Where a solver stopped, and whether that is an optimum, whatever the solver says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.errors import SolveError
+
+Array = NDArray[Any]
+
+_MENDS = {
+    "Infeasible_Problem_Detected": "the constraints contradict each other near the start: "
+    "drop one, or start from values that satisfy them",
+    "Maximum_Iterations_Exceeded": "raise max_iterations, or start nearer to the solution",
+    "Invalid_Number_Detected": "the model gives NaN or Inf near the start: tighten the bounds or "
+    "change the start values",
+    "Restoration_Failed": "the constraints cannot be met from this start: try several starts",
+    "Subproblem_Failed": "its quadratic program has no solution here: use Solver('ipopt')",
+    "Diverging_Iterates": "a parameter runs to infinity: give it bounds, or fix it",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """A criterion, its derivatives and its own constraints at one point."""
+
+    value: float
+    gradient: Array  # (n,)
+    hessian: Array  # (n, n), Gauss-Newton or exact, symmetric
+    constraints: Array = field(default_factory=lambda: np.zeros(0))  # (m,), to be zero
+    jacobian: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (m, n)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Where a solver stopped, why, and whether that is an optimum."""
+
+    names: tuple[str, ...]
+    x: Array  # (n,) physical units
+    value: float
+    status: str
+    iterations: int
+    scaled_gradient: float  # largest |dL/dx_i| / sqrt(H_ii f): 0 at an optimum, without units
+    constraint_violation: float
+    at_lower: tuple[str, ...]
+    at_upper: tuple[str, ...]
+    hessian: Array  # (n, n) of the criterion at x
+    constraint_jacobian: Array  # (m, n)
+    solver: str
+    evaluations: int = 0  # of the objective, 0 where the solver does not count them
+
+    @property
+    def is_converged(self) -> bool:
+        """True if the scaled gradient vanishes and the constraints hold, whatever the status."""
+        return bool(self.scaled_gradient < 1e-5 and self.constraint_violation < 1e-6)
+
+    @property
+    def mend(self) -> str:
+        """What to try when it did not converge."""
+        return _MENDS.get(
+            self.status, "try other start values (starts=...), bounds, or fix a parameter"
+        )
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.x[self.names.index(name)])
+
+
+def not_finite(program: str, names: Sequence[str], x: Array) -> SolveError:
+    """The refusal of a start without a value."""
+    return SolveError(
+        f"{program}: the criterion is not finite at the start "
+        f"({', '.join(f'{k} = {v:g}' for k, v in zip(names, x, strict=True))}); "
+        "change the start values or tighten the bounds"
+    )
+
+
+def not_converged(program: str, solution: Solution) -> SolveError:
+    """The refusal of a point that is no optimum: the solver's reason, the measures and a mend."""
+    return SolveError(
+        f"{program}: {solution.solver} stopped with {solution.status} after "
+        f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e},"
+        f" constraint violation {solution.constraint_violation:.1e}): {solution.mend}"
+    )
+
+
+def judged(
+    names: tuple[str, ...],
+    x: Array,
+    at: Evaluation,
+    scale: Array,
+    box: tuple[Array, Array, Array, Array],
+    told: tuple[str, int, int],
+    solver: str,
+) -> Solution:
+    """The point where a solver stopped, its optimality measured apart from the solver's verdict.
+
+    `at` holds the criterion with all constraints at `x` (n,); `box` the lower and upper bounds of
+    the variables (n,) and limits of the constraints (m,); `told` the solver's status, iterations
+    and evaluations.
+    """
+    lower, upper, low, high = box
+    span = 1e-6 * scale
+    at_lower, at_upper = x <= lower + span, x >= upper - span
+    to_lower, to_upper = low - at.constraints, high - at.constraints
+    violation = float(max(to_lower.max(initial=0.0), -to_upper.min(initial=0.0)))
+    if not np.isfinite(at.constraints).all():
+        violation = float("inf")
+    size = _scaled_gradient(
+        at, at.jacobian, to_lower, to_upper, np.maximum(np.abs(x), scale), at_lower, at_upper
+    )
+    status, iterations, evaluations = told
+    return Solution(
+        names=names,
+        x=x,
+        value=at.value,
+        status=status,
+        iterations=iterations,
+        scaled_gradient=size,
+        constraint_violation=violation,
+        at_lower=tuple(n for n, held in zip(names, at_lower, strict=True) if held),
+        at_upper=tuple(n for n, held in zip(names, at_upper, strict=True) if held),
+        hessian=at.hessian,
+        constraint_jacobian=at.jacobian,
+        solver=solver,
+        evaluations=evaluations,
+    )
+
+
+def account(stats: Mapping[str, Any]) -> tuple[str, int, int]:
+    """Status in words, iterations and evaluations of the objective, as far as a solver tells."""
+    status = stats.get("return_status")
+    if not isinstance(status, str):  # a number, or nothing: the word that all plug-ins share
+        words = {"SOLVER_RET_SUCCESS": "Solved", "SOLVER_RET_LIMITED": "Limit_Reached"}
+        unified = str(stats.get("unified_return_status", ""))
+        status = "Solved" if stats.get("success") else words.get(unified, "Not_Solved")
+    counters = ("n_call_nlp_f", "n_call_nlp_fg", "n_call_nlp_psi")
+    return status, int(stats.get("iter_count", 0)), sum(int(stats.get(c, 0)) for c in counters)
+
+
+def _scaled_gradient(
+    at: Evaluation,
+    jacobian: Array,
+    to_lower: Array,
+    to_upper: Array,
+    size: Array,
+    at_lower: Array,
+    at_upper: Array,
+) -> float:
+    """Largest |dL/dx_i| / sqrt(H_ii f), a number without units that vanishes at an optimum.
+
+    Multipliers of active constraints are found by least squares in the metric of H: the solver's
+    own are in its scaling, and not every plug-in returns them. `size` (n,) is what each variable
+    weighs, `to_lower` and `to_upper` (m,) the way from the constraints to their limits.
+    """
+    h, raw = np.diag(at.hessian), at.gradient
+    finite = [np.all(np.isfinite(v)) for v in (at.value, raw, h, jacobian)]
+    if not all(finite):
+        return float("inf")
+    level = abs(at.value) + float(np.max(np.abs(raw) * size, initial=0.0))
+    # A variable without curvature of its own (a linear objective) is measured by what f gains when
+    # the variable changes by its size.
+    curved = h * size**2 > 1e-12 * level
+    root = np.sqrt(np.where(curved, h, 1.0))
+    weight = np.where(curved, 1 / root, size / np.sqrt(level or 1.0))
+    # Where f vanishes (data without noise) no direction of the gradient means anything: a Newton
+    # step below 1e-9 of the variable is then converged.
+    unit = np.where(
+        curved, np.maximum(np.sqrt(abs(at.value)), 1e-4 * root * size), np.sqrt(level or 1.0)
+    )
+    rows = jacobian * weight
+    length = np.linalg.norm(rows, axis=1)
+    rows = rows / np.where(length > 0, length, 1.0)[:, None]
+    tolerance = 1e-6 * np.maximum(np.abs(jacobian) @ size, 1e-300)
+    near_lower, near_upper = np.abs(to_lower) < tolerance, np.abs(to_upper) < tolerance
+    equality = to_lower == to_upper
+    active = np.flatnonzero(equality | near_lower | near_upper)
+    free = ~(at_lower | at_upper)
+    gradient = raw * weight
+    if not len(active) and np.any((h * size**2 < -1e-12 * level) & free):
+        return float("inf")  # a maximum along that variable
+    while len(active):  # leave out the inequalities that do not hold the optimum back
+        lam = np.linalg.lstsq(rows[active][:, free].T, -gradient[free], rcond=None)[0]
+        pulls_off = np.where(near_lower[active], lam > 1e-9, lam < -1e-9) & ~equality[active]
+        if not pulls_off.any():
+            gradient = gradient + rows[active].T @ lam
+            break
+        active = active[~pulls_off]
+    gradient = np.where(at_lower, np.minimum(gradient, 0.0), gradient)
+    gradient = np.where(at_upper, np.maximum(gradient, 0.0), gradient)
+    return float(np.max(np.abs(gradient) / unit, initial=0.0))

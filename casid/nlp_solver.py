@@ -1,0 +1,116 @@
+"""A solver of nonlinear programs as a value: a CasADi plug-in by name, with its options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import casadi as ca
+
+from casid.errors import SolveError
+
+_QUIET: dict[str, dict[str, Any]] = {
+    "ipopt": {
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "print_time": False,
+        "ipopt.tol": 1e-9,
+        "ipopt.acceptable_tol": 1e-7,
+        "ipopt.mu_strategy": "adaptive",
+        "ipopt.bound_relax_factor": 0.0,
+    },
+    "sqpmethod": {
+        "print_header": False,
+        "print_iteration": False,
+        "print_status": False,
+        "print_time": False,
+        "qpsol": "qrqp",
+        "convexify_strategy": "eigen-reflect",  # its QP cannot use negative curvature
+        "max_iter_ls": 25,  # after the default of 3 halvings it takes the step, however bad
+        "tol_du": 1e-9,
+        "tol_pr": 1e-9,
+        "qpsol_options": {
+            "print_iter": False,
+            "print_header": False,
+            "print_info": False,
+            "error_on_fail": False,
+        },
+        "error_on_fail": False,
+    },
+}
+
+# What each plug-in calls the number of iterations; the others keep their own default.
+_MAX_ITERATIONS = {
+    "ipopt": "ipopt.max_iter",
+    "sqpmethod": "max_iter",
+    "feasiblesqpmethod": "max_iter",
+    "qrsqp": "max_iter",
+    "scpgen": "max_iter",
+    "blocksqp": "max_iter",
+    "fatrop": "fatrop.max_iter",
+    "uno": "uno.max_iterations",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Solver:
+    """An NLP solver by its CasADi plug-in name, with the plug-in's own options.
+
+    Parameters
+    ----------
+    name : "ipopt" (default), "sqpmethod", or any installed `casadi.nlpsol` plug-in.
+    max_iterations : iterations before the solver gives up.
+    options : passed to `casadi.nlpsol` unchanged; they win over casid's defaults.
+    """
+
+    name: str = "ipopt"
+    max_iterations: int = 300
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def nlpsol_options(self) -> dict[str, Any]:
+        """Options as `casadi.nlpsol` takes them."""
+        # NaN on the way is the line search's business; one at the start is refused before.
+        merged = dict(_QUIET.get(self.name, {"print_time": False})) | {"show_eval_warnings": False}
+        key = _MAX_ITERATIONS.get(self.name)
+        if key is not None:
+            merged[key] = self.max_iterations
+        merged.update(self.options)
+        return merged
+
+
+@cache
+def _is_installed(name: str) -> bool:
+    """Whether CasADi finds the plug-in; asked once, since a missing one makes CasADi chatter."""
+    return bool(ca.has_nlpsol(name))
+
+
+def set_up(program: str, solver: Solver, problem: Mapping[str, Any], options: Any) -> Any:
+    """The CasADi solver of a problem.
+
+    Raises
+    ------
+    SolveError
+        If the plug-in is not installed or refuses its options.
+    """
+    if not _is_installed(solver.name):
+        raise SolveError(
+            f"{program}: solver {solver.name!r} is no CasADi plug-in that loads here; use "
+            "Solver('ipopt') or Solver('sqpmethod')"
+        )
+    try:
+        return ca.nlpsol("nlp", solver.name, problem, options)
+    except RuntimeError as error:
+        raise SolveError(
+            f"{program}: solver {solver.name!r} cannot be set up: "
+            f"{str(error).strip().splitlines()[-1]}; check Solver(options=...)"
+        ) from error
+
+
+def gave_up(program: str, solver: str, error: Exception) -> SolveError:
+    """The refusal of a solver that ended in an exception."""
+    return SolveError(
+        f"{program}: {solver} stopped: {str(error).strip().splitlines()[-1]}; "
+        "change the start values or tighten the bounds"
+    )
