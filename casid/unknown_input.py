@@ -1,8 +1,9 @@
 """What to do about an input that nobody controls: the options of Linder (2017), 7.3, side by side.
 
 (A) the input is known, or measured with noise; (B) it is a state, a random walk, with or without a
-measurement of its integral (a speed for an acceleration); (C) it is eliminated with an output that
-feels it, which leaves the indirect model. One call fits a direct model in each of these ways.
+measurement of its integral (a speed for an acceleration), or noise of an estimated spectrum; (C) it
+is eliminated with an output that feels it, which leaves the indirect model. One call fits a direct
+model in each of these ways.
 """
 
 from __future__ import annotations
@@ -33,12 +34,13 @@ AS_EXACT = "measured, taken as exact"
 WITH_ERRORS = "measured, with errors in it"
 WALK = "random walk"
 WALK_INTEGRAL = "random walk, integral measured"
+SHAPED = "shaped noise"
 SIMULATION = "eliminated, simulation error"
 PREDICTION = "eliminated, prediction error"
-OPTIONS = (KNOWN, AS_EXACT, WITH_ERRORS, WALK, WALK_INTEGRAL, SIMULATION, PREDICTION)
-"""The options in the order of 7.3: (A) the first three, (B) two, (C) two."""
+OPTIONS = (KNOWN, AS_EXACT, WITH_ERRORS, WALK, WALK_INTEGRAL, SHAPED, SIMULATION, PREDICTION)
+"""The options in the order of 7.3: (A) the first three, (B) three, (C) two."""
 
-_LETTER = dict(zip(OPTIONS, "AAABBCC", strict=True))
+_LETTER = dict(zip(OPTIONS, "AAABBBCC", strict=True))
 
 
 # -- the models ---------------------------------------------------------------------------------
@@ -89,6 +91,39 @@ def as_random_walk(
         new.derivative(moved, state)
         new.output(integral, moved, unit)
     return new, rate
+
+
+def as_shaped_noise(model: Model, unknown: str, *, bandwidth: float = 3.0) -> tuple[Model, str]:
+    """The model with its unknown input as white noise through two poles, which are estimated.
+
+        u'' + 2 zeta w u' + w^2 u = w^2 noise
+
+    Fits an input that is smooth or comes back to zero, which a random walk does not. Only the
+    input's spectrum matters, not its distribution: a telegraph through a lag has two real poles.
+
+    Parameters
+    ----------
+    bandwidth : where the estimation of w starts [rad/s]; zeta starts at one.
+
+    Returns
+    -------
+    The model, with the parameters "w of <unknown>" and "zeta of <unknown>", and the name of the
+    white noise, to be given as `White(name, sd)` with sd in units of the input times sqrt(s).
+    """
+    _require_unknown(model, unknown)
+    unit = model.inputs[unknown].unit
+    new = model.copy()
+    state = new.state(new.free_name(f"{unknown} as state"), unit)
+    slope = new.state(new.free_name(f"slope of {unknown}"), unit_quotient(unit, "s"))
+    w = new.parameter(f"w of {unknown}", "rad/s", start=bandwidth, lower=1e-3, upper=1e4)
+    zeta = new.parameter(f"zeta of {unknown}", "1", start=1.0, lower=1e-3, upper=1e3)
+    source = f"source of {unknown}"
+    white = new.unknown_input(source, unit)
+    new.derivative(state, slope)
+    new.derivative(slope, w**2 * (white - state) - 2 * zeta * w * slope)
+    new.substitute_symbol(unknown, state)
+    del new.inputs[unknown]
+    return new, source
 
 
 def _require_unknown(model: Model, unknown: str) -> None:
@@ -406,6 +441,10 @@ def _fit(job: _Job, option: str) -> Estimate:
         )
         experiments = job.with_input(job.measured if option == WITH_ERRORS else None)
         noise = [*job.white(model, experiments), White(rate, job.roughness())]
+    elif option == SHAPED:
+        model, source = as_shaped_noise(job.model, job.unknown)
+        experiments = job.experiments
+        noise = [*job.white(model, experiments), White(source, job.roughness())]
     else:
         model = job.model.eliminate(job.unknown, using=job.using)
         experiments = job.experiments
@@ -445,6 +484,11 @@ def _judgement(job: _Job, option: str) -> tuple[bool, str]:
             True,
             f"consistent if {u} is a random walk; its measured integral {job.integral} keeps slow "
             "changes apart from the model's own",
+        ),
+        SHAPED: (
+            True,
+            f"consistent if {u} has the spectrum of noise through two poles, whatever its "
+            "distribution",
         ),
         SIMULATION: (
             False,

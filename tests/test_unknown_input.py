@@ -19,6 +19,7 @@ from casid.unknown_input import (
     KNOWN,
     OPTIONS,
     PREDICTION,
+    SHAPED,
     SIMULATION,
     WALK,
     WALK_INTEGRAL,
@@ -30,7 +31,7 @@ from casid.unknown_input import (
     compare_unknown_input_options,
 )
 from problems.pendulum import direct_model
-from tests.linear_pendulum import TRUTH, Z_G, Z_S, G, M, simulate
+from tests.linear_pendulum import LAG, TRUTH, Z_G, Z_S, G, M, simulate
 
 Array = np.ndarray[Any, Any]
 
@@ -68,7 +69,7 @@ def z_scores(row: OptionRow) -> Array:
 def test_one_call_gives_one_row_an_option_and_one_table() -> None:
     found = on_telegraph()
     assert tuple(r.option for r in found.rows) == OPTIONS
-    assert "".join(r.letter for r in found.rows) == "AAABBCC"
+    assert "".join(r.letter for r in found.rows) == "AAABBBCC"
     assert found.parameters == ("k", "d", "I_x")
     text = str(found)
     for row in found.rows:
@@ -80,7 +81,7 @@ def test_one_call_gives_one_row_an_option_and_one_table() -> None:
     page = found._repr_html_()
     assert page.count("<tr>") == len(OPTIONS) + 1
     assert "errors in variables" in page
-    assert repr(found).endswith("a_y: 7 options>")
+    assert repr(found).endswith("a_y: 8 options>")
     with pytest.raises(KeyError, match="there are known"):
         found["guess"]
 
@@ -92,12 +93,14 @@ def test_remarks_say_what_is_consistent_and_why() -> None:
         WITH_ERRORS,
         WALK,
         WALK_INTEGRAL,
+        SHAPED,
     ]
     assert "errors in variables" in found[AS_EXACT].remark
     assert "direct term" in found[PREDICTION].remark
     # A telegraph is no random walk, and the innovations show it; an exact input leaves them white.
     assert "coloured residuals" in found[WALK].remark
     assert "coloured" not in found[KNOWN].remark
+    assert "coloured" not in found[SHAPED].remark
     assert "coloured" not in on_walk()[WALK].remark
 
 
@@ -116,6 +119,23 @@ def test_known_input_gives_the_truth_and_noise_is_all_that_is_left() -> None:
 def test_random_walk_is_consistent_where_the_input_is_one(option: str) -> None:
     row = on_walk()[option]
     assert np.all(np.abs(z_scores(row)) < 4)
+
+
+def test_shaped_noise_is_consistent_for_a_telegraph_through_a_lag() -> None:
+    """Its spectrum is that of two real poles: 2 / s from the flips, 1 / LAG from the cart.
+
+    Second moments are all that the criterion sees, so a distribution far from normal does no harm.
+    """
+    row = on_telegraph()[SHAPED]
+    assert row.estimate is not None
+    assert np.all(np.abs(z_scores(row)) < 4)
+    for name, value in (
+        ("w of a_y", np.sqrt(2 / LAG)),
+        ("zeta of a_y", (2 + 1 / LAG) / (2 * np.sqrt(2 / LAG))),
+    ):
+        found = row.estimate.parameter(name)
+        assert found.std_error is not None
+        assert abs(found.value - value) < 4 * found.std_error
 
 
 def test_what_is_measured_beside_the_walk_lowers_the_errors() -> None:
