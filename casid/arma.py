@@ -125,7 +125,9 @@ def arma(
     residual : (N,) array of zero mean, or a list of them (records, gaps).
     na, nc : free coefficients of ar and ma; both 0 gives the variance alone.
     start : a previous estimate with the same orders, as inside an iteration.
-    discard, solver, throw : as `casid.polynomial.prediction_error`.
+    discard, solver, throw : as `casid.polynomial.prediction_error`. Inside an iteration
+        ``throw=False`` keeps a short or overfitted residual, whose moving average runs to the unit
+        circle, from ending it: ask `is_converged`.
 
     Raises
     ------

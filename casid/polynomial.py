@@ -27,7 +27,7 @@ from casid.uncertainty import sandwich
 Array = NDArray[Any]
 Errors = Literal["white", "robust"]
 NEAR = 0.999  # a root with this modulus or more is at the unit circle
-CANCEL = 1e-3  # scaled information below which polynomials may cancel by accident: look further
+CANCEL = 0.5  # samples' worth of scaled information: with less, roots may cancel by accident
 NO_NOISE = 1e-24  # of the power of y: what is left is rounding
 ASSUMES = {
     "white": "white innovations, i.e. a true system in the model set: (2.54)-(2.56) with "
@@ -93,6 +93,16 @@ def prediction_error(
     -----
     Consistent in open and closed loop if the true system is in the model set; with G alone in it
     (OE, a wrong noise model) in open loop only (Ljung 1999, sections 8.4 and 13.4).
+
+    Example
+    -------
+    >>> rng = np.random.default_rng(3)
+    >>> u, y = rng.normal(size=500), np.zeros(500)
+    >>> for t in range(1, 500):
+    ...     y[t] = 0.8 * y[t - 1] + 0.5 * u[t - 1]
+    >>> model = prediction_error(y + 0.1 * rng.normal(size=500), u, Orders(nb=1, nf=1))
+    >>> model.structure, round(model["f1[u]"], 1), round(model["b1[u]"], 1)
+    ('OE', -0.8, 0.5)
     """
     raw, inputs = records_of(y, u)
     layout = Layout.of(orders, inputs)
@@ -277,7 +287,8 @@ def _best(
     tried: list[tuple[Solution, int]] = []
     for i in order[:4]:
         tried.append((_minimise(criterion, points[i][1], solver), i))
-        if tried[-1][0].is_converged and _information(tried[-1][0])[0][0] > CANCEL:
+        least = float(_information(tried[-1][0])[0][0])
+        if tried[-1][0].is_converged and least * criterion.N > CANCEL:
             break
     best, chosen = min(tried, key=lambda item: (not item[0].is_converged, item[0].value))
     label, _, notes = points[chosen]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
+from casid import polynomial
 from casid.data import Record
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.nlp import Solver
@@ -158,7 +161,7 @@ def test_white_standard_errors_fail_for_coloured_noise_as_predicted_and_robust_o
 @STRUCTURES
 def test_start_values_are_consistent(structure):
     """Hannan-Rissanen and Steiglitz-McBride after a long ARX: the search starts near the truth."""
-    y, u, orders, theta = record(structure, 20_000, seed=40)
+    y, u, orders, theta = record(structure, 5000, seed=40)
     points = candidates([(y, {"u": u})], Layout.of(orders, ["u"]))
     model = prediction_error(y, u, orders)
     sigma = np.sqrt(np.diag(model.covariance))
@@ -193,7 +196,7 @@ def closed_loop(n: int, seed: int, c: float, k: float, variance: float):
 
 def test_in_closed_loop_direct_prediction_error_needs_the_right_noise_model():
     """ARMAX is consistent; least squares and OE go where theory sends them (Ljung 1999, 13.4)."""
-    c, k, variance, n = 0.7, 0.5, 1.0, 40_000
+    c, k, variance, n = 0.7, 0.5, 1.0, 20_000
     y, u = closed_loop(n, 7, c, k, variance)
     truth = np.array([-0.9, 1.0])
 
@@ -521,10 +524,11 @@ def test_frequency_responses_are_those_of_python_control():
 def test_the_mean_of_the_spectrum_is_the_disturbances_variance():
     """Parseval; for C/D = 1/(1 - d q^-1) the variance is lambda / (1 - d^2)."""
     y, _, _, _ = record("ARX", 2000, seed=21)
-    model = prediction_error(y, None, Orders(nd=1), Ts=0.1)
     grid = (np.arange(4096) + 0.5) / 4096 * np.pi / 0.1
-    variance = model.noise_variance / (1 - model["d1"] ** 2)
-    assert np.mean(model.spectrum(grid)) == pytest.approx(variance, rel=1e-6)
+    for orders, name in ((Orders(nd=1), "d1"), (Orders(na=1), "a1")):
+        model = prediction_error(y, None, orders, Ts=0.1)
+        variance = model.noise_variance / (1 - model[name] ** 2)
+        assert np.mean(model.spectrum(grid)) == pytest.approx(variance, rel=1e-6)
 
 
 def test_the_table_shows_coefficients_with_their_errors():
@@ -571,6 +575,40 @@ def test_a_given_start_is_used():
     assert np.all(np.abs(again.theta - first.theta) < 1e-3 * np.sqrt(np.diag(first.covariance)))
     with pytest.raises(ModelError, match="start has the coefficients a1.*give a model of the same"):
         prediction_error(y, u, Orders(nb=2, nf=2), start=first)
+
+
+def test_a_given_start_is_in_the_units_of_the_data():
+    """b of 1000 per input: the search is there at once."""
+    y, u, orders, _ = record("BJ", 500, seed=25)
+    first = prediction_error(1000 * y, u, orders)
+    again = prediction_error(1000 * y, u, orders, start=first, discard=first.discarded[0])
+    assert again.iterations <= 2
+
+
+def test_a_local_optimum_beside_a_lower_end_on_the_unit_circle_is_said_to_be_local(monkeypatch):
+    """The first start stops at a root of C on the circle, with a lower loss; the second converges."""
+    y, u, orders, _ = record("ARMAX", 300, seed=42)
+    solve, calls = polynomial._minimise, []
+
+    def first_at_the_circle(criterion, theta, solver):
+        calls.append(theta)
+        solution = solve(criterion, theta, solver)
+        if len(calls) > 1:
+            return solution
+        x = np.r_[solution.x[:4], -1.0 + 1e-5, 0.0]
+        return replace(solution, x=x, value=0.5 * solution.value, scaled_gradient=1.0)
+
+    monkeypatch.setattr(polynomial, "_minimise", first_at_the_circle)
+    model = prediction_error(y, u, orders)
+    assert model.is_converged
+    assert len(calls) == 2
+    assert any("root of C of modulus 0.99999" in n and "a local one" in n for n in model.notes)
+
+
+def test_the_predictor_reaches_back_over_the_product_of_its_polynomials():
+    """D A y reaches nd + na, D B u reaches nd + nk + nb - 1."""
+    assert Layout.of(Orders(na=1, nb=2, nk=3, nd=2), ["u"]).longest_lag == 2 + 3 + 2 - 1
+    assert Layout.of(Orders(na=5, nb=2, nd=2), ["u"]).longest_lag == 2 + 5
 
 
 def test_more_parameters_than_the_system_has_are_said_to_cancel():
