@@ -586,7 +586,7 @@ def test_a_given_start_is_in_the_units_of_the_data():
 
 
 def test_a_local_optimum_beside_a_lower_end_on_the_unit_circle_is_said_to_be_local(monkeypatch):
-    """The first start stops at a root of C on the circle, with a lower loss; the second converges."""
+    """One start ends at a root of C on the circle, with a lower loss; the next converges."""
     y, u, orders, _ = record("ARMAX", 300, seed=42)
     solve, calls = polynomial._minimise, []
 
