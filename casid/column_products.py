@@ -82,10 +82,12 @@ def _common(
     `is_half`: for lags i >= j alone, the rest zero.
     """
     low, high = 0 if is_half else 1 - sizes[1], sizes[0] - 1
-    sums = np.zeros(high - low + 1)
+    blocks = []
     for first in range(*span, BLOCK):
         last = min(first + BLOCK, span[1])
-        sums += np.correlate(y[first + low : last + high], x[first:last], "valid")
+        blocks.append(np.correlate(y[first + low : last + high], x[first:last], "valid"))
+    # What rounding leaves here is all that nearly dependent columns have left.
+    sums: Array = np.asarray(np.sum(blocks, axis=0, dtype=np.longdouble), dtype=np.float64)
     offset = np.arange(sizes[0])[:, None] - np.arange(sizes[1])
     return np.where(offset >= low, sums[np.maximum(offset - low, 0)], 0.0)
 

@@ -50,6 +50,8 @@ class Instruments:
     n_delta0 : lags of the reference then.
     n_delta, n_y, n_u : lags of a_hat, of each simulated output and of each simulated input, from
         lag 0 on (the direct term of the loop needs it); 0 leaves the block out.
+    reduce : replace the columns by independent ones of the same span, see `independent`. Weightings
+        that depend on the span alone do not notice; ``"identity"`` does, and wants them as given.
     """
 
     reference: str | Mapping[str, str]
@@ -59,6 +61,7 @@ class Instruments:
     n_delta: int = 4
     n_y: int = 4
     n_u: int = 4
+    reduce: bool = True
 
     def __post_init__(self) -> None:
         for name in ("n_delta0", "n_delta", "n_y", "n_u"):
@@ -216,7 +219,8 @@ class Loop:
                 )
                 if taps:
                     columns.append(Column(f"{c}^[t-{i}]", taps))
-        return Simulated(signals, independent(columns), transient(denominator))
+        chosen = independent(columns) if settings.reduce else tuple(columns)
+        return Simulated(signals, chosen, transient(denominator))
 
 
 def from_reference(drives: Mapping[str, Array], lags: int) -> Simulated:

@@ -144,14 +144,13 @@ def _cross_spectra(
     """
     from scipy.fft import rfft
 
-    window = np.hanning(length + 1)[:-1]
-    window /= np.linalg.norm(window)
+    window = _hann(length)
     n = len(signals[0])
     if n < length:
         signals = [np.concatenate([s, np.zeros(length - n)]) for s in signals]
     pieces = [np.lib.stride_tricks.sliding_window_view(s, length)[:: length // 2] for s in signals]
     count = len(pieces[0])
-    at_once = max(1, 16_384 // length)
+    at_once = max(1, 32_768 // length)
     buffer = np.empty((at_once, length))
     total: dict[tuple[int, int], Array] = {}
     for first in range(0, count, at_once):
@@ -161,14 +160,23 @@ def _cross_spectra(
             for p in pieces
         ]
         for i, j in pairs:
-            f, g = transforms[i], transforms[j]
-            new = (
-                np.einsum("sf,sf->f", f.real, f.real) + np.einsum("sf,sf->f", f.imag, f.imag)
-                if i == j
-                else np.einsum("sf,sf->f", f, g.conj())
-            )
+            if i == j:  # real and imaginary parts in turn, as they lie: squared here, added below
+                f = transforms[i].view(np.float64)
+                new = np.einsum("sf,sf->f", f, f)
+            else:
+                new = np.einsum("sf,sf->f", transforms[i], transforms[j].conj())
             total[i, j] = total[i, j] + new if (i, j) in total else new
-    return {key: value / count for key, value in total.items()}
+    return {
+        (i, j): (sums.reshape(-1, 2).sum(axis=1) if i == j else sums) / count
+        for (i, j), sums in total.items()
+    }
+
+
+@functools.lru_cache(maxsize=8)
+def _hann(length: int) -> Array:
+    """Hann's window with a mean square of one over `length` (so that spectra have no other)."""
+    window = np.hanning(length + 1)[:-1]
+    return np.asarray(window / np.linalg.norm(window))
 
 
 def _covariances(spectrum: Array, length: int, lags: int) -> Array:

@@ -55,6 +55,8 @@ class Part:
     signals: Mapping[str, Array]  # channels of the equation, (N,), SI
     channels: Mapping[str, Array]  # everything recorded, (N,)
     Ts: float
+    # Sums of the signals' own products: write nothing over the samples while the part lives.
+    kept: dict[str, Array] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def name(self) -> str:
@@ -419,8 +421,8 @@ def moment_equations(
         )
     signals = {k: v[skip:] for k, v in signals.items()}
     N = n - skip - order
+    second = _own_products(part, phi, signals, skip + order, prefilter is None) / N
     if simulated is None:
-        second = _finite(column_products(phi, phi, signals, order), signals) / N
         return MomentEquations(
             part.name, equation, equation.columns, True,
             second[1:, 1:], second[1:, 0], second[1:, 1:], second, N, signals,
@@ -435,11 +437,32 @@ def moment_equations(
         if prefilter is None:
             simulated.kept[key] = kept
     signals |= kept[0]
-    second = _finite(column_products(phi, phi, signals, order), signals) / N
     cross = _finite(column_products(zeta, phi, signals, order), signals) / N
     return MomentEquations(
         part.name, equation, zeta, False, cross[:, 1:], cross[:, 0], kept[1], second, N, signals
     )
+
+
+def _own_products(
+    part: Part, phi: Sequence[Column], signals: Mapping[str, Array], first: int, is_kept: bool
+) -> Array:
+    """sum of phi_t phi_t' from t = first on; those of the whole record are kept with the part.
+
+    `signals` begin where the transients end.
+    """
+    order = max(c.order for c in phi)
+    if not is_kept:
+        n = len(next(iter(part.signals.values())))
+        start = first - (n - len(next(iter(signals.values()))))
+        return _finite(column_products(phi, phi, signals, start), signals)
+    if "second" not in part.kept:
+        whole = column_products(phi, phi, part.signals, order)
+        part.kept["second"] = _finite(whole, part.signals)
+    total: Array = part.kept["second"]
+    if first <= order:
+        return total
+    head = {k: v[:first] for k, v in part.signals.items()}
+    return np.asarray(total - column_products(phi, phi, head, order))
 
 
 def _finite(sums: Array, signals: Mapping[str, Array]) -> Array:
