@@ -178,6 +178,33 @@ def test_steiglitz_mcbride_is_exact_without_noise():
     assert out == ()
 
 
+def test_steiglitz_mcbride_is_consistent_in_white_output_noise_and_least_squares_is_not():
+    """Least squares of z_t = -f z_{t-1} + b x_{t-1}: f is attenuated by r/(r + noise variance)."""
+    rng = np.random.default_rng(43)
+    n, f = 20_000, -0.8
+    x = rng.normal(size=n)
+    z = filtered((0.0, 1.0), (1.0, f), x) + rng.normal(size=n)
+    r = 1 / (1 - f**2)  # variance of the noise-free output
+    attenuated = arx(z, x, na=1, nb=1)["a1"]
+    assert attenuated == pytest.approx(f * r / (r + 1), abs=0.02)
+    b, poly, _ = steiglitz_mcbride([(z, x)], 1, 1, 1)
+    sigma = oe(z, x, nb=1, nf=1).std_errors
+    assert poly[1] == pytest.approx(f, abs=8 * sigma["f1[u]"])
+    assert b[1] == pytest.approx(1.0, abs=8 * sigma["b1[u]"])
+
+
+def test_without_noise_every_start_of_two_inputs_is_the_truth():
+    rng = np.random.default_rng(44)
+    u = {"a": coloured(rng, 400), "g": rng.normal(size=400)}
+    parts = dict(B={"a": B, "g": (0.0, 0.8)}, F={"a": A, "g": (1.0, -0.3)})
+    y = simulated(np.zeros(400), u, **parts)
+    orders = Orders(nb={"a": 2, "g": 1}, nf={"a": 2, "g": 1})
+    points = candidates([(y, u)], Layout.of(orders, ["a", "g"]))
+    assert len(points) == 3
+    for _, theta, _ in points:
+        assert theta == pytest.approx([1.0, 0.5, 0.8, -1.5, 0.7, -0.3], abs=1e-6)
+
+
 # -- closed loop --------------------------------------------------------------------------------
 
 
