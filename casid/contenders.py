@@ -117,6 +117,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "qpsol_options": {"print_iter": False, "print_header": False, "error_on_fail": False},
     },
 }
+_NOT_APART = "cannot be handed to a process of its own"
 _CHILD = "from casid.contenders import _serve; _serve()"
 _IMPORT_SECONDS = 60.0  # that a child may take to begin
 
@@ -238,7 +239,7 @@ def run_apart(
     try:
         state = pickle.dumps((compiled, dict(values), start))
     except Exception as error:  # a Python callback inside the program
-        words = f"cannot be handed to a process of its own: {str(error).strip().splitlines()[-1]}"
+        words = f"{_NOT_APART}: {(str(error).strip().splitlines() or [''])[-1]}"
         return [Outcome(c.name, reason=words) for c in todo]
     while todo:
         done = _serve_to(state, todo, timeout)
@@ -275,6 +276,8 @@ def _serve_to(state: bytes, todo: Sequence[Contender], timeout: float) -> list[O
         pickle.dump((state, [(c.name, c.solver, c.polish) for c in todo]), child.stdin)
         child.stdin.close()
         begun = answers.get(timeout=max(timeout, _IMPORT_SECONDS))
+        if begun:  # what hinders the program from being read there
+            return [Outcome(c.name, reason=f"{_NOT_APART}: {begun}") for c in todo]
         while begun is not None and len(done) < len(todo):
             found = answers.get(timeout=timeout)
             if found is None:
@@ -309,8 +312,12 @@ def _serve() -> None:
         pipe.flush()
 
     state, entries = pickle.load(sys.stdin.buffer)
-    compiled, values, start = pickle.loads(state)
-    answer("ready")
+    try:
+        compiled, values, start = pickle.loads(state)
+    except Exception as error:
+        answer((str(error).strip().splitlines() or [type(error).__name__])[-1])
+        return
+    answer("")
     for name, solver, polish in entries:
         answer(run_here(name, solver, partial(_attempt, compiled, values, start, polish)))
 

@@ -280,6 +280,27 @@ def test_a_solver_that_dies_costs_one_row(monkeypatch):
     assert comparison.agreeing == ("sqpmethod/qrqp", "ipopt")
 
 
+class Cube(ca.Callback):
+    """x^3 as Python code: nothing that another process could be given."""
+
+    def __init__(self):
+        ca.Callback.__init__(self)
+        self.construct("cube", {"enable_fd": True})
+
+    def eval(self, arguments):
+        return [arguments[0] ** 3]
+
+
+def test_a_program_that_holds_python_code_says_why_plug_ins_do_not_run():
+    cube = Cube()
+    nlp = Nlp("callback")
+    x = nlp.variable("x", 1.5)
+    nlp.minimize((cube(x) - 8) ** 2)
+    comparison = compare_solvers(nlp, solvers=["ipopt", "scipy/SLSQP"])
+    assert "cannot be handed to a process of its own" in comparison["ipopt"].reason
+    assert comparison["scipy/SLSQP"].x == pytest.approx([2.0], rel=1e-3)  # by finite differences
+
+
 def test_an_active_bound_is_not_for_the_closed_form():
     nlp = Nlp()
     a, b = nlp.variable("a", 0.5, lower=0.0), nlp.variable("b", 0.5)
