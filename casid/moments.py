@@ -396,6 +396,8 @@ def of_file(
 ) -> Moments:
     """Compute the cross moments of a CSV or Parquet file, `chunk` rows at a time.
 
+    Samples that are not finite, and rows that the clock leaves out, are gaps.
+
     Parameters
     ----------
     columns : mapping of channel to column of the file, as `casid.reading.iter_chunks`
@@ -420,9 +422,9 @@ def of_file(
         settle=settle,
         constant=constant,
     )
-    for index, part in enumerate(iter_chunks(path, columns, chunk, time=time)):
+    for index, part in enumerate(iter_chunks(path, columns, chunk, time=time, gaps=True)):
         if index == 0 and "t" in part and "t" not in columns and part["t"].size > 1:
-            _check_sample_time(path.name, prefilter, float(np.median(np.diff(part["t"]))))
+            _check_sample_time(path.name, prefilter, float(np.nanmedian(np.diff(part["t"]))))
         total.add(part)
     return _filled(total.moments, path.name)
 

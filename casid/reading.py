@@ -305,7 +305,9 @@ class _Table:
         if self.is_parquet:
             import pyarrow.parquet as pq
 
-            for batch in pq.ParquetFile(self.path).iter_batches(batch_size=size, columns=columns):
+            # Without these pyarrow reads ahead, all of the file; a row group may be all of it too.
+            file = pq.ParquetFile(self.path, pre_buffer=False, buffer_size=1 << 20)
+            for batch in file.iter_batches(batch_size=size, columns=columns):
                 yield batch.to_pandas(ignore_metadata=True)
             return
         try:
@@ -1017,8 +1019,15 @@ def iter_chunks(
     size: int = 100_000,
     *,
     time: str | ColumnSpec | Sequence[str | None] | None = None,
+    gaps: bool = False,
 ) -> Iterator[dict[str, FloatArray]]:
     """Read a CSV or Parquet file `size` samples at a time, in SI units.
+
+    Parameters
+    ----------
+    gaps : bool
+        Let samples through that are not finite, and put one row of NaN where the clock leaves out
+        rows, instead of refusing the file.
 
     Yields
     ------
@@ -1045,16 +1054,22 @@ def iter_chunks(
         chunk: dict[str, FloatArray] = {}
         for channel, spec in specs.items():
             numbers = _numbers(table, frame, channel, spec, found, skip_text=columns is None)
-            if numbers is not None and not np.isfinite(numbers).all():
+            if numbers is not None and not gaps and not np.isfinite(numbers).all():
                 found.faults.append(_non_finite(table, channel, spec, numbers, rows, None))
             if numbers is not None:
                 chunk[channel] = to_si(numbers, spec.unit or "1", spec.target)
         times = None if clock is None else _times(table, frame, clock, found)
-        if times is not None and times.size > 1:
+        holes: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
+        if times is not None and times.size > (last is None):
             joined = times if last is None else np.concatenate(([last], times))
             median = float(np.median(np.diff(times))) if median is None else median
-            found.faults += time_faults(joined, table.path.name)
+            clock_faults = time_faults(joined, table.path.name)
+            found.faults += [f for f in clock_faults if f.kind == "order" or not gaps]
             slow = np.abs(np.diff(joined) - median) > UNIFORM * median * (1 + 1e-9)
+            if gaps:
+                long = np.diff(joined) > GAP * median
+                slow &= ~long
+                holes = np.flatnonzero(long) + (1 if last is None else 0)
             if slow.any() and not found.faults:
                 found.faults.append(
                     Fault(
@@ -1069,5 +1084,7 @@ def iter_chunks(
             raise DataError(str(found.faults[0]))
         if times is not None and "t" not in chunk:
             chunk["t"] = times
+        if holes.size:
+            chunk = {name: np.insert(values, holes, np.nan) for name, values in chunk.items()}
         start += len(frame)
         yield chunk

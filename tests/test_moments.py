@@ -22,7 +22,7 @@ from casid.data import Record
 from casid.errors import DataError
 from casid.moments import Accumulator, Moments, moments, of_file, of_record, weighted
 from casid.prepare import anti_alias, equiripple
-from casid.reading import read_record
+from casid.reading import iter_chunks, read_record
 from casid.writing import write_text
 from tests.shared import ROOT
 
@@ -420,13 +420,48 @@ def test_a_file_read_in_chunks_gives_the_moments_of_its_record_in_si(tmp_path, n
     assert result.gram[4, 4] == pytest.approx(1e6 * np.sum(F[3:] ** 2), rel=gamma(600))
 
 
+@pytest.mark.parametrize("row_group", [50_000, 1_000_000])
+def test_a_parquet_file_is_never_in_memory_whole(tmp_path, row_group):
+    """8 MB in one row group or in twenty; a buffer of 1 MB, a page and a chunk are held."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = tmp_path / "run.parquet"
+    columns = pa.table(noise(1_000_000, "y"))
+    pq.write_table(columns, path, row_group_size=row_group, use_dictionary=False)
+    assert path.stat().st_size > 7e6
+    del columns
+    before, most = pa.total_allocated_bytes(), 0
+    for part in iter_chunks(path, {"y": "y"}, 10_000):
+        most = max(most, pa.total_allocated_bytes() - before)
+        assert part["y"].size == 10_000
+    assert most < 4e6
+
+
+@pytest.mark.parametrize("chunk", [2, 10, 33, 200, 469, 100_000])
+def test_empty_cells_and_rows_left_out_of_a_file_are_gaps(tmp_path, chunk):
+    phi, F = table(tmp_path / "run.csv")
+    rows = (tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()
+    rows[1 + 100] = rows[1 + 100].rpartition(",")[0] + ","
+    write_text(tmp_path / "holes.csv", "\n".join(rows[:201] + rows[231:]) + "\n")
+    result = of_file(tmp_path / "holes.csv", COLUMNS, 2, chunk=chunk)
+    SI = {"phi": np.deg2rad(phi), "F": 1000 * F}
+    expected = sum(
+        moments({c: x[cut] for c, x in SI.items()}, 2) for cut in np.s_[:100, 101:200, 230:]
+    )
+    assert np.allclose(result.total, expected.total, rtol=gamma(500), atol=0)
+    assert result.N == 98 + 97 + 268
+
+
 def test_files_with_a_faulty_clock_or_too_few_samples_are_refused(tmp_path):
     path = tmp_path / "run.csv"
     table(path)
     rows = path.read_text(encoding="utf-8").splitlines()
-    write_text(tmp_path / "hole.csv", "\n".join(rows[:200] + rows[230:]) + "\n")
-    with pytest.raises(DataError, match="window|resample|by themselves"):
-        of_file(tmp_path / "hole.csv", COLUMNS, 2)
+    for k in range(300, 501):
+        rows[k] = f"{0.02 * 300 + 0.021 * (k - 300):.6f}," + rows[k].partition(",")[2]
+    write_text(tmp_path / "drift.csv", "\n".join(rows) + "\n")
+    with pytest.raises(DataError, match="1 %.*by themselves"):
+        of_file(tmp_path / "drift.csv", COLUMNS, 2)
     with pytest.raises(DataError, match=r"run\.csv.*Ts=0\.02"):
         of_file(path, COLUMNS, 2, prefilter=equiripple(0.5, 0.01))
     with pytest.raises(DataError, match="fewer lags"):
