@@ -36,7 +36,11 @@ PAGES = (
     "report",
     "records",
     "diagnosis",
+    "linear_models",
     "instruments",
+    "prediction",
+    "solvers",
+    "campaigns",
     "limits",
 )
 
