@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,12 +20,12 @@ from casid.data import Experiment, Record
 from casid.errors import CasidError, DataError, ModelError
 from casid.estimate import Estimate
 from casid.identification import FitSettings, identify
+from casid.input_models import as_known, as_random_walk, as_shaped_noise, require_unknown
 from casid.model import Model
 from casid.nlp import Solver
 from casid.noisy_model import White
 from casid.prediction_error import minimize_prediction_error
 from casid.problem import Problem
-from casid.units import unit_quotient
 
 Array = NDArray[Any]
 
@@ -41,101 +41,6 @@ OPTIONS = (KNOWN, AS_EXACT, WITH_ERRORS, WALK, WALK_INTEGRAL, SHAPED, SIMULATION
 """The options in the order of 7.3: (A) the first three, (B) three, (C) two."""
 
 _LETTER = dict(zip(OPTIONS, "AAABBBCC", strict=True))
-
-
-# -- the models ---------------------------------------------------------------------------------
-
-
-def as_known(model: Model, unknown: str) -> Model:
-    """The model with its unknown input recorded in a channel of the same name."""
-    _require_unknown(model, unknown)
-    new = model.copy()
-    new.inputs[unknown] = replace(new.inputs[unknown], kind="known")
-    return new
-
-
-def as_random_walk(
-    model: Model,
-    unknown: str,
-    *,
-    measured: bool = False,
-    integral: str | None = None,
-    integral_unit: str | None = None,
-) -> tuple[Model, str]:
-    """The model with its unknown input as a state that is driven by white noise.
-
-    Parameters
-    ----------
-    measured : the input has a noisy channel of its own name, which becomes an output.
-    integral : channel of its integral (a speed where the input is an acceleration), an output too.
-    integral_unit : SI unit of that channel.
-
-    Returns
-    -------
-    The model, and the name of the white noise that drives the state: an unknown input, to be given
-    as `White(name, sd)` with sd in units of the input's rate times sqrt(s).
-    """
-    _require_unknown(model, unknown)
-    unit = model.inputs[unknown].unit
-    new = model.copy()
-    state = new.state(new.free_name(f"{unknown} as state"), unit)
-    rate = f"rate of {unknown}"
-    new.derivative(state, new.unknown_input(rate, unit_quotient(unit, "s")))
-    new.substitute_symbol(unknown, state)
-    del new.inputs[unknown]
-    if measured:
-        new.output(unknown, state, unit)
-    if integral is not None:
-        unit = integral_unit or unit_quotient(unit, "s", -1)
-        moved = new.state(new.free_name(f"integral of {unknown}"), unit)
-        new.derivative(moved, state)
-        new.output(integral, moved, unit)
-    return new, rate
-
-
-def as_shaped_noise(model: Model, unknown: str, *, bandwidth: float = 3.0) -> tuple[Model, str]:
-    """The model with its unknown input as white noise through two poles, which are estimated.
-
-        u'' + 2 zeta w u' + w^2 u = w^2 noise
-
-    Fits an input that is smooth or comes back to zero, which a random walk does not. Only the
-    input's spectrum matters, not its distribution: a telegraph through a lag has two real poles.
-
-    Parameters
-    ----------
-    bandwidth : where the estimation of w starts [rad/s]; zeta starts at one.
-
-    Returns
-    -------
-    The model, with the parameters "w of <unknown>" and "zeta of <unknown>", and the name of the
-    white noise, to be given as `White(name, sd)` with sd in units of the input times sqrt(s).
-    """
-    _require_unknown(model, unknown)
-    unit = model.inputs[unknown].unit
-    new = model.copy()
-    state = new.state(new.free_name(f"{unknown} as state"), unit)
-    slope = new.state(new.free_name(f"slope of {unknown}"), unit_quotient(unit, "s"))
-    w = new.parameter(f"w of {unknown}", "rad/s", start=bandwidth, lower=1e-3, upper=1e4)
-    zeta = new.parameter(f"zeta of {unknown}", "1", start=1.0, lower=1e-3, upper=1e3)
-    source = f"source of {unknown}"
-    white = new.unknown_input(source, unit)
-    new.derivative(state, slope)
-    new.derivative(slope, w**2 * (white - state) - 2 * zeta * w * slope)
-    new.substitute_symbol(unknown, state)
-    del new.inputs[unknown]
-    return new, source
-
-
-def _require_unknown(model: Model, unknown: str) -> None:
-    names = [n for n, i in model.inputs.items() if i.kind == "unknown"]
-    if unknown not in names:
-        raise ModelError(
-            f"{model.name}: {unknown!r} is not an unknown input; it has "
-            f"{', '.join(names) or 'none (give the direct model, before eliminate)'}"
-        )
-
-
-# -- the comparison -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -387,7 +292,7 @@ def _the_unknown(model: Model, unknown: str | None) -> str:
         raise ModelError(
             f"{model.name} has several unknown inputs ({', '.join(names)}); say which with unknown="
         )
-    _require_unknown(model, unknown or "")
+    require_unknown(model, unknown or "")
     return str(unknown)
 
 
@@ -444,7 +349,9 @@ def _fit(job: _Job, option: str) -> Estimate:
     elif option == SHAPED:
         model, source = as_shaped_noise(job.model, job.unknown)
         experiments = job.experiments
-        noise = [*job.white(model, experiments), White(source, job.roughness())]
+        # psd / (4 zeta w^3) is the variance that such noise has.
+        w = model.parameters[f"w of {job.unknown}"].start
+        noise = [*job.white(model, experiments), White(source, 2 * w**1.5 * job.roughness())]
     else:
         model = job.model.eliminate(job.unknown, using=job.using)
         experiments = job.experiments

@@ -119,6 +119,16 @@ def test_python_control_gets_the_innovations_form() -> None:
     np.testing.assert_allclose(back, y, atol=1e-10)
 
 
+def test_python_control_finds_the_same_gain() -> None:
+    """`control.dlqe` knows no correlation of the noises, so S = 0; L is the predictor's gain."""
+    s = system(5)
+    s = replace(s, S=np.zeros((s.nx, s.ny)))
+    L, P, _ = control.dlqe(s.A, np.eye(s.nx), s.C, s.Q, s.R)
+    p = steady_state(s)
+    np.testing.assert_allclose(p.P, P, rtol=1e-8, atol=1e-9 * np.max(P))
+    np.testing.assert_allclose(p.K, L, rtol=1e-8, atol=1e-9)
+
+
 def test_innovations_are_white_and_of_the_covariance_that_is_claimed() -> None:
     s = system(2)
     y, u = record(s, 6000, 5)

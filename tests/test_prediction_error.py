@@ -370,6 +370,14 @@ def test_names_that_the_model_does_not_have_are_refused() -> None:
         fit_lag(lag_record(0), own=["q"])
 
 
+def test_state_that_no_output_sees_is_named() -> None:
+    """The cart's speed, unless it is measured: it never decays, and nothing depends on it."""
+    model = walk_model()
+    model.derivative(model.state("v", "m/s"), model.symbol("a"))
+    with pytest.raises(ModelError, match=r"not detectable: the mode at z = 1 \(in v\).*leave the"):
+        minimize_prediction_error(model, simulate(duration=5.0), WALK_NOISE[:3])
+
+
 def test_continuous_noise_that_a_sensor_feels_at_once_is_refused() -> None:
     noise = [*WALK_NOISE[:3], White("torque", 0.05)]
     with pytest.raises(ModelError, match="accel feels the noise of torque at once.*held=True"):

@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 
 import casid
 from casid.errors import DataError, ModelError
+from casid.input_models import as_known, as_random_walk
 from casid.linear import linearise
 from casid.noisy_model import White
 from casid.unknown_input import (
@@ -26,8 +27,6 @@ from casid.unknown_input import (
     WITH_ERRORS,
     OptionRow,
     UnknownInputComparison,
-    as_known,
-    as_random_walk,
     compare_unknown_input_options,
 )
 from problems.pendulum import direct_model
