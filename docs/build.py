@@ -142,6 +142,7 @@ a { color: #2a5599; }
 pre { padding: .8rem 1rem; overflow-x: auto; background: #f3f5f8; border-radius: 4px;
       font: 13px/1.45 ui-monospace, monospace; }
 pre.output { background: #fff; border-left: 3px solid #9db3d0; border-radius: 0; }
+pre .prose { white-space: pre-wrap; }
 code { font: .9em ui-monospace, monospace; }
 table { border-collapse: collapse; } th, td { padding: .3rem .8rem .3rem 0; text-align: left;
       vertical-align: top; border-bottom: 1px solid #dde3ea; }
@@ -156,10 +157,17 @@ TEMPLATE = """<!doctype html>
 """
 
 
+def output_line(line: str) -> str:
+    """A printed line as HTML; a long one wraps if it is prose, not a row of a table."""
+    text = html.escape(line)
+    is_prose = len(line) > 88 and "  " not in re.sub(r"^ *(\S+( \S+)? {2,})?", "", line)
+    return f'<span class="prose">{text}</span>' if is_prose else text
+
+
 def highlight(code: str, language: str, _: str) -> str:
     """A fenced block as HTML, coloured by Pygments, its colours in the page."""
     if language == "output":
-        return f'<pre class="output">{html.escape(code)}</pre>'
+        return f'<pre class="output">{"".join(output_line(n) for n in code.splitlines(True))}</pre>'
     from pygments import highlight as colour
     from pygments.formatters import HtmlFormatter
     from pygments.lexers import get_lexer_by_name
