@@ -124,6 +124,16 @@ def test_whitening_returns_the_innovations_and_colouring_undoes_it():
     assert np.mean(model.spectrum(grid)) == pytest.approx(float(impulse @ impulse), rel=1e-9)
 
 
+def test_the_transient_of_whitening_is_over_after_its_memory():
+    """A stretch cut out of its past is whitened up to c^k of what its first samples lack."""
+    v = disturbance(500, 13, (1.0, -0.5), (1.0, 0.9))
+    model = Arma(np.array([1.0, -0.5]), np.array([1.0, 0.9]), 1.0, np.zeros((2, 2)))
+    gap = np.abs(model.whiten(v)[200:] - model.whiten(v[200:]))
+    assert model.memory == 1 + 44  # 0.9^44 = 0.0097
+    assert gap[model.memory] < 0.01 * gap[0] * 1.5  # the first samples lack ar's reach as well
+    assert gap[model.memory] > 0.001 * gap[0]
+
+
 def test_a_filter_that_would_be_unstable_is_refused():
     model = Arma(np.array([1.0]), np.array([1.0, -1.25]), 1.0, np.zeros((1, 1)))
     assert not model.is_invertible

@@ -488,7 +488,7 @@ def test_a_record_is_cut_at_its_missing_samples():
     mask = np.zeros(300, dtype=bool)
     mask[[100, 101, 250]] = True
     whole = Record({"roll": y, "rudder": u}, {"roll": "rad", "rudder": "rad"}, 0.1)
-    ys, us = stretches(whole.mark_missing("roll", mask), "roll", ["rudder"], shortest=60)
+    ys, us = stretches(whole.mark_missing("roll", mask), "roll", ["rudder"], shortest=100)
     assert [len(part) for part in ys] == [100, 148]
     assert arx(ys, us, na=2, nb=2, Ts=0.1).inputs == ("rudder",)
     with pytest.raises(DataError, match="no stretch of 200 samples.*lower `shortest`"):
