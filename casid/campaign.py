@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casid.dask_backend import outliving_workers
 from casid.errors import CasidError, DataError, SolveError
 from casid.manifest import manifest_of
 from casid.parts import FAILED, RUN, Parts, Row, row_of
@@ -360,12 +361,13 @@ class _Work:
                 self.handed[runs[0]] = runs
                 yield joblib.delayed(_run_batch)(self.function, self.seed, runs, self.stop)
 
-        pool = joblib.Parallel(return_as="generator_unordered", batch_size=1)
         results = None
         try:
-            results = pool(tasks())
-            for done in results:
-                self._keep(done)
+            with outliving_workers():
+                pool = joblib.Parallel(return_as="generator_unordered", batch_size=1)
+                results = pool(tasks())
+                for done in results:
+                    self._keep(done)
         except CasidError:
             raise
         except Exception as error:
@@ -420,6 +422,8 @@ class _Work:
             raise DataError(
                 f"{error}; choose loky, threading or dask in joblib.parallel_config"
             ) from error
+        if type(error).__name__ == "NoWorkersError":
+            raise SolveError(f"{error}; {self._state()}") from error
         error.add_note(self._state())
 
 

@@ -20,7 +20,7 @@ import joblib
 import numpy as np
 import pytest
 
-from casid import parts
+from casid import dask_backend, parts
 from casid.campaign import campaign, run_seed
 from casid.errors import DataError, SolveError
 from tests.shared import ROOT
@@ -444,6 +444,36 @@ def test_the_same_call_runs_on_a_dask_cluster_and_survives_a_killed_worker(tmp_p
     assert len(os.listdir(tmp_path / "deaths")) == 1  # one was killed in the middle
     assert result.failures == {}
     assert same(result, campaign(noisy, 60))
+
+
+class Leaving:
+    """Takes the last worker away in one run, as an operator would."""
+
+    def __call__(self, seed: np.random.SeedSequence) -> dict[str, float]:
+        if seed.spawn_key[0] == 7:
+            import distributed
+
+            worker = distributed.get_worker()
+            worker.loop.add_callback(worker.close, nanny=True)
+            time.sleep(60)
+        return noisy(seed)
+
+
+@pytest.mark.slow
+def test_a_cluster_that_loses_its_last_worker_ends_the_campaign_resumably(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(dask_backend, "PATIENCE", 1.0)
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster),
+        joblib.parallel_config(backend="dask"),
+    ):
+        with pytest.raises(SolveError, match="no worker for 1 s; start workers; [1-7] runs are"):
+            campaign(Leaving(), 12, out=tmp_path / "out", batch=1)
 
 
 @dataclass
