@@ -262,6 +262,17 @@ def test_van_loan_gives_the_covariance_of_an_integrated_random_walk() -> None:
     np.testing.assert_allclose(Q, q * np.array([[T**3 / 3, T**2 / 2], [T**2 / 2, T]]), rtol=1e-13)
 
 
+def test_sampled_noise_survives_modes_that_decay_within_a_sample() -> None:
+    """A = diag(-a) with dense noise: Q_ij = W_ij (1 - e^(-(a_i + a_j) T)) / (a_i + a_j).
+
+    Entries sum positive terms alone, each with a rounding error of 1e-16 a doubling.
+    """
+    a, W = np.array([0.3, 80.0, 1e4]), np.array([[2.0, 1.0, 0.5], [1.0, 3.0, 1.0], [0.5, 1.0, 1.0]])
+    rates = a[:, None] + a[None, :]
+    exact = W * -np.expm1(-rates * 0.5) / rates
+    np.testing.assert_allclose(sample_noise(np.diag(-a), W, 0.5), exact, rtol=1e-11)
+
+
 def test_sampled_noise_keeps_the_stationary_covariance() -> None:
     """A P + P A' + W = 0 in continuous time is P = Ad P Ad' + Q at the samples."""
     rng = np.random.default_rng(2)
