@@ -223,9 +223,9 @@ class MomentEquations:
         keep = values > 1e-12 * max(float(values[-1]), 1e-300)
         return np.asarray((vectors[:, keep] / np.sqrt(values[keep])).T / size)
 
-    def unconstrained(self) -> Array:
+    def unconstrained(self, whitener: Array | None = None) -> Array:
         """theta (ntheta,) of two-stage least squares, no physics used."""
-        w = self.whitener()
+        w = self.whitener() if whitener is None else whitener
         return np.asarray(np.linalg.lstsq(w @ self.Phi, w @ self.Y, rcond=None)[0])
 
     def error_power(self, theta: Array) -> float:
@@ -233,7 +233,13 @@ class MomentEquations:
         v = np.concatenate([[1.0], -theta])
         return max(float(v @ self.second @ v), 1e-300)
 
-    def root_weight(self, weighting: Weighting, theta: Array, covariance: Array | None) -> Array:
+    def root_weight(
+        self,
+        weighting: Weighting,
+        theta: Array,
+        covariance: Array | None,
+        whitener: Array | None = None,
+    ) -> Array:
         """R (r, nz) with R'R = Q of (2.42), so that ||R (Y - Phi theta)||^2 is a sum of N terms.
 
         ``"2sls"``: Q = N/sigma^2 (mean zeta zeta')^-1, the projection on the instruments. It does
@@ -246,11 +252,12 @@ class MomentEquations:
         if weighting == "optimal":
             if covariance is None:
                 raise ValueError("the optimal weighting needs the covariance of the moments")
-            w = self.whitener()
+            w = self.whitener() if whitener is None else whitener
             values, vectors = np.linalg.eigh(w @ covariance @ w.T)
             keep = values > 1e-10 * values[-1]
             return np.asarray(np.sqrt(self.N) * (vectors[:, keep] / np.sqrt(values[keep])).T @ w)
-        return np.asarray(np.sqrt(self.N / self.error_power(theta)) * self.whitener())
+        w = self.whitener() if whitener is None else whitener
+        return np.asarray(np.sqrt(self.N / self.error_power(theta)) * w)
 
     def error(self, theta: Array) -> Array:
         """L(q) (left - columns' theta) at every sample the means were taken from, (N,)."""

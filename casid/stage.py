@@ -442,7 +442,7 @@ class Stage:
         while True:
             try:
                 equations = self._equations(parts, simulated, prefilters)
-                correlations = [e.require_correlation() for e in equations] if check else []
+                correlations = self._seen(equations, values, theta_p) if check else []
             except IdentifiabilityError as blind:
                 if j == 0 and first is not simulated:
                     remarks.append(
@@ -459,7 +459,7 @@ class Stage:
                 )
                 simulated, prefilters, settled = *before, True
                 equations = self._equations(parts, simulated, prefilters)
-                correlations = [e.require_correlation() for e in equations]
+                correlations = self._seen(equations, values, theta_p)
                 allowed = j
             before = (simulated, prefilters)
             equations, roots = self._weigh(equations, parts, values, theta_p, history)
@@ -517,7 +517,7 @@ class Stage:
         """Estimate from moment equations as they are: no samples, so nothing to refine."""
         start = np.array([p.start for p in self.parameters], dtype=float)
         self.require_identifiable(start, values)
-        correlations = [e.require_correlation() for e in equations]
+        correlations = self._seen(equations, values, start)
         chosen, roots = self._weigh(list(equations), parts, values, start, [])
         theta_p, thetas, solution = self.solve(chosen, roots, values, start)
         at = [self._at(v, theta_p, fixed) for v, fixed in zip(values, self.known, strict=True)]
@@ -563,6 +563,61 @@ class Stage:
             self._driven[part.record] = raw, drives
         return drives
 
+    def _seen(
+        self,
+        equations: Sequence[MomentEquations],
+        values: Sequence[Mapping[str, float]],
+        theta_p: Array,
+    ) -> list[Correlation]:
+        """Canonical correlations of every part; refused where a free parameter stays unseen.
+
+        What counts is not every coefficient but every direction that the free parameters move, and
+        all parts together: the share of that motion's size that the instruments reproduce.
+        """
+        jacobians = np.split(
+            self.jacobian(theta_p, values),
+            np.cumsum([len(e.coefficients) for e in self.equations])[:-1],
+        )
+        seen = np.zeros((len(self.free), len(self.free)))
+        total = np.zeros_like(seen)
+        surplus = -len(self.free)
+        for e, J in zip(equations, jacobians, strict=True):
+            w = e.whitener()
+            surplus += len(w)
+            size = e.N / max(float(e.second[0, 0]), 1e-300)
+            moved = w @ e.Phi @ J
+            seen += size * moved.T @ moved
+            total += size * J.T @ e.second[1:, 1:] @ J
+        correlations = [e.correlation(with_memory=False) for e in equations]
+        if not np.all(np.isfinite(total)):
+            return correlations  # the start is special: nothing can be said there
+        scale = 1 / np.sqrt(np.maximum(np.diag(total), 1e-300))
+        values_, vectors = np.linalg.eigh(total * np.outer(scale, scale))
+        root = vectors / np.sqrt(np.maximum(values_, 1e-14 * values_[-1]))
+        shares, directions = np.linalg.eigh(root.T @ (seen * np.outer(scale, scale)) @ root)
+        from scipy.stats import chi2
+
+        limit = float(chi2.isf(1e-3, max(surplus + 1, 1)))
+        samples = float(sum(e.N for e in equations))
+        if surplus >= 0 and samples * shares[0] > 1e3 * limit:
+            return correlations  # no memory makes that chance
+        correlations = [e.correlation() for e in equations]
+        samples = sum(c.effective_samples for c in correlations)
+        if surplus >= 0 and samples * shares[0] > limit:
+            return correlations
+        step = scale * (root @ directions[:, 0])
+        step = step * np.where(theta_p == 0.0, 1.0, theta_p) ** -1.0
+        step /= step[np.argmax(np.abs(step))]
+        named = " and ".join(f for f, v in zip(self.free, step, strict=True) if abs(v) > 0.05)
+        rank = int(np.sum(samples * shares > limit))
+        raise IdentifiabilityError(
+            f"{', '.join(e.name for e in equations)}: Phi has rank {min(rank, len(self.free) - 1)} "
+            f"of {len(self.free)} in the free parameters; the instruments are not correlated with "
+            f"what {named} moves (correlation {np.sqrt(max(shares[0], 0.0)):.2g}, by chance "
+            f"{np.sqrt(limit / samples):.2g}). Use a reference that drives the system, more lags, "
+            "or fewer free parameters"
+        )
+
     def _drives(self, part: Part) -> dict[str, tuple[str, Any]]:
         assert self.instruments is not None
         return self.instruments.drives(self._loops[part.Ts].direct)
@@ -582,10 +637,14 @@ class Stage:
         history: Sequence[Array],
     ) -> tuple[list[MomentEquations], list[Array]]:
         weighting = self.settings.weighting
-        thetas = [e.unconstrained() for e in equations]
+        if weighting == "identity":
+            return equations, [e.root_weight(weighting, np.zeros(0), None) for e in equations]
+        whiteners = [e.whitener() for e in equations]
+        thetas = [e.unconstrained(w) for e, w in zip(equations, whiteners, strict=True)]
         if weighting != "optimal":
             return equations, [
-                e.root_weight(weighting, t, None) for e, t in zip(equations, thetas, strict=True)
+                e.root_weight(weighting, t, None, w)
+                for e, t, w in zip(equations, thetas, whiteners, strict=True)
             ]
         covariance = moment_covariance(
             equations, thetas, [p.name for p in parts], how=self.settings.covariance
