@@ -136,7 +136,8 @@ nav { position: fixed; inset: 0 auto 0 0; width: 13rem; padding: 1.5rem; backgro
 nav b { display: block; font-size: 1.3rem; margin-bottom: 1rem; }
 nav a { display: block; padding: .25rem 0; color: #2a5599; text-decoration: none; }
 nav a.here { font-weight: 600; color: #1c2330; }
-main { margin-left: 13rem; padding: 1.5rem 2.5rem 4rem; max-width: 52rem; }
+main { margin-left: 13rem; padding: 1.5rem 2.5rem 4rem; max-width: 58rem; }
+main > p, main > ul, main > ol { max-width: 50rem; }
 h1 { font-size: 1.8rem; } h2 { margin-top: 2.2rem; font-size: 1.3rem; }
 a { color: #2a5599; }
 pre { padding: .8rem 1rem; overflow-x: auto; background: #f3f5f8; border-radius: 4px;
