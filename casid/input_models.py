@@ -82,8 +82,8 @@ def as_shaped_noise(model: Model, unknown: str, *, bandwidth: float = 3.0) -> tu
     new = model.copy()
     state = new.state(new.free_name(f"{unknown} as state"), unit)
     slope = new.state(new.free_name(f"slope of {unknown}"), unit_quotient(unit, "s"))
-    w = new.parameter(f"w of {unknown}", "rad/s", start=bandwidth, lower=1e-3, upper=1e4)
-    zeta = new.parameter(f"zeta of {unknown}", "1", start=1.0, lower=1e-3, upper=1e3)
+    w = new.parameter(f"w of {unknown}", "rad/s", start=bandwidth, lower=1e-3, upper=1e3)
+    zeta = new.parameter(f"zeta of {unknown}", "1", start=1.0, lower=0.02, upper=50.0)
     source = f"source of {unknown}"
     white = new.unknown_input(source, unit_quotient(unit, "s", 2))
     new.derivative(state, slope)

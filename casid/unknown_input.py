@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -347,11 +347,7 @@ def _fit(job: _Job, option: str) -> Estimate:
         experiments = job.with_input(job.measured if option == WITH_ERRORS else None)
         noise = [*job.white(model, experiments), White(rate, job.roughness())]
     elif option == SHAPED:
-        model, source = as_shaped_noise(job.model, job.unknown)
-        experiments = job.experiments
-        # psd / (4 zeta w^3) is the variance that such noise has.
-        w = model.parameters[f"w of {job.unknown}"].start
-        noise = [*job.white(model, experiments), White(source, 2 * w**1.5 * job.roughness())]
+        return _fit_shaped(job)
     else:
         model = job.model.eliminate(job.unknown, using=job.using)
         experiments = job.experiments
@@ -365,6 +361,35 @@ def _fit(job: _Job, option: str) -> Estimate:
             noise += [White(b, level, held=True) for b in model.balances]
     return minimize_prediction_error(
         model, experiments, noise, solver=job.solver, throw=False
+    ).estimate
+
+
+def _fit_shaped(job: _Job) -> Estimate:
+    """From the fit as a random walk, which is easy: from afar the two poles wander off."""
+    walk, rate = as_random_walk(job.model, job.unknown)
+    easy = minimize_prediction_error(
+        walk,
+        job.experiments,
+        [*job.white(walk, job.experiments), White(rate, job.roughness())],
+        solver=job.solver,
+        throw=False,
+    )
+    model, source = as_shaped_noise(job.model, job.unknown)
+    start = {p.name: p.value for p in easy.estimate.parameters if p.name in model.parameters}
+    # Well above its poles, shaped noise is a walk of psd / (2 zeta w)^2.
+    w = model.parameters[f"w of {job.unknown}"].start
+    noise = [
+        n if n.is_known else replace(n, sd=max(easy.noise[n.where][0], 0.1 * n.sd))
+        for n in job.white(model, job.experiments)
+    ]
+    noise.append(White(source, 2 * w * easy.noise[rate][0]))
+    return minimize_prediction_error(
+        model,
+        job.experiments,
+        noise,
+        start={k: v for k, v in start.items() if not model.parameters[k].is_known},
+        solver=job.solver,
+        throw=False,
     ).estimate
 
 
