@@ -584,13 +584,15 @@ class Stage:
         for e, J in zip(equations, jacobians, strict=True):
             w = e.whitener()
             surplus += len(w)
-            size = e.N / max(float(e.second[0, 0]), 1e-300)
+            weight = e.N / max(float(e.second[0, 0]), 1e-300)
             moved = w @ e.Phi @ J
-            seen += size * moved.T @ moved
-            total += size * J.T @ e.second[1:, 1:] @ J
+            seen += weight * moved.T @ moved
+            total += weight * J.T @ e.second[1:, 1:] @ J
         correlations = [e.correlation(with_memory=False) for e in equations]
-        if not np.all(np.isfinite(total)):
-            return correlations  # the start is special: nothing can be said there
+        size = np.where(theta_p == 0.0, 1.0, np.abs(theta_p))
+        moves = np.diag(total) * size**2
+        if not np.all(np.isfinite(total)) or np.min(moves) < 1e-16 * np.max(moves):
+            return correlations  # a special point, as a load of 0 kg: nothing can be said there
         scale = 1 / np.sqrt(np.maximum(np.diag(total), 1e-300))
         values_, vectors = np.linalg.eigh(total * np.outer(scale, scale))
         root = vectors / np.sqrt(np.maximum(values_, 1e-14 * values_[-1]))
@@ -606,7 +608,7 @@ class Stage:
         if surplus >= 0 and samples * shares[0] > limit:
             return correlations
         step = scale * (root @ directions[:, 0])
-        step = step * np.where(theta_p == 0.0, 1.0, theta_p) ** -1.0
+        step = step / size
         step /= step[np.argmax(np.abs(step))]
         named = " and ".join(f for f, v in zip(self.free, step, strict=True) if abs(v) > 0.05)
         rank = int(np.sum(samples * shares > limit))
