@@ -8,12 +8,8 @@ that casid does not raise on purpose is a fault of casid, and keeps its tracebac
 from __future__ import annotations
 
 import contextlib
-import importlib
-import json
-import os
-import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +34,17 @@ from casid.options import (
     source_of,
     time_column,
     with_time,
+)
+from casid.terminal import (
+    print_json,
+    print_text,
+    progress_lines,
+    quiet_stdout,
+    reserved,
+    say,
+    say_where,
+    study_folder,
+    workers,
 )
 
 if TYPE_CHECKING:
@@ -101,31 +108,8 @@ class _Casid(click.Group):
 
 
 def _refuse(message: str, status: int = UNUSABLE) -> int:
-    _say(f"error: {message}")
+    say(f"error: {message}")
     return status
-
-
-def _say(text: str) -> None:
-    """Write to standard error, where there is one."""
-    # Not click.echo: told of an ASCII stream, it writes UTF-8 all the same.
-    with contextlib.suppress(OSError):
-        if sys.stderr is not None:
-            print(text, file=sys.stderr, flush=True)
-
-
-def _print(text: str) -> None:
-    """Write to standard output; a reader that has gone away (`| head`) is no error."""
-    try:
-        print(text, flush=True)
-    except BrokenPipeError:
-        # What is left in the buffer would raise once more when Python closes the stream.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _print_json(content: Any) -> None:
-    from casid.writing import plain
-
-    _print(json.dumps(plain(content), indent=1, allow_nan=False))
 
 
 # ---------------------------------------------------------------------- running
@@ -135,70 +119,13 @@ def _load(path: str) -> Problem:
     from casid.problem import load_problem
 
     try:
-        with _quiet_stdout():
+        with quiet_stdout():
             return load_problem(path)
     except SystemExit as error:
         raise ModelError(
             f"problem file {path} ends the program (exit status {error.code}) instead of defining "
             "`problem`; remove the call to exit"
         ) from error
-
-
-@contextlib.contextmanager
-def _quiet_stdout() -> Iterator[None]:
-    """Send what a problem file or a solver prints to standard error: results alone go out."""
-    with contextlib.redirect_stdout(sys.stderr):
-        yield
-
-
-@contextlib.contextmanager
-def _reserved(out: Path | None, name: str, *, force: bool) -> Iterator[Path]:
-    """The folder to write to, refused at once or kept only if the work succeeds."""
-    from casid.writing import output_folder
-
-    probe = out if out is not None else Path("reports")
-    new = [p for p in (probe, *probe.parents) if not p.exists()]
-    folder = output_folder(out, _folder_name(name), force=force)
-    if out is None:
-        new.insert(0, folder)
-    try:
-        if not os.access(folder, os.W_OK | os.X_OK):
-            raise DataError(f"{folder} cannot be written to; name another folder with --out")
-        yield folder
-    except BaseException:
-        for path in new:
-            with contextlib.suppress(OSError):  # holds something after all: not ours to remove
-                path.rmdir()
-        raise
-
-
-def _folder_name(name: str) -> str:
-    return re.sub(r"[^\w.-]+", "-", name).strip("-.") or "problem"
-
-
-@contextlib.contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """A moving line where standard error is a terminal, else a line a step."""
-    if quiet:
-        yield lambda line: None
-    elif sys.stderr is not None and sys.stderr.isatty():
-        from rich.console import Console
-
-        with Console(stderr=True).status("", spinner="line") as status:
-            yield lambda line: status.update(_plain(line))
-    else:
-        yield lambda line: _say(line)
-
-
-def _plain(line: str) -> Any:
-    from rich.text import Text
-
-    return Text(line)  # a record's name in brackets is no markup
-
-
-def _say_where(folder: Path, names: Sequence[str], quiet: bool) -> None:
-    if not quiet:
-        _say("wrote " + " and ".join(str(folder / name) for name in names))
 
 
 # ---------------------------------------------------------------------- the commands
@@ -220,7 +147,7 @@ def main(context: click.Context) -> None:
     Exit status: 0 done, 2 the input is unusable (the message says how to mend it).
     """
     if context.invoked_subcommand is None:
-        _print(context.get_help())
+        print_text(context.get_help())
 
 
 @main.command()
@@ -265,8 +192,8 @@ def diagnose(
     request = Request(**common)
     model = _load(problem)
     model = model.with_known(request.known(model))
-    with _reserved(out, model.name, force=force) as folder:
-        with _quiet_stdout(), _progress(quiet) as progress:
+    with reserved(out, model.name, force=force) as folder:
+        with quiet_stdout(), progress_lines(quiet) as progress:
             fitted, hold_out = request.experiments(model)
             from casid.diagnosing import diagnose as run
             from casid.nlp import Solver
@@ -284,11 +211,11 @@ def diagnose(
             )
             progress("write the report")
             result.write(folder)
-    _say_where(folder, ("report.html", "diagnosis.json"), quiet)
+    say_where(folder, ("report.html", "diagnosis.json"), quiet)
     if as_json:
-        _print_json(result.to_json())
+        print_json(result.to_json())
     else:
-        _print(str(result))
+        print_text(str(result))
 
 
 @main.command()
@@ -325,8 +252,8 @@ def identify(
     request = Request(**common)
     model = _load(problem)
     model = model.with_known(request.known(model))
-    with _reserved(out, model.name, force=force) as folder:
-        with _quiet_stdout(), _progress(quiet) as progress:
+    with reserved(out, model.name, force=force) as folder:
+        with quiet_stdout(), progress_lines(quiet) as progress:
             fitted, hold_out = request.experiments(model)
             from casid.identification import FitSettings
             from casid.identification import identify as run
@@ -347,11 +274,11 @@ def identify(
             )  # before anything is written: both files or none
             result.write(folder)
             write_text(folder / "report.html", page)
-    _say_where(folder, ("report.html", "estimate.json"), quiet)
+    say_where(folder, ("report.html", "estimate.json"), quiet)
     if as_json:
-        _print_json(result.to_json())
+        print_json(result.to_json())
     else:
-        _print(str(result))
+        print_text(str(result))
 
 
 @main.command()
@@ -431,63 +358,15 @@ def montecarlo(
 
     fit = FitSettings(starts=model.starts if starts is None else starts, solver=Solver(solver))
     study = Study(model, method, fit, duration)
-    with _study_folder(out, model.name, study.manifest(seed), force=force) as folder:
-        with _quiet_stdout(), _workers(jobs, dask):
+    with study_folder(out, model.name, study.manifest(seed), force=force) as folder:
+        with quiet_stdout(), workers(jobs, dask):
             result = study.run(runs, seed=seed, out=folder, resume=not force, progress=not quiet)
             result.write(folder)
-    _say_where(folder, ("report.html", "montecarlo.json"), quiet)
+    say_where(folder, ("report.html", "montecarlo.json"), quiet)
     if as_json:
-        _print_json(result.to_json())
+        print_json(result.to_json())
     else:
-        _print(str(result))
-
-
-@contextlib.contextmanager
-def _study_folder(
-    out: Path | None, name: str, manifest: dict[str, Any], *, force: bool
-) -> Iterator[Path]:
-    """The folder that holds this very study, else a reserved one."""
-    from casid.manifest import continues, read_manifest
-
-    name = f"{_folder_name(name)}-montecarlo"
-    folders = [out] if out is not None else list(Path("reports").glob(f"{name}-*"))
-    held = [f for f in folders if read_manifest(f) is not None]
-    if out is None:
-        held = [f for f in held if continues(f, manifest)]
-    if held and not force:
-        # One with another study is refused by the campaign, which says what differs.
-        yield max(held, key=lambda f: f.stat().st_mtime_ns)
-        return
-    with _reserved(out, name, force=force) as folder:
-        yield folder
-
-
-@contextlib.contextmanager
-def _workers(jobs: int | None, dask: str | None) -> Iterator[None]:
-    """Run campaigns on so many processes, or on a Dask cluster."""
-    import joblib
-
-    if dask is None:
-        with joblib.parallel_config(n_jobs=jobs or joblib.cpu_count()):
-            yield
-        return
-    if jobs is not None:
-        raise DataError("--jobs and --dask contradict each other; the cluster has its own workers")
-    try:
-        distributed = importlib.import_module("distributed")  # an extra
-    except ImportError:
-        raise DataError(
-            "--dask needs the extra `dask`; install it with: pip install 'casid[dask]'"
-        ) from None
-    try:
-        client = distributed.Client(dask, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise DataError(
-            f"no Dask scheduler answers at {dask} ({error}); start one with `dask scheduler`, or "
-            "leave --dask out"
-        ) from error
-    with client, joblib.parallel_config(backend="dask"):
-        yield
+        print_text(str(result))
 
 
 @main.command()
@@ -536,9 +415,9 @@ def check(
     reports = [_checked(source, request, found) for source in sources]
     if as_json:
         content = [report.to_json() for report in reports]
-        _print_json(content[0] if len(content) == 1 else content)
+        print_json(content[0] if len(content) == 1 else content)
     else:
-        _print("\n\n".join(str(report) for report in reports))
+        print_text("\n\n".join(str(report) for report in reports))
     unusable = [str(s) for s, r in zip(sources, reports, strict=True) if not r.is_usable]
     if unusable:
         raise DataError(

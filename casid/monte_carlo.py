@@ -27,6 +27,7 @@ from casid.errors import DataError, ModelError, SolveError
 from casid.estimate import Estimate
 from casid.identification import FitSettings, identify
 from casid.manifest import manifest_of, name_of
+from casid.nlp import Solver
 from casid.problem import Problem, load_problem
 
 if TYPE_CHECKING:
@@ -323,7 +324,6 @@ class Study:
         """What the results of a run depend on besides its seed, as plain values."""
         fit = self.fit_settings
         model = self.problem.model
-        solver = {} if fit.solver is None else {"solver": asdict(fit.solver)}
         return {
             "problem": self.problem.name,
             "problem sha256": digest(self.problem),
@@ -335,7 +335,7 @@ class Study:
             "own": list(fit.own),
             "constraints": [name_of(c) for c in fit.constraints],
             "seed of the starts": fit.seed,
-            **solver,
+            "solver": asdict(fit.solver or Solver()),
             "known": {n: p.value for n, p in model.parameters.items() if p.is_known},
         }
 

@@ -268,6 +268,8 @@ def test_the_command_continues_its_own_study_and_no_other(tank: Problem) -> None
     more = casid("tank.py", "--runs", "4", "--jobs", "1", "--json")
     assert json.loads(more.stdout)["runs"] == 4
     assert "3 of 4 runs were done before" in more.stderr
+    same_study = montecarlo("tank.py", runs=4, out="reports/tank-montecarlo-1")
+    assert same_study.campaign.found == 4  # the library call is the command's
     assert casid("tank.py", "--runs", "1", "--seed", "2", "--jobs", "1", "--quiet").stderr == ""
     assert sorted(p.name for p in Path("reports").iterdir()) == [
         "tank-montecarlo-1",
