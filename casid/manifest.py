@@ -56,7 +56,7 @@ def difference(folder: Path, there: Mapping[str, Any], new: Mapping[str, Any]) -
     differ = [
         f"{name} is {a.get(name, 'not given')} there and {b.get(name, 'not given')} now"
         for name in dict.fromkeys([*a, *b])
-        if a.get(name) != b.get(name)
+        if (name in a, a.get(name)) != (name in b, b.get(name))
     ]
     return (
         f"{folder} holds another campaign: {'; '.join(differ)}. Name another folder, or repeat the "

@@ -269,6 +269,8 @@ class Study:
     duration: float | None = None
 
     def __post_init__(self) -> None:
+        if self.settings is None:
+            object.__setattr__(self, "settings", FitSettings(starts=self.problem.starts))
         if self.problem.simulate is None:
             self.problem.simulated(0)  # says how to give it one
         if isinstance(self.method, str) and self.method not in METHODS:
@@ -317,7 +319,8 @@ class Study:
     @property
     def fit_settings(self) -> FitSettings:
         """The settings of a fit, by default with the problem's number of starts."""
-        return self.settings or FitSettings(starts=self.problem.starts)
+        assert self.settings is not None
+        return self.settings
 
     @property
     def described(self) -> dict[str, Any]:
