@@ -381,9 +381,14 @@ def print_nonlinear(rows: Sequence[dict[str, float]]) -> Iterator[Target]:
             f"{r['direct k']:>+12.1e}{r['direct d']:>+12.1e}{r['indirect I_x']:>+14.1e}"
             f"{r['indirect m']:>+12.1e}{r['standard error']:>12.1e}"
         )
-    biased = [r["amplitude"] for r in rows if abs(r["direct I_x"]) > r["standard error"]]
-    onset = f"{biased[0]:g} m/s^2" if biased else "none of these"
-    print(f"  the direct model's bias in I_x passes the study's standard error from A = {onset} on")
+    # Bias grows with A^2, the standard error falls with 1/A: they meet at the cube root.
+    small = rows[1]
+    meet = small["amplitude"] * (small["standard error"] / abs(small["direct I_x"])) ** (1 / 3)
+    angle = small["largest angle [deg]"] * meet / small["amplitude"]
+    print(
+        f"  the direct model's bias in I_x passes the study's standard error from A = {meet:.2f} "
+        f"m/s^2 on, at {angle:.0f} deg; the indirect model leaves nothing to pass it"
+    )
     worst = max(abs(r["indirect I_x"]) for r in rows)
     direct = max(abs(r["direct I_x"]) for r in rows)
     yield Target(

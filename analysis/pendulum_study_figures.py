@@ -99,6 +99,8 @@ def histograms(table: Any, case: str, estimators: Sequence[str], amplitude: floa
             )
     for i, p in enumerate(physical):
         figure.add_vline(x=TABLE_7_2[p], line={"dash": "dash"}, row=1, col=3 * i + 1)
+    figure.update_xaxes(exponentformat="power", nticks=5)
+    figure.update_yaxes(title_text="density", col=1)
     number = "7.11" if case == "nominal" else "7.12"
     figure.update_layout(
         barmode="overlay",

@@ -25,6 +25,7 @@ from analysis.pendulum_study_runs import (
     STAGES,
     STARTS,
     Bench,
+    Estimator,
     Runs,
     bench,
     row_of,
@@ -39,7 +40,7 @@ from problems.pendulum import TABLE_7_2, indirect_model
 from problems.pendulum_study import Study
 
 N = 30_000
-EVERYTHING = ("ls", "iv", "identity")
+EVERYTHING: tuple[Estimator, ...] = ("ls", "iv", "identity")
 
 
 @pytest.fixture(scope="module")
