@@ -141,7 +141,7 @@ main > p, main > ul, main > ol { max-width: 50rem; }
 h1 { font-size: 1.8rem; } h2 { margin-top: 2.2rem; font-size: 1.3rem; }
 a { color: #2a5599; }
 pre { padding: .8rem 1rem; overflow-x: auto; background: #f3f5f8; border-radius: 4px;
-      font: 13px/1.45 ui-monospace, monospace; }
+      font: 12.5px/1.45 ui-monospace, monospace; }
 pre.output { background: #fff; border-left: 3px solid #9db3d0; border-radius: 0; }
 pre .prose { white-space: pre-wrap; }
 code { font: .9em ui-monospace, monospace; }
@@ -161,7 +161,7 @@ TEMPLATE = """<!doctype html>
 def output_line(line: str) -> str:
     """A printed line as HTML; a long one wraps if it is prose, not a row of a table."""
     text = html.escape(line)
-    is_prose = len(line) > 88 and "  " not in re.sub(r"^ *(\S+( \S+)? {2,})?", "", line)
+    is_prose = len(line) > 40 and "  " not in re.sub(r"^ *(\S+( \S+)? {2,})?", "", line)
     return f'<span class="prose">{text}</span>' if is_prose else text
 
 
