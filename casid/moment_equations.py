@@ -23,7 +23,7 @@ from casid.column_products import column_products
 from casid.columns import Column
 from casid.data import Experiment
 from casid.difference_equation import DifferenceEquation, difference_equation
-from casid.errors import DataError, IdentifiabilityError, ModelError
+from casid.errors import DataError, ModelError
 from casid.instruments import Simulated
 from casid.long_run import cross_covariances, independent_covariances, memory, positive_part
 from casid.model import Model
@@ -159,6 +159,7 @@ class MomentEquations:
     second: Array
     N: int
     signals: Mapping[str, Array] = field(default_factory=dict)  # from which the means were taken
+    _whitener: list[Array] = field(default_factory=list, init=False, repr=False)  # once computed
 
     @classmethod
     def from_moments(
@@ -217,15 +218,17 @@ class MomentEquations:
 
     def whitener(self) -> Array:
         """W (r, nz) with W Z W' = I on the span of the instruments that the data excite."""
-        size = np.sqrt(np.maximum(np.diag(self.Z), 0.0))
-        size = np.where(size > 0, size, 1.0)
-        values, vectors = np.linalg.eigh(self.Z / np.outer(size, size))
-        keep = values > 1e-12 * max(float(values[-1]), 1e-300)
-        return np.asarray((vectors[:, keep] / np.sqrt(values[keep])).T / size)
+        if not self._whitener:
+            size = np.sqrt(np.maximum(np.diag(self.Z), 0.0))
+            size = np.where(size > 0, size, 1.0)
+            values, vectors = np.linalg.eigh(self.Z / np.outer(size, size))
+            keep = values > 1e-12 * max(float(values[-1]), 1e-300)
+            self._whitener.append((vectors[:, keep] / np.sqrt(values[keep])).T / size)
+        return self._whitener[0]
 
-    def unconstrained(self, whitener: Array | None = None) -> Array:
+    def unconstrained(self) -> Array:
         """theta (ntheta,) of two-stage least squares, no physics used."""
-        w = self.whitener() if whitener is None else whitener
+        w = self.whitener()
         return np.asarray(np.linalg.lstsq(w @ self.Phi, w @ self.Y, rcond=None)[0])
 
     def error_power(self, theta: Array) -> float:
@@ -233,13 +236,7 @@ class MomentEquations:
         v = np.concatenate([[1.0], -theta])
         return max(float(v @ self.second @ v), 1e-300)
 
-    def root_weight(
-        self,
-        weighting: Weighting,
-        theta: Array,
-        covariance: Array | None,
-        whitener: Array | None = None,
-    ) -> Array:
+    def root_weight(self, weighting: Weighting, theta: Array, covariance: Array | None) -> Array:
         """R (r, nz) with R'R = Q of (2.42), so that ||R (Y - Phi theta)||^2 is a sum of N terms.
 
         ``"2sls"``: Q = N/sigma^2 (mean zeta zeta')^-1, the projection on the instruments. It does
@@ -252,12 +249,11 @@ class MomentEquations:
         if weighting == "optimal":
             if covariance is None:
                 raise ValueError("the optimal weighting needs the covariance of the moments")
-            w = self.whitener() if whitener is None else whitener
+            w = self.whitener()
             values, vectors = np.linalg.eigh(w @ covariance @ w.T)
             keep = values > 1e-10 * values[-1]
             return np.asarray(np.sqrt(self.N) * (vectors[:, keep] / np.sqrt(values[keep])).T @ w)
-        w = self.whitener() if whitener is None else whitener
-        return np.asarray(np.sqrt(self.N / self.error_power(theta)) * w)
+        return np.asarray(np.sqrt(self.N / self.error_power(theta)) * self.whitener())
 
     def error(self, theta: Array) -> Array:
         """L(q) (left - columns' theta) at every sample the means were taken from, (N,)."""
@@ -320,43 +316,6 @@ class MomentEquations:
             dict(zip(self.equation.coefficients, (b / np.max(np.abs(b))).tolist(), strict=True)),
             effective,
         )
-
-    def require_correlation(self) -> Correlation:
-        """The same, refused where a direction of the regressors is not seen at all.
-
-        Raises
-        ------
-        IdentifiabilityError
-            If too few instruments are excited, or a direction of theta is uncorrelated with them:
-            its canonical correlation is within what independent signals of this memory show by
-            chance (99.9 %).
-        """
-        found = self.correlation(with_memory=False)
-        nz, nt = len(self.whitener()), len(self.equation.columns)
-        if nz < nt:
-            raise IdentifiabilityError(
-                f"{self.name}: the instruments excite {nz} directions for {nt} coefficients "
-                f"({', '.join(self.equation.coefficients)}); give more lags, or a reference with "
-                "more frequencies"
-            )
-        from scipy.stats import chi2
-
-        smallest = float(found.canonical[-1])
-        limit = float(chi2.isf(1e-3, nz - nt + 1))
-        if not self.is_least_squares and self.N * smallest**2 > 1e3 * limit:
-            return found  # no memory makes that chance
-        found = self.correlation()
-        if found.effective_samples * smallest**2 < limit or smallest < 1e-7:
-            direction = ", ".join(
-                f"{k} {v:+.2g}" for k, v in found.weakest.items() if abs(v) > 0.05
-            )
-            raise IdentifiabilityError(
-                f"{self.name}: Phi has rank {found.rank(limit)} of {nt}; the instruments are not "
-                f"correlated with the regressors along {direction} (canonical correlation "
-                f"{smallest:.2g}, by chance {np.sqrt(limit / found.effective_samples):.2g}). Use a "
-                "reference that drives the system, more lags, or fewer unknown parameters"
-            )
-        return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -597,9 +597,9 @@ class Stage:
         values_, vectors = np.linalg.eigh(total * np.outer(scale, scale))
         root = vectors / np.sqrt(np.maximum(values_, 1e-14 * values_[-1]))
         shares, directions = np.linalg.eigh(root.T @ (seen * np.outer(scale, scale)) @ root)
-        from scipy.stats import chi2
+        from scipy.special import chdtri  # scipy.stats takes longer than all of the above
 
-        limit = float(chi2.isf(1e-3, max(surplus + 1, 1)))
+        limit = float(chdtri(max(surplus + 1, 1), 1e-3))
         samples = float(sum(e.N for e in equations))
         if surplus >= 0 and samples * shares[0] > 1e3 * limit:
             return correlations  # no memory makes that chance
@@ -641,12 +641,10 @@ class Stage:
         weighting = self.settings.weighting
         if weighting == "identity":
             return equations, [e.root_weight(weighting, np.zeros(0), None) for e in equations]
-        whiteners = [e.whitener() for e in equations]
-        thetas = [e.unconstrained(w) for e, w in zip(equations, whiteners, strict=True)]
+        thetas = [e.unconstrained() for e in equations]
         if weighting != "optimal":
             return equations, [
-                e.root_weight(weighting, t, None, w)
-                for e, t, w in zip(equations, thetas, whiteners, strict=True)
+                e.root_weight(weighting, t, None) for e, t in zip(equations, thetas, strict=True)
             ]
         covariance = moment_covariance(
             equations, thetas, [p.name for p in parts], how=self.settings.covariance

@@ -135,3 +135,10 @@ def test_instruments_that_the_system_does_not_follow_are_refused_by_parameter() 
     assert "rank" in text
     assert any(name in text for name in TRUTH)
     assert "reference that drives the system" in text
+
+
+def test_too_few_lags_are_refused_by_parameter() -> None:
+    e = casid.Experiment(record(7), {}, "run")
+    few = Instruments({"F": "F"}, initial="reference", n_delta0=2, n_y=1, n_delta=0, n_u=0)
+    with pytest.raises(casid.IdentifiabilityError, match="more lags"):
+        instrumental_variables(chain(), e, few, settings=MomentSettings(outputs=["p2"]))
