@@ -56,12 +56,15 @@ STEP = 0.0025
 """Of the Runge-Kutta integration [s]: (w h)^5/120 = 1e-9 a step at the pendulum's 14 rad/s."""
 
 
-def direct_model() -> casid.Model:
-    """The linear pendulum (7.10) with (7.13)-(7.15) and the constants of Tables 7.3 and 7.4."""
+def direct_model(*, cart_recorded: bool = False) -> casid.Model:
+    """The linear pendulum (7.10) with (7.13)-(7.15) and the constants of Tables 7.3 and 7.4.
+
+    With `cart_recorded` the cart's acceleration a_y is a recorded input, for comparison.
+    """
     v = TABLES_7_3_AND_7_4
     m = casid.Model("laboratory pendulum on a cart")
     phi, p = m.state("phi", "rad"), m.state("p", "rad/s")
-    a_y = m.unknown_input("a_y", "m/s^2")
+    a_y = m.input("a_y", "m/s^2") if cart_recorded else m.unknown_input("a_y", "m/s^2")
     k = m.parameter("k", "N m/rad", start=1.5, lower=0.0, upper=50.0)
     d = m.parameter("d", "N m s/rad", start=0.005, lower=0.0, upper=1.0)
     # Below 0.00266 kg m^2 the inertia I_2 of the indirect model would be negative.
