@@ -117,6 +117,7 @@ class Simulated:
     signals: Mapping[str, Array]
     columns: tuple[Column, ...]
     transient: int  # samples to leave out at the start
+    centred_from: int = -1  # the signals have no mean from this sample on
     kept: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)  # their own moments
 
 
@@ -166,9 +167,9 @@ class Loop:
         if not np.all(np.isfinite(denominator)):
             raise UnstableLoop(complex(np.inf))
         table = np.asarray(num, dtype=float)
-        roots = np.roots(denominator)
-        if roots.size and np.max(np.abs(roots)) >= 1.0:
-            raise UnstableLoop(complex(roots[int(np.argmax(np.abs(roots)))]))
+        poles = np.roots(denominator)
+        if poles.size and np.max(np.abs(poles)) >= 1.0:
+            raise UnstableLoop(complex(poles[int(np.argmax(np.abs(poles)))]))
         ni = len(self.inputs)
         return denominator, {
             c: {u: table[:, i * ni + j] for j, u in enumerate(self.inputs)}
@@ -220,7 +221,13 @@ class Loop:
                 if taps:
                     columns.append(Column(f"{c}^[t-{i}]", taps))
         chosen = independent(columns) if settings.reduce else tuple(columns)
-        return Simulated(signals, chosen, transient(denominator))
+        # Rounded up, so that sums from there on can be kept while the estimate settles.
+        start = 64 * (transient(denominator) // 64 + 1)
+        if any(len(w) <= 4 * start for w in signals.values()):
+            return Simulated(signals, chosen, start)
+        for w in signals.values():
+            w -= w[start:].mean()
+        return Simulated(signals, chosen, start, start)
 
 
 def from_reference(drives: Mapping[str, Array], lags: int) -> Simulated:

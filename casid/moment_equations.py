@@ -56,7 +56,7 @@ class Part:
     channels: Mapping[str, Array]  # everything recorded, (N,)
     Ts: float
     # Sums of the signals' own products: write nothing over the samples while the part lives.
-    kept: dict[str, Array] = field(default_factory=dict, init=False, repr=False)
+    kept: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def name(self) -> str:
@@ -398,7 +398,8 @@ def moment_equations(
     kept = simulated.kept.get(key) if prefilter is None else None
     if kept is None:
         # A constant error, a gyro's bias, then stays without effect.
-        own = {k: v[skip:] - v[skip:].mean() for k, v in own.items()}
+        is_centred = prefilter is None and simulated.centred_from == skip
+        own = {k: v[skip:] if is_centred else v[skip:] - v[skip:].mean() for k, v in own.items()}
         kept = own, column_products(zeta, zeta, own, order) / N
         if prefilter is None:
             simulated.kept[key] = kept
@@ -421,14 +422,14 @@ def _own_products(
         n = len(next(iter(part.signals.values())))
         start = first - (n - len(next(iter(signals.values()))))
         return _finite(column_products(phi, phi, signals, start), signals)
-    if "second" not in part.kept:
+    if order not in part.kept:
         whole = column_products(phi, phi, part.signals, order)
-        part.kept["second"] = _finite(whole, part.signals)
-    total: Array = part.kept["second"]
-    if first <= order:
-        return total
-    head = {k: v[:first] for k, v in part.signals.items()}
-    return np.asarray(total - column_products(phi, phi, head, order))
+        part.kept[order] = _finite(whole, part.signals)
+    total: Array = part.kept[order]
+    if first > order and first not in part.kept:
+        head = {k: v[:first] for k, v in part.signals.items()}
+        part.kept[first] = np.asarray(total - column_products(phi, phi, head, order))
+    return np.asarray(part.kept[max(first, order)])
 
 
 def _finite(sums: Array, signals: Mapping[str, Array]) -> Array:

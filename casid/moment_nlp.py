@@ -184,4 +184,7 @@ class LinearNlp:
         self, data: Sequence[Condensed], B: Array, b: Array, start: Array, *, throw: bool = True
     ) -> Solution:
         """The optimum; `start` (sum ntheta,)."""
-        return self._compiled.solve(self.parameters(data, B, b), start.tolist(), throw=throw)
+        # A quadratic program: Ipopt's step is Newton's, there is nothing left to polish.
+        return self._compiled.solve(
+            self.parameters(data, B, b), start.tolist(), throw=throw, polish=False
+        )

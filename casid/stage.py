@@ -260,11 +260,17 @@ class Stage:
         roots: Sequence[Array],
         values: Sequence[Mapping[str, float]],
         start: Array,
+        *,
+        on_the_way: bool = False,
     ) -> tuple[Array, list[Array], Solution]:
-        """(theta_p, theta of each part, solution) of one set of moment equations."""
+        """(theta_p, theta of each part, solution) of one set of moment equations.
+
+        `on_the_way` to the last refinement the linear form is solved in closed form.
+        """
         data = [Condensed.of(e, r) for e, r in zip(equations, roots, strict=True)]
         if self.settings.form == "linear":
-            return self._solve_linear(data, values, start)
+            closed = on_the_way or isinstance(self.settings.solver, str)
+            return self._solve_linear(data, values, start, closed=closed)
         if self._physical is None:
             if isinstance(self.settings.solver, str):
                 raise ModelError(
@@ -311,7 +317,12 @@ class Stage:
         return found
 
     def _solve_linear(
-        self, data: Sequence[Condensed], values: Sequence[Mapping[str, float]], start: Array
+        self,
+        data: Sequence[Condensed],
+        values: Sequence[Mapping[str, float]],
+        start: Array,
+        *,
+        closed: bool,
     ) -> tuple[Array, list[Array], Solution]:
         if self.settings.constraints:
             raise ModelError(
@@ -320,13 +331,17 @@ class Stage:
             )
         B, b = self._constraints(values, start)
         metric = _block_diagonal([d.right for d in data])
-        if isinstance(self.settings.solver, str):
+        if closed:
             solution = self._closed_form(data, metric, B, b)
         else:
             rows = len(b)
             if rows not in self._linear:
+                solver = self.settings.solver
                 self._linear[rows] = LinearNlp(
-                    self.equations, rows, solver=self.settings.solver, name=self.name
+                    self.equations,
+                    rows,
+                    solver=None if isinstance(solver, str) else solver,
+                    name=self.name,
                 )
             theta0 = self.image(start, values)
             solution = self._linear[rows].solve(data, B, b, theta0)
@@ -437,12 +452,14 @@ class Stage:
         prefilters: list[Any] = [None] * len(parts)
         history: list[Array] = []
         settled, j = False, 0
+        correlations: list[Correlation] = []
         before = (simulated, prefilters)
         allowed = 0 if self.instruments is None and s.noise_model is None else s.iterations
         while True:
             try:
                 equations = self._equations(parts, simulated, prefilters)
-                correlations = self._seen(equations, values, theta_p) if check else []
+                if check and j <= 1:  # later instruments hardly differ; the last are looked at
+                    correlations = self._seen(equations, values, theta_p)
             except IdentifiabilityError as blind:
                 if j == 0 and first is not simulated:
                     remarks.append(
@@ -464,7 +481,9 @@ class Stage:
             before = (simulated, prefilters)
             equations, roots = self._weigh(equations, parts, values, theta_p, history)
             old = theta_p
-            theta_p, thetas, solution = self.solve(equations, roots, values, theta_p)
+            theta_p, thetas, solution = self.solve(
+                equations, roots, values, theta_p, on_the_way=j < allowed and s.alpha is None
+            )
             history.append(theta_p)
             if s.alpha is not None:
                 theta_p, thetas, solution, equations, roots = self._robust(
@@ -484,6 +503,10 @@ class Stage:
                 settled = True
                 break
             j += 1
+        if j < allowed and s.alpha is None and s.form == "linear":
+            theta_p, thetas, solution = self.solve(equations, roots, values, theta_p)
+        if check and j > 1:
+            correlations = self._seen(equations, values, theta_p)
         if not settled:
             remarks.append(
                 f"{self.name}: instruments and prefilter still move after {j} iterations (last "
