@@ -3,9 +3,9 @@
     python -m benchmarks.instruments [--repeats N]
 
 A pass is one channel of the full record through a filter by scipy.signal.lfilter: through the
-study's low-pass of 21 taps, which every channel goes through, and, shown beside it without a target,
-through the recursion of second order that the instruments are simulated with. An iteration simulates the instruments with the
-last estimate, forms the moments, checks what they see, weighs them, solves the program with Ipopt
+study's low-pass of 21 taps, which every channel goes through, and, shown beside it without a
+target, through the recursion of second order that the instruments are simulated with. An iteration
+simulates the instruments with the last estimate, forms the moments, weighs them, solves the program
 and goes back to physical parameters: what a fit takes longer when it refines more often. In one
 process on one thread; exit status 1 when the target is missed.
 """

@@ -161,6 +161,10 @@ class Loop:
         UnstableLoop
             If a pole lies on or outside the unit circle.
         """
+        return self._at(values)[:2]
+
+    def _at(self, values: Mapping[str, float]) -> tuple[Array, dict[str, dict[str, Array]], Array]:
+        """The coefficients, and the poles (n,) of the loop."""
         p = [values[n] for n in self.parameters]
         den, num = self._coefficients(p)
         denominator = np.asarray(den, dtype=float).ravel()
@@ -171,10 +175,14 @@ class Loop:
         if poles.size and np.max(np.abs(poles)) >= 1.0:
             raise UnstableLoop(complex(poles[int(np.argmax(np.abs(poles)))]))
         ni = len(self.inputs)
-        return denominator, {
-            c: {u: table[:, i * ni + j] for j, u in enumerate(self.inputs)}
-            for i, c in enumerate(self.channels)
-        }
+        return (
+            denominator,
+            {
+                c: {u: table[:, i * ni + j] for j, u in enumerate(self.inputs)}
+                for i, c in enumerate(self.channels)
+            },
+            poles,
+        )
 
     def driven(self, drives: Mapping[str, Array], values: Mapping[str, float]) -> dict[str, Array]:
         """Every output of the direct model simulated from the inputs (N,), at rest before."""
@@ -201,7 +209,7 @@ class Loop:
         """
         from scipy.signal import lfilter
 
-        denominator, numerators = self.coefficients(values)
+        denominator, numerators, poles = self._at(values)
         signals: dict[str, Array] = {}
         columns: list[Column] = []
         for u in self.inputs:
@@ -222,11 +230,11 @@ class Loop:
                     columns.append(Column(f"{c}^[t-{i}]", taps))
         chosen = independent(columns) if settings.reduce else tuple(columns)
         # Rounded up, so that sums from there on can be kept while the estimate settles.
-        start = 64 * (transient(denominator) // 64 + 1)
-        if any(len(w) <= 4 * start for w in signals.values()):
+        start = 64 * (transient(poles) // 64 + 1)
+        if any(len(signal) <= 4 * start for signal in signals.values()):
             return Simulated(signals, chosen, start)
-        for w in signals.values():
-            w -= w[start:].mean()
+        for signal in signals.values():
+            signal -= signal[start:].mean()
         return Simulated(signals, chosen, start, start)
 
 
@@ -237,13 +245,13 @@ def from_reference(drives: Mapping[str, Array], lags: int) -> Simulated:
     return Simulated(signals, tuple(columns), 0)
 
 
-def transient(denominator: Array, share: float = 1e-3) -> int:
-    """Samples until the slowest mode of 1/denominator has fallen to `share`."""
-    roots = np.abs(np.roots(denominator))
-    slowest = float(np.max(roots, initial=0.0))
+def transient(poles: Array, share: float = 1e-3) -> int:
+    """Samples until the slowest of the poles' modes has fallen to `share`."""
+    order = len(poles) + 1
+    slowest = float(np.max(np.abs(poles), initial=0.0))
     if slowest <= 1e-6:
-        return len(denominator)
-    return int(np.ceil(np.log(share) / np.log(slowest))) + len(denominator)
+        return order
+    return int(np.ceil(np.log(share) / np.log(slowest))) + order
 
 
 def independent(columns: Sequence[Column]) -> tuple[Column, ...]:

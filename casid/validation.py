@@ -166,7 +166,7 @@ def validate(
                 f"{e.name}: the loop is unstable at these values ({unstable}), so it cannot be "
                 "simulated from the reference; check the signs of the parameters, or bound them"
             ) from None
-        skip = transient(denominator)
+        skip = transient(np.roots(denominator))
         if skip > record.N // 2:
             raise DataError(
                 f"{e.name}: {record.N} samples, and the model needs {skip} to forget its start; "
