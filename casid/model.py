@@ -629,15 +629,18 @@ def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: 
         return 1.0 / (1.0 + ca.n_nodes(entry))
 
     order: list[int] = []
+    borrowed: list[str] = []  # inputs solved from a balance, which then has to be made up for
     rows = list(range(n))
     for j in range(n):
         # An eliminated input is solved from its own output where that names it outright, and from
         # its balance where the output feels it through a derivative alone.
         own = [i for i in rows if i < n_first and size(a[i][j]) > 0.0] if j < n_first else []
         best = max(own or rows, key=lambda i: size(a[i][j]))
+        if j < n_first and not own:
+            borrowed.append(names[j])
         if size(a[best][j]) == 0.0:
             raise ModelError(
-                f"{model}: the equations do not determine {names[j]}; an unknown input can only be "
+                f"{model}: the equations do not determine {(borrowed or [names[j]])[0]}; an unknown input can only be "
                 "eliminated with an output that feels it, and an inertia must not be zero"
             )
         rows.remove(best)
