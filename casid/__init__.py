@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from casid.linear import linearise
     from casid.model import Model, Parameter
     from casid.moments import Moments
-    from casid.monte_carlo import montecarlo
+    from casid.monte_carlo import MonteCarlo, montecarlo
     from casid.nlp import Nlp, Solver
     from casid.prepare import decimate, detrend, lowpass
     from casid.problem import Problem, load_problem
@@ -70,6 +70,7 @@ __all__ = [
     "Model",
     "ModelError",
     "MomentEstimate",
+    "MonteCarlo",
     "MomentSettings",
     "Moments",
     "Nlp",
@@ -127,7 +128,7 @@ _HOME = {
         "linear": "linearise",
         "model": "Model Parameter",
         "moments": "Moments",
-        "monte_carlo": "montecarlo",
+        "monte_carlo": "MonteCarlo montecarlo",
         "nlp": "Nlp Solver",
         "prepare": "decimate detrend lowpass",
         "problem": "Problem load_problem",

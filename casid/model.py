@@ -639,8 +639,9 @@ def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: 
         if j < n_first and not own:
             borrowed.append(names[j])
         if size(a[best][j]) == 0.0:
+            lacking = (borrowed or [names[j]])[0]
             raise ModelError(
-                f"{model}: the equations do not determine {(borrowed or [names[j]])[0]}; an unknown input can only be "
+                f"{model}: the equations do not determine {lacking}; an unknown input can only be "
                 "eliminated with an output that feels it, and an inertia must not be zero"
             )
         rows.remove(best)
