@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -174,11 +175,41 @@ class MomentEstimate:
             for part, c in zip(st.parts, st.correlations, strict=False):
                 weak = ", ".join(f"{k} {v:+.2g}" for k, v in c.weakest.items() if abs(v) > 0.05)
                 lines.append(
-                    f"  {part.name}: rank of Phi {len(c.canonical)} of {len(c.canonical)}, "
+                    f"  {part.name}: rank of Phi {c.rank} of {len(c.canonical)}, "
                     f"canonical correlations {', '.join(f'{v:.3g}' for v in c.canonical)}; "
                     f"weakest along {weak}"
                 )
         return "\n".join(lines)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of `estimate.json`, with what moment equations add to it."""
+        p = self.propagated
+        return {
+            **self.estimate.to_json(),
+            "overidentification": {
+                "chi2": p.statistic,
+                "degrees_of_freedom": p.degrees,
+                "p_value": p.p_value,
+            },
+            "std_error_unpropagated": {n: self.std_error(n, propagated=False) for n in self.names},
+            "instruments": {
+                f"stage {i + 1}/{part.name}": {
+                    "rank": c.rank,
+                    "coefficients": list(part.equation.coefficients),
+                    "canonical_correlations": c.canonical.tolist(),
+                    "weakest": dict(c.weakest),
+                    "number": len(e.instruments),
+                }
+                for i, st in enumerate(self.stages)
+                for part, c, e in zip(st.parts, st.correlations, st.equations, strict=False)
+            },
+        }
+
+    def write(self, folder: Path) -> Path:
+        """Write `estimate.json` into `folder`, whole or not at all; returns its path."""
+        from casid.writing import write_json
+
+        return write_json(folder / "estimate.json", self.to_json())
 
     def _repr_html_(self) -> str:
         import html

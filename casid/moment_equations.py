@@ -332,9 +332,12 @@ class Correlation:
     weakest: Mapping[str, float]
     effective_samples: float
 
-    def rank(self, limit: float) -> int:
-        """Directions whose correlation is more than chance."""
-        return int(np.sum(self.effective_samples * self.canonical**2 > limit))
+    @property
+    def rank(self) -> int:
+        """Rank of Phi: directions whose correlation is more than chance (99.9 %)."""
+        from scipy.special import chdtri
+
+        return int(np.sum(self.effective_samples * self.canonical**2 > chdtri(1, 1e-3)))
 
 
 def _combine(

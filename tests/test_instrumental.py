@@ -6,6 +6,7 @@ and shares no code with the estimators.
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -290,13 +291,18 @@ def test_least_squares_alone_needs_no_instruments(records) -> None:
     assert "autocorrelation-robust" in e.estimate.assumes
 
 
-def test_the_estimate_reads_as_a_page(staged) -> None:
+def test_the_estimate_reads_as_a_page_and_is_written_as_json(staged, tmp_path) -> None:
     text = str(staged)
     for word in ("canonical correlations", "weakest along", "surplus", "earlier stages taken as"):
         assert word in text
-    content = staged.estimate.to_json()
+    assert "rank of Phi 3 of 3" in text
+    content = staged.to_json()
     assert content["schema"] == "casid.estimate/1"
+    assert content["overidentification"]["degrees_of_freedom"] == staged.propagated.degrees
+    assert content["instruments"]["stage 1/nominal/gyro"]["rank"] == 3
+    assert content["std_error_unpropagated"]["m"] < content["parameters"]["m"]["std_error"]
     assert set(content["covariance"]["names"]) == set(FREE)
+    assert json.loads(staged.write(tmp_path).read_text(encoding="utf-8")) == content
 
 
 def test_simulation_from_the_reference_meets_data_that_were_not_fitted(study, staged) -> None:
