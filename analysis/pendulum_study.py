@@ -116,7 +116,8 @@ def timing(desk: Desk, extent: Extent) -> Iterator[Target | tuple[str, Any]]:
     bare = float(ms["floor_ms"].mean())
     print(
         f"  floor {bare:.2f} ms a run ({float(ms['moments_ms'].mean()):.2f} of it sums of "
-        f"products), in turn with whole runs of {float(ms['run_ms'].mean()):.2f} ms\n"
+        f"products), in turn with whole runs of {float(ms['run_ms'].mean()):.2f} ms; processor "
+        "time\n"
         f"  a normal {normal:.2f} ns (ziggurat, published: 5-10 ns), a filter tap {tap:.3f} ns "
         "(vector units, published: 0.1-0.3 ns)"
     )

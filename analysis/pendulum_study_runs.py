@@ -17,7 +17,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from time import perf_counter
+from time import process_time
 from typing import Any, Literal
 
 import numpy as np
@@ -320,7 +320,7 @@ class Floor:
     runs: Runs
 
     def __call__(self, seed: np.random.SeedSequence) -> dict[str, float]:
-        """Milliseconds a run of both, nanoseconds a normal and a filter tap, peak memory."""
+        """Processor time: ms a run of both, ns a normal and a filter tap; peak memory."""
         import resource
 
         own = self.runs.bench
@@ -328,18 +328,18 @@ class Floor:
         records = study.draw(study.generator(seed))
         parts = own.parts(records)
         found = own.estimate(records, ("iv",))["iv"]
-        t = [perf_counter()]
+        t = [process_time()]
         rng = study.generator(seed)
         for case, drawn in study._drawn.items():
             for channel in ("gyro", "accel"):
                 rng.standard_normal(out=study._filter.input)
-                t.append(perf_counter())
+                t.append(process_time())
                 study._filter(drawn[channel], study.clean[case][channel])
-                t.append(perf_counter())
+                t.append(process_time())
         own.moments(found, parts)
-        t.append(perf_counter())
+        t.append(process_time())
         self.runs(seed)
-        t.append(perf_counter())
+        t.append(process_time())
         step = np.diff(t)
         normals, taps = len(study._filter.input), len(study.low_pass.taps) * study.N
         return {

@@ -182,3 +182,9 @@ def test_a_row_is_flat_numbers(runs: Runs) -> None:
     row = row_of(own.estimate(own.study.clean, EVERYTHING), True)
     assert all(isinstance(v, float | bool) for v in row.values())
     assert {"ls.I_x", "iv.m.own", "identity.b0.loaded", "iv.p_value"} <= set(row)
+
+
+def test_the_closed_form_is_refused_where_there_is_none(runs: Runs, model) -> None:
+    settings = MomentSettings(form="eliminated", solver="null space")
+    with pytest.raises(casid.ModelError, match="form='linear' alone; leave it out"):
+        multistage(model, runs.bench.study.experiments(0), STAGES, settings=settings)
