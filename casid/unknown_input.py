@@ -152,7 +152,7 @@ def compare_unknown_input_options(
     noise: Mapping[str, float] | None = None,
     process: Sequence[White] = (),
     truth: Mapping[str, float] | None = None,
-    options: Sequence[str] | None = None,
+    options: Sequence[str] | str | None = None,
     solver: Solver | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> UnknownInputComparison:
@@ -162,7 +162,8 @@ def compare_unknown_input_options(
     ----------
     model : direct, with one unknown input (`unknown`, where it has several); other inputs recorded.
     experiments : records with the model's outputs, and the channels named below.
-    using : the output to eliminate the unknown input with; default the last that feels it.
+    using : the output to eliminate the unknown input with, options (C); default the last that
+        feels it. A model without such an output can be compared without these options.
     exact : channel that holds the unknown input without error (a simulation's), for "known".
     measured : channel that holds it with noise; default the one of its own name, where there is.
     integral : channel that holds its integral with noise (a speed where it is an acceleration).
@@ -170,7 +171,7 @@ def compare_unknown_input_options(
         differences. All are estimated.
     process : process noise that every option has (estimated from its start).
     truth : parameter -> true value, where data are simulated.
-    options : which of `OPTIONS` (default all that the records allow).
+    options : which of `OPTIONS`, one or several (default all that the records allow).
 
     Returns
     -------
@@ -180,7 +181,8 @@ def compare_unknown_input_options(
     Raises
     ------
     ModelError
-        If the model has no unknown input, or several and none is named.
+        If the model has no unknown input, or several and none is named; if an option (C) is to be
+        fitted and no output feels the unknown input.
     DataError
         If a channel named here is missing, or an option asked for lacks its channel.
     """
@@ -200,7 +202,8 @@ def compare_unknown_input_options(
                 )
     needs = {KNOWN: exact, AS_EXACT: measured, WITH_ERRORS: measured, WALK_INTEGRAL: integral}
     words = {KNOWN: "exact", AS_EXACT: "measured", WITH_ERRORS: "measured"}
-    for option in options or ():
+    asked = (options,) if isinstance(options, str) else tuple(options or ())
+    for option in asked:
         if option not in OPTIONS:
             raise DataError(f"no option {option!r}; there are {', '.join(OPTIONS)}")
         if option in needs and needs[option] is None:
@@ -208,12 +211,12 @@ def compare_unknown_input_options(
                 f"option {option!r} needs a channel: give "
                 f"{words.get(option, 'integral')}='name of the channel'"
             )
-    wanted = options or [o for o in OPTIONS if o not in needs or needs[o] is not None]
+    wanted = asked or tuple(o for o in OPTIONS if o not in needs or needs[o] is not None)
     job = _Job(
         model,
         unknown,
         chosen,
-        using or _last_that_feels(model, unknown),
+        _eliminated_with(model, unknown, using, wanted),
         exact,
         measured,
         integral,
@@ -296,19 +299,26 @@ def _the_unknown(model: Model, unknown: str | None) -> str:
     return str(unknown)
 
 
-def _last_that_feels(model: Model, unknown: str) -> str:
+def _eliminated_with(model: Model, unknown: str, using: str | None, wanted: Sequence[str]) -> str:
+    """The output that the unknown input is eliminated with; the last where none has to be."""
     import casadi as ca
 
+    if using is not None and using not in model.outputs:
+        raise ModelError(
+            f"{model.name}: using={using!r} is not an output; name one of "
+            f"{', '.join(model.outputs)}"
+        )
     e = model.explicit()
     felt = [
         name for i, name in enumerate(e.outputs) if ca.depends_on(e.h[i], model.symbol(unknown))
     ]
-    if not felt:
+    without = [o for o in wanted if o not in (SIMULATION, PREDICTION)]
+    if using is None and not felt and len(without) < len(wanted):
         raise ModelError(
             f"{model.name}: no output feels {unknown} at once, so it cannot be eliminated; leave "
-            "the options (C) out, options=[...], or add a sensor that does"
+            f"the options (C) out, options={without or [WALK, SHAPED]}, or add a sensor that does"
         )
-    return felt[-1]
+    return using or [*e.outputs, *felt][-1]
 
 
 def _row(job: _Job, option: str, names: tuple[str, ...], truth: Mapping[str, float]) -> OptionRow:

@@ -345,13 +345,29 @@ def test_what_cannot_be_compared_is_refused() -> None:
     several.unknown_input("wind", "N m")
     with pytest.raises(ModelError, match="several unknown inputs.*say which with unknown="):
         compare_unknown_input_options(several, record)
+    with pytest.raises(ModelError, match="using='gyros' is not an output; name one of gyro, accel"):
+        compare_unknown_input_options(direct, record, using="gyros")
+
+
+def test_a_model_whose_outputs_do_not_feel_the_input_is_compared_without_elimination() -> None:
+    """A lag behind a random walk, of which the position alone is seen: the walk's own structure."""
+    rng = np.random.default_rng(4)
     blind = casid.Model("blind")
     x = blind.state("x", "m")
-    blind.derivative(x, blind.unknown_input("w", "m/s"))
+    a = blind.parameter("a", "1/s", start=1.0, lower=0.01)
+    blind.derivative(x, blind.unknown_input("w", "m/s") - a * x)
     blind.output("y", x, "m")
-    y = casid.Record({"y": record["gyro"]}, {"y": "m"}, Ts=0.02)
-    with pytest.raises(ModelError, match="no output feels w at once.*leave the options"):
-        compare_unknown_input_options(blind, y)
+    Ts, w, y = 0.05, np.cumsum(0.2 * rng.standard_normal(2000)), np.zeros(2000)
+    for t in range(1999):
+        y[t + 1] = np.exp(-2.0 * Ts) * y[t] + (1 - np.exp(-2.0 * Ts)) / 2.0 * w[t]
+    record = casid.Record({"y": y + 0.01 * rng.standard_normal(2000)}, {"y": "m"}, Ts=Ts)
+    mend = r"leave the options \(C\) out, options=\['random walk', 'shaped noise'\]"
+    with pytest.raises(ModelError, match=f"no output feels w at once.*{mend}"):
+        compare_unknown_input_options(blind, record)
+    with pytest.raises(ModelError, match=mend):
+        compare_unknown_input_options(blind, record, options=PREDICTION)
+    found = compare_unknown_input_options(blind, record, options=[WALK], truth={"a": 2.0})
+    assert abs(z_scores(found[WALK])[0]) < 4
 
 
 def test_process_noise_can_be_common_to_all_options() -> None:
