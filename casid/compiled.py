@@ -22,7 +22,7 @@ from casid.nlp_solution import (
     not_converged,
     not_finite,
 )
-from casid.nlp_solver import Solver, gave_up, set_up
+from casid.nlp_solver import Solver, as_solver, gave_up, set_up
 from casid.nlp_values import fill, inside, views
 
 
@@ -151,9 +151,9 @@ class Compiled:
         """Lower and upper bounds of the variables (n,), limits of the constraints (m,)."""
         return self._box
 
-    def with_solver(self, solver: Solver) -> Compiled:
+    def with_solver(self, solver: Solver | str) -> Compiled:
         """The same program for another solver."""
-        return Compiled(**(self._state | {"solver": solver}))
+        return Compiled(**(self._state | {"solver": as_solver(solver)}))
 
     def put(self, values: Mapping[str, Any]) -> None:
         """Give the parameters values, without solving.

@@ -27,7 +27,7 @@ from casid.nlp_solution import (
     not_converged,
     not_finite,
 )
-from casid.nlp_solver import Solver, gave_up, set_up
+from casid.nlp_solver import Solver, as_solver, gave_up, set_up
 from casid.nlp_values import fill, inside, views
 
 if TYPE_CHECKING:
@@ -306,7 +306,7 @@ class Nlp:
                     )
             require(expression, low, high)
 
-    def compile(self, solver: Solver | None = None) -> Compiled:
+    def compile(self, solver: Solver | str | None = None) -> Compiled:
         """Build solver and derivatives once, to solve for many values of the parameters.
 
         Example
@@ -369,7 +369,7 @@ class Nlp:
             scale=tuple(self._scale),
             constraints=tuple(c[0] for c in self._constraints),
             limits=tuple((c[2], c[3]) for c in self._constraints),
-            solver=solver or Solver(),
+            solver=as_solver(solver),
         )
 
     def _given(self, parameters: Mapping[str, Any] | None) -> tuple[Any, list[Any]]:
@@ -390,7 +390,7 @@ class Nlp:
 
     def solve(
         self,
-        solver: Solver | None = None,
+        solver: Solver | str | None = None,
         start: Sequence[float] | None = None,
         *,
         parameters: Mapping[str, Any] | None = None,
@@ -399,7 +399,7 @@ class Nlp:
     ) -> Solution:
         """Solve from `start` (n,) or the declared starts, with values for declared parameters.
 
-        To solve for many values, `compile` first.
+        To solve for many values, `compile` first. A `solver` may be given by its name alone.
 
         `natural_scales` takes the criterion's own curvature at the start as the size of its
         variables, and stops at its rounding error: right where the start is of the right order,
@@ -412,7 +412,7 @@ class Nlp:
             unconverged `Solution` instead. A start outside the bounds (by more than rounding), a
             parameter without a value and a failing evaluation at the start always raise.
         """
-        solver = solver or Solver()
+        solver = as_solver(solver)
         scale = np.array(self._scale)
         lower, upper = np.array(self._lower), np.array(self._upper)
         x0: Array = np.array(self._start if start is None else start, dtype=float).ravel()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -31,14 +32,20 @@ _QUIET: dict[str, dict[str, Any]] = {
         "max_iter_ls": 25,  # after the default of 3 halvings it takes the step, however bad
         "tol_du": 1e-9,
         "tol_pr": 1e-9,
-        "qpsol_options": {
-            "print_iter": False,
-            "print_header": False,
-            "print_info": False,
-            "error_on_fail": False,
-        },
         "error_on_fail": False,
     },
+}
+# Options of sqpmethod's quadratic programs: each plug-in knows its own alone.
+_QUIET_QP: dict[str, dict[str, Any]] = {
+    "qrqp": {
+        "print_iter": False,
+        "print_header": False,
+        "print_info": False,
+        "error_on_fail": False,
+    },
+    "qpoases": {"printLevel": "none", "error_on_fail": False},
+    "osqp": {"osqp": {"verbose": False}, "error_on_fail": False},
+    "highs": {"highs": {"output_flag": False}, "error_on_fail": False},
 }
 
 # What each plug-in calls the number of iterations; the others keep their own default.
@@ -62,7 +69,8 @@ class Solver:
     ----------
     name : "ipopt" (default), "sqpmethod", or any installed `casadi.nlpsol` plug-in.
     max_iterations : iterations before the solver gives up.
-    options : passed to `casadi.nlpsol` unchanged; they win over casid's defaults.
+    options : passed to `casadi.nlpsol` unchanged; they win over casid's defaults, as
+        ``{"qpsol": "daqp"}`` does for "sqpmethod".
     """
 
     name: str = "ipopt"
@@ -77,7 +85,31 @@ class Solver:
         if key is not None:
             merged[key] = self.max_iterations
         merged.update(self.options)
+        if self.name == "sqpmethod" and "qpsol_options" not in merged:
+            merged["qpsol_options"] = dict(
+                _QUIET_QP.get(str(merged["qpsol"]), {"error_on_fail": False})
+            )
         return merged
+
+
+def as_solver(solver: Solver | str | None) -> Solver:
+    """The default solver for None, ``Solver(name)`` for a name.
+
+    Raises
+    ------
+    SolveError
+        If it is neither a solver nor a name.
+    """
+    if solver is None:
+        return Solver()
+    if isinstance(solver, str):
+        return Solver(solver)
+    if not isinstance(solver, Solver):
+        raise SolveError(
+            f"a {type(solver).__name__} is no solver; give Solver('ipopt'), Solver('sqpmethod') or "
+            "the name alone"
+        )
+    return solver
 
 
 @cache
@@ -103,9 +135,24 @@ def set_up(program: str, solver: Solver, problem: Mapping[str, Any], options: An
         return ca.nlpsol("nlp", solver.name, problem, options)
     except RuntimeError as error:
         raise SolveError(
-            f"{program}: solver {solver.name!r} cannot be set up: "
-            f"{str(error).strip().splitlines()[-1]}; check Solver(options=...)"
+            f"{program}: solver {solver.name!r} cannot be set up: {_cause(error)}; "
+            "check Solver(options=...)"
         ) from error
+
+
+def _cause(error: Exception) -> str:
+    """What CasADi's message says, without its frame and its list of all that might be meant."""
+    causes, near = [], []
+    for line in str(error).strip().splitlines():
+        line = re.sub(r"^\.\.\./casadi/\S+: ", "", line).strip()
+        if line.startswith("> "):
+            near += re.findall(r'^> "([^"]+)"', line)
+        elif line and not line.startswith(
+            ("Error calling", "Assertion ", "Did you mean", "Use print_options")
+        ):
+            causes.append(line)
+    nearest = f" (nearest: {', '.join(near[:2])})" if near else ""
+    return (" ".join(causes) or str(error).strip()) + nearest
 
 
 def gave_up(program: str, solver: str, error: Exception) -> SolveError:

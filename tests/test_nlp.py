@@ -275,6 +275,35 @@ def test_an_unknown_option_is_refused_by_name():
         decay(None).solve(Solver(options={"ipopt.nonsense": 1}))
 
 
+def test_an_option_that_sqpmethod_lacks_is_named_with_its_neighbours():
+    wrong = Solver("sqpmethod", options={"tol_d": 1e-9})
+    with pytest.raises(SolveError, match=r"Unknown option: tol_d \(nearest: tol_du.*check Solver"):
+        decay(None).solve(wrong)
+    assert decay(None).solve(Solver("sqpmethod", options={"tol_du": 1e-9})).is_converged
+
+
+@pytest.mark.parametrize("criterion", [None, Decay()], ids=["expression", "criterion"])
+def test_another_quadratic_program_is_an_option_like_any_other(criterion):
+    """Each plug-in has options of its own: those of the default QP are not handed to another."""
+    daqp = Solver("sqpmethod", options={"qpsol": "daqp"})
+    wanted = decay(criterion).solve(Solver("sqpmethod")).x
+    assert decay(criterion).solve(daqp).x == pytest.approx(wanted, rel=1e-7)
+    one = Solver("sqpmethod", options={"qpsol_options": {"print_iteration": False}})
+    with pytest.raises(SolveError, match="Unknown option: print_iteration .nearest: print_iter"):
+        decay(None).solve(one)
+
+
+def test_a_solvers_name_stands_for_the_solver():
+    wanted = decay(None).solve(Solver("sqpmethod"))
+    found = decay(None).solve("sqpmethod")
+    assert (found.solver, found.x.tolist()) == ("sqpmethod", wanted.x.tolist())
+    compiled = decay(None).compile("sqpmethod")
+    assert compiled.solve({}).solver == "sqpmethod"
+    assert compiled.with_solver("ipopt").solve({}).solver == "ipopt"
+    with pytest.raises(SolveError, match=r"a dict is no solver; give Solver\('ipopt'\)"):
+        decay(None).solve({"name": "ipopt"})
+
+
 def test_a_start_of_wrong_length_and_a_missing_objective_are_refused():
     with pytest.raises(SolveError, match="start has 2 values for 3 variables; .* a, b, c"):
         decay(None).solve(start=[1.0, 2.0])
