@@ -40,6 +40,9 @@ PREDICTION = "eliminated, prediction error"
 OPTIONS = (KNOWN, AS_EXACT, WITH_ERRORS, WALK, WALK_INTEGRAL, SHAPED, SIMULATION, PREDICTION)
 """The options in the order of 7.3: (A) the first three, (B) three, (C) two."""
 
+WIDTH = 110
+"""Characters that a line of the table may have."""
+
 _LETTER = dict(zip(OPTIONS, "AAABBBCC", strict=True))
 
 
@@ -64,6 +67,27 @@ class OptionRow:
         """Its standard error; NaN where there is none."""
         found = None if self.estimate is None else self.estimate.parameter(name).std_error
         return float("nan") if found is None else found
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of at most `WIDTH` characters: columns that do not fit follow in a table below."""
+    widths = [max(len(r[i]) for r in [heads, *rows]) for i in range(len(heads))]
+    blocks: list[list[int]] = [[0]]
+    for i in range(1, len(heads)):
+        if heads[i] == "error":
+            continue  # stands beside its parameter
+        columns = [i, i + 1] if heads[i + 1 : i + 2] == ["error"] else [i]
+        used = sum(2 + widths[k] for k in [*blocks[-1], *columns]) - 2
+        if used > WIDTH and len(blocks[-1]) > 1:
+            blocks.append([0])
+        blocks[-1] += columns
+    lines: list[str] = []
+    for block in blocks:
+        lines += [""] if lines else []
+        for cells in [heads, *rows]:
+            rest = [cells[k].rjust(widths[k]) for k in block[1:]]
+            lines.append("  ".join([cells[0].ljust(widths[0]), *rest]))
+    return lines
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,20 +137,13 @@ class UnknownInputComparison:
 
     def __str__(self) -> str:
         heads, rows = self.cells()
-        widths = [max(len(r[i]) for r in [heads, *rows]) for i in range(len(heads))]
-
-        def line(cells: Sequence[str]) -> str:
-            first = cells[0].ljust(widths[0])
-            rest = (c.rjust(w) for c, w in zip(cells[1:], widths[1:], strict=True))
-            return "  ".join([first, *rest])
-
         lines = [f"Options for the unknown input {self.unknown} of {self.model}"]
         if self.truth:
             known = ", ".join(
                 f"{n} = {self.truth[n]:g}" for n in self.parameters if n in self.truth
             )
             lines.append(f"  truth {known}")
-        lines += ["", line(heads), *[line(r) for r in rows], ""]
+        lines += ["", *_table(heads, rows), ""]
         lines += [f"({r.letter}) {r.option}: {r.remark}" for r in self.rows]
         return "\n".join(lines)
 
@@ -289,6 +306,11 @@ def _noise_guess(y: Array) -> float:
 
 def _the_unknown(model: Model, unknown: str | None) -> str:
     names = [n for n, i in model.inputs.items() if i.kind == "unknown"]
+    if not names:
+        raise ModelError(
+            f"{model.name} has no unknown input to compare options for; give the direct model, "
+            "before eliminate, with the input as model.unknown_input(name, unit)"
+        )
     if unknown is None and len(names) == 1:
         return names[0]
     if unknown is None and len(names) > 1:
@@ -333,7 +355,8 @@ def _row(job: _Job, option: str, names: tuple[str, ...], truth: Mapping[str, flo
         rms[output] = float(np.sqrt(np.mean(np.square(sizes))))
     coloured = [name for name, said in estimate.whiteness.items() if "coloured" in said]
     if consistent and coloured:
-        remark += f". Here {', '.join(coloured)} leave coloured residuals: the condition fails"
+        verb = "leaves" if len(coloured) == 1 else "leave"
+        remark += f". Here {', '.join(coloured)} {verb} coloured residuals: the condition fails"
     if not estimate.is_converged:
         remark += f". {estimate.status}: not converged"
     error = {n: estimate[n] - truth[n] for n in names if n in truth}

@@ -77,6 +77,11 @@ def test_one_call_gives_one_row_an_option_and_one_table() -> None:
         assert row.estimate.is_converged
     assert "truth k = 10.39, d = 0.1067, I_x = 0.1385" in text
     assert "k [N m/rad]" in text
+    table = text.split("\n\n(A)")[0]
+    assert max(len(line) for line in table.splitlines()) <= 110
+    heads = [line.split()[1:] for line in table.splitlines() if line.startswith("option")]
+    for part in ("k", "error", "gyro", "accel", "a_y", "v_y"):  # no column is lost
+        assert any(part in head for head in heads)
     page = found._repr_html_()
     assert page.count("<tr>") == len(OPTIONS) + 1
     assert "errors in variables" in page
@@ -97,7 +102,7 @@ def test_remarks_say_what_is_consistent_and_why() -> None:
     assert "errors in variables" in found[AS_EXACT].remark
     assert "direct term" in found[PREDICTION].remark
     # A telegraph is no random walk, and the innovations show it; an exact input leaves them white.
-    assert "coloured residuals" in found[WALK].remark
+    assert "accel leaves coloured residuals" in found[WALK].remark
     assert "coloured" not in found[KNOWN].remark
     assert "coloured" not in found[SHAPED].remark
     assert "coloured" not in on_walk()[WALK].remark
@@ -338,8 +343,12 @@ def test_what_cannot_be_compared_is_refused() -> None:
         compare_unknown_input_options(direct, record, options=["guess"])
     with pytest.raises(DataError, match="needs a channel: give exact='name of the channel'"):
         compare_unknown_input_options(direct, record, options=[KNOWN])
+    with pytest.raises(ModelError, match="'a_z' is not an unknown input; it has a_y"):
+        compare_unknown_input_options(direct, record, unknown="a_z")
+    with pytest.raises(DataError, match="needs a channel: give exact='name of the channel'"):
+        compare_unknown_input_options(direct, record, options=KNOWN)
     indirect = direct.eliminate("a_y", using="accel")
-    with pytest.raises(ModelError, match="not an unknown input.*give the direct model"):
+    with pytest.raises(ModelError, match="has no unknown input to.*give the direct model"):
         compare_unknown_input_options(indirect, record)
     several = direct_model()
     several.unknown_input("wind", "N m")
