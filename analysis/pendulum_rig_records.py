@@ -65,8 +65,6 @@ class Draws:
     duration : of a record [s].
     torque : rms of the disturbance [N m].
     sensors : white noise of both inertial units; biases go with the means.
-    shared : put the pendulum's accelerometer noise on the reference as well (its sign as recorded),
-        as a common supply or a tap of the same signal would.
     seed : of the cart's motion.
 
     Attributes
@@ -84,7 +82,6 @@ class Draws:
         torque: float = TORQUE,
         sensors: rig.Sensors | None = None,
         kappa: float = 0.0,
-        shared: bool = False,
         seed: int = 1,
     ) -> None:
         self.settings = {
@@ -93,10 +90,9 @@ class Draws:
             "torque": torque,
             "sensors": sensors or rig.Sensors(),
             "kappa": kappa,
-            "shared": shared,
             "seed": seed,
         }
-        self.torque, self.sensors, self.shared = torque, sensors or rig.Sensors(), shared
+        self.torque, self.sensors = torque, sensors or rig.Sensors()
         known = rig.problem.load_cases
         self.plants = {c: rig.Pendulum(m=known[c]["m"], kappa=kappa) for c in self.cases}
         self.known = {
@@ -136,29 +132,55 @@ class Draws:
         white = rng.standard_normal(2 * N + len(self._taps) - 1)
         return np.asarray(np.convolve(white, self._taps, "valid")[: 2 * N : 2], dtype=np.float64)
 
-    def experiments(self, rng: np.random.Generator | None = None) -> list[casid.Experiment]:
-        """One run, or with `rng` None the motion without torque and noise."""
+    def experiments(
+        self,
+        rng: np.random.Generator | None = None,
+        *,
+        torque: float | None = None,
+        sensors: rig.Sensors | None = None,
+        shared: bool = False,
+    ) -> list[casid.Experiment]:
+        """One run, or with `rng` None the motion without torque and noise.
+
+        Parameters
+        ----------
+        torque, sensors : in place of those of all runs.
+        shared : the noise of the pendulum's accelerometer is on the reference as well, as a common
+            supply would put it there.
+        """
         made = []
         for case, clean in self.clean.items():
             signals = {name: np.array(clean[name]) for name in clean.names}
             if rng is not None:
-                self._disturb(signals, case, rng)
+                self._disturb(signals, case, rng, self.torque if torque is None else torque)
+                self._sense(signals, rng, sensors or self.sensors, shared=shared)
             signals = {name: x - x.mean() for name, x in signals.items()}
             record = casid.Record(signals, clean.units, clean.Ts, t0=clean.t0, name=case)
             made.append(casid.Experiment(record, self.known[case], case))
         return made
 
-    def _disturb(self, signals: dict[str, Array], case: str, rng: np.random.Generator) -> None:
+    def _disturb(
+        self, signals: dict[str, Array], case: str, rng: np.random.Generator, rms: float
+    ) -> None:
         N = len(signals["gyro"])
-        if self.torque:
-            torque = rig.dragged(TS * np.arange(N, dtype=np.float64), self.torque, rng, BAND)
-            smooth = np.fft.irfft(self._gain(N) * np.fft.rfft(torque), N).astype(np.float64)
-            for name, response in torque_response(self.plants[case], smooth, TS).items():
-                signals[name] += response
-        own = self._noise(N, rng)
-        signals["gyro"] += self.sensors.gyro * self._noise(N, rng)
-        signals["accel"] += self.sensors.accel * own
-        signals["ref"] += self.sensors.cart * (own if self.shared else self._noise(N, rng))
+        torque = rig.dragged(TS * np.arange(N, dtype=np.float64), rms, rng, BAND)
+        smooth = np.fft.irfft(self._gain(N) * np.fft.rfft(torque), N).astype(np.float64)
+        for name, response in torque_response(self.plants[case], smooth, TS).items():
+            signals[name] += response
+
+    def _sense(
+        self,
+        signals: dict[str, Array],
+        rng: np.random.Generator,
+        sensors: rig.Sensors,
+        *,
+        shared: bool,
+    ) -> None:
+        N = len(signals["gyro"])
+        own, gyro, cart = (self._noise(N, rng) for _ in range(3))
+        signals["gyro"] += sensors.gyro * gyro
+        signals["accel"] += sensors.accel * own
+        signals["ref"] += sensors.cart * (own if shared else cart)
 
 
 def _draws(settings: dict[str, object]) -> Draws:

@@ -194,8 +194,8 @@ def references(*, duration: float, seed: int = 1) -> list[Reference]:
     estimator = staged()
     rows = []
     for what, sensors, shared in cases:
-        draws.sensors, draws.shared = sensors, shared
-        e = estimator(draws.experiments(np.random.default_rng(seed)))
+        rng = np.random.default_rng(seed)
+        e = estimator(draws.experiments(rng, sensors=sensors, shared=shared))
         rows.append(
             Reference(
                 what,
