@@ -33,6 +33,7 @@ _STARTS = 24  # further starts, where the first does not converge
 _TOLERANCE = 1e-13  # relative step at which the iteration ends
 _ROUNDING = 1e-7  # relative step below which steps that do not shrink are rounding
 _RANK = 1e-11  # a relative singular value below this is none
+_DIGITS = 1e-3  # of a parameter's size: more than that from rounding of theta leaves it no digits
 
 
 def invert(
@@ -130,10 +131,11 @@ def invert(
             trouble.append(str(reason))
             continue
         inside = (x > lower) & (x < upper)
-        _require_rank(equation, free, x, J, inside)
+        _require_rank(equation, free, x, J, inside, theta, np.where(x0 == 0.0, 1.0, np.abs(x0)))
         return x, _derivative(map_, p, x, r, J, inside, weight)
-    if trouble[0].startswith("rank"):
-        _require_rank(equation, free, x0, map_(p, x0)[1], np.ones(len(free), dtype=bool))
+    if not trouble[0].startswith("rank"):  # no zero of the start's own is to blame
+        x0 = np.where(x0 == 0.0, 0.3, x0)
+    _require_rank(equation, free, x0, map_(p, x0)[1], np.ones(len(free), dtype=bool))
     raise SolveError(
         f"{equation.name}: no {', '.join(free)} give these coefficients ({trouble[0]}, then from "
         f"{_STARTS} other starts); check the known values and the sample time, or start nearer"
@@ -270,19 +272,38 @@ def _derivative(
 
 
 def _require_rank(
-    equation: DifferenceEquation, free: tuple[str, ...], x: Array, J: Array, inside: Array
+    equation: DifferenceEquation,
+    free: tuple[str, ...],
+    x: Array,
+    J: Array,
+    inside: Array,
+    theta: Array | None = None,
+    typical: Array | None = None,
 ) -> None:
-    """Refuse where a direction of the parameters does not move the coefficients."""
+    """Refuse where a direction of the parameters does not move the coefficients.
+
+    With `theta` (ntheta,), also where its rounding moves a parameter by its size or more. A
+    parameter that is zero to rounding is measured by its `typical` size (nfree,): m = 1e-16 is a
+    value of m, and hides z_m.
+    """
     scale = np.where(x == 0.0, 1.0, np.abs(x))
     moved = (J * scale)[:, inside]
     if moved.shape[1] == 0 or not np.isfinite(moved).all():
         return
-    _, singular, Vt = np.linalg.svd(moved, full_matrices=True)
+    U, singular, Vt = np.linalg.svd(moved, full_matrices=True)
     rank = int((singular > _RANK * singular.max(initial=0.0)).sum())
-    if rank == moved.shape[1]:
-        return
-    names = [n for n, keep in zip(free, inside, strict=True) if keep]
     weak = Vt[-1]
+    if rank == moved.shape[1]:
+        if theta is None or typical is None:
+            return
+        inverse = (Vt.T / singular) @ U[:, :rank].T
+        error = scale[inside] * (np.abs(inverse) @ (np.finfo(float).eps * np.abs(theta)))
+        hidden = error > _DIGITS * np.maximum(np.abs(x), typical)[inside]
+        if not hidden.any():
+            return
+        rank -= int(hidden.sum())
+        weak = hidden.astype(float)
+    names = [n for n, keep in zip(free, inside, strict=True) if keep]
     terms = [f"{w:+.2g} {n}" for n, w in zip(names, weak, strict=True) if abs(w) > 1e-3]
     raise IdentifiabilityError(
         f"{equation.name}: the coefficients {', '.join(equation.coefficients)} do not determine "

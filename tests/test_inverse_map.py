@@ -34,6 +34,31 @@ def test_the_load_comes_back_although_the_model_has_none(method):
     np.testing.assert_allclose(found, [0.2, -0.274], rtol=1e-8)
 
 
+@pytest.mark.parametrize("start", [None, {"m": 0.1, "z_m": -0.2}])
+@pytest.mark.parametrize("T", [0.001, 0.01, 0.1])
+@pytest.mark.parametrize("method", METHODS)
+def test_no_load_hides_its_place(method, T, start):
+    """m = 0 comes back as rounding, below which z_m acts on nothing; m alone follows."""
+    e = difference_equation(indirect(), "gyro", T, method=method)
+    theta = e.theta(NOMINAL | {"m": 0.0, "z_m": -0.274})
+    with pytest.raises(IdentifiabilityError, match=r"\(\+1 z_m\) .* declare one of these known"):
+        invert(e, theta, NOMINAL, ("m", "z_m"), start)
+    found, _ = invert(e, theta, NOMINAL | {"z_m": -0.274}, ("m",), start)
+    assert found == pytest.approx([0.0], abs=1e-8)  # rounding, times 1/(w T)^2
+    # A load of 10 mg moves theta by 1e-6 of itself: rounding leaves six digits of its place.
+    light = e.theta(NOMINAL | {"m": 1e-5, "z_m": -0.274})
+    np.testing.assert_allclose(invert(e, light, NOMINAL, ("m", "z_m"), start)[0][1], -0.274, 1e-6)
+
+
+def test_parameters_that_no_start_separates_are_named_whatever_stops_the_iteration():
+    """I_x, m, z_m act through S and I_2 alone."""
+    e = difference_equation(indirect(), "gyro", 0.01)
+    with pytest.raises(IdentifiabilityError, match="do not determine I_x, m, z_m .* declare one"):
+        invert(e, e.theta(LOADED), NOMINAL, ("I_x", "m", "z_m"), {"m": 0.1, "z_m": -0.2})
+    found, _ = invert(e, e.theta(LOADED), NOMINAL, ("m", "z_m"))
+    np.testing.assert_allclose(found, [0.2, -0.274], rtol=1e-8)
+
+
 @settings(max_examples=40)
 @given(
     k=st.floats(3.0, 40.0), d=st.floats(0.01, 2.0), I_x=st.floats(0.1, 1.0),
