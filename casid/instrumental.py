@@ -128,6 +128,19 @@ class MomentEstimate:
         """The value of a parameter, SI."""
         return self.estimate[name]
 
+    def parameter(self, name: str) -> Estimated:
+        """The parameter called `name`, with its unit and standard error."""
+        return self.estimate.parameter(name)
+
+    @property
+    def parameters(self) -> tuple[Estimated, ...]:
+        """Every parameter, as `Estimate` has them."""
+        return self.estimate.parameters
+
+    def references(self) -> tuple[str, ...]:
+        """The papers behind the methods used."""
+        return self.estimate.references()
+
     @property
     def values(self) -> dict[str, float]:
         """Every parameter of the model at the estimate, load cases left out."""
@@ -292,7 +305,7 @@ def multistage(
     Returns
     -------
     MomentEstimate
-        Its covariance propagates the earlier stages, which the thesis takes as exact;
+        Its covariance propagates the earlier stages, which Linder (2017) takes as exact;
         `std_error(name, propagated=False)` gives the errors without.
 
     Raises

@@ -7,8 +7,8 @@ Algorithm 2.1 of Linder (2017) around any of the programs of `casid.moment_nlp`:
     (c) prefilter with its inverse;
     (d) simulate the loop from the external reference with the new theta_p: new instruments.
 
-Repeated until neither theta_p nor the noise model moves (the thesis's "or" in the condition to go
-on has to be "and"), or the allowed iterations are spent.
+Repeated until neither theta_p nor the noise model moves (the "or" of Linder (2017) in the
+condition to go on has to be "and"), or the allowed iterations are spent.
 """
 
 from __future__ import annotations

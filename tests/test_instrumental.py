@@ -71,6 +71,15 @@ def test_without_noise_the_parameters_come_back_but_for_the_bilinear_map() -> No
     assert e["z_m"] == pytest.approx(TABLE_7_2["z_m"], rel=5e-3)
 
 
+def test_an_estimate_from_moments_is_asked_as_any_other(staged) -> None:
+    row = staged.parameter("m")
+    assert (row.value, row.unit, row.std_error) == (staged["m"], "kg", staged.std_error("m"))
+    assert staged.parameters == staged.estimate.parameters
+    assert any("Linder" in source for source in staged.references())
+    with pytest.raises(KeyError, match=r"no parameter 'mass'; there are .*z_m"):
+        staged.parameter("mass")
+
+
 def test_stages_and_joint_agree_within_their_standard_errors(staged, joint) -> None:
     """Both are consistent, on overlapping data: their difference is below the sum of errors."""
     for name in FREE:
