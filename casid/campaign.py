@@ -168,6 +168,10 @@ def campaign(
     KeyboardInterrupt
         On Ctrl-C, saying what is kept.
     """
+    for name, value in (("runs", runs), ("seed", seed), ("batch", batch), ("retries", retries)):
+        is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not is_whole and not (name == "batch" and value is None):
+            raise DataError(f"{name} = {value!r}; give a whole number, for example {name}=10")
     if runs < 1 or seed < 0 or retries < 1 or (batch is not None and batch < 1):
         raise DataError(
             f"runs = {runs}, seed = {seed}, batch = {batch}, retries = {retries}: give at least "

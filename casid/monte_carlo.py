@@ -13,6 +13,7 @@ import hashlib
 import html
 import math
 import sys
+import textwrap
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -28,13 +29,15 @@ from casid.estimate import Estimate
 from casid.identification import FitSettings, identify
 from casid.manifest import manifest_of, name_of
 from casid.nlp import Solver
+from casid.nlp_solver import _is_installed
 from casid.problem import Problem, load_problem
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
 
 Array = np.ndarray[Any, Any]
-Method = Callable[[Problem, Sequence[Experiment], FitSettings], Estimate]
+Method = Callable[[Problem, Sequence[Experiment], FitSettings], Any]
+"""Returns a `casid.Estimate`, or what carries one as `.estimate` (`casid.MomentEstimate`, ...)."""
 
 STD_ERROR = ".std_error"
 """Behind a parameter's name: the column of its standard errors."""
@@ -49,6 +52,13 @@ def simulation_error(
 
 METHODS: dict[str, Method] = {"identify": simulation_error}
 """What a study may estimate with, by name."""
+
+
+_WIDTH, _LABEL = 100, 14  # of a printed study, and of the names and units in it
+
+
+def _wrapped(text: str, first: str, rest: str) -> list[str]:
+    return textwrap.wrap(text, _WIDTH, initial_indent=first, subsequent_indent=rest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,9 +128,17 @@ class Accuracy:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What differs from what the standard errors promise by more than chance would explain."""
+        from scipy.special import stdtrit
+
         out = []
-        if self.bias is not None and abs(self.bias) > 3 * self.bias_std_error:
-            out.append(f"biased by {abs(self.bias) / self.spread:.2g} spreads")
+        if self.bias is not None and self.n > 1:
+            # As rare as three standard errors of a normal mean, 0.27 %: t(n - 1) for few runs.
+            limit = float(stdtrit(self.n - 1, 1 - 0.00135)) * self.bias_std_error
+            if abs(self.bias) > limit:
+                spreads = (
+                    f"{abs(self.bias) / self.spread:.2g}" if self.spread else "infinitely many"
+                )
+                out.append(f"biased by {spreads} spreads")
         between = self.coverage_interval
         if between is not None and not between[0] <= 0.95 <= between[1]:
             out.append(f"intervals cover too {'rarely' if between[1] < 0.95 else 'often'}")
@@ -200,29 +218,40 @@ class MonteCarlo:
 
     def __str__(self) -> str:
         failed = len(self.campaign.failures)
-        lines = [
+        head = (
             f"Monte Carlo study of {self.problem}: {self.campaign.runs} runs with seed "
-            f"{self.campaign.seed}, method {self.method}, {failed} failed",
-            f"  {'parameter':<14}{'unit':<12}{'truth':>11}{'mean':>14}{'bias':>11} +- "
-            f"{'':<9}{'spread':>10}{'std. error':>12}{'coverage':>10}",
+            f"{self.campaign.seed}, method {self.method}, {failed} failed"
+        )
+        labels = [f"{p.name} [{p.unit}]" for p in self.parameters]
+        width = min(max((len(x) for x in (*labels, "parameter")), default=0), _LABEL)
+        lines = [
+            *_wrapped(head, "", "  "),
+            f"  {'parameter':<{width}} {'truth':>11}{'mean':>12}{'bias':>9} +- {'':<7}"
+            f"{'spread':>9}{'std. err.':>10}  coverage [%]",
         ]
-        for p in self.parameters:
-            truth = "--" if p.truth is None else f"{p.truth:.6g}"
+        for label, p in zip(labels, self.parameters, strict=True):
+            truth = "--" if p.truth is None else f"{p.truth:.5g}"
             bias = "--" if p.bias is None else f"{p.bias:.2g}"
             covers = "--"
             if p.coverage is not None and p.coverage_interval is not None:
                 low, high = (100 * x for x in p.coverage_interval)
-                covers = f"{100 * p.coverage:.1f} % [{low:.1f}, {high:.1f}]"
+                covers = f"{100 * p.coverage:.1f} [{low:.1f}, {high:.1f}]"
+            if len(label) > width:
+                lines.append(f"  {label}")
+                label = ""
             lines.append(
-                f"  {p.name:<14}{p.unit:<12}{truth:>11}{p.mean_text:>14}{bias:>11} +- "
-                f"{p.bias_std_error:<9.2g}{p.spread:>10.3g}{p.mean_std_error:>12.3g}  {covers}"
-                + (f"  {'; '.join(p.remarks)}" if p.remarks else "")
+                f"  {label:<{width}} {truth:>11}{p.mean_text:>12}{bias:>9} +- "
+                f"{p.bias_std_error:<7.2g}{p.spread:>9.3g}{p.mean_std_error:>10.3g}  {covers}"
             )
         lines += [
             "  bias +- its Monte Carlo standard error; spread: standard deviation of the estimates",
-            "  std. error: mean of those reported; coverage of 95 % intervals [its interval]",
+            "  std. err.: mean of those reported; coverage of 95 % intervals [its interval]",
         ]
-        lines += [f"  failed        {n} times: {message}" for message, n in self.failures.items()]
+        for p in self.parameters:
+            if p.remarks:
+                lines += _wrapped(f"{p.name}: {'; '.join(p.remarks)}", "  REMARK  ", " " * 10)
+        for message, n in self.failures.items():
+            lines += _wrapped(f"{n} times: {message}", "  failed  ", " " * 10)
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -253,7 +282,8 @@ class Study:
     ----------
     problem : with `simulate`. Worker processes load it again from its file; one that was changed
         since, or never had a file, can be studied in one process alone.
-    method : a name of `METHODS`, or a function of problem, experiments and settings.
+    method : a name of `METHODS`, or a function of problem, experiments and settings that returns a
+        `casid.Estimate`, or what carries one as `.estimate`.
     settings : how a fit is sought.
     duration : use the first seconds of every record alone [s]; None: whole records.
 
@@ -261,6 +291,8 @@ class Study:
     ------
     DataError
         If the problem has no simulator, or there is no such method.
+    SolveError
+        If there is no such solver.
     """
 
     problem: Problem
@@ -275,6 +307,12 @@ class Study:
             self.problem.simulated(0)  # says how to give it one
         if isinstance(self.method, str) and self.method not in METHODS:
             raise DataError(f"no method {self.method!r}; there are {', '.join(METHODS)}")
+        solver = self.fit_settings.solver or Solver()
+        if not _is_installed(solver.name):  # now, and not in every run
+            raise SolveError(
+                f"solver {solver.name!r} is no CasADi plug-in that loads here; use 'ipopt' or "
+                "'sqpmethod', as Solver(name), or on the command line --solver name"
+            )
         if self.duration is not None and not self.duration > 0:
             raise DataError(f"duration = {self.duration} s; give a positive number of seconds")
         if not any(not p.is_known for p in self.problem.model.parameters.values()):
@@ -288,7 +326,7 @@ class Study:
         with contextlib.redirect_stdout(sys.stderr):  # standard output is for the result
             experiments = [self._cut(e) for e in self.problem.simulated(number)]
             method = METHODS[self.method] if isinstance(self.method, str) else self.method
-            estimate = method(self.problem, experiments, self.fit_settings)
+            estimate = _estimate_in(method(self.problem, experiments, self.fit_settings))
         row: dict[str, Any] = {}
         for p in estimate.parameters:
             if not p.known:
@@ -409,7 +447,9 @@ def montecarlo(
     problem : with `simulate` (and `truth`, for bias and coverage), or the path of its file. Values
         set known by `problem.with_known` are known to the estimate; the simulator keeps its own.
     runs : estimates wanted; a folder that has some of them is continued.
-    method : a name of `casid.monte_carlo.METHODS`, or a function of problem, experiments, settings.
+    method : a name of `casid.monte_carlo.METHODS`, or a function of problem, experiments and
+        settings that returns an `Estimate`, or what carries one as `.estimate` (as all of casid's
+        estimators do): ``lambda problem, records, _: casid.multistage(problem, records, stages)``.
     settings : how a fit is sought.
     duration : use the first seconds of every record alone [s].
     out : folder for `results.parquet`; `result.write(folder)` adds numbers and report.
@@ -422,12 +462,24 @@ def montecarlo(
     ModelError
         A problem that worker processes cannot load.
     SolveError
-        If every run fails.
+        If there is no such solver, or every run fails.
     """
     if not isinstance(problem, Problem):
         problem = load_problem(problem)
     study = Study(problem, method, settings, duration)
     return study.run(runs, seed=seed, out=out, resume=resume, progress=progress)
+
+
+def _estimate_in(result: Any) -> Estimate:
+    """The estimate that a method returns, itself or inside of its result."""
+    estimate = result if isinstance(result, Estimate) else getattr(result, "estimate", None)
+    if not isinstance(estimate, Estimate):
+        raise DataError(
+            f"the method returned {type(result).__name__}, which is no estimate; return a "
+            "casid.Estimate, or what carries one as .estimate, as casid.identify, "
+            "casid.multistage and casid.instrumental_variables do"
+        )
+    return estimate
 
 
 def accuracy(problem: Problem, done: Campaign) -> list[Accuracy]:

@@ -25,6 +25,7 @@ from casid.data import Experiment
 from casid.errors import CasidError, DataError, ModelError, SolveError
 from casid.identification import FitSettings
 from casid.monte_carlo import Accuracy, accuracy, montecarlo
+from casid.nlp import Solver
 from casid.problem import Problem, load_problem
 from tests.shared import ROOT
 
@@ -111,6 +112,34 @@ def test_accuracy_is_what_its_definitions_say() -> None:
     assert d.remarks == ()
 
 
+@pytest.mark.parametrize("n", [3, 4, 30])
+def test_chance_alone_is_called_bias_as_rarely_for_few_runs_as_for_many(n: int) -> None:
+    """Student's t: 0.27 % of unbiased means, whatever n; four binomial standard errors allowed."""
+    draws, rng = 4000, np.random.default_rng(n)
+    called = 0
+    for k in 10 + rng.standard_normal((draws, n)):
+        p = Accuracy("k", "1", 10.0, n, float(k.mean()), float(k.std(ddof=1)), 1.0, n, n)
+        called += any("biased" in r for r in p.remarks)
+    assert abs(called - 0.0027 * draws) < 4 * np.sqrt(0.0027 * draws)
+    surely = Accuracy("k", "1", 10.0, n, 11.0, 0.0, 1.0, n, n)  # a simulator without noise
+    assert "biased by infinitely many spreads" in surely.remarks
+
+
+def test_a_printed_study_fits_into_100_columns() -> None:
+    """The widest numbers, a long name, a long unit and a long message."""
+    from casid.monte_carlo import MonteCarlo
+
+    rows = tuple(
+        Accuracy(name, unit, -1.23457e-05, 100, -1.2345e-5, 1.11e-5, 1.11e-5, 100, 100)
+        for name, unit in (("d", "N m s/rad"), ("friction_of_the_joint", "N m s^2/rad^2"))
+    )
+    table = pd.DataFrame({"run": [0, 1], "failed": [None, "DataError: " + 30 * "a word "]})
+    lines = str(MonteCarlo("p" * 30, "m" * 50, Campaign("c", 0, table), rows)).splitlines()
+    assert max(len(line) for line in lines) <= 100
+    assert "  friction_of_the_joint [N m s^2/rad^2]" in lines
+    assert any("often" in line for line in lines)
+
+
 def _two_parameters() -> Any:
     import casid
 
@@ -195,10 +224,67 @@ def test_any_function_of_problem_and_experiments_is_a_method(tank: Problem) -> N
     assert half.method.endswith("halved")
 
 
+def staged(problem: Problem, experiments: Any, settings: FitSettings) -> Any:
+    """Stage 1: d and I_x of the nominal pendulum; its stiffness is known."""
+    import casid
+    from problems.pendulum import TABLE_7_2
+
+    known = problem.model.with_known(k=TABLE_7_2["k"])
+    instruments = casid.Instruments("ref", casid.ReferenceFilter.lag(0.1))
+    return casid.multistage(known, experiments, [casid.StageSpec(["I_x", "d"])], instruments)
+
+
+def test_instrumental_variables_are_studied_as_any_other_method() -> None:
+    """Truth within five Monte Carlo standard errors (t(5): one in 250), and the bilinear
+    map's relative offset of 4e-4 at 6.7 rad/s and 0.01 s."""
+    result = montecarlo(ROOT / "problems" / "pendulum.py", runs=6, duration=40.0, method=staged)
+    assert not result.failures
+    assert [p.name for p in result.parameters] == ["I_x", "d"]
+    for p in result.parameters:
+        assert p.truth is not None
+        assert abs(p.bias or 0.0) < 5 * p.bias_std_error + 4e-3 * p.truth
+        assert p.intervals == 6
+    assert result.method.endswith("staged")
+
+
+def test_a_method_that_returns_no_estimate_is_told_what_to_return(tank: Problem) -> None:
+    with pytest.raises(SolveError, match=r"returned float.*casid.Estimate.*\.estimate"):
+        montecarlo(tank, runs=2, method=lambda problem, records, settings: 0.7)
+
+    def wrapped(problem: Problem, experiments: Any, settings: FitSettings) -> Any:
+        from types import SimpleNamespace
+
+        from casid.monte_carlo import simulation_error
+
+        return SimpleNamespace(estimate=simulation_error(problem, experiments, settings))
+
+    assert montecarlo(tank, runs=1, method=wrapped)["a"].n == 1
+
+
+@pytest.mark.parametrize("solver", ["foo", "sqpmethod"])
+def test_a_solver_is_known_before_the_first_run(tank: Problem, solver: str) -> None:
+    drawn: list[int] = []
+
+    def draw(seed: int) -> Any:
+        drawn.append(seed)
+        return tank.simulated(seed)
+
+    watched = replace(tank, simulate=draw)
+    settings = FitSettings(solver=Solver(solver), starts=1)
+    if solver == "foo":
+        with pytest.raises(SolveError, match="solver 'foo' is no CasADi plug-in.*'sqpmethod'"):
+            montecarlo(watched, runs=2, settings=settings)
+        assert not drawn
+    else:
+        assert montecarlo(watched, runs=2, settings=settings)["a"].n == 2
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ({"method": "guess"}, "no method 'guess'; there are identify"),
+        ({"runs": 10.0}, "runs = 10.0; give a whole number, for example runs=10"),
+        ({"runs": None}, "runs = None; give a whole number"),
         ({"duration": -1.0}, "give a positive number"),
     ],
 )
@@ -292,6 +378,7 @@ def test_the_command_refuses_what_cannot_be_meant(tank: Problem) -> None:
         ("mute.py",): "no simulator",
         ("tank.py", "--method", "guess"): "there are identify",
         ("tank.py", "--runs", "0"): "x>=1",
+        ("tank.py", "--solver", "foo"): "--solver name",
         ("tank.py", "--set", "c=1"): "no parameter 'c'",
         ("tank.py", "--jobs", "2", "--dask", "tcp://127.0.0.1:1"): "contradict",
     }.items():
