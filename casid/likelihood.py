@@ -14,6 +14,7 @@ implicitly, sensitivity filters for the innovations.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -70,7 +71,8 @@ class PredictionError:
     Raises
     ------
     ModelError
-        For noise that is missing, or enters nowhere; a model that cannot be linearised.
+        For noise that is missing, or enters nowhere; a model that cannot be linearised; a start
+        for what is no variable.
     DataError
         For channels that are missing or have gaps.
     """
@@ -110,6 +112,7 @@ class PredictionError:
         self.variables: list[Variable] = []
         self._index: list[Array] = []  # per experiment: (nv,) NLP variable of each local one, or -1
         self._lay_out(dict(start or {}))
+        self._refuse_strangers(start or {})
         self._last: dict[int, tuple[bytes, list[Predicted]]] = {}
         self._near: dict[int, Array] = {}  # the last covariance, a start for the next
 
@@ -170,6 +173,26 @@ class PredictionError:
                     add(f"{name}(0){label}", name, state.start, state.lower, state.upper, scale)
                 )
             self._index.append(np.array(local))
+
+    def _refuse_strangers(self, start: Mapping[str, float]) -> None:
+        """A start for what is no variable would be ignored."""
+        names = [*self.names, *self.own]
+        for name in start:
+            if name in names:
+                continue
+            what = f"{self.model.name}: start names {name!r}, "
+            if name in self.model.parameters:
+                known = "known" if self.model.parameters[name].is_known else "known in all records"
+                raise ModelError(
+                    f"{what}which is {known}: leave it out, or estimate it, "
+                    f"model.with_unknown({name!r}), and take it out of the experiments' values"
+                )
+            near = [n for n in names if f"({name})" in n]  # var(y) for y
+            near += difflib.get_close_matches(name, names, 1, 0.4)
+            raise ModelError(
+                f"{what}which is not a variable; there are {', '.join(names)}"
+                + (f"; did you mean {near[0]!r}?" if near else "; leave it out")
+            )
 
     def _size_of(self, unit: str) -> float:
         """The spread of the first output that has this unit, or one."""

@@ -370,6 +370,22 @@ def test_names_that_the_model_does_not_have_are_refused() -> None:
         fit_lag(lag_record(0), own=["q"])
 
 
+def test_a_start_for_what_is_no_variable_is_refused() -> None:
+    record = lag_record(0)
+    with pytest.raises(ModelError, match=r"start names 'aa', .*there are a, b, .*mean 'a'\?"):
+        fit_lag(record, start={"aa": 3.0})
+    with pytest.raises(ModelError, match=r"start names 'y', .* did you mean 'var\(y\)'\?"):
+        fit_lag(record, start={"y": 0.1})
+    with pytest.raises(ModelError, match=r"'one', which is known: leave it out.*with_unknown"):
+        fit_lag(record, start={"one": 1.0})
+    # Its mends: a variable's own name, and the common name of what each experiment has its own.
+    assert fit_lag(record, start={"a": 3.0}).estimate.parameter("a").start == 3.0
+    both = [casid.Experiment(record, {}, "p"), casid.Experiment(lag_record(1), {}, "q")]
+    c = PredictionError(lag_model(), both, LAG_NOISE, own=["a"], start={"a": 2.0, "x(0)@q": 0.3})
+    starts = dict(zip(c.names, c.start, strict=True))
+    assert (starts["a@p"], starts["a@q"], starts["x(0)@q"]) == (2.0, 2.0, 0.3)
+
+
 def test_state_that_no_output_sees_is_named() -> None:
     """The cart's speed, unless it is measured: it never decays, and nothing depends on it."""
     model = walk_model()
