@@ -36,7 +36,7 @@ from casid.kalman import (
 )
 from casid.model import Model
 from casid.nlp import Evaluation
-from casid.noisy_model import NoisyModel, Sampled, White
+from casid.noisy_model import NoisyModel, Sampled, White, noise_sources
 from casid.simulation_error import Variable, signals_of
 
 Array = NDArray[Any]
@@ -81,7 +81,7 @@ class PredictionError:
         self,
         model: Model,
         experiments: Sequence[Experiment],
-        noise: Sequence[White],
+        noise: Sequence[White] | White,
         *,
         own: Sequence[str] = (),
         initial: Mapping[str, float] | None = None,
@@ -90,7 +90,7 @@ class PredictionError:
     ) -> None:
         if not experiments:
             raise DataError("no experiment to fit; give at least one record")
-        self.model, self.experiments, self.noise = model, list(experiments), tuple(noise)
+        self.model, self.experiments, self.noise = model, list(experiments), noise_sources(noise)
         self.outputs = tuple(model.outputs)
         self.initial = None if initial is None else dict(initial)
         free = [p.name for p in model.parameters.values() if not p.is_known]

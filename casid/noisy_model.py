@@ -55,6 +55,30 @@ class White:
             )
 
 
+def noise_sources(noise: Sequence[White] | White) -> tuple[White, ...]:
+    """The sources of a list of `White`, or of one alone.
+
+    Raises
+    ------
+    ModelError
+        If it is anything else, a mapping from place to size say.
+    """
+    if isinstance(noise, White):
+        return (noise,)
+    if isinstance(noise, Mapping):
+        said = ", ".join(f"White({name!r}, {sd!r})" for name, sd in noise.items())
+        raise ModelError(
+            f"noise is a mapping; give a list, noise=[{said}], with the process noise among it"
+        )
+    sources = tuple(noise) if isinstance(noise, Sequence) and not isinstance(noise, str) else noise
+    if not isinstance(sources, tuple) or not all(isinstance(w, White) for w in sources):
+        raise ModelError(
+            f"noise = {noise!r}; give a list of White(where, sd), one for each output and one for "
+            "each source of process noise"
+        )
+    return sources
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
     """One experiment's model, sampled, at one point: system (1) of deviations, in absolute signals.
@@ -101,12 +125,12 @@ class NoisyModel:
     def __init__(
         self,
         model: Model,
-        noise: Sequence[White],
+        noise: Sequence[White] | White,
         free: Sequence[str] = (),
         rest: Mapping[str, Any] | None = None,
     ) -> None:
         self.rest = dict(rest or {})
-        self.model, self.noise, self.free = model, tuple(noise), tuple(free)
+        self.model, self.noise, self.free = model, noise_sources(noise), tuple(free)
         self.outputs = tuple(model.outputs)
         self._sort_noise()
         self.driven = model.copy()  # without its noise inputs: what a record has to hold

@@ -23,7 +23,9 @@ from casid.likelihood import PredictionError
 from casid.local_rank import describe_null, local_rank
 from casid.model import Model
 from casid.nlp import Nlp, Solution, Solver
-from casid.noisy_model import White
+from casid.nlp_solver import as_solver
+from casid.noisy_model import White, noise_sources
+from casid.problem import Problem
 from casid.uncertainty import sandwich, whiteness
 
 Array = NDArray[Any]
@@ -62,6 +64,14 @@ class Prediction:
     solution: Solution
     log_likelihood: float
 
+    def parameter(self, name: str) -> Estimated:
+        """The parameter, noise variance or initial state called `name`, with its error."""
+        return self.estimate.parameter(name)
+
+    def references(self) -> tuple[str, ...]:
+        """The papers behind the methods used."""
+        return self.estimate.references()
+
     def __getitem__(self, name: str) -> float:
         """The value of a parameter, noise variance or initial state."""
         return self.estimate[name]
@@ -81,12 +91,19 @@ class Prediction:
         return out
 
     def predictor(self, experiment: int = 0) -> Predictor:
-        """The steady-state predictor of one experiment."""
-        return self.criterion.predictor(self.solution.x, experiment)
+        """The steady-state predictor of one experiment, by its number from 0."""
+        return self.criterion.predictor(self.solution.x, self._number(experiment))
 
     def innovations(self, experiment: int = 0) -> Array:
-        """(N, ny) one-step prediction errors of one experiment."""
-        return self.criterion.innovations(self.solution.x, experiment)
+        """(N, ny) one-step prediction errors of one experiment, by its number from 0."""
+        return self.criterion.innovations(self.solution.x, self._number(experiment))
+
+    def _number(self, experiment: int) -> int:
+        names = [d.name for d in self.criterion.data]
+        if experiment not in range(len(names)):
+            there = ", ".join(f"{i} ({name})" for i, name in enumerate(names))
+            raise DataError(f"no experiment {experiment!r}; give the number of one, {there}")
+        return int(experiment)
 
     @property
     def aic(self) -> float:
@@ -105,36 +122,39 @@ class Prediction:
 
 
 def minimize_prediction_error(
-    model: Model,
+    model: Model | Problem,
     experiments: Sequence[Experiment | Record] | Experiment | Record,
-    noise: Sequence[White],
+    noise: Sequence[White] | White,
     *,
     own: Sequence[str] = (),
     initial: Mapping[str, float] | None = None,
     start: Mapping[str, float] | None = None,
     rest: Mapping[str, Any] | None = None,
-    solver: Solver | None = None,
+    solver: Solver | str | None = None,
     throw: bool = True,
 ) -> Prediction:
     """Estimate a linear or linearised model by its one-step prediction errors.
 
     Parameters
     ----------
-    model : its unknown inputs must be named in `noise`.
+    model : or the problem that holds it; its unknown inputs must be named in `noise`.
     experiments : records in the model's channels (SI), each with its known values; their sample
         times may differ.
-    noise : the noise of every output, and the process noise; unknown sizes are estimated.
+    noise : the noise of every output, and the process noise, in a list; unknown sizes are
+        estimated.
     own : parameters that every experiment has for itself.
     initial : standard deviations of the initial states, for the time-varying predictor; default
         estimates the initial states with the steady-state gain.
     start : start values by variable name, over the model's own.
     rest : state or input -> its value where a nonlinear model rests, a number or an SX expression
         of its parameters; 0 for what is not given. The records stay near it.
+    solver : or its name; default ``Solver("ipopt")``.
 
     Raises
     ------
     ModelError
-        For noise that is missing or misplaced, or a model without a predictor.
+        For noise that is missing or misplaced, a start for what is no variable, or a model without
+        a predictor.
     DataError
         For channels that are missing or incomplete, or a record too short.
     IdentifiabilityError
@@ -146,8 +166,13 @@ def minimize_prediction_error(
     -----
     Consistent if the inputs are exact and the noise model is right; with an input measured in
     noise, or feedback through a direct term, it is not (Linder 2017, sections 3.5 and 7.3.2).
-    The Hessian is the Fisher information: its steps are those of scoring.
+    The Hessian is the Fisher information: its steps are those of scoring. Where no size of noise is
+    known nor in `start`, the search begins from the sizes given times one common factor, which the
+    data tell; the page says so.
     """
+    if isinstance(model, Problem):
+        model = model.model
+    sources = noise_sources(noise)
     given = [experiments] if isinstance(experiments, Experiment | Record) else list(experiments)
     chosen = [Experiment(e, {}, e.name) if isinstance(e, Record) else e for e in given]
 
@@ -156,7 +181,8 @@ def minimize_prediction_error(
             model, chosen, sources, own=own, initial=initial, start=start, rest=rest
         )
 
-    criterion = stated(noise)
+    criterion = stated(sources)
+    wanted = criterion.start  # as the user has it; the search may begin elsewhere
     for e in range(len(criterion.data)):
         criterion.predictor(criterion.start, e)  # refuses with the reason where there is none
     x0 = criterion.start
@@ -165,12 +191,12 @@ def minimize_prediction_error(
             f"{criterion.data[0].name}: {criterion.n_samples} samples cannot pay for {len(x0)} "
             "unknowns (parameters, noise and initial states); widen the window or give known values"
         )
-    given_noise = {criterion.noisy.noise_name(w) for w in noise} & set(start or {})
-    if not any(w.is_known for w in noise) and not given_noise:
+    given_noise = {criterion.noisy.noise_name(w) for w in sources} & set(start or {})
+    if not any(w.is_known for w in sources) and not given_noise:
         # The gain does not change with a common factor on all variances: its optimum is known.
         ratio = _quadratic(criterion, x0) / criterion.n_samples
         if np.isfinite(ratio) and ratio > 0:
-            criterion = stated([replace(w, sd=w.sd * float(np.sqrt(ratio))) for w in noise])
+            criterion = stated([replace(w, sd=w.sd * float(np.sqrt(ratio))) for w in sources])
             x0 = criterion.start
     first = criterion.evaluate(x0)
     if not np.isfinite(first.value):
@@ -198,7 +224,7 @@ def minimize_prediction_error(
             f"{solution.mend}"
         )
     return Prediction(
-        _estimate(criterion, solution),
+        _estimate(criterion, solution, wanted),
         criterion,
         solution,
         criterion.log_likelihood(solution.x),
@@ -216,7 +242,7 @@ def _quadratic(criterion: PredictionError, x: Array) -> float:
 
 
 def _solve(
-    criterion: PredictionError, x: Array, solver: Solver | None, options: Mapping[str, Any]
+    criterion: PredictionError, x: Array, solver: Solver | str | None, options: Mapping[str, Any]
 ) -> Solution:
     """Minimise from `x`; the constant of the criterion makes it half the sum of squares there.
 
@@ -228,7 +254,7 @@ def _solve(
     for v in criterion.variables:
         nlp.variable(v.name, v.start, lower=v.lower, upper=v.upper, scale=v.scale)
     nlp.minimize(criterion)
-    solver = solver or Solver()
+    solver = as_solver(solver)
     if solver.name == "ipopt":
         solver = replace(solver, options={**options, **solver.options})
     return nlp.solve(solver, x.tolist(), throw=False, natural_scales=True)
@@ -246,7 +272,8 @@ def _unit(criterion: PredictionError, name: str, source: str) -> str:
     return f"({unit})^2" + (" s" if name.startswith("psd") else "")
 
 
-def _estimate(criterion: PredictionError, solution: Solution) -> Estimate:
+def _estimate(criterion: PredictionError, solution: Solution, wanted: Array) -> Estimate:
+    """The page of a solution; `wanted` (n,) are the starts as they were given."""
     model, x = criterion.model, solution.x
     bound = {*solution.at_lower, *solution.at_upper}
     free = np.array([n not in bound for n in criterion.names])
@@ -268,8 +295,11 @@ def _estimate(criterion: PredictionError, solution: Solution) -> Estimate:
             )
         elif v.name in unseen:
             note, shown = "not identifiable at the estimate", None
+        given = float(wanted[i])
+        if not note and not np.isclose(v.start, given, rtol=1e-3):
+            note = f"searched from {v.start:.2g}"
         unit = _unit(criterion, v.name, v.source)
-        row = Estimated(v.name, float(x[i]), unit, False, shown, v.start, note)
+        row = Estimated(v.name, float(x[i]), unit, False, shown, given, note)
         (states if v.source in model.states else parameters).append(row)
     for p in model.parameters.values():
         if p.value is not None:

@@ -417,3 +417,60 @@ def test_records_that_cannot_be_used_are_refused() -> None:
         fit_lag(record.between(0.0, 0.9))
     with pytest.raises(SolveError, match="outside its bounds.*move the start inside"):
         fit_lag(record, start={"a": -1.0})
+
+
+def test_noise_that_is_no_list_is_refused_with_the_list() -> None:
+    record = lag_record(0)
+    sizes: Any = {"y": 0.3, "w": 1.0}
+    with pytest.raises(
+        ModelError, match=r"noise=\[White\('y', 0.3\), White\('w', 1.0\)\]"
+    ) as error:
+        fit_lag(record, sizes)
+    mend = str(error.value).split("noise=")[1].split(", with the")[0]
+    assert eval(mend, {"White": White}) == list(LAG_NOISE)
+    for wrong in ("y", 0.3, [0.3, 1.0]):
+        with pytest.raises(ModelError, match=r"give a list of White\(where, sd\)"):
+            fit_lag(record, wrong)  # type: ignore[arg-type]
+
+
+def test_problem_single_noise_and_named_solver_are_taken() -> None:
+    """One output without process noise: the model, or its problem, and one White."""
+    m = lag_model()
+    m.substitute_symbol("w", ca.SX(0))
+    del m.inputs["w"]
+    record = lag_record(2, q=0.0)
+    plain = minimize_prediction_error(m, record, [White("y", 0.3)])
+    problem = casid.Problem(name="lag", model=m)
+    found = minimize_prediction_error(problem, record, White("y", 0.3), solver="ipopt")
+    np.testing.assert_array_equal(found.solution.x, plain.solution.x)
+    with pytest.raises(SolveError, match=r"a float is no solver; give Solver\('ipopt'\)"):
+        minimize_prediction_error(m, record, White("y", 0.3), solver=1.0)  # type: ignore[arg-type]
+
+
+def test_an_experiment_that_is_not_there_is_refused_with_those_that_are() -> None:
+    found = fit_lag(lag_record(0))
+    for ask in (found.predictor, found.innovations):
+        with pytest.raises(
+            DataError, match=r"no experiment 3; give the number of one, 0 \(lag 0\)"
+        ):
+            ask(3)
+    assert found.innovations(0).shape == (600, 1)
+    assert found.predictor(0).K.shape == (1, 1)
+
+
+def test_the_page_shows_the_starts_that_were_given() -> None:
+    """The search begins at a common multiple of the variances, which is said beside them."""
+    found = fit_lag(lag_record(0), [White("y", 3e-3), White("w", 1e-2)])
+    for name, start in (("var(y)", 9e-6), ("psd(w)", 1e-4), ("a", 1.0)):
+        row = found.parameter(name)
+        assert row.start == pytest.approx(start)
+        assert found[name] == row.value
+        assert row.note.startswith("searched from") == ("(" in name)
+    by = {v.name: v.start for v in found.criterion.variables}
+    assert by["psd(w)"] / by["var(y)"] == pytest.approx(1e-4 / 9e-6)
+    assert f"searched from {by['var(y)']:.2g}" in str(found)
+    assert any("Ljung" in line for line in found.references())
+    kept = fit_lag(lag_record(0), start={"var(y)": 0.2})
+    assert not any(p.note for p in kept.estimate.parameters if not p.known)
+    assert repr(found).startswith("<Prediction <Estimate lag: converged")
+    assert "\n" not in repr(found)
