@@ -23,7 +23,7 @@ from casid.nlp_solution import (
     not_finite,
 )
 from casid.nlp_solver import Solver, as_solver, gave_up, set_up
-from casid.nlp_values import fill, inside, views
+from casid.nlp_values import at_start, fill, inside, views
 
 
 class _Buffered:
@@ -220,17 +220,18 @@ class Compiled:
     def solve(
         self,
         values: Mapping[str, Any],
-        start: Sequence[float] | Array | None = None,
+        start: Sequence[float] | Array | Mapping[str, float] | None = None,
         *,
         throw: bool = True,
         polish: bool = True,
     ) -> Solution:
-        """Solve for these values of the parameters, from `start` (n,) or the declared starts.
+        """Solve for these values of the parameters, from `start` or the declared starts.
 
         Parameters
         ----------
         values : one array of the declared shape for each parameter, physical units; vectors may
             have shape (rows,).
+        start : (n,) in order, or name -> value; what is not named keeps its declared start.
         polish : where the solver stops short of 1e-10 in the scaled gradient, take Newton steps on
             the optimality conditions of the limits that it found active. Data with little noise
             need it: a solver's tolerance is relative to the start, not to what is left.
@@ -244,7 +245,7 @@ class Compiled:
         names, scale, (lower, upper, _, _) = self.names, self._scale, self._box
         x = self._start
         if start is not None:
-            x = np.asarray(start, dtype=float).ravel()
+            x = at_start(self.name, names, start, x)
             x = inside(self.name, names, x, lower, upper, scale)
         self._prepare.arguments["x"][:] = x
         self._prepare()

@@ -28,7 +28,7 @@ from casid.nlp_solution import (
     not_finite,
 )
 from casid.nlp_solver import Solver, as_solver, gave_up, set_up
-from casid.nlp_values import fill, inside, views
+from casid.nlp_values import at_start, fill, inside, views
 
 if TYPE_CHECKING:
     from casid.compiled import Compiled
@@ -77,6 +77,31 @@ class _Callback(ca.Callback):
 
     def get_jacobian(self, *_: Any) -> Any:
         return self._jac
+
+
+_IS_SX = (
+    "is made of SX symbols, which this program does not know; use the symbols that nlp.variable "
+    "and nlp.parameter return (MX), or call an SX function with them: ca.Function('f', [x], [f])(a)"
+)
+
+
+def _require_objective(program: str, objective: Any) -> None:
+    """Refuse what can be neither evaluated nor differentiated as an objective."""
+    if isinstance(objective, ca.SX):
+        raise SolveError(f"{program}: the objective {_IS_SX}")
+    if isinstance(objective, ca.MX):
+        if objective.shape != (1, 1):
+            rows, columns = objective.shape
+            raise SolveError(
+                f"{program}: the objective has {rows} rows and {columns} columns; give one number, "
+                "as ca.sumsqr(...) makes of residuals"
+            )
+    elif not (hasattr(objective, "evaluate") and hasattr(objective, "n_constraints")):
+        raise SolveError(
+            f"{program}: the objective is a {type(objective).__name__}, which depends on no "
+            "variable; give a CasADi expression of the symbols that nlp.variable returns, or a "
+            "Criterion (an object with evaluate and n_constraints)"
+        )
 
 
 # The criterion and its variables come in their natural units: Ipopt need not scale again, and a
@@ -234,6 +259,11 @@ class Nlp:
         return {name: symbol.shape for name, symbol in self._parameters.items()}
 
     @property
+    def start(self) -> Array:
+        """The declared starts (n,)."""
+        return np.array(self._start)
+
+    @property
     def limits(self) -> tuple[Array, Array, Array]:
         """Lower and upper bounds and scales of the variables, each (n,)."""
         return np.array(self._lower), np.array(self._upper), np.array(self._scale)
@@ -249,7 +279,14 @@ class Nlp:
         return self._objective is not None and not isinstance(self._objective, ca.MX)
 
     def minimize(self, objective: Any) -> None:
-        """Set the objective: a scalar CasADi expression of the variables, or a `Criterion`."""
+        """Set the objective: a scalar CasADi expression of the variables, or a `Criterion`.
+
+        Raises
+        ------
+        SolveError
+            If it is neither, or an expression that is no scalar.
+        """
+        _require_objective(self.name, objective)
         self._objective = objective
 
     def equality(self, expression: Any, value: Any = 0.0, name: str = "") -> None:
@@ -267,9 +304,11 @@ class Nlp:
         SolveError
             If numeric limits cross, or the shapes do not agree.
         """
+        name = name or f"constraint {len(self._constraints) + 1}"
+        if any(isinstance(part, ca.SX) for part in (expression, lower, upper)):
+            raise SolveError(f"{self.name}: constraint {name} {_IS_SX}")
         expression = ca.MX(expression)
         rows = expression.shape[0]
-        name = name or f"constraint {len(self._constraints) + 1}"
         limits: list[Any] = [v if isinstance(v, ca.MX) else ca.DM(v) for v in (lower, upper)]
         for limit in limits:
             if expression.shape[1] != 1 or limit.shape not in ((1, 1), (rows, 1)):
@@ -322,12 +361,12 @@ class Nlp:
         ------
         SolveError
             If the objective is missing or a `Criterion` (its data are its own, not parameters),
-            if an undeclared symbol is used, or the solver cannot be set up.
+            if no variable is declared, an undeclared symbol is used, or the solver cannot be set
+            up.
         """
         from casid.compiled import Compiled
 
-        if self._objective is None:
-            raise SolveError(f"{self.name}: no objective; call minimize first")
+        self._require_complete()
         if not isinstance(self._objective, ca.MX):
             raise SolveError(
                 f"{self.name}: a {type(self._objective).__name__} cannot be compiled, since it "
@@ -372,6 +411,14 @@ class Nlp:
             solver=as_solver(solver),
         )
 
+    def _require_complete(self) -> None:
+        if self._objective is None:
+            raise SolveError(f"{self.name}: no objective; call minimize first")
+        if not self._symbols:
+            raise SolveError(
+                f"{self.name}: no variables; declare at least one, a = nlp.variable('a', 1.0)"
+            )
+
     def _given(self, parameters: Mapping[str, Any] | None) -> tuple[Any, list[Any]]:
         """Objective and constraints with the parameters' values put in."""
         expressions = [c[1] for c in self._constraints]
@@ -391,15 +438,16 @@ class Nlp:
     def solve(
         self,
         solver: Solver | str | None = None,
-        start: Sequence[float] | None = None,
+        start: Sequence[float] | Mapping[str, float] | None = None,
         *,
         parameters: Mapping[str, Any] | None = None,
         throw: bool = True,
         natural_scales: bool = False,
     ) -> Solution:
-        """Solve from `start` (n,) or the declared starts, with values for declared parameters.
+        """Solve, with values for declared parameters.
 
-        To solve for many values, `compile` first. A `solver` may be given by its name alone.
+        `start` is (n,) in order, or name -> value; what is not named has its declared start. To
+        solve for many values, `compile` first. A `solver` may be given by its name alone.
 
         `natural_scales` takes the criterion's own curvature at the start as the size of its
         variables, and stops at its rounding error: right where the start is of the right order,
@@ -413,13 +461,12 @@ class Nlp:
             parameter without a value and a failing evaluation at the start always raise.
         """
         solver = as_solver(solver)
+        self._require_complete()
         scale = np.array(self._scale)
         lower, upper = np.array(self._lower), np.array(self._upper)
-        x0: Array = np.array(self._start if start is None else start, dtype=float).ravel()
+        x0 = at_start(self.name, self.names, start, np.array(self._start))
         x0 = inside(self.name, self.names, x0, lower, upper, scale)
         n = len(scale)
-        if self._objective is None:
-            raise SolveError(f"{self.name}: no objective; call minimize first")
         objective, expressions = self._given(parameters)
 
         x = ca.vertcat(*self._symbols)

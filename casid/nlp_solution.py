@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -66,8 +67,53 @@ class Solution:
             self.status, "try other start values (starts=...), bounds, or fix a parameter"
         )
 
+    @property
+    def active(self) -> Mapping[str, str]:
+        """Variables that a bound holds -> "lower", "upper" or "lower and upper"."""
+        sides = {"lower": self.at_lower, "upper": self.at_upper}
+        held = {n: [s for s, names in sides.items() if n in names] for n in self.names}
+        return {name: " and ".join(found) for name, found in held.items() if found}
+
     def __getitem__(self, name: str) -> float:
+        if name not in self.names:
+            near = difflib.SequenceMatcher(b=str(name))
+
+            def unlike(known: str) -> float:
+                near.set_seq1(known)
+                return -near.ratio()
+
+            ordered = ", ".join(sorted(self.names, key=unlike))
+            raise KeyError(f"{name!r} is no variable; give one of these, nearest first: {ordered}")
         return float(self.x[self.names.index(name)])
+
+    def __repr__(self) -> str:
+        state = "converged" if self.is_converged else "not converged"
+        return (
+            f"<Solution of {len(self.names)} variables, {state}: value {self.value:.6g}, "
+            f"{self.solver} {self.status}>"
+        )
+
+    def __str__(self) -> str:
+        active = self.active
+        width = max(map(len, self.names), default=0)
+        lines = [f"{'Converged' if self.is_converged else 'Not converged'}: {self._account()}"]
+        for name, value in zip(self.names, self.x, strict=True):
+            at = f"  at its {active[name]} bound" if name in active else ""
+            lines.append(f"  {name:<{width}} = {value:.8g}{at}")
+        lines.append(f"  value {self.value:.8g}, scaled gradient {self.scaled_gradient:.1e}")
+        count = len(self.constraint_jacobian)
+        if count:
+            lines.append(
+                f"  {count} constraint{'s' if count > 1 else ''}, largest violation "
+                f"{self.constraint_violation:.1e}"
+            )
+        if not self.is_converged:
+            lines.append(f"  mend: {self.mend}")
+        return "\n".join(lines)
+
+    def _account(self) -> str:
+        plural = "" if self.iterations == 1 else "s"
+        return f"{self.solver}, {self.status} after {self.iterations} iteration{plural}"
 
 
 def not_finite(program: str, names: Sequence[str], x: Array) -> SolveError:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.errors import SolveError
+from casid.expressions import nearest
 
 Array = NDArray[Any]
 
@@ -58,6 +59,29 @@ def fill(
             f"{program}: parameter {', '.join(bad)} holds values that are not finite; mend the "
             "data that they come from (record.mark_missing, record.between)"
         )
+
+
+def at_start(
+    program: str,
+    names: Sequence[str],
+    start: Sequence[float] | Array | Mapping[str, float] | None,
+    declared: Array,
+) -> Array:
+    """A start (n,) from values in order or by name; the declared one for what is not named.
+
+    Raises
+    ------
+    SolveError
+        If a name is no variable's.
+    """
+    if start is None:
+        return declared
+    if not isinstance(start, Mapping):
+        return np.array(start, dtype=float).ravel()
+    for name in start:
+        if name not in names:
+            raise SolveError(f"{program}: no variable {name!r} to start{nearest(name, names)}")
+    return np.array([start.get(n, d) for n, d in zip(names, declared, strict=True)], dtype=float)
 
 
 def inside(

@@ -35,7 +35,7 @@ from casid.contenders import (
 from casid.errors import CasidError, SolveError
 from casid.nlp import Array, Nlp, Solution, Solver
 from casid.nlp_solution import judged
-from casid.nlp_values import inside
+from casid.nlp_values import at_start, inside
 from casid.null_space import null_space_least_squares
 from casid.scipy_solvers import CriterionProgram, Program, run_scipy
 
@@ -217,10 +217,10 @@ class SolverComparison:
 def compare_solvers(
     nlp: Nlp,
     parameters: Mapping[str, Any] | None = None,
-    solvers: Sequence[str | Solver] | None = None,
+    solvers: Sequence[str | Solver] | str | Solver | None = None,
     reference: Mapping[str, float] | Solution | Sequence[float] | Array | None = None,
     *,
-    start: Sequence[float] | Array | None = None,
+    start: Sequence[float] | Array | Mapping[str, float] | None = None,
     tolerance: float = 1e-7,
     timeout: float = 30.0,
 ) -> SolverComparison:
@@ -232,11 +232,11 @@ def compare_solvers(
         Gauss-Newton matrix run, in this process, and the others have a row that says so).
     parameters : values of the parameters that `nlp` declares.
     solvers : names ("ipopt", "sqpmethod/daqp", "uno", "scipy/SLSQP", "null-space QR", any plug-in
-        of `casadi.nlpsol`) or `Solver` values; by default all that casid knows.
+        of `casadi.nlpsol`) or `Solver` values, or one of these; by default all that casid knows.
     reference : the answer, as values by name or in order; by default the closed form where
         constraints are linear and the objective quadratic, else the best optimum that any solver
         reached, polished by Newton steps on its optimality conditions.
-    start : (n,), by default the declared starts.
+    start : (n,) in order, or name -> value; by default the declared starts.
     tolerance : largest relative distance of a variable that counts as agreement.
     timeout : seconds after which a CasADi plug-in is stopped.
 
@@ -246,10 +246,12 @@ def compare_solvers(
         If values of parameters are missing or do not fit, the start does not, or the reference
         has other variables.
     """
-    entries = [contender(entry) for entry in (DEFAULT if solvers is None else solvers)]
-    at_start: Array | None = None if start is None else np.asarray(start, dtype=float).ravel()
-    if at_start is not None:
-        at_start = inside(nlp.name, nlp.names, at_start, *nlp.limits)
+    solvers = DEFAULT if solvers is None else solvers
+    entries = [contender(s) for s in ([solvers] if isinstance(solvers, str | Solver) else solvers)]
+    begin: Array | None = None
+    if start is not None:
+        begin = at_start(nlp.name, nlp.names, start, nlp.start)
+        begin = inside(nlp.name, nlp.names, begin, *nlp.limits)
     program: Any
     if nlp.has_criterion:
         constraints = copy.copy(nlp)
@@ -257,14 +259,14 @@ def compare_solvers(
         compiled = constraints.compile()
         compiled.put(parameters or {})
         program = CriterionProgram(nlp.objective, compiled)
-        outcomes = [_criterion_outcome(nlp, c, program, parameters, at_start) for c in entries]
+        outcomes = [_criterion_outcome(nlp, c, program, parameters, begin) for c in entries]
     else:
         compiled = program = nlp.compile()
         compiled.put(parameters or {})
         plug_ins = [c for c in entries if c.solver is not None]
-        apart = run_apart(compiled, parameters or {}, at_start, plug_ins, timeout)
+        apart = run_apart(compiled, parameters or {}, begin, plug_ins, timeout)
         by_entry = {id(c): found for c, found in zip(plug_ins, apart, strict=True)}
-        outcomes = [by_entry.get(id(c)) or _here(c, compiled, at_start, nlp.names) for c in entries]
+        outcomes = [by_entry.get(id(c)) or _here(c, compiled, begin, nlp.names) for c in entries]
     answer, words = _reference(nlp, program, outcomes, reference, polish=not nlp.has_criterion)
     objective = math.nan if answer is None else program.evaluate(answer).value
     rows = tuple(

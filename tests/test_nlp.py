@@ -311,6 +311,82 @@ def test_a_start_of_wrong_length_and_a_missing_objective_are_refused():
         Nlp().solve()
 
 
+def test_what_is_no_objective_is_refused_with_what_would_be_one():
+    nlp = Nlp("sum")
+    a, b = nlp.variable("a", 1.0), nlp.variable("b", 1.0)
+    x = ca.SX.sym("x", 2)
+    with pytest.raises(SolveError, match=r"sum: the objective is made of SX symbols.*\(MX\), or c"):
+        nlp.minimize(ca.sumsqr(x - 2))
+    residuals = ca.vertcat(a - 2, b - 2)
+    with pytest.raises(SolveError, match=r"2 rows and 1 columns; give one number, as ca.sumsqr"):
+        nlp.minimize(residuals)
+    for number in (3.0, np.float64(3.0), np.zeros(2), ca.DM(3.0)):
+        with pytest.raises(SolveError, match="depends on no variable; give a CasADi expression of"):
+            nlp.minimize(number)
+    nlp.minimize(ca.sumsqr(residuals))
+    mended = nlp.solve().x
+    nlp.minimize(ca.Function("f", [x], [ca.sumsqr(x - 2)])(ca.vertcat(a, b)))
+    assert mended == pytest.approx([2.0, 2.0])
+    assert nlp.solve().x == pytest.approx([2.0, 2.0])
+
+
+def test_a_constraint_of_foreign_symbols_is_refused():
+    nlp = Nlp()
+    nlp.variable("a", 1.0)
+    with pytest.raises(SolveError, match="constraint gap is made of SX .*nlp.variable"):
+        nlp.equality(ca.SX.sym("a"), 1.0, "gap")
+
+
+@pytest.mark.parametrize("act", ["solve", "compile"])
+def test_a_program_without_variables_asks_for_one(act):
+    nlp = Nlp("empty")
+    nlp.minimize(ca.MX(1.0))
+    with pytest.raises(SolveError, match=r"empty: no variables; .*a = nlp.variable\('a', 1.0\)"):
+        getattr(nlp, act)()
+    a = nlp.variable("a", 1.0)
+    nlp.minimize(a**2)
+    getattr(nlp, act)()
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_start_may_name_the_variables_that_it_moves(compiled):
+    """cos has an optimum every 2 pi: the one that is found tells the start."""
+    nlp = Nlp("waves")
+    a, b = nlp.variable("a", 3.0), nlp.variable("b", 3.0)
+    nlp.minimize(ca.cos(a) + ca.cos(b))
+
+    def solve(start):
+        return nlp.compile().solve({}, start) if compiled else nlp.solve(start=start)
+
+    assert solve({"b": 9.0}).x == pytest.approx([np.pi, 3 * np.pi])
+    assert solve([9.0, 3.0]).x == pytest.approx([3 * np.pi, np.pi])
+    with pytest.raises(SolveError, match="waves: no variable 'beta' to start; known are: a, b"):
+        solve({"beta": 9.0})
+
+
+def test_a_solution_names_its_variables():
+    nlp = Nlp()
+    gain, delay = nlp.variable("gain", 2.0, lower=0.0), nlp.variable("delay", 1.0)
+    nlp.minimize((gain + 2) ** 2 + delay**2)
+    nlp.equality(delay, 1.0)
+    solution = nlp.solve()
+    with pytest.raises(KeyError, match="'delya' is no variable; .* nearest first: delay, gain"):
+        solution["delya"]
+    assert solution["delay"] == pytest.approx(1.0)
+    assert repr(solution) == "<Solution of 2 variables, converged: value 5, ipopt Solve_Succeeded>"
+    assert solution.active == {"gain": "lower"}
+    text = str(solution).splitlines()
+    assert text[0].startswith("Converged: ipopt, Solve_Succeeded after ")
+    assert text[1].startswith("  gain  = ")
+    assert text[1].endswith("  at its lower bound")
+    assert text[2] == "  delay = 1"
+    assert text[3].startswith("  value 5, scaled gradient ")
+    assert text[4].startswith("  1 constraint, largest violation ")
+    short = nlp.solve(Solver(max_iterations=0), throw=False)
+    assert "not converged" in repr(short)
+    assert str(short).splitlines()[-1] == f"  mend: {short.mend}"
+
+
 @SOLVERS
 def test_a_start_outside_the_bounds_is_refused_and_rounding_is_not(solver):
     """Solving from the nearest point instead would silently answer another question."""

@@ -244,6 +244,18 @@ def test_another_optimum_is_called_one():
     )
 
 
+def test_one_solver_and_a_start_by_name_need_no_lists():
+    nlp = Nlp("waves")
+    a, b = nlp.variable("a", 3.0), nlp.variable("b", 3.0)
+    nlp.minimize(ca.cos(a) + ca.cos(b))
+    for one in ("scipy/SLSQP", Solver("ipopt"), Solver("sqpmethod", options={"qpsol": "daqp"})):
+        table = compare_solvers(nlp, solvers=one, start={"b": 9.0})
+        assert [row.reason for row in table.rows] == [""]
+        assert table.reference == pytest.approx([np.pi, 3 * np.pi])
+    with pytest.raises(SolveError, match="no variable 'c' to start; known are: a, b"):
+        compare_solvers(nlp, solvers="ipopt", start={"c": 9.0})
+
+
 def test_few_iterations_and_missing_plug_ins_are_reasons():
     nlp, values = pendulum(is_lifted=False)
     short = Solver("sqpmethod", max_iterations=2)
