@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from casid.data import Experiment, Record
-from casid.errors import DataError
+from casid.errors import DataError, ModelError
 from casid.estimate import Estimate, Estimated, Identifiability
 from casid.local_rank import describe_null, local_rank
 from casid.model import Model
@@ -122,7 +122,7 @@ def _steps_matter(fit: Fit) -> bool:
 
 
 def identify(
-    problem: Problem,
+    problem: Problem | Model,
     experiments: Sequence[Experiment | Record] | Experiment | Record | None = None,
     *,
     hold_out: float | Sequence[Experiment] = 0.0,
@@ -134,6 +134,7 @@ def identify(
 
     Parameters
     ----------
+    problem : or its model alone, where nothing else is to be said of it.
     experiments : records in the problem's channels (SI), each with the values known for it alone;
         default the problem's own example. Unknown parameters are shared unless `settings.own`.
     hold_out : share of each record, at its end, or whole records, used for validation only.
@@ -156,6 +157,8 @@ def identify(
     from casid.holdout import record_views, split_records, validation
 
     say = progress or (lambda _: None)
+    if isinstance(problem, Model):
+        problem = Problem(problem.name, problem)
     chosen = experiments_of(problem, experiments)
     split = split_records(chosen, hold_out)
     settings = settings or FitSettings(starts=problem.starts)
@@ -169,6 +172,12 @@ def experiments_of(
     problem: Problem, experiments: Sequence[Experiment | Record] | Experiment | Record | None
 ) -> list[Experiment]:
     """What the caller gave as a list of experiments, names made unique; the example by default."""
+    if not isinstance(problem, Problem):
+        given = f"model {problem.name}" if isinstance(problem, Model) else repr(problem)
+        raise ModelError(
+            f"{given} is no problem; give casid.Problem(name, model), or "
+            "casid.load_problem(path) of a file"
+        )
     chosen: list[Experiment]
     if experiments is None:
         chosen = problem.examples()

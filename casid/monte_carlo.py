@@ -28,6 +28,7 @@ from casid.errors import DataError, ModelError, SolveError
 from casid.estimate import Estimate
 from casid.identification import FitSettings, identify
 from casid.manifest import manifest_of, name_of
+from casid.model import Model
 from casid.nlp import Solver
 from casid.nlp_solver import _is_installed
 from casid.problem import Problem, load_problem
@@ -464,6 +465,11 @@ def montecarlo(
     SolveError
         If there is no such solver, or every run fails.
     """
+    if isinstance(problem, Model):
+        raise ModelError(
+            f"model {problem.name} cannot simulate itself; give casid.Problem(name, model, "
+            "simulate=f, truth={name: value})"
+        )
     if not isinstance(problem, Problem):
         problem = load_problem(problem)
     study = Study(problem, method, settings, duration)

@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from casid.data import Experiment
-from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
+from casid.data import Experiment, Record
+from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError, UnitError
 from casid.local_rank import describe_null, local_rank
 from casid.model import Model
 from casid.nlp import Evaluation, Nlp, Solution, Solver
 from casid.simulate import Simulator
+from casid.units import describe_dimension, parse_unit, to_si
 
 Array = np.ndarray[Any, Any]
 Whitener = Callable[[Array, int], Array]  # ((N, ny, m) columns, experiment) -> same shape
@@ -51,7 +52,8 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
     Raises
     ------
     DataError
-        If a channel is missing, or an input has missing samples.
+        If a channel is missing or in a unit of another dimension than the model's, or an input has
+        missing samples.
     """
     record = experiment.record
     for name, entry in model.inputs.items():
@@ -67,6 +69,7 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
                 f"{record.name}: no channel {name!r} for {model.name}; it has "
                 f"{', '.join(record.channels)}. Map one of them: --map {name}=column"
             )
+    _refuse_foreign_units(model, record)
     columns = []
     for name, entry in model.inputs.items():
         if entry.kind == "generated":
@@ -98,6 +101,29 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
         Ts=record.Ts,
         known=dict(experiment.known),
     )
+
+
+def _refuse_foreign_units(model: Model, record: Record) -> None:
+    """A channel measures what the model says, or it is another quantity."""
+    units = {n: e.unit for n, e in model.inputs.items() if e.kind != "generated"}
+    units |= {n: unit for n, (_, unit) in model.outputs.items()}
+    for name, unit in units.items():
+        own = record.units[name]
+        if own == unit:
+            continue
+        try:
+            expected = parse_unit(unit)
+        except UnitError:
+            continue  # the model's own affair
+        try:
+            to_si(np.zeros(0), own, unit)
+        except UnitError:
+            raise DataError(
+                f"{record.name}: channel {name} is in {own!r}, but {model.name} has it in {unit!r} "
+                f"({describe_dimension(parse_unit(own).dimension)} against "
+                f"{describe_dimension(expected.dimension)} in base units); map the channel that "
+                f"measures it, or give its true unit: Record(..., units={{{name!r}: {unit!r}}})"
+            ) from None
 
 
 @dataclass(frozen=True, slots=True)

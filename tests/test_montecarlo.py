@@ -298,6 +298,8 @@ def test_studies_that_cannot_be_meant_are_refused(
 def test_problems_that_cannot_be_studied_are_refused(tank: Problem) -> None:
     with pytest.raises(DataError, match=r"no simulator.*simulate=f, truth="):
         montecarlo(replace(tank, simulate=None))
+    with pytest.raises(ModelError, match=r"model tank .*casid.Problem\(name, model, simulate=f"):
+        montecarlo(tank.model)  # type: ignore[arg-type]
     with pytest.raises(DataError, match="no unknown parameter left"):
         montecarlo(tank.with_known({"a": 0.7, "b": 1.2}))
     with pytest.raises(DataError, match="returns no experiment"):

@@ -389,3 +389,57 @@ def test_several_starts_agree_where_the_criterion_has_one_minimum():
     )
     assert fit.starts_tried == 3
     assert fit.starts_agreeing >= 2
+
+
+# ---------------------------------------------------------------------- what is given
+
+
+def test_a_model_alone_is_identified_as_a_problem_of_it() -> None:
+    """And a diagnosis, which asks for more, says how to make one."""
+    e = experiment(noise=1e-3)
+    alone = casid.identify(oscillator(), e, settings=EXACT)
+    whole = casid.identify(problem(), e, settings=EXACT)
+    assert alone.problem == "mass on a spring"
+    assert [alone[n] for n in TRUE] == [whole[n] for n in TRUE]
+    record = casid.identify(oscillator(), e.record, settings=EXACT)
+    assert record["k"] == whole["k"]
+    with pytest.raises(
+        casid.ModelError, match=r"model mass on a spring .*casid.Problem\(name, mod"
+    ):
+        casid.diagnose(oscillator(), e)  # type: ignore[arg-type]
+    with pytest.raises(casid.ModelError, match=r"'m.py' is no problem; .*casid.load_problem\(path"):
+        casid.identify("m.py", e)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("channel", "unit", "words"),
+    [
+        ("position", "rad", "'rad', but mass on a spring has it in 'm' (1 against m"),
+        ("force", "m/s^2", "'m/s^2', but mass on a spring has it in 'N' (m/s^2 against kg m/s^2"),
+    ],
+)
+def test_a_channel_of_another_dimension_is_refused(channel: str, unit: str, words: str) -> None:
+    e = experiment(noise=1e-3)
+    record = e.record
+    wrong = replace(record, units={**record.units, channel: unit})
+    with pytest.raises(casid.DataError, match=re.escape(words)) as refusal:
+        casid.identify(problem(), wrong)
+    mend = re.search(r"units=(\{.*\})\)", str(refusal.value))
+    assert mend is not None
+    assert f"channel {channel} " in str(refusal.value)
+    mended = replace(wrong, units={**wrong.units, **eval(mend[1])})
+    assert casid.identify(problem(), mended, settings=EXACT)["k"] == pytest.approx(50, rel=0.01)
+
+
+def test_angles_are_numbers_but_cycles_are_no_radians() -> None:
+    """rad/s and 1/s are one dimension; Hz, in which 2 pi hides, is refused as it is from a file."""
+    m = casid.Model("coasting")
+    p, d = m.state("p", "rad/s"), m.parameter("d", "1/s", start=0.5)
+    m.derivative(p, -d * p)
+    m.output("gyro", p, "rad/s")
+    gyro = np.exp(-0.7 * 0.05 * np.arange(100))
+    for unit in ("1/s", "rad/s"):
+        record = casid.Record({"gyro": gyro}, {"gyro": unit}, Ts=0.05)
+        assert casid.identify(m, record)["d"] == pytest.approx(0.7, rel=1e-4)
+    with pytest.raises(casid.DataError, match=r"'Hz', but coasting has it in 'rad/s'.*true unit"):
+        casid.identify(m, casid.Record({"gyro": gyro}, {"gyro": "Hz"}, Ts=0.05))
