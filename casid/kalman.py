@@ -52,8 +52,19 @@ class Predictor:
         """(nx,) eigenvalues of A - K C."""
         return np.asarray(linalg.eigvals(self.A_closed))
 
+    def __repr__(self) -> str:
+        s = self.system
+        slowest = _radius(self.A_closed)
+        return (
+            f"<Predictor of {', '.join(s.output_name(i) for i in range(s.ny))}: {s.nx} states, "
+            f"{s.nu} inputs, Ts = {s.Ts:g} s, slowest pole {slowest:.4g}>"
+        )
+
     def to_control(self) -> Any:
-        """Innovations form (2.32) as a python-control StateSpace, from [u; innovation] to y."""
+        """Innovations form (2.32) as a python-control StateSpace, from [u; innovation] to y.
+
+        Signals have the channels' names, as far as the system has them.
+        """
         import control
 
         s = self.system
@@ -63,7 +74,7 @@ class Predictor:
             s.C,
             np.hstack([s.D, np.eye(s.ny)]),
             s.Ts,
-            inputs=[f"u{i + 1}" for i in range(s.B.shape[1])]
+            inputs=[s.input_name(i) for i in range(s.nu)]
             + [f"innovation {s.output_name(i)}" for i in range(s.ny)],
             outputs=[s.output_name(i) for i in range(s.ny)],
             states=[s.state_name(i) for i in range(s.nx)],
@@ -72,10 +83,11 @@ class Predictor:
     def run(self, y: Array, u: Array | None = None, x0: Array | None = None) -> Filtered:
         """Innovations of y (N, ny), u (N, nu) with this gain from the first sample on.
 
-        `x0` (nx,) is the predicted state at the first sample, default zero.
+        `x0` (nx,) is the predicted state at the first sample, default zero. A record is refused:
+        the message says which of its channels make y and u.
         """
         s = self.system
-        y, u = _signals(s, y, u)
+        y, u = s.signals(y, u)
         x0 = np.zeros(s.nx) if x0 is None else np.asarray(x0, dtype=float).ravel()
         x = recursion(self.A_closed, u @ (s.B - self.K @ s.D).T + y @ self.K.T, x0)
         e = y - x[:-1] @ s.C.T - u @ s.D.T
@@ -289,7 +301,7 @@ def time_varying(
         If P0 is not symmetric and positive semidefinite, or an innovation covariance is singular.
     """
     s = system
-    y, u = _signals(s, y, u)
+    y, u = s.signals(y, u)
     N = len(y)
     whole = used is None or bool(np.all(used))
     mask = np.ones((N, s.ny), dtype=bool) if used is None else np.asarray(used, dtype=bool)
@@ -369,20 +381,7 @@ def _without(s: NoisySystem, there: Array) -> NoisySystem:
     """The system at a sample where outputs are missing: they see nothing but noise of size one."""
     C, R, S = s.C * there[:, None], s.R * np.outer(there, there), s.S * there[None, :]
     R[~there, ~there] = 1.0
-    return NoisySystem(s.A, s.B, C, s.D, s.Q, R, S, s.Ts, s.states, s.outputs)
-
-
-def _signals(s: NoisySystem, y: Array, u: Array | None) -> tuple[Array, Array]:
-    y = np.asarray(y, dtype=float)
-    y = y[:, None] if y.ndim == 1 else y
-    u = np.zeros((len(y), s.B.shape[1])) if u is None else np.asarray(u, dtype=float)
-    u = u[:, None] if u.ndim == 1 else u
-    if y.shape[1] != s.ny or u.shape != (len(y), s.B.shape[1]):
-        raise ModelError(
-            f"signals are y {y.shape} and u {u.shape}, but the system has {s.ny} outputs and "
-            f"{s.B.shape[1]} inputs; give y (N, {s.ny}) and u (N, {s.B.shape[1]})"
-        )
-    return y, u
+    return NoisySystem(s.A, s.B, C, s.D, s.Q, R, S, s.Ts, s.states, s.outputs, s.inputs)
 
 
 # -- recursions ---------------------------------------------------------------------------------

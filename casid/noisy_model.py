@@ -70,13 +70,13 @@ def noise_sources(noise: Sequence[White] | White) -> tuple[White, ...]:
         raise ModelError(
             f"noise is a mapping; give a list, noise=[{said}], with the process noise among it"
         )
-    sources = tuple(noise) if isinstance(noise, Sequence) and not isinstance(noise, str) else noise
-    if not isinstance(sources, tuple) or not all(isinstance(w, White) for w in sources):
+    several: Any = noise  # whatever it was given
+    if not isinstance(several, list | tuple) or not all(isinstance(w, White) for w in several):
         raise ModelError(
             f"noise = {noise!r}; give a list of White(where, sd), one for each output and one for "
             "each source of process noise"
         )
-    return sources
+    return tuple(several)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,7 +226,8 @@ class NoisyModel:
         for i in (4, 5, 6):
             tangents[i][m:] = stack[i][1 + len(index) :].real
         A, B, C, D, Q, S, R, *rest = (np.ascontiguousarray(part[0].real) for part in stack)
-        system = NoisySystem(A, B, C, D, Q, R, S, Ts, tuple(self.model.states), self.outputs)
+        states = tuple(self.model.states)
+        system = NoisySystem(A, B, C, D, Q, R, S, Ts, states, self.outputs, self.inputs)
         return Sampled(system, SystemTangent(*tangents[:7]), *rest, *tangents[7:])
 
     def _sample(self, flat: Array, variances: Array, Ts: float) -> tuple[Array, ...]:

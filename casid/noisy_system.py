@@ -8,13 +8,14 @@ Source: (2.25)-(2.28) of Linder (2017).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.data import Record
 from casid.errors import ModelError
 
 Array = NDArray[Any]
@@ -29,7 +30,7 @@ class NoisySystem:
     A (nx, nx), B (nx, nu), C (ny, nx), D (ny, nu)
     Q (nx, nx), R (ny, ny), S (nx, ny) : covariances of w and v, and E[w v'] (default zero).
     Ts : sample time [s].
-    states, outputs : names, for messages and for python-control.
+    states, outputs, inputs : names, for messages and for python-control.
 
     Raises
     ------
@@ -48,6 +49,7 @@ class NoisySystem:
     Ts: float = 1.0
     states: Sequence[str] = ()
     outputs: Sequence[str] = ()
+    inputs: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         n, ny = len(np.atleast_2d(self.A)), len(np.atleast_2d(self.C))
@@ -97,6 +99,11 @@ class NoisySystem:
         return len(self.A)
 
     @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return int(self.B.shape[1])
+
+    @property
     def ny(self) -> int:
         """Number of outputs."""
         return len(self.C)
@@ -108,6 +115,40 @@ class NoisySystem:
     def output_name(self, i: int) -> str:
         """The name of an output, or its number."""
         return str(self.outputs[i]) if self.outputs else f"y{i + 1}"
+
+    def input_name(self, i: int) -> str:
+        """The name of an input, or its number."""
+        return str(self.inputs[i]) if self.inputs else f"u{i + 1}"
+
+    def signals(self, y: Any, u: Any = None) -> tuple[Array, Array]:
+        """Outputs (N, ny) and inputs (N, nu), default zero, from arrays of one axis or two.
+
+        Raises
+        ------
+        ModelError
+            If the shapes are not those of the system, or a record is given for arrays.
+        """
+        for name, given, count, of in (
+            ("y", y, self.ny, self.output_name),
+            ("u", u, self.nu, self.input_name),
+        ):
+            if isinstance(given, Record | Mapping):
+                channels = ", ".join(f"record[{of(i)!r}]" for i in range(count))
+                raise ModelError(
+                    f"{name} is a {type(given).__name__}; give an array (N, {count}), "
+                    f"{name}=np.column_stack([{channels}])"
+                )
+        y = np.asarray(y, dtype=float)
+        y = y[:, None] if y.ndim == 1 else y
+        N = len(y) if y.ndim else 1
+        u = np.zeros((N, self.nu)) if u is None else np.asarray(u, dtype=float)
+        u = u[:, None] if u.ndim == 1 else u
+        if y.ndim != 2 or y.shape[1] != self.ny or u.shape != (N, self.nu):
+            raise ModelError(
+                f"signals are y {y.shape} and u {u.shape}, but the system has {self.ny} outputs "
+                f"and {self.nu} inputs; give y (N, {self.ny}) and u (N, {self.nu})"
+            )
+        return y, u
 
 
 # -- sampling -----------------------------------------------------------------------------------

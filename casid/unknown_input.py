@@ -23,7 +23,7 @@ from casid.identification import FitSettings, identify
 from casid.input_models import as_known, as_random_walk, as_shaped_noise, require_unknown
 from casid.model import Model
 from casid.nlp import Solver
-from casid.noisy_model import White
+from casid.noisy_model import White, noise_sources
 from casid.prediction_error import minimize_prediction_error
 from casid.problem import Problem
 
@@ -167,7 +167,7 @@ def compare_unknown_input_options(
     measured: str | None = None,
     integral: str | None = None,
     noise: Mapping[str, float] | None = None,
-    process: Sequence[White] = (),
+    process: Sequence[White] | White = (),
     truth: Mapping[str, float] | None = None,
     options: Sequence[str] | str | None = None,
     solver: Solver | None = None,
@@ -238,7 +238,7 @@ def compare_unknown_input_options(
         measured,
         integral,
         dict(noise or {}),
-        tuple(process),
+        noise_sources(process),
         solver,
     )
     rows = []

@@ -11,6 +11,7 @@ import pytest
 from scipy import linalg
 from scipy.stats import chi2, multivariate_normal
 
+from casid.data import Record
 from casid.errors import ModelError
 from casid.kalman import (
     SystemTangent,
@@ -117,6 +118,42 @@ def test_python_control_gets_the_innovations_form() -> None:
     e = p.run(y, u).innovations
     back = control.forced_response(form, inputs=np.hstack([u, e]).T).outputs.T
     np.testing.assert_allclose(back, y, atol=1e-10)
+
+
+def test_signals_have_their_channels_names_where_the_system_has_them() -> None:
+    s = replace(system(1), inputs=("rudder",), outputs=("roll", "yaw"), states=("p", "q", "r"))
+    p = steady_state(s)
+    form = p.to_control()
+    assert form.input_labels == ["rudder", "innovation roll", "innovation yaw"]
+    assert form.output_labels == ["roll", "yaw"]
+    assert steady_state(system(1)).to_control().input_labels[0] == "u1"
+    radius = float(np.max(np.abs(p.poles)))
+    assert repr(p) == (
+        f"<Predictor of roll, yaw: 3 states, 1 inputs, Ts = 0.1 s, slowest pole {radius:.4g}>"
+    )
+
+
+def test_a_record_is_refused_with_the_arrays_that_it_holds() -> None:
+    s = replace(system(1), inputs=("rudder",), outputs=("roll", "yaw"))
+    y, u = record(s, 50, 2)
+    held = Record(
+        {"roll": y[:, 0], "yaw": y[:, 1], "rudder": u[:, 0]},
+        {"roll": "rad", "yaw": "rad", "rudder": "rad"},
+        Ts=0.1,
+    )
+    p = steady_state(s)
+    with pytest.raises(ModelError, match="y is a Record; give an array") as error:
+        p.run(held)  # type: ignore[arg-type]
+    mend = str(error.value).split("y=")[1]
+    again = eval(mend, {"np": np, "record": held})
+    np.testing.assert_array_equal(again, y)
+    with pytest.raises(ModelError, match=r"u=np.column_stack\(\[record\['rudder'\]\]\)"):
+        p.run(y, {"rudder": u[:, 0]})  # type: ignore[arg-type]
+    np.testing.assert_array_equal(p.run(again, u).innovations, p.run(y, u).innovations)
+    with pytest.raises(ModelError, match=r"the system has 2 outputs and 1 inputs; give y \(N, 2\)"):
+        p.run(y[:, :1], u)
+    with pytest.raises(ModelError, match=r"give y \(N, 2\)"):
+        p.run(np.float64(1.0))  # type: ignore[arg-type]
 
 
 def test_python_control_finds_the_same_gain() -> None:

@@ -456,6 +456,7 @@ def test_an_experiment_that_is_not_there_is_refused_with_those_that_are() -> Non
             ask(3)
     assert found.innovations(0).shape == (600, 1)
     assert found.predictor(0).K.shape == (1, 1)
+    assert found.predictor().to_control().input_labels == ["u", "innovation y"]
 
 
 def test_the_page_shows_the_starts_that_were_given() -> None:

@@ -386,7 +386,7 @@ def test_process_noise_can_be_common_to_all_options() -> None:
         direct_model(),
         record,
         exact="a_y_true",
-        process=[White("torque", 0.02, held=True)],
+        process=White("torque", 0.02, held=True),
         truth=TRUTH,
         options=[KNOWN],
     )
