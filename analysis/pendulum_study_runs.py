@@ -29,6 +29,7 @@ from casid.instruments import Instruments
 from casid.moment_equations import Part, moment_covariance, parts_of
 from casid.propagation import Propagated, propagate
 from casid.reference_filter import ReferenceFilter
+from casid.resampling import profile
 from casid.stage import MomentSettings, Stage, StageFit
 from problems.pendulum import TABLE_7_2, indirect_model
 from problems.pendulum_study import INSTRUMENT_LAG, Study
@@ -261,8 +262,6 @@ class Profiles:
 
     def __call__(self, seed: np.random.SeedSequence) -> dict[str, Any]:
         """Ends of the 95 % intervals of m and z_m."""
-        from casid.resampling import profile
-
         own = bench(self.amplitude, self.N, self.seed, self.noise)
         experiments = _experiments(own.study, seed)
         estimate = _reusable(self.amplitude)(experiments)
