@@ -7,9 +7,13 @@ that casid does not raise on purpose is a fault of casid, and keeps its tracebac
 
 from __future__ import annotations
 
+import _thread
 import contextlib
+import io
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -128,6 +132,48 @@ def _load(path: str) -> Problem:
         ) from error
 
 
+@contextlib.contextmanager
+def _ends_at_ctrl_c() -> Iterator[None]:
+    """Ctrl-C ends what is done here, though compiled solvers swallow it: it is said until heard."""
+    before: Any = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield
+        return
+    asked, over = threading.Event(), threading.Event()
+
+    def insist() -> None:
+        while not over.wait(0.1):
+            _thread.interrupt_main()
+
+    again = threading.Thread(target=insist, daemon=True)
+
+    def interrupt(number: int, frame: Any) -> None:
+        if over.is_set():
+            return
+        if not asked.is_set():
+            asked.set()
+            sys.stdout = sys.stderr = io.StringIO()  # CasADi prints all that it swallows
+            again.start()
+        before(number, frame)
+
+    streams = sys.stdout, sys.stderr
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    except Exception:
+        if asked.is_set():  # what Ctrl-C broke has not failed
+            raise KeyboardInterrupt from None
+        raise
+    finally:
+        over.set()
+        if again.ident is not None:
+            again.join()
+        signal.signal(signal.SIGINT, before)
+        sys.stdout, sys.stderr = streams
+    if asked.is_set():
+        raise KeyboardInterrupt
+
+
 # ---------------------------------------------------------------------- the commands
 
 
@@ -198,17 +244,18 @@ def diagnose(
             from casid.diagnosing import diagnose as run
             from casid.nlp import Solver
 
-            result = run(
-                model,
-                fitted,
-                hold_out=hold_out,
-                false_alarm_rate=false_alarm_rate,
-                max_causes=max_causes,
-                solver=Solver(solver),
-                starts=starts,
-                seed=seed,
-                progress=progress,
-            )
+            with _ends_at_ctrl_c():
+                result = run(
+                    model,
+                    fitted,
+                    hold_out=hold_out,
+                    false_alarm_rate=false_alarm_rate,
+                    max_causes=max_causes,
+                    solver=Solver(solver),
+                    starts=starts,
+                    seed=seed,
+                    progress=progress,
+                )
             progress("write the report")
             result.write(folder)
     say_where(folder, ("report.html", "diagnosis.json"), quiet)
@@ -267,7 +314,8 @@ def identify(
                 solver=Solver(solver),
                 seed=seed,
             )
-            result = run(model, fitted, hold_out=hold_out, settings=settings, progress=progress)
+            with _ends_at_ctrl_c():
+                result = run(model, fitted, hold_out=hold_out, settings=settings, progress=progress)
             progress("write the report")
             page = estimate_page(
                 result, result.records

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -499,6 +500,35 @@ def test_an_interrupted_command_says_so_and_leaves_nothing(here: Path) -> None:
     assert stdout == ""
     assert "error: interrupted" in stderr
     assert "Traceback" not in stderr
+    assert not (here / "reports").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("command", ["identify", "diagnose"])
+@pytest.mark.parametrize("after", [0.0, 0.13, 0.29, 0.61])
+def test_a_fit_ends_at_ctrl_c_wherever_it_is(here: Path, command: str, after: float) -> None:
+    """CasADi's solvers take it for a failed evaluation, and a million starts would go on."""
+    running = subprocess.Popen(
+        [sys.executable, "-m", "casid", command, "mass.py", "run.csv", "--starts", "1000000"],
+        cwd=here,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert running.stderr is not None
+    assert running.stderr.readline().startswith("fit ")
+    time.sleep(after)  # anywhere in the fit
+    running.send_signal(signal.SIGINT)
+    try:
+        stdout, stderr = running.communicate(timeout=30)
+    finally:
+        running.kill()
+    assert running.returncode == 130
+    assert stdout == ""
+    said = [line for line in stderr.splitlines() if line and not line.startswith("fit ")]
+    assert said[-1:] == ["error: interrupted; nothing was written"]
+    assert not any("Traceback" in line or "CasADi" in line for line in said)
     assert not (here / "reports").exists()
 
 
