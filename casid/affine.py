@@ -128,7 +128,7 @@ def affine_hull(
     g: ca.Function,
     parameters: Sequence[str],
     values: Mapping[str, float],
-    free: Sequence[str],
+    free: Sequence[str] | str,
     *,
     ranges: Mapping[str, Range] | None = None,
     coefficients: Sequence[str] = (),
@@ -136,13 +136,16 @@ def affine_hull(
 ) -> AffineHull:
     """Linear constraints that hold for every value of the free parameters.
 
+    ``equation.constraints(free, values)`` is the same for a `DifferenceEquation`, whose names and
+    known values it fills in.
+
     Parameters
     ----------
     g : SX function (np,) -> (n,), coefficients from physical parameters.
     parameters : names of the np parameters, in the order of g's argument.
     values : name -> value of every parameter that is not free; the value of a free one, where
         given, is the centre of its random draws. SI units.
-    free : names of the parameters that vary.
+    free : names of the parameters that vary, or the name of one.
     ranges : name -> (low, high) for the draws of a free parameter, either side may be infinite;
         default three orders of magnitude to both sides of its value (or of 1).
     coefficients : names of the n coefficients, for texts.
@@ -166,6 +169,7 @@ def affine_hull(
     settles what the singular values leave open, and gives B without loss of digits; where the two
     disagree because g's own constants are rounded, the singular values have the word.
     """
+    free = (free,) if isinstance(free, str) else tuple(free)
     draw = ParameterDraw(parameters, values, free, ranges or {}, seed)
     n = count_of_coefficients(g, parameters)
     names = coefficient_names(coefficients, n)
@@ -199,7 +203,7 @@ def affine_hull(
         residual=residual,
         image_dimension=image_dimension(g, parameters, values, free, ranges=ranges, seed=seed),
         coefficients=names,
-        free=tuple(free),
+        free=free,
         known={name: draw.known[name] for name in parameters if name in draw.known},
         is_exact=is_exact,
         gap=float(singular[found - 1] / max(singular[found], 1e-16)) if found <= n else np.inf,
@@ -210,7 +214,7 @@ def image_dimension(
     g: ca.Function,
     parameters: Sequence[str],
     values: Mapping[str, float],
-    free: Sequence[str],
+    free: Sequence[str] | str,
     *,
     ranges: Mapping[str, Range] | None = None,
     seed: int = 1,
@@ -220,6 +224,7 @@ def image_dimension(
     Arguments and errors as `affine_hull`. The rank is the largest over random points, rows and
     columns scaled; for rational g exact arithmetic settles an unclear one.
     """
+    free = (free,) if isinstance(free, str) else tuple(free)
     draw = ParameterDraw(parameters, values, free, ranges or {}, seed)
     count_of_coefficients(g, parameters)
     if not free:

@@ -17,7 +17,7 @@ simulated. `ClosedLoopView.discrete` closes the loop in algebra first.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -74,6 +74,10 @@ class ClosedLoopView:
     p: Algebra
     parameters: tuple[str, ...]
     values: Mapping[str, float]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields: what was derived from them is derived anew, compiled functions above all."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     # -- the loop ----------------------------------------------------------------------------
 
@@ -211,8 +215,9 @@ class ClosedLoopView:
         Source: Linder (2017), (7.55), with the sign of proposition 7.1.
         """
         self._check_not_degenerate()
-        if not Ts > 0:
-            raise ModelError(f"{self.name}: sample time {Ts:g} s; give a positive one")
+        given: Any = Ts
+        if isinstance(given, str) or not given > 0:
+            raise ModelError(f"{self.name}: sample time {Ts!r} s; give a positive one, a number")
         complete = self._complete(values)
         c = 2.0 / Ts
         columns = [complete[n] for n in self.parameters]

@@ -11,7 +11,7 @@ found, in exact rational arithmetic for the substitutions, and used: what remain
     left_t = sum_i theta_i column_i,t + error,    theta = g(theta_p),                          (2)
 
 with as few columns as the structure allows, y_t = [-y_{t-1}, -y_{t-2}, u_t - u_{t-2}] theta in
-(7.35) of the thesis.
+(7.35) of Linder (2017).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -39,6 +39,10 @@ from casid.inverse_map import invert as invert
 from casid.linear import LinearModel, TransferMatrix, linearise, parameter_vector
 from casid.model import Model, Parameter
 from casid.structural_relations import common_degree, echelon, hold_relations, rational_relations
+
+if TYPE_CHECKING:
+    from casid.affine import AffineHull
+    from casid.parameter_draws import Range
 
 Array = NDArray[Any]
 Expr = Any  # a CasADi SX expression
@@ -115,6 +119,40 @@ class DifferenceEquation:
         p = ca.SX.sym("p", len(self.parameters))
         theta = self.g(p)
         return ca.Function("jacobian", [p], [theta, ca.densify(ca.jacobian(theta, p))])
+
+    def constraints(
+        self,
+        free: Sequence[str] | str,
+        values: Mapping[str, float] | None = None,
+        *,
+        ranges: Mapping[str, Range] | None = None,
+    ) -> AffineHull:
+        """The linear constraints B theta = b that hold for every value of the free parameters.
+
+        Parameters
+        ----------
+        free : names of the parameters that vary.
+        values : the other parameters' values; a known one has its own unless given here. A free one
+            varies about the value given here, its own, or its start.
+        ranges : name -> (low, high) for the draws of a free parameter, see `casid.affine_hull`.
+
+        Raises
+        ------
+        ModelError, IdentifiabilityError
+            As `casid.affine_hull`.
+        """
+        from casid.affine import affine_hull
+
+        free = (free,) if isinstance(free, str) else tuple(free)
+        centres = {q.name: q.start for q in self.description if q.name in free}
+        return affine_hull(
+            self.g,
+            self.parameters,
+            centres | self.known | dict(values or {}),
+            free,
+            ranges=ranges,
+            coefficients=self.coefficients,
+        )
 
     def polynomials(self, theta: Array) -> tuple[Array, dict[str, Array]]:
         """All coefficients of (1) from the reduced ones.

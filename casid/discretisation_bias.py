@@ -74,12 +74,12 @@ class BiasTable:
 
 def bias_table(
     model: Model | LinearModel,
-    Ts: Sequence[float],
-    free: Sequence[str],
+    Ts: Sequence[float] | float,
+    free: Sequence[str] | str,
     values: Mapping[str, float] | None = None,
     *,
     output: str | None = None,
-    methods: Sequence[str] = METHODS,
+    methods: Sequence[str] | str = METHODS,
     truth: str = "foh",
     spectrum: Spectrum | Mapping[str, Spectrum] | None = None,
     points: int = 2000,
@@ -88,11 +88,11 @@ def bias_table(
 
     Parameters
     ----------
-    Ts : sample times [s].
-    free : the parameters that are estimated.
+    Ts : sample times [s], or a single one.
+    free : the parameters that are estimated, or the name of a single one.
     values : true values of the unknown parameters; known ones have their own unless given here.
     output : which output's regression; may be left out where there is one.
-    methods : discretisations to compare, see `casid.discretise.METHODS`.
+    methods : discretisations to compare, see `casid.discretise.METHODS`, or a single one.
     truth : what the continuous system's inputs do between samples: "zoh", "foh" or, for signals
         without content above the Nyquist frequency, "continuous".
     spectrum : of the inputs, one for all or one for each by name; inputs are independent. White up
@@ -105,6 +105,9 @@ def bias_table(
         As `difference_equation` and `invert`; or if the spectrum excites too little to determine
         the coefficients.
     """
+    times: list[Any] = [Ts] if np.ndim(Ts) == 0 else list(np.asarray(Ts, dtype=object).ravel())
+    free = (free,) if isinstance(free, str) else tuple(free)
+    methods = (methods,) if isinstance(methods, str) else tuple(methods)
     linear = model if isinstance(model, LinearModel) else linearise(model)
     if truth not in TRUTHS:
         raise ModelError(f"there is no truth {truth!r}{nearest(truth, TRUTHS)}")
@@ -118,7 +121,7 @@ def bias_table(
     a, rows = transfer.evaluate(values)
     fastest = float(np.abs(np.roots(a)).max(initial=0.0))
     found = []
-    for T in Ts:
+    for T in times:
         check_method("zoh", T)
         nyquist = np.pi / T
         top = nyquist if spectrum is not None or fastest == 0.0 else min(3.0 * fastest, nyquist)
@@ -144,7 +147,7 @@ def bias_table(
                 reference = float(true[equation.parameters.index(name)])
                 bias[name] = float(value - reference) / (reference if reference else 1.0)
             found.append(BiasRow(float(T), method, (fastest * T) ** 2 / 12.0, bias))
-    return BiasTable(output, truth, tuple(free), tuple(found))
+    return BiasTable(output, truth, free, tuple(found))
 
 
 def _limit(

@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from numbers import Real
 from typing import Any
 
 import casadi as ca
@@ -147,12 +148,13 @@ def discretise(
     )
 
 
-def check_method(method: str, Ts: float) -> None:
+def check_method(method: str, Ts: Any) -> None:
     """Refuse a method that does not exist, or a sample time that is not a positive number."""
     if method not in METHODS:
         raise ModelError(f"there is no discretisation {method!r}{nearest(method, METHODS)}")
-    if not (math.isfinite(Ts) and Ts > 0.0):
-        raise ModelError(f"the sample time is {Ts!r}; give a positive number of seconds")
+    is_number = isinstance(Ts, Real) or (isinstance(Ts, np.ndarray) and Ts.ndim == 0)
+    if not (is_number and math.isfinite(Ts) and Ts > 0.0):
+        raise ModelError(f"the sample time is {Ts!r}; give a positive number of seconds, as 0.01")
 
 
 def substitution(n: int, Ts: Any, method: str) -> list[list[Any]]:

@@ -40,7 +40,7 @@ def invert(
     equation: DifferenceEquation,
     theta: Array,
     model_values: Mapping[str, float],
-    free: Sequence[str],
+    free: Sequence[str] | str,
     start: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     *,
@@ -53,6 +53,7 @@ def invert(
     theta : (ntheta,) coefficients of `equation`.
     model_values : the other parameters' values; a known parameter has its own unless given here.
         Values given for free parameters are where the iteration starts.
+    free : names of the parameters sought, or the name of one.
     start : where the iteration starts, before `model_values`, the model's own value or start.
     bounds : name -> (lower, upper), which the iteration does not leave; none by default.
     weight : (k, ntheta), the rows of theta - g that are made small where there are more
@@ -69,19 +70,14 @@ def invert(
     SolveError
         If no start converges, so that no such parameters may exist.
     ModelError
-        If a name is unknown, or a value missing.
+        If a name is unknown or stands twice, or a value is missing.
 
     Notes
     -----
     The derivative is that of the implicit function: J^-1 with J = dg/dtheta_p for as many
     coefficients as parameters, (J'QJ - sum_i (Q r)_i H_i)^-1 J'Q else (r = theta - g, Q = W'W).
     """
-    free = tuple(free)
-    for name in free:
-        if name not in equation.parameters:
-            raise ModelError(
-                f"{equation.name}: no parameter {name!r}{nearest(name, equation.parameters)}"
-            )
+    free = _checked_names(equation, free)
     map_ = _evaluator(equation, free, threading.get_ident())
     theta = np.asarray(theta, dtype=float).ravel()
     if len(theta) != map_.ntheta:
@@ -140,6 +136,19 @@ def invert(
         f"{equation.name}: no {', '.join(free)} give these coefficients ({trouble[0]}, then from "
         f"{_STARTS} other starts); check the known values and the sample time, or start nearer"
     )
+
+
+def _checked_names(equation: DifferenceEquation, free: Sequence[str] | str) -> tuple[str, ...]:
+    """Names of parameters, of a single one where text is given; each once."""
+    free = (free,) if isinstance(free, str) else tuple(free)
+    for i, name in enumerate(free):
+        if name not in equation.parameters:
+            raise ModelError(
+                f"{equation.name}: no parameter {name!r}{nearest(name, equation.parameters)}"
+            )
+        if name in free[:i]:
+            raise ModelError(f"{equation.name}: parameter {name!r} is named twice; name it once")
+    return free
 
 
 class _Stuck(Exception):
@@ -413,7 +422,9 @@ def continuous_form(equation: DifferenceEquation) -> dict[str, Any]:
 
 
 def closed_form(
-    equation: DifferenceEquation, free: Sequence[str], using: Sequence[str] | None = None
+    equation: DifferenceEquation,
+    free: Sequence[str] | str,
+    using: Sequence[str] | str | None = None,
 ) -> ClosedForm:
     """Solve the continuous coefficients for the free parameters, in closed form.
 
@@ -426,7 +437,7 @@ def closed_form(
     Raises
     ------
     ModelError
-        If a name is unknown.
+        If a name is unknown or stands twice.
     IdentifiabilityError
         If no choice of coefficients gives the parameters in closed form; `invert` may still.
     """
@@ -434,11 +445,8 @@ def closed_form(
 
     from casid.symbolic import to_sympy
 
-    for name in free:
-        if name not in equation.parameters:
-            raise ModelError(
-                f"{equation.name}: no parameter {name!r}{nearest(name, equation.parameters)}"
-            )
+    free = _checked_names(equation, free)
+    using = (using,) if isinstance(using, str) else using
     named = continuous_names(equation.transfer)
     for name in using or ():
         if name not in named:

@@ -97,12 +97,14 @@ class LinearModel:
             name=self.name,
         )
 
-    def subsystem(self, outputs: Sequence[str] | None = None) -> LinearModel:
+    def subsystem(self, outputs: Sequence[str] | str | None = None) -> LinearModel:
         """What these outputs see of the inputs (all outputs by default): other states dropped.
 
         A state stays if, by the sparsity of A, B and C, an input reaches it and an output sees it.
         Where no input reaches any state that is seen, all that are seen stay: a free decay.
         """
+        if isinstance(outputs, str):
+            outputs = (outputs,)
         outputs = self.outputs if outputs is None else tuple(outputs)
         rows = [self._output(o) for o in outputs]
         into = _pattern(self.A)
@@ -124,7 +126,7 @@ class LinearModel:
 
     def transfer(self, outputs: Sequence[str] | str | None = None) -> TransferMatrix:
         """Transfer functions with one common denominator, of these outputs (all by default)."""
-        part = self.subsystem([outputs] if isinstance(outputs, str) else outputs)
+        part = self.subsystem(outputs)
         denominator, adjugate = faddeev_leverrier(part.A)
         n, nu, ny = len(part.states), len(self.inputs), len(part.outputs)
         flat = [denominator[k] for k in range(n + 1)]
@@ -227,6 +229,12 @@ class TransferMatrix:
             f"<TransferMatrix {self.name}: {', '.join(self.outputs)} from "
             f"{', '.join(self.inputs) or 'nothing'}, order {self.order}>"
         )
+
+    def __str__(self) -> str:
+        """One line for each transfer function, factored, in letters; large ones are left out."""
+        from casid.transfer_text import page
+
+        return page(self)
 
 
 def linearise(

@@ -97,7 +97,7 @@ def symbolic_hull(
     g: ca.Function,
     parameters: Sequence[str],
     values: Mapping[str, float],
-    free: Sequence[str],
+    free: Sequence[str] | str,
     *,
     coefficients: Sequence[str] = (),
     limit: int = 5000,
@@ -125,6 +125,7 @@ def symbolic_hull(
     import sympy
     from sympy.polys.matrices import DomainMatrix
 
+    free = (free,) if isinstance(free, str) else tuple(free)
     check_names(parameters, values, free)
     n = count_of_coefficients(g, parameters)
     names = coefficient_names(coefficients, n)

@@ -411,3 +411,31 @@ def test_a_rank_that_rounding_hides_is_refused():
     g = ca.Function("g", [p], [ca.vertcat(p, p + 1e-6 * ca.exp(p))])
     with pytest.raises(IdentifiabilityError, match="give wider `ranges` of p"):
         affine_hull(g, ("p",), {}, ("p",), ranges={"p": (1.0, 1.02)})
+
+
+def test_an_equation_fills_in_its_names_and_known_values():
+    """The hull is that of g: the names are the equation's, the known values the model's."""
+    equation = difference_equation(direct_model().eliminate("a_y", using="accel"), "gyro", 0.01)
+    short = equation.constraints(["I_x", "d"], {"k": 10.39})
+    values = equation.known | {"k": 10.39}
+    long = affine_hull(
+        equation.g, equation.parameters, values, ["I_x", "d"], coefficients=equation.coefficients
+    )
+    np.testing.assert_array_equal(short.B, long.B)
+    np.testing.assert_array_equal(short.b, long.b)
+    assert short.relations() == long.relations()
+    assert short.known == {n: values[n] for n in equation.parameters if n not in ("I_x", "d")}
+    with pytest.raises(ModelError, match="no value for the known k, d; add it to `values`, or"):
+        equation.constraints("I_x")
+    assert equation.constraints(["I_x", "k", "d"]).rank == 0
+
+
+def test_a_single_free_parameter_needs_no_list():
+    one, listed = (affine_hull(pendulum(), NAMES, VALUES, free) for free in ("I_x", ["I_x"]))
+    assert one.free == ("I_x",)
+    np.testing.assert_array_equal(one.B, listed.B)
+    assert image_dimension(pendulum(), NAMES, VALUES, "I_x") == 1
+    proof = symbolic_hull(pendulum(), NAMES, VALUES, "I_x")
+    assert proof.numeric(VALUES)[0].shape == one.B.shape
+    with pytest.raises(ModelError, match="'I_y' is not a parameter of the coefficients; did you"):
+        affine_hull(pendulum(), NAMES, VALUES, "I_y")

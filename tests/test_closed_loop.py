@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import casadi as ca
@@ -432,8 +433,24 @@ def test_wrong_names_are_told_the_nearest(pendulum):
         loop.simulate({"ay": np.zeros(5)})
     with pytest.raises(ModelError, match="give one or more of one length"):
         loop.simulate({"a_y": np.zeros(5), "tau_torque": np.zeros(6)})
-    with pytest.raises(ModelError, match="give a positive one"):
-        pendulum.discrete(0.0)
+    for Ts in (0.0, "0.01"):
+        with pytest.raises(ModelError, match="give a positive one"):
+            pendulum.discrete(Ts)
+
+
+def test_a_view_that_was_used_can_be_pickled(pendulum):
+    used = (
+        pendulum.poles(LOADED),
+        pendulum.direct_term_at(LOADED),
+        pendulum.discrete(0.01).denominator,
+    )
+    assert "_closed" in vars(pendulum)
+    other = pickle.loads(pickle.dumps(pendulum))
+    assert other.loop == pendulum.loop
+    again = (other.poles(LOADED), other.direct_term_at(LOADED), other.discrete(0.01).denominator)
+    np.testing.assert_array_equal(np.concatenate(used[0]), np.concatenate(again[0]))
+    np.testing.assert_array_equal(used[1], again[1])
+    np.testing.assert_array_equal(used[2], again[2])
 
 
 def test_a_loop_whose_leading_coefficient_vanishes_is_refused(pendulum):

@@ -128,3 +128,20 @@ def test_the_table_is_printed_with_a_line_for_each_case():
     assert len(lines) == 2 + 2 * 5
     assert "(w T)^2/12" in lines[1]
     assert "bilinear" in lines[2]
+
+
+def test_single_values_need_no_lists():
+    one = bias_table(indirect(), 0.01, "d", NOMINAL, methods="bilinear")
+    listed = bias_table(indirect(), [0.01], ["d"], NOMINAL, methods=["bilinear"])
+    assert [row.bias for row in one.rows] == [row.bias for row in listed.rows]
+    assert str(one) == str(listed)
+
+
+@pytest.mark.parametrize("Ts", ["0.01", ["0.01"], None, -0.01])
+def test_a_sample_time_is_a_positive_number(Ts):
+    with pytest.raises(ModelError, match="the sample time is .*give a positive number of seconds"):
+        bias_table(indirect(), Ts, FREE, NOMINAL)
+    if not isinstance(Ts, list):
+        with pytest.raises(ModelError, match="the sample time is .*, as 0.01"):
+            difference_equation(indirect(), "gyro", Ts)
+    assert difference_equation(indirect(), "gyro", np.float64(0.01)).Ts == 0.01

@@ -313,3 +313,18 @@ def test_a_chain_of_two_masses_comes_back():
     found, jacobian = invert(e, e.theta(true), {}, tuple(true), start=start)
     np.testing.assert_allclose(found, list(true.values()), rtol=1e-7)
     assert jacobian.shape == (6, len(e.coefficients))
+
+
+def test_a_parameter_may_stand_alone_but_not_twice():
+    e = difference_equation(indirect(), "gyro", 0.01)
+    theta = e.theta(NOMINAL)
+    with pytest.raises(ModelError, match="parameter 'I_x' is named twice; name it once"):
+        invert(e, theta, NOMINAL, ["I_x", "I_x"])
+    with pytest.raises(ModelError, match="'I_x' is named twice"):
+        closed_form(e, ["I_x", "I_x"])
+    one, slope = invert(e, theta, NOMINAL, "I_x")
+    listed, same = invert(e, theta, NOMINAL, ["I_x"])
+    assert one == pytest.approx([0.1385])
+    np.testing.assert_array_equal(one, listed)
+    np.testing.assert_array_equal(slope, same)
+    assert closed_form(e, "I_x").expressions == closed_form(e, ["I_x"]).expressions

@@ -413,6 +413,40 @@ def test_a_channel_made_nonlinear_cannot_be_undone():
 # -- travelling to other processes -------------------------------------------------------------
 
 
+def test_transfer_functions_are_printed_in_letters():
+    """(7.26) of Linder (2017): -S s / (I_2 s^2 + d s + k)."""
+    transfer = linearise(indirect()).transfer()
+    head, line = str(transfer).splitlines()
+    assert head == repr(transfer)
+    assert line == (
+        "  gyro / accel = ((-M*z_g - m*z_m) s) / ((I_x + I_xm + M*z_g^2 - M*z_g*z_s + m*z_m^2 - "
+        "m*z_m*z_s) s^2 + d s + k)"
+    )
+    chain = linearise(spring_chain(1)).transfer()
+    assert str(chain).splitlines()[1:] == [
+        "  q / F = 1 / D",
+        "  v / F = s / D",
+        "  D = m0 s^2 + d0 s + k0",
+    ]
+    assert str(pickle.loads(pickle.dumps(chain))) == str(chain)
+
+
+def test_transfer_functions_too_large_to_read_say_where_the_numbers_are():
+    transfer = linearise(spring_chain(4)).transfer()
+    text = str(transfer)
+    assert "too many to print; evaluate(values) has numbers" in text
+    assert "\n" not in text
+    denominator, _ = transfer.evaluate(chain_values(4, 1))
+    assert np.isfinite(denominator).all()
+
+
+def test_one_output_need_not_stand_in_a_list():
+    linear = linearise(spring_chain(1))
+    assert linear.subsystem("q").outputs == ("q",)
+    with pytest.raises(ModelError, match="no output 'qq'; did you mean 'q'"):
+        linear.subsystem("qq")
+
+
 def test_a_pickled_model_is_the_model():
     """Matrices, equilibrium and transfer functions share their parameters' symbols again."""
     model = linearise(indirect())
