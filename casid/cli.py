@@ -23,8 +23,10 @@ from casid import __version__
 from casid.errors import CasidError, DataError, ModelError
 from casid.options import (
     FIT_OPTIONS,
+    INSTRUMENT_OPTIONS,
     OUTPUT_OPTIONS,
     TIME,
+    InstrumentRequest,
     Request,
     Source,
     folder_options,
@@ -276,10 +278,15 @@ def diagnose(
     show_default=True,
     help="Multiple shooting with so many segments a record, for unstable models.",
 )
+@options(*INSTRUMENT_OPTIONS)
 @record_options
 def identify(
     problem: str,
     segments: int,
+    method: str,
+    reference: str | None,
+    lag: float | None,
+    free: str | None,
     starts: int | None,
     seed: int,
     solver: str,
@@ -295,10 +302,17 @@ def identify(
     Without DATA the problem simulates its own example. Writes estimate.json and report.html.
 
     Example: casid identify ship.py nominal=a.csv loaded=b.csv --set M=22.04 --hold-out c.csv
+
+    With instruments: casid identify ship.py nominal=a.csv b.csv --method instruments --reference
+    rudder --free I_x,d,m=0.1
     """
     request = Request(**common)
+    instruments = InstrumentRequest(method, reference, lag, free)
     model = _load(problem)
     model = model.with_known(request.known(model))
+    if method == "instruments":
+        instruments.refuse(request, starts, segments)
+        instruments.freed(model)  # refused before anything is read
     with reserved(out, model.name, force=force) as folder:
         with quiet_stdout(), progress_lines(quiet) as progress:
             fitted, hold_out = request.experiments(model)
@@ -308,18 +322,26 @@ def identify(
             from casid.report import estimate_page
             from casid.writing import write_text
 
-            settings = FitSettings(
-                starts=model.starts if starts is None else starts,
-                segments=segments,
-                solver=Solver(solver),
-                seed=seed,
-            )
-            with _ends_at_ctrl_c():
-                result = run(model, fitted, hold_out=hold_out, settings=settings, progress=progress)
+            result: Any
+            if method == "instruments":
+                progress(f"instrumental variables of {', '.join(e.name for e in fitted)}")
+                with _ends_at_ctrl_c():
+                    result = instruments.estimate(model, fitted, solver)
+                estimate = result.estimate
+            else:
+                settings = FitSettings(
+                    starts=model.starts if starts is None else starts,
+                    segments=segments,
+                    solver=Solver(solver),
+                    seed=seed,
+                )
+                with _ends_at_ctrl_c():
+                    result = estimate = run(
+                        model, fitted, hold_out=hold_out, settings=settings, progress=progress
+                    )
             progress("write the report")
-            page = estimate_page(
-                result, result.records
-            )  # before anything is written: both files or none
+            # Before anything is written: both files or none.
+            page = estimate_page(estimate, estimate.records)
             result.write(folder)
             write_text(folder / "report.html", page)
     say_where(folder, ("report.html", "estimate.json"), quiet)

@@ -538,6 +538,76 @@ def test_a_folder_that_cannot_be_written_is_refused(here: Path) -> None:
     refused(casid("identify", "mass.py", "run.csv", "--out", "locked"), "locked", "--out")
 
 
+# ---------------------------------------------------------------------- instruments
+
+
+PENDULUM = str(ROOT / "problems" / "pendulum.py")
+BY_INSTRUMENTS = ("--method", "instruments", "--reference", "ref", "--lag", "0.1", "--quiet")
+
+
+@pytest.fixture
+def pendulum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Two records of the pendulum as experiments, and as files `nominal.csv` and `loaded.csv`."""
+    from problems.pendulum import experiments
+
+    monkeypatch.chdir(tmp_path)
+    made = experiments(duration=60.0)
+    for e in made:
+        r = e.record
+        columns = np.column_stack([r.t, *(r[name] for name in ("gyro", "accel", "ref"))])
+        header = "t,gyro,accel,ref"
+        np.savetxt(f"{e.name}.csv", columns, "%.17g", ",", header=header, comments="")
+    return made
+
+
+def test_identify_by_instruments_is_the_call_of_the_library(pendulum: list[Any]) -> None:
+    """Files with 17 digits hold the same numbers, and the same numbers give the same estimate."""
+    from casid.instrumental import instrumental_variables
+    from casid.instruments import Instruments
+    from casid.reference_filter import ReferenceFilter
+    from problems.pendulum import indirect_model
+
+    free = ("--free", "I_x,d,m=0.1,z_m", "--set", "k=10.39")
+    files = ("nominal=nominal.csv", "loaded.csv")
+    result = casid("identify", PENDULUM, *files, *BY_INSTRUMENTS, *free, "--json", "--out", "o")
+    assert result.exit_code == 0, result.stderr
+    model = indirect_model().with_known(k=10.39).with_unknown("I_x", "d", "z_m", m=0.1)
+    expected = instrumental_variables(
+        model, pendulum, Instruments("ref", ReferenceFilter.lag(0.1)), free=("I_x", "d", "m", "z_m")
+    )
+    found = json.loads(result.stdout)
+    for name in expected.names:
+        row = found["parameters"][name]
+        assert row["value"] == pytest.approx(expected[name], rel=1e-6)
+        assert row["std_error"] == pytest.approx(expected.std_error(name), rel=1e-4)
+    assert found["overidentification"]["degrees_of_freedom"] == expected.propagated.degrees
+    assert json.loads(Path("o/estimate.json").read_text()) == found
+    page = Path("o/report.html").read_text()
+    assert "instrumental variables, joint, eliminated form" in page
+    nominal = casid("identify", PENDULUM, "nominal=nominal.csv", *BY_INSTRUMENTS, "--out", "n")
+    assert re.search(r"^  k .*\n  d .*\n  I_x ", nominal.stdout, re.MULTILINE)  # the unknown ones
+
+
+def test_instruments_that_cannot_be_meant_are_refused_with_the_mend(pendulum: list[Any]) -> None:
+    one = ("identify", PENDULUM, "nominal=nominal.csv")
+    iv = (*one, *BY_INSTRUMENTS)
+    for arguments, words in {
+        (*one, "--method", "instruments"): ("no disturbance reaches", "--reference ref"),
+        (*one, "--lag", "0.1"): ("--lag speaks of instruments", "add --method instruments"),
+        (*iv, "--reference", "rf"): ("did you mean 'ref'?", "recorded={'rf': unit}"),
+        (*iv, "--starts", "3"): ("--starts has no meaning", "leave --starts out"),
+        (*iv, "--hold-out", "0.2"): ("leave --hold-out out",),
+        (*iv, "--segments", "2"): ("leave --segments out",),
+        (*iv, "--free", "mass"): ("no parameter 'mass'", "it has k, d, I_x"),
+        (*iv, "--free", "d=x"): ("NAME=START",),
+        (*iv, "--free", "m"): ("its known value is 0", "--free m=0.1"),
+        (*iv, "--free", "d=0.1", "--set", "d=0.1"): ("contradict", "leave one of them out"),
+        (*iv, "--free", "k,d"): ("leaves out I_x", "--set I_x="),
+        (*iv, "loaded=loaded.csv", "--free", "k,d,I_x,m=0.1"): ("without its load case", "b.csv"),
+    }.items():
+        refused(casid(*arguments), *words)
+
+
 # ---------------------------------------------------------------------- the parts
 
 
