@@ -1,7 +1,7 @@
 """Noise models D v = C e of a measured disturbance: autoregressive moving average.
 
-`arma` fits one to a residual, as refined instrumental variables ask for in every round (thesis
-(2.51)); `Arma.whiten` is their prefilter L = D/C.
+`arma` fits one to a residual, as refined instrumental variables ask for in every round (Linder
+2017, (2.51)); `Arma.whiten` is their prefilter L = D/C.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Arma:
 
     @property
     def theta(self) -> Array:
-        """[ar[1:], ma[1:]], the eta of thesis (2.51)."""
+        """[ar[1:], ma[1:]], the eta of Linder 2017, (2.51)."""
         return np.concatenate([self.ar[1:], self.ma[1:]])
 
     @property
@@ -115,7 +115,7 @@ def arma(
     *,
     start: Arma | None = None,
     discard: int | None = None,
-    solver: Solver | None = None,
+    solver: Solver | str | None = None,
     throw: bool = True,
 ) -> Arma:
     """Fit ar v = ma e to a residual by prediction error.

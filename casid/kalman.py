@@ -29,7 +29,7 @@ ON_CIRCLE = 1e-8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Predictor:
-    """The steady-state one-step predictor in innovations form (2.29)-(2.34).
+    """The steady-state one-step predictor in innovations form, Linder 2017, (2.29)-(2.34).
 
     Attributes
     ----------
@@ -61,9 +61,9 @@ class Predictor:
         )
 
     def to_control(self) -> Any:
-        """Innovations form (2.32) as a python-control StateSpace, from [u; innovation] to y.
+        """Innovations form as a python-control StateSpace, from [u; innovation] to y.
 
-        Signals have the channels' names, as far as the system has them.
+        (2.32) of Linder (2017). Signals have the channels' names, as far as the system has them.
         """
         import control
 
@@ -114,7 +114,7 @@ class Filtered:
 
 
 def steady_state(system: NoisySystem, near: Array | None = None) -> Predictor:
-    """The steady-state predictor, from the Riccati equation (2.31).
+    """The steady-state predictor, from the Riccati equation, Linder 2017, (2.31).
 
     Parameters
     ----------
@@ -286,7 +286,9 @@ def time_varying(
     used: Array | None = None,
     tolerance: float = 1e-12,
 ) -> Filtered:
-    """The predictor (2.35) from x0 (nx,) and its covariance P0 (nx, nx), both zero by default.
+    """The predictor from x0 (nx,) and its covariance P0 (nx, nx), both zero by default.
+
+    (2.35) of Linder (2017).
 
     Parameters
     ----------

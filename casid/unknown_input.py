@@ -434,7 +434,8 @@ def _judgement(job: _Job, option: str) -> tuple[bool, str]:
         AS_EXACT: (
             False,
             f"not consistent: the noise of {u} acts on the model but not on the system "
-            "(errors in variables); its gain is drawn to zero, more the noisier it is (3.55)",
+            "(errors in variables); its gain is drawn to zero, more the noisier it is (Linder "
+            "2017, (3.55))",
         ),
         WITH_ERRORS: (
             True,
@@ -457,12 +458,12 @@ def _judgement(job: _Job, option: str) -> tuple[bool, str]:
         ),
         SIMULATION: (
             False,
-            f"not consistent: {y} is an input with noise, fed back by the system itself (7.30); "
-            f"no assumption on {u}",
+            f"not consistent: {y} is an input with noise, fed back by the system itself (Linder "
+            f"2017, (7.30)); no assumption on {u}",
         ),
         PREDICTION: (
             False,
             f"not consistent: the noise of {y} acts like process noise only where {y} itself is "
-            f"much larger; the loop has a direct term (7.31). No assumption on {u}",
+            f"much larger; the loop has a direct term (Linder 2017, (7.31)). No assumption on {u}",
         ),
     }[option]

@@ -100,7 +100,7 @@ def test_remarks_say_what_is_consistent_and_why() -> None:
         SHAPED,
     ]
     assert "errors in variables" in found[AS_EXACT].remark
-    assert "direct term" in found[PREDICTION].remark
+    assert "direct term (Linder 2017, (7.31))" in found[PREDICTION].remark
     # A telegraph is no random walk, and the innovations show it; an exact input leaves them white.
     assert "accel leaves coloured residuals" in found[WALK].remark
     assert "coloured" not in found[KNOWN].remark
