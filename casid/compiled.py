@@ -219,7 +219,7 @@ class Compiled:
 
     def solve(
         self,
-        values: Mapping[str, Any],
+        values: Mapping[str, Any] | None = None,
         start: Sequence[float] | Array | Mapping[str, float] | None = None,
         *,
         throw: bool = True,
@@ -230,7 +230,7 @@ class Compiled:
         Parameters
         ----------
         values : one array of the declared shape for each parameter, physical units; vectors may
-            have shape (rows,).
+            have shape (rows,). A program without parameters needs none.
         start : (n,) in order, or name -> value; what is not named keeps its declared start.
         polish : where the solver stops short of 1e-10 in the scaled gradient, take Newton steps on
             the optimality conditions of the limits that it found active. Data with little noise
@@ -241,7 +241,7 @@ class Compiled:
         SolveError
             As `Nlp.solve`; a missing, misshapen or non-finite value always raises.
         """
-        self.put(values)
+        self.put(values or {})
         names, scale, (lower, upper, _, _) = self.names, self._scale, self._box
         x = self._start
         if start is not None:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from casid.errors import CasidError
+from casid.errors import CasidError, SolveError
 from casid.nlp import Array, Solution, Solver
 
 
@@ -151,6 +151,11 @@ def contender(entry: str | Solver) -> Contender:
     if isinstance(entry, Solver):
         takes = entry.name in ("ipopt", "sqpmethod")
         return Contender(entry.name, entry, _RULES.get(entry.name, "its own options"), takes)
+    if not isinstance(entry, str):
+        raise SolveError(
+            f"a {type(entry).__name__} is no solver; give Solver('ipopt') or a name such as "
+            f"{', '.join(repr(name) for name in DEFAULT[2:5])}"
+        )
     if entry == NULL_SPACE:
         return Contender(entry, None, "closed form: exact to rounding, for linear constraints")
     if entry == POLISHED:

@@ -78,6 +78,13 @@ def invert(
     coefficients as parameters, (J'QJ - sum_i (Q r)_i H_i)^-1 J'Q else (r = theta - g, Q = W'W).
     """
     free = _checked_names(equation, free)
+    for what, given in (("start", start), ("bound", bounds)):
+        for name in given or ():
+            if name not in equation.parameters:
+                raise ModelError(
+                    f"{equation.name}: a {what} is given for {name!r}, which is no parameter"
+                    f"{nearest(name, equation.parameters)}"
+                )
     map_ = _evaluator(equation, free, threading.get_ident())
     theta = np.asarray(theta, dtype=float).ravel()
     if len(theta) != map_.ntheta:

@@ -207,8 +207,10 @@ class Nlp:
             raise SolveError(
                 f"{self.name}: bounds of {name} cross ({lower:g} > {upper:g}); exchange them"
             )
-        if not np.isfinite(start):
-            raise SolveError(f"{self.name}: start {name} = {start:g}; give a finite number")
+        is_number = np.asarray(start).dtype.kind in "biuf"
+        if not (is_number and np.isfinite(start)):
+            shown = f"{start:g}" if is_number else repr(start)
+            raise SolveError(f"{self.name}: start {name} = {shown}; give a finite number")
         if not lower <= start <= upper:
             raise SolveError(
                 f"{self.name}: start {name} = {start:g} lies outside its bounds "
@@ -307,6 +309,12 @@ class Nlp:
         name = name or f"constraint {len(self._constraints) + 1}"
         if any(isinstance(part, ca.SX) for part in (expression, lower, upper)):
             raise SolveError(f"{self.name}: constraint {name} {_IS_SX}")
+        for part in (expression, lower, upper):
+            if isinstance(part, str):
+                raise SolveError(
+                    f"{self.name}: constraint {name} holds the text {part!r}; give a number, or an "
+                    "expression of the symbols that nlp.variable returns"
+                )
         expression = ca.MX(expression)
         rows = expression.shape[0]
         limits: list[Any] = [v if isinstance(v, ca.MX) else ca.DM(v) for v in (lower, upper)]

@@ -126,6 +126,12 @@ def set_up(program: str, solver: Solver, problem: Mapping[str, Any], options: An
     SolveError
         If the plug-in is not installed or refuses its options.
     """
+    plug_in, _, qp = solver.name.partition("/")
+    if qp and plug_in == "sqpmethod":
+        raise SolveError(
+            f"{program}: {solver.name!r} is a solver with an option; write "
+            f"Solver('sqpmethod', options={{'qpsol': {qp!r}}})"
+        )
     if not _is_installed(solver.name):
         raise SolveError(
             f"{program}: solver {solver.name!r} is no CasADi plug-in that loads here; use "

@@ -72,16 +72,23 @@ def at_start(
     Raises
     ------
     SolveError
-        If a name is no variable's.
+        If a name is no variable's, or a value no number.
     """
     if start is None:
         return declared
-    if not isinstance(start, Mapping):
-        return np.array(start, dtype=float).ravel()
-    for name in start:
-        if name not in names:
-            raise SolveError(f"{program}: no variable {name!r} to start{nearest(name, names)}")
-    return np.array([start.get(n, d) for n, d in zip(names, declared, strict=True)], dtype=float)
+    given: Any = start
+    if isinstance(start, Mapping):
+        for name in start:
+            if name not in names:
+                raise SolveError(f"{program}: no variable {name!r} to start{nearest(name, names)}")
+        given = [start.get(n, d) for n, d in zip(names, declared, strict=True)]
+    found = np.asarray(given)
+    if found.dtype.kind not in "biuf":
+        raise SolveError(
+            f"{program}: the start {start!r} is not made of numbers; give {len(names)} of them in "
+            f"order, or by name, as {{{names[0]!r}: {declared[0]:g}}}"
+        )
+    return np.array(found, dtype=float).ravel()
 
 
 def inside(

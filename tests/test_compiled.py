@@ -356,3 +356,12 @@ def test_values_are_continuous_in_the_data():
     ]
     for longer, shorter in pairwise(steps):
         assert longer / shorter == pytest.approx(2.0, rel=0.02)
+
+
+def test_a_program_without_parameters_needs_no_values():
+    nlp = Nlp()
+    a = nlp.variable("a", 1.0)
+    nlp.minimize((a - 2) ** 2)
+    assert nlp.compile().solve()["a"] == pytest.approx(2.0)
+    with pytest.raises(SolveError, match="no value for parameter gram, .*give values for exactly"):
+        least_squares().compile().solve()

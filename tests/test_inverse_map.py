@@ -328,3 +328,23 @@ def test_a_parameter_may_stand_alone_but_not_twice():
     np.testing.assert_array_equal(one, listed)
     np.testing.assert_array_equal(slope, same)
     assert closed_form(e, "I_x").expressions == closed_form(e, ["I_x"]).expressions
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (
+            {"start": {"dd": 0.1}},
+            "a start is given for 'dd', which is no parameter; did you mean 'd'",
+        ),
+        ({"bounds": {"I_xx": (0.0, 1.0)}}, "a bound is given for 'I_xx', .* mean 'I_x'"),
+    ],
+)
+def test_starts_and_bounds_of_no_parameter_are_refused(given, words):
+    """Ignoring a misspelt bound would let the iteration leave it."""
+    e = difference_equation(indirect(), "gyro", 0.01)
+    with pytest.raises(ModelError, match=words):
+        invert(e, e.theta(NOMINAL), NOMINAL, ("I_x", "d"), **given)
+    mended = {"start": {"d": 0.2}, "bounds": {"I_x": (0.01, 1.0)}}
+    found, _ = invert(e, e.theta(NOMINAL), NOMINAL, ("I_x", "d"), **mended)
+    np.testing.assert_allclose(found, [0.1385, 0.1067], rtol=1e-8)

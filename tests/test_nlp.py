@@ -210,6 +210,7 @@ def test_a_stationary_maximum_is_no_optimum():
         (3.0, {"lower": 4.0}, "start a = 3 lies outside its bounds .*move the start inside or"),
         (3.0, {"lower": 4.0, "upper": 2.0}, r"bounds of a cross \(4 > 2\); exchange"),
         (float("nan"), {}, "start a = nan; give a finite number"),
+        ("1", {}, "start a = '1'; give a finite number"),
     ],
 )
 def test_impossible_starts_and_bounds_are_refused_when_declared(start, limits, words):
@@ -302,6 +303,8 @@ def test_a_solvers_name_stands_for_the_solver():
     assert compiled.with_solver("ipopt").solve({}).solver == "ipopt"
     with pytest.raises(SolveError, match=r"a dict is no solver; give Solver\('ipopt'\)"):
         decay(None).solve({"name": "ipopt"})
+    with pytest.raises(SolveError, match=r"write Solver\('sqpmethod', options={'qpsol': 'daqp'}\)"):
+        decay(None).solve("sqpmethod/daqp")
 
 
 def test_a_start_of_wrong_length_and_a_missing_objective_are_refused():
@@ -335,6 +338,8 @@ def test_a_constraint_of_foreign_symbols_is_refused():
     nlp.variable("a", 1.0)
     with pytest.raises(SolveError, match="constraint gap is made of SX .*nlp.variable"):
         nlp.equality(ca.SX.sym("a"), 1.0, "gap")
+    with pytest.raises(SolveError, match="constraint gap holds the text 'a'; give a number, or"):
+        nlp.equality("a", 1.0, "gap")
 
 
 @pytest.mark.parametrize("act", ["solve", "compile"])
@@ -362,6 +367,10 @@ def test_a_start_may_name_the_variables_that_it_moves(compiled):
     assert solve([9.0, 3.0]).x == pytest.approx([3 * np.pi, np.pi])
     with pytest.raises(SolveError, match="waves: no variable 'beta' to start; known are: a, b"):
         solve({"beta": 9.0})
+    for text in ("9", {"b": "9"}, ["9", "3"]):
+        with pytest.raises(SolveError, match="not made of numbers; give 2 .* as {'a': 3}"):
+            solve(text)
+    assert solve({"a": 3}).x == pytest.approx([np.pi, np.pi])
 
 
 def test_a_solution_names_its_variables():

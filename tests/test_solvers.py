@@ -254,6 +254,8 @@ def test_one_solver_and_a_start_by_name_need_no_lists():
         assert table.reference == pytest.approx([np.pi, 3 * np.pi])
     with pytest.raises(SolveError, match="no variable 'c' to start; known are: a, b"):
         compare_solvers(nlp, solvers="ipopt", start={"c": 9.0})
+    with pytest.raises(SolveError, match=r"a int is no solver; give Solver\('ipopt'\) or a name"):
+        compare_solvers(nlp, solvers=[3])
 
 
 def test_few_iterations_and_missing_plug_ins_are_reasons():
