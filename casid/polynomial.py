@@ -1,8 +1,8 @@
 """Prediction-error estimation of A y = sum_i (B_i/F_i) u_i + (C/D) e.
 
-The criterion 1/2 sum eps^2 (thesis (2.36)-(2.38)) is an NLP in the coefficients alone, whatever the
-number of samples. ARX is linear and solved in closed form. The predictor (2.19) divides by C and F:
-the search stays where both are stable.
+The criterion 1/2 sum eps^2 (Linder 2017, (2.36)-(2.38)) is an NLP in the coefficients alone,
+whatever the number of samples. ARX is linear and solved in closed form. The predictor (2.19)
+divides by C and F: the search stays where both are stable.
 """
 
 from __future__ import annotations
@@ -17,10 +17,21 @@ from numpy.typing import ArrayLike, NDArray
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.excitation import require_excitation, unseen
 from casid.nlp import Nlp, Solution, Solver
+from casid.nlp_solver import as_solver
 from casid.polynomial_criterion import PredictionErrors
 from casid.polynomial_data import records_of
 from casid.polynomial_model import PolynomialModel
-from casid.polynomial_orders import Layout, Orders, PerInput, Polynomials, largest_root, settling
+from casid.polynomial_orders import (
+    Layout,
+    Orders,
+    PerInput,
+    Polynomials,
+    is_number,
+    is_whole,
+    largest_root,
+    settling,
+)
+from casid.polynomial_residuals import residual_input_correlation
 from casid.polynomial_start import Candidate, Data, candidates
 from casid.uncertainty import sandwich
 
@@ -30,10 +41,10 @@ NEAR = 0.999  # a root with this modulus or more is at the unit circle
 CANCEL = 0.5  # samples' worth of scaled information: with less, roots may cancel by accident
 NO_NOISE = 1e-24  # of the power of y: what is left is rounding
 ASSUMES = {
-    "white": "white innovations, i.e. a true system in the model set: (2.54)-(2.56) with "
-    "Q = lambda V''",
-    "robust": "residuals of short memory, in the model set or not: (2.54)-(2.56), Q by a Bartlett "
-    "sum",
+    "white": "white innovations, i.e. a true system in the model set: Linder 2017, (2.54)-(2.56) "
+    "with Q = lambda V''",
+    "robust": "residuals of short memory, in the model set or not: Linder 2017, (2.54)-(2.56), Q "
+    "by a Bartlett sum",
 }
 
 
@@ -53,7 +64,7 @@ def prediction_error(
     Ts: float = 1.0,
     discard: int | None = None,
     errors: Errors = "white",
-    solver: Solver | None = None,
+    solver: Solver | str | None = None,
     start: PolynomialModel | None = None,
     throw: bool = True,
 ) -> PolynomialModel:
@@ -74,7 +85,7 @@ def prediction_error(
         (at most a fifth of the record) do not count. 0 takes signals as zero before the record
         and counts every residual (conditional least squares).
     errors : "white" for the classical covariance, "robust" for the sandwich
-    solver : default ``Solver("ipopt")``; where C = D = F = 1, closed-form least squares by default.
+    solver : or its name; default ``Solver("ipopt")``, closed-form least squares for C = D = F = 1.
     start : a model of the same orders to start from; its own start values otherwise.
     throw : raise if no optimum is reached; else return it with `is_converged` False.
 
@@ -110,7 +121,8 @@ def prediction_error(
         raise ModelError("every order is 0: nothing to estimate; give at least one above 0")
     if errors not in ASSUMES:
         raise ModelError(f"errors = {errors!r}; choose 'white' or 'robust'")
-    if not (np.isfinite(Ts) and Ts > 0):
+    solver = None if solver is None else as_solver(solver)
+    if not is_number(Ts) or Ts <= 0:
         raise DataError(f"sample time Ts = {Ts!r}; give a number of seconds above 0")
     _refuse_short(raw, layout, discard)
     data, units = _near_one(raw, layout)
@@ -125,7 +137,8 @@ def prediction_error(
             layout, data, _discards(data, layout, np.zeros(layout.n), discard)
         )
         notes = _offsets(raw)
-        return _model(criterion, _closed_form(criterion), units, Ts, errors, "none needed", notes)
+        best = _closed_form(criterion)
+        return _model(criterion, data, best, units, Ts, errors, "none needed", notes)
     points = candidates(data, layout) if start is None else [_given(start, layout, units)]
     criterion = PredictionErrors(layout, data, _discards(data, layout, points[0][1], discard))
     best, label, notes = _best(criterion, points, solver)
@@ -134,13 +147,13 @@ def prediction_error(
     notes = (*notes, *_offsets(raw))
     if discard is None:
         notes = (*notes, *_long_transients(layout, best.x, raw, criterion.discard))
-    return _model(criterion, best, units, Ts, errors, label, notes)
+    return _model(criterion, data, best, units, Ts, errors, label, notes)
 
 
 def arx(
     y: Any, u: Any = None, *, na: int, nb: PerInput = 0, nk: PerInput = 1, **options: Any
 ) -> PolynomialModel:
-    """A y = B u + e by least squares (thesis (2.39)); options as `prediction_error`."""
+    """A y = B u + e by least squares (Linder 2017, (2.39)); options as `prediction_error`."""
     return prediction_error(y, u, Orders(na=na, nb=nb, nk=nk), **options)
 
 
@@ -178,7 +191,7 @@ def bj(
 
 def _refuse_short(data: Data, layout: Layout, discard: Any) -> None:
     first = layout.longest_lag if discard is None else discard
-    if isinstance(first, bool) or int(first) != first or first < 0:
+    if not is_whole(first):
         raise DataError(
             f"discard = {discard!r}; give the whole number of first samples that do not count"
         )
@@ -265,6 +278,10 @@ def _long_transients(
 
 
 def _given(start: PolynomialModel, layout: Layout, units: Units) -> Candidate:
+    if not isinstance(start, PolynomialModel):
+        raise ModelError(
+            f"start is a {type(start).__name__}; give a model as prediction_error returned it"
+        )
     if start.names != layout.names or tuple(start.nk.values()) != layout.nk:
         raise ModelError(
             f"start has the coefficients {', '.join(start.names)}, the orders ask for "
@@ -393,6 +410,7 @@ def _failure(layout: Layout, solution: Solution) -> str:
 
 def _model(
     criterion: PredictionErrors,
+    data: Data,
     solution: Solution,
     units: Units,
     Ts: float,
@@ -416,6 +434,13 @@ def _model(
     theta = np.array(solution.x) * units.factors
     p = layout.split(theta)
     residuals = tuple(r * units.y for r in criterion.residuals(solution.x))
+    counting = [r[d:] for r, d in zip(residuals, criterion.discard, strict=True)]
+    correlation = {
+        i: residual_input_correlation(
+            counting, [u[i][d:] for (_, u), d in zip(data, criterion.discard, strict=True)]
+        )
+        for i in layout.inputs
+    }
     for array in (theta, covariance, *residuals):
         array.flags.writeable = False
     no_noise = 2 * solution.value < NO_NOISE * N
@@ -443,6 +468,7 @@ def _model(
         start=label,
         residuals=residuals,
         discarded=criterion.discard,
+        input_correlation=correlation,
         notes=(*notes, *_doubts(layout, p, smallest, no_noise)),
     )
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from casid.data import Record
+from casid.data import Experiment, Record
 from casid.errors import DataError
 
 Array = NDArray[Any]
@@ -22,16 +22,16 @@ def one_record(y: ArrayLike, u: Any, inputs: Sequence[str] | None = None) -> tup
     DataError
         If a shape does not fit, a sample is not finite, or inputs differ from `inputs`.
     """
-    out = np.asarray(y, dtype=np.float64)
+    out = _numbers("y", y)
     if out.ndim != 1:
         raise DataError(
             f"y has shape {out.shape}; give one output as (N,), y[:, 0], and records as a list"
         )
     channels: dict[str, Array] = {}
     if isinstance(u, Mapping):
-        channels = {str(k): np.asarray(v, dtype=np.float64) for k, v in u.items()}
+        channels = {str(k): _numbers(str(k), v) for k, v in u.items()}
     elif u is not None:
-        array = np.asarray(u, dtype=np.float64)
+        array = _numbers("u", u)
         if array.ndim == 1:
             channels = {inputs[0] if inputs and len(inputs) == 1 else "u": array}
         elif array.ndim == 2:
@@ -61,6 +61,26 @@ def one_record(y: ArrayLike, u: Any, inputs: Sequence[str] | None = None) -> tup
                 "cut the record there and give the parts as a list of records"
             )
     return out, channels
+
+
+def _numbers(name: str, given: Any) -> Array:
+    """An array of floats, or a refusal that says how to take it out of a record."""
+    several = isinstance(given, list | tuple)
+    if isinstance(given[0] if several and len(given) else given, Record | Experiment):
+        raise DataError(
+            f"{name} is {'a list of records' if several else 'a record'}; give its channels as "
+            "arrays: y, u = casid.polynomial_data.stretches(record, output, inputs) makes lists of "
+            "both" + (" (one call for each record, the lists joined)" if several else "")
+        )
+    try:
+        if given is None or isinstance(given, Mapping):
+            raise TypeError
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise DataError(
+            f"{name} is a {type(given).__name__} that holds what is no real number; give an array "
+            "of floats (N,)"
+        ) from None
 
 
 def records_of(y: Any, u: Any) -> tuple[list[tuple[Array, dict[str, Array]]], tuple[str, ...]]:

@@ -1,21 +1,25 @@
 """The linear polynomial model A y = sum_i (B_i/F_i) u_i + (C/D) e, estimated.
 
 Coefficients are in ascending powers of q^-1, index = lag: A = [1, a1, .., a_na], and B_i carries
-its delay as leading zeros. Thesis (2.13) with an F_i for every input (Ljung 1999, (4.33)).
+its delay as leading zeros. (2.13) of Linder (2017) with an F_i for every input (Ljung
+1999, (4.33)).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from casid.errors import ModelError, SolveError
+from casid.data import Record
+from casid.errors import DataError, ModelError, SolveError
 from casid.polynomial_data import one_record
 from casid.polynomial_orders import is_stable, largest_root
+from casid.polynomial_residuals import LAGS
+from casid.uncertainty import whiteness
 
 Array = NDArray[Any]
 
@@ -29,13 +33,15 @@ class PolynomialModel:
     A, C, D : (order + 1,) monic, ascending powers of q^-1.
     B : input -> (nk + nb,), the first nk zero; output unit per input unit.
     F : input -> (nf + 1,) monic.
-    covariance : (n, n) of `theta`, thesis (2.54)-(2.56), under what `assumes` says.
+    covariance : (n, n) of `theta`, Linder 2017, (2.54)-(2.56), under what `assumes` says.
     noise_variance : sum eps^2 / (N - n), output unit squared.
-    loss : V_N of thesis (2.36), sum eps^2 / (2 N).
+    loss : V_N of Linder 2017, (2.36), sum eps^2 / (2 N).
     fit : NRMSE fit of the one-step prediction [%], 100 (1 - |eps| / |y - mean y|).
     N : residuals that count, over all records.
     residuals : (N_r,) for each record, from the first sample on.
     discarded : for each record, how many first residuals do not count.
+    input_correlation : input -> (lags + 1,) of `residual_input_correlation`: above 1 in size where
+        the residual and the input k samples before are correlated beyond 95 % bounds.
     notes : reflected roots, near cancellations, what else spoils a number.
     """
 
@@ -63,6 +69,7 @@ class PolynomialModel:
     residuals: tuple[Array, ...]
     discarded: tuple[int, ...]
     notes: tuple[str, ...] = ()
+    input_correlation: Mapping[str, Array] = field(default_factory=dict)
 
     # -- numbers -----------------------------------------------------------------------------
 
@@ -135,11 +142,13 @@ class PolynomialModel:
         return np.asarray(lfilter(self.D, self.C, v))
 
     def predict(self, y: ArrayLike, u: Any = None) -> Array:
-        """One-step prediction (2.19), (N,): y_t from y and u up to t - 1 (u_t where nk = 0).
+        """One-step prediction, (N,): y_t from y and u up to t - 1 (u_t where nk = 0).
 
-        Filter states are zero at the first sample, so the beginning holds a transient.
+        (2.19) of Linder (2017). Filter states are zero at the first sample, so the beginning holds
+        a transient.
         """
-        return np.asarray(np.asarray(y, dtype=np.float64) - self.prediction_errors(y, u))
+        errors = self.prediction_errors(y, u)
+        return np.asarray(np.asarray(y, dtype=np.float64) - errors)
 
     def simulate(self, u: Any) -> Array:
         """Noise-free response sum_i B_i/(A F_i) u_i, (N,), from rest.
@@ -148,15 +157,21 @@ class PolynomialModel:
         ------
         SolveError
             If A or an F_i is unstable.
+        DataError, ModelError
+            If u does not fit the inputs, or there is no input.
         """
         from scipy.signal import lfilter
 
         if not self.inputs:
             raise ModelError(f"a model of structure {self.structure} has no input to simulate from")
-        if isinstance(u, Mapping):
-            n = len(np.asarray(next(iter(u.values()), np.zeros(0))))
-        else:
-            n = len(np.asarray(u))
+        if u is None or isinstance(u, Record):
+            held = ", ".join(f"{i!r}: record[{i!r}]" for i in self.inputs)
+            raise DataError(
+                f"u is {'None' if u is None else 'a record'}; give the inputs to simulate from, "
+                f"u={{{held}}}"
+            )
+        first = next(iter(u.values()), ()) if isinstance(u, Mapping) else u
+        n = len(np.atleast_1d(first))
         _, channels = one_record(np.zeros(n), u, self.inputs)
         if not self.is_stable:
             raise SolveError(
@@ -250,6 +265,7 @@ class PolynomialModel:
             f"  start           {self.start}",
             f"  residuals       N = {self.N}, {len(self.residuals)} record(s), first samples that "
             f"do not count: {first}",
+            f"  residual tests  {self._residual_tests()}",
             f"  noise variance  {self.noise_variance:.6g}   loss {self.loss:.6g}",
             f"  fit             {self.fit:.2f} % (one step ahead)",
             f"  AIC {self.aic:.6g}   BIC {self.bic:.6g}",
@@ -257,6 +273,15 @@ class PolynomialModel:
         ]
         body += [f"  NOTE            {note}" for note in self.notes]
         return "\n".join([head, *body])
+
+    def _residual_tests(self) -> str:
+        """Whiteness, and correlation with each input, as counts of lags."""
+        lags = min(LAGS, self.N - 2)
+        said = [f"whiteness: {whiteness(self.residual)} of {lags} lags outside 95 %"]
+        for name, ratio in self.input_correlation.items():
+            outside = int(np.sum(np.abs(ratio) > 1))
+            said.append(f"correlation with {name}: {outside} of {len(ratio)} lags outside")
+        return "; ".join(said)
 
 
 def _at(polynomial: Array, z: Array) -> Array:

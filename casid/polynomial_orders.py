@@ -1,7 +1,7 @@
 """Orders of the polynomial family A y = sum_i (B_i/F_i) u_i + (C/D) e.
 
-Coefficients are in ascending powers of q^-1, index = lag; thesis (2.13) with an F_i for every input
-(Ljung 1999, (4.33)).
+Coefficients are in ascending powers of q^-1, index = lag; (2.13) of Linder (2017) with an F_i for
+every input (Ljung 1999, (4.33)).
 """
 
 from __future__ import annotations
@@ -61,6 +61,18 @@ def reflected(polynomial: Array) -> tuple[Array, tuple[complex, ...]]:
     return full, tuple(complex(r) for r in roots[out] if r.imag >= 0)
 
 
+def is_number(value: Any) -> bool:
+    """Whether it is a finite number; truth values and text are none."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    return bool(np.isfinite(value))
+
+
+def is_whole(value: Any) -> bool:
+    """Whether it is a whole number of at least 0."""
+    return is_number(value) and int(value) == value and bool(value >= 0)
+
+
 @dataclass(frozen=True, slots=True)
 class Orders:
     """Orders of A y = sum_i (B_i/F_i) u_i + (C/D) e.
@@ -101,9 +113,13 @@ class Layout:
         ModelError
             If an order is negative or no integer, an input has no order, or nothing is free.
         """
+        if not isinstance(orders, Orders):
+            raise ModelError(
+                f"orders = {orders!r}; give Orders(na=.., nb=.., nc=.., nd=.., nf=.., nk=..)"
+            )
 
         def whole(name: str, value: Any) -> int:
-            if isinstance(value, bool) or int(value) != value or value < 0:
+            if not is_whole(value):
                 raise ModelError(
                     f"order {name} = {value!r}: give a whole number of at least 0, the number of "
                     f"{'samples of delay' if name.startswith('nk') else 'free coefficients'}"

@@ -10,17 +10,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from casid import polynomial
-from casid.data import Record
+from casid.data import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.nlp import Solver
 from casid.polynomial import Orders, armax, arx, bj, oe, prediction_error
 from casid.polynomial_criterion import PredictionErrors
 from casid.polynomial_data import stretches
 from casid.polynomial_orders import Layout, reflected
+from casid.polynomial_residuals import residual_input_correlation
 from casid.polynomial_start import candidates, steiglitz_mcbride
+from casid.uncertainty import whiteness
 from tests.recursion import filtered, predicted_errors, simulated
 
 A, B, C, D = (1.0, -1.5, 0.7), (0.0, 1.0, 0.5), (1.0, -0.6, 0.2), (1.0, -0.8)
@@ -146,8 +149,6 @@ def test_white_standard_errors_fail_for_coloured_noise_as_predicted_and_robust_o
     white v (sum of the product of the autocorrelations)."""
     rng = np.random.default_rng(6)
     n, p, r = 100_000, 0.8, 0.7
-    from scipy.signal import lfilter
-
     u, v = (lfilter([1.0], [1.0, -pole], rng.normal(size=n)) for pole in (p, r))
     white, robust = (oe(u + v, u, nb=1, nf=0, nk=0, errors=kind) for kind in ("white", "robust"))
     ratio = (robust.covariance[0, 0]) / (white.covariance[0, 0])
@@ -567,11 +568,60 @@ def test_the_table_shows_coefficients_with_their_errors():
     assert f"F(q) = 1 - {abs(model['f1[u]']):.5g} (+/- {error:.2g}) q^-1" in text
     assert f"N = {model.N}" in text
     assert "white innovations" in text
+    assert "Linder 2017, (2.54)" in text
+    outside = int(np.sum(np.abs(model.input_correlation["u"]) > 1))
+    assert (
+        f"residual tests  whiteness: {whiteness(model.residual)} of 20 lags outside 95 %; "
+        f"correlation with u: {outside} of 21 lags outside"
+    ) in text
     assert (
         repr(model) == f"<PolynomialModel BJ: 7 coefficients, N = {model.N}, fit {model.fit:.1f} %>"
     )
     with pytest.raises(KeyError, match="no coefficient 'b9'; there are b1"):
         model["b9"]
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.9])
+def test_one_in_twenty_correlations_of_independent_signals_lies_outside_its_bound(pole):
+    """Bartlett: coloured signals correlate more by chance, and the bound grows with it.
+
+    Lags of one pair are dependent, so the spread over pairs is measured: its mean of 200 within
+    four standard errors, and 0.02 for the estimated autocorrelations.
+    """
+    rng = np.random.default_rng(41)
+    share = []
+    for _ in range(200):
+        e, u = (lfilter([1.0], [1.0, -pole], rng.normal(size=1500))[200:] for _ in range(2))
+        whole = residual_input_correlation([e], [u])
+        assert len(whole) == 21
+        share.append(np.mean(np.abs(whole) > 1))
+    assert np.mean(share) == pytest.approx(0.05, abs=4 * np.std(share) / np.sqrt(200) + 0.02)
+
+
+def test_what_the_model_leaves_of_the_input_is_seen_in_the_correlation():
+    """G one lag short: the residual holds b2 u(t - 2), of correlation b2 / |(b2, sd)|, and no more.
+
+    A finite response to white noise: the lags fitted are orthogonal to the residual.
+    """
+    rng = np.random.default_rng(42)
+    u, N = rng.normal(size=4000), 4000
+    y = np.r_[0.0, u[:-1]] + 0.3 * np.r_[0.0, 0.0, u[:-2]] + 0.4 * rng.normal(size=N)
+    short, right = arx(y, u, na=0, nb=1), arx(y, u, na=0, nb=2)
+    ratio = short.input_correlation["u"]
+    # sqrt(N) rho is normal with a variance below one.
+    assert ratio[2] == pytest.approx(0.6 * np.sqrt(N) / 1.96, abs=4 / 1.96 * 1.2)
+    assert np.all(np.abs(np.delete(ratio, 2)) < 4 / 1.96)
+    assert np.all(np.abs(right.input_correlation["u"]) < 4 / 1.96)
+    # Records of their own length, the shorter than the lags, and an input that does not move.
+    parts = [(y[:3000], u[:3000]), (y[3000:3010], u[3000:3010])]
+    cut = arx(
+        [p[0] for p in parts],
+        [{"u": p[1], "one": np.ones(len(p[0]))} for p in parts],
+        na=0,
+        nb={"u": 2, "one": 1},
+    )
+    assert np.all(np.abs(cut.input_correlation["u"]) < 4 / 1.96)
+    assert not np.any(cut.input_correlation["one"])
 
 
 @settings(max_examples=25, deadline=None)
@@ -738,6 +788,10 @@ BAD = [
     (dict(na=1, nb=1, discard=100), DataError, "100 samples, but.*first 100 do not count"),
     (dict(na=1, nb=1, errors="hac"), ModelError, "errors = 'hac'; choose 'white' or 'robust'"),
     (dict(na=1, nb=1, Ts=0.0), DataError, "sample time Ts = 0.0; give"),
+    (dict(na=1, nb=1, Ts="0.01"), DataError, "Ts = '0.01'; give a number of seconds above 0"),
+    (dict(na=None, nb=1), ModelError, "order na = None: give a whole number of at least 0"),
+    (dict(na=1, nb=1, discard="3"), DataError, "discard = '3'; give the whole number"),
+    (dict(na=1, nb=1, solver=3.0), SolveError, r"a float is no solver; give Solver\('ipopt'\)"),
 ]
 
 
@@ -746,6 +800,49 @@ def test_impossible_requests_are_refused_with_a_mend(options, error, message):
     y, u, _, _ = record("ARX", 100, seed=35)
     with pytest.raises(error, match=message):
         arx(y, u, **options)
+
+
+def test_a_record_is_refused_with_what_makes_lists_of_it():
+    y, u, _, _ = record("ARX", 100, seed=36)
+    held = Record({"y": y, "u": u}, {"y": "m", "u": "N"}, Ts=0.1)
+    mend = r"y, u = casid\.polynomial_data\.stretches\(record, output, inputs\)"
+    for given_, what in (
+        (held, "a record"),
+        ([held, held], "a record"),
+        ([Experiment(held, {}, "first")] * 2, "a list of records"),
+        (Experiment(held, {}, "first"), "a record"),
+    ):
+        with pytest.raises(DataError, match=f"y is {what}; give its channels.*{mend}"):
+            arx(given_, na=1, nb=1)
+    with pytest.raises(DataError, match=f"u is a record.*{mend}"):
+        arx(y, held, na=1, nb=1)
+    ys, us = stretches(held, "y", ["u"])
+    model, plain = arx(ys, us, na=1, nb=1), arx(y, u, na=1, nb=1)
+    np.testing.assert_array_equal(model.theta, plain.theta)
+    with pytest.raises(DataError, match=mend):
+        model.predict(held)
+    with pytest.raises(DataError, match="y is a list that holds what is no real number; give an"):
+        arx(["a", "b"], na=1)
+    with pytest.raises(DataError, match="y is a NoneType that holds"):
+        arx(None, na=1)
+    for wrong, what in ((None, "None"), (held, "a record")):
+        with pytest.raises(DataError, match=rf"u is {what}; give .* u=\{{'u': record\['u'\]\}}"):
+            model.simulate(wrong)
+    np.testing.assert_array_equal(model.simulate({"u": held["u"]}), model.simulate(u))
+    with pytest.raises(DataError, match="u has shape"):
+        model.simulate(3.0)
+
+
+def test_a_solver_is_taken_by_its_name_and_a_start_that_is_none_is_refused():
+    y, u, orders, _ = record("OE", 300, seed=37)
+    by_name = prediction_error(y, u, orders, solver="ipopt")
+    np.testing.assert_array_equal(
+        by_name.theta, prediction_error(y, u, orders, solver=Solver("ipopt")).theta
+    )
+    with pytest.raises(ModelError, match="start is a list; give a model as prediction_error"):
+        prediction_error(y, u, orders, start=[0.0])
+    with pytest.raises(ModelError, match=r"orders = \(2, 2\); give Orders\(na=..,"):
+        prediction_error(y, u, (2, 2))
 
 
 def test_data_that_cannot_be_used_are_refused_with_place_and_mend():
