@@ -49,6 +49,11 @@ class White:
     held: bool = False
 
     def __post_init__(self) -> None:
+        if isinstance(self.sd, bool) or not isinstance(self.sd, int | float | np.number):
+            raise ModelError(
+                f"noise of {self.where}: sd = {self.sd!r} is not a number; give the standard "
+                "deviation, a float"
+            )
         if not np.isfinite(self.sd) or self.sd < 0 or (self.sd == 0 and not self.is_known):
             raise ModelError(
                 f"noise of {self.where}: sd = {self.sd:g}; give a positive start, or zero as known"

@@ -201,7 +201,7 @@ def compare_unknown_input_options(
         If the model has no unknown input, or several and none is named; if an option (C) is to be
         fitted and no output feels the unknown input.
     DataError
-        If a channel named here is missing, or an option asked for lacks its channel.
+        If a channel named here is missing, in `noise` too, or an option asked for lacks its own.
     """
     say = progress or (lambda _: None)
     given = [experiments] if isinstance(experiments, Experiment | Record) else list(experiments)
@@ -217,6 +217,17 @@ def compare_unknown_input_options(
                     f"{e.name}: no channel {channel!r} for {role}; it has "
                     f"{', '.join(e.record.names)}"
                 )
+    if not isinstance(noise, Mapping | None):
+        raise DataError(
+            f"noise is a {type(noise).__name__}; give a mapping from output or channel to standard "
+            f"deviation, noise={{{next(iter(model.outputs))!r}: 0.01}}; process noise is process="
+        )
+    for name in noise or {}:
+        if name not in model.outputs and not any(name in e.record for e in chosen):
+            raise DataError(
+                f"noise names {name!r}, which is no output of {model.name} and no channel; there "
+                f"are {', '.join(model.outputs)} and {', '.join(chosen[0].record.names)}"
+            )
     needs = {KNOWN: exact, AS_EXACT: measured, WITH_ERRORS: measured, WALK_INTEGRAL: integral}
     words = {KNOWN: "exact", AS_EXACT: "measured", WITH_ERRORS: "measured"}
     asked = (options,) if isinstance(options, str) else tuple(options or ())

@@ -361,6 +361,9 @@ def test_noise_is_to_be_named_for_all_that_needs_it() -> None:
             fit_lag(record, noise)
     with pytest.raises(ModelError, match="give a positive start, or zero as known"):
         White("y", 0.0)
+    for wrong in ("0.3", None, True):
+        with pytest.raises(ModelError, match="noise of y: sd = .* is not a number; give the stand"):
+            White("y", wrong)  # type: ignore[arg-type]
 
 
 def test_names_that_the_model_does_not_have_are_refused() -> None:

@@ -343,6 +343,11 @@ def test_what_cannot_be_compared_is_refused() -> None:
         compare_unknown_input_options(direct, record, options=["guess"])
     with pytest.raises(DataError, match="needs a channel: give exact='name of the channel'"):
         compare_unknown_input_options(direct, record, options=[KNOWN])
+    sizes: Any = [White("gyro", 0.01)]
+    with pytest.raises(DataError, match=r"noise is a list; give a mapping .*\{'gyro': 0.01\}"):
+        compare_unknown_input_options(direct, record, noise=sizes)
+    with pytest.raises(DataError, match="noise names 'gyr', which .*; there are gyro, accel and"):
+        compare_unknown_input_options(direct, record, noise={"gyr": 0.01})
     with pytest.raises(ModelError, match="'a_z' is not an unknown input; it has a_y"):
         compare_unknown_input_options(direct, record, unknown="a_z")
     with pytest.raises(DataError, match="needs a channel: give exact='name of the channel'"):
