@@ -12,12 +12,13 @@ record, say. ``Nlp.compile`` builds such a program once, to be solved for many r
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from casid.errors import SolveError
+from casid.nlp_criterion import SCALED_IPOPT, Callback, Criterion, OnePass, scales_at_start
 from casid.nlp_solution import (
     Array,
     Evaluation,
@@ -34,49 +35,6 @@ if TYPE_CHECKING:
     from casid.compiled import Compiled
 
 __all__ = ["Array", "Criterion", "Evaluation", "Nlp", "Solution", "Solver"]
-
-
-class Criterion(Protocol):
-    """What is minimised when the data are too many for a symbolic objective."""
-
-    @property
-    def n_constraints(self) -> int:
-        """Number of equality constraints that the criterion brings along."""
-        ...
-
-    def evaluate(self, x: Array) -> Evaluation:
-        """Value, gradient, Gauss-Newton matrix and own constraints at `x` (n,), physical units."""
-        ...
-
-
-class _Callback(ca.Callback):
-    """A NumPy function as a CasADi function."""
-
-    def __init__(self, name: str, function: Any, n_in: list[int], out: list[Any], jac: Any = None):
-        ca.Callback.__init__(self)
-        self._function, self._n_in, self._out, self._jac = function, n_in, out, jac
-        self.construct(name, {})
-
-    def get_n_in(self) -> int:
-        return len(self._n_in)
-
-    def get_n_out(self) -> int:
-        return len(self._out)
-
-    def get_sparsity_in(self, i: int) -> Any:
-        return ca.Sparsity.dense(self._n_in[i], 1)
-
-    def get_sparsity_out(self, i: int) -> Any:
-        return self._out[i]
-
-    def eval(self, arguments: Any) -> Any:
-        return self._function(*[np.array(a, dtype=float).ravel() for a in arguments])
-
-    def has_jacobian(self) -> bool:
-        return self._jac is not None
-
-    def get_jacobian(self, *_: Any) -> Any:
-        return self._jac
 
 
 _IS_SX = (
@@ -102,60 +60,6 @@ def _require_objective(program: str, objective: Any) -> None:
             "variable; give a CasADi expression of the symbols that nlp.variable returns, or a "
             "Criterion (an object with evaluate and n_constraints)"
         )
-
-
-# The criterion and its variables come in their natural units: Ipopt need not scale again, and a
-# gradient of 1e-8 means that a step would lower the criterion by 1e-16 of its first value.
-_SCALED_IPOPT: dict[str, Any] = {
-    "ipopt.nlp_scaling_method": "none",
-    "ipopt.tol": 1e-8,
-    "ipopt.acceptable_tol": 1e-6,
-    "ipopt.acceptable_iter": 5,
-}
-
-
-def _natural_scales(first: Evaluation, scale: Array) -> tuple[Array, float]:
-    """The step that changes the criterion by about itself, for each variable, and that value.
-
-    Kept within a factor of 1000 of the declared scale, where a sensitivity vanishes at the start.
-    """
-    if not np.isfinite(first.value) or first.value <= 0:
-        return scale, 1.0
-    curvature = np.diag(first.hessian)
-    with np.errstate(all="ignore"):
-        natural = np.sqrt(first.value / np.where(curvature > 0, curvature, np.nan))
-    natural = np.where(np.isfinite(natural), natural, scale)
-    return np.clip(natural, 1e-3 * scale, 1e3 * scale), float(first.value)
-
-
-class _OnePass:
-    """A criterion that remembers its last point: value, gradient and Hessian share one pass.
-
-    After `budget` passes it answers NaN without one, so that a line search that finds no descent
-    (a kink) ends at once where it stands.
-    """
-
-    def __init__(self, criterion: Criterion, budget: int) -> None:
-        self.criterion = criterion
-        self.budget = budget
-        self._key: bytes | None = None
-        self._at: Evaluation | None = None
-
-    def __call__(self, point: Array) -> Evaluation:
-        key = point.tobytes()
-        if self._at is None or key != self._key:
-            self.budget -= 1
-            if self.budget < 0:
-                n, m = len(point), self.criterion.n_constraints
-                nan = np.full((n, n), np.nan)
-                return Evaluation(np.nan, nan[0], nan, np.full(m, np.nan), np.full((m, n), np.nan))
-            self._key, self._at = key, self.criterion.evaluate(point)
-        return self._at
-
-    def judged(self, point: Array) -> Evaluation:
-        """The criterion at `point`, whatever was spent."""
-        self.budget = max(self.budget, 1)
-        return self(point)
 
 
 class Nlp:
@@ -498,13 +402,13 @@ class Nlp:
                 v, gr, h = derivatives(point)
                 return Evaluation(float(v), np.array(gr).ravel(), np.array(h))
         else:
-            one_pass = _OnePass(self._objective, 5 * solver.max_iterations)
+            one_pass = OnePass(self._objective, 5 * solver.max_iterations)
             unit = 1.0
             if natural_scales:
-                scale, unit = _natural_scales(one_pass(x0), scale)
+                scale, unit = scales_at_start(one_pass(x0), scale)
             physical = ca.DM(scale) * z
             if natural_scales and solver.name == "ipopt":
-                for key, value in _SCALED_IPOPT.items():
+                for key, value in SCALED_IPOPT.items():
                     if key not in solver.options:
                         options[key] = value
                 if (m_user or self._objective.n_constraints) and "ipopt.tol" not in solver.options:
@@ -535,7 +439,7 @@ class Nlp:
 
     def _with_criterion(
         self,
-        evaluate: _OnePass,
+        evaluate: OnePass,
         solver: Solver,
         options: dict[str, Any],
         keep: list[Any],
@@ -561,8 +465,8 @@ class Nlp:
             return [at.gradient.reshape(1, n) / unit, at.jacobian.reshape(m, n)]
 
         dense = ca.Sparsity.dense
-        jac = _Callback("jac_criterion", jacobians, [n, 1, m], [dense(1, n), dense(m, n)])
-        call = _Callback("criterion", values, [n], [dense(1, 1), dense(m, 1)], jac)
+        jac = Callback("jac_criterion", jacobians, [n, 1, m], [dense(1, n), dense(m, n)])
+        call = Callback("criterion", values, [n], [dense(1, 1), dense(m, 1)], jac)
 
         lam = ca.MX.sym("lam", m_user)
         xs = ca.MX.sym("x", n)
@@ -580,7 +484,7 @@ class Nlp:
             return [np.triu(h)] if solver.name == "ipopt" else [h]
 
         pattern = ca.Sparsity.upper(n) if solver.name == "ipopt" else dense(n, n)
-        options["hess_lag"] = _Callback("curvature", hessian, [n, 0, 1, m + m_user], [pattern])
+        options["hess_lag"] = Callback("curvature", hessian, [n, 0, 1, m + m_user], [pattern])
         keep += [jac, call, options["hess_lag"]]
         f, own = call(physical)
         return {"x": z, "f": f, "g": ca.vertcat(own, g_user(physical))}, m
