@@ -29,8 +29,7 @@ from casid.estimate import Estimate
 from casid.identification import FitSettings, identify
 from casid.manifest import manifest_of, name_of
 from casid.model import Model
-from casid.nlp import Solver
-from casid.nlp_solver import _is_installed
+from casid.nlp_solver import _is_installed, as_solver
 from casid.problem import Problem, load_problem
 
 if TYPE_CHECKING:
@@ -308,7 +307,7 @@ class Study:
             self.problem.simulated(0)  # says how to give it one
         if isinstance(self.method, str) and self.method not in METHODS:
             raise DataError(f"no method {self.method!r}; there are {', '.join(METHODS)}")
-        solver = self.fit_settings.solver or Solver()
+        solver = as_solver(self.fit_settings.solver)
         if not _is_installed(solver.name):  # now, and not in every run
             raise SolveError(
                 f"solver {solver.name!r} is no CasADi plug-in that loads here; use 'ipopt' or "
@@ -377,7 +376,7 @@ class Study:
             "own": list(fit.own),
             "constraints": [name_of(c) for c in fit.constraints],
             "seed of the starts": fit.seed,
-            "solver": asdict(fit.solver or Solver()),
+            "solver": asdict(as_solver(fit.solver)),
             "known": {n: p.value for n, p in model.parameters.items() if p.is_known},
         }
 

@@ -277,6 +277,8 @@ def test_a_solver_is_known_before_the_first_run(tank: Problem, solver: str) -> N
         assert not drawn
     else:
         assert montecarlo(watched, runs=2, settings=settings)["a"].n == 2
+        named = FitSettings(solver=solver, starts=1)  # type: ignore[arg-type]
+        assert montecarlo(watched, runs=1, settings=named)["a"].n == 1
 
 
 @pytest.mark.parametrize(
