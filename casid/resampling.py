@@ -20,6 +20,7 @@ from casid.instrumental import MomentEstimate
 from casid.long_run import memory
 from casid.moment_equations import moment_covariance
 from casid.moment_nlp import Condensed, PhysicalNlp
+from casid.propagation import jacobian_of
 from casid.stage import StageFit
 
 Array = NDArray[Any]
@@ -163,8 +164,25 @@ class Profile:
         return figure
 
 
+def _score_equations(st: StageFit, k: int, covariance: Array) -> Condensed:
+    """The combinations A'Q (Y - Phi theta) that the estimate sets to zero, in units of their noise.
+
+    As many as the stage has free parameters: surplus moments, whose estimated weights would make
+    the interval too narrow, have no say, and with a mild map the interval is that of `std_error`.
+    """
+    e, root = st.equations[k], st.roots[k]
+    index = {q: c for c, q in enumerate(e.equation.parameters)}
+    slope = jacobian_of(st, k)
+    own = [f for f in st.free if f not in st.parts[k].known]
+    T = (root @ e.Phi @ slope[:, [index[f] for f in own]]).T @ root
+    values, vectors = np.linalg.eigh(T @ covariance @ T.T)
+    keep = values > 1e-12 * values[-1]
+    noise = (vectors[:, keep] / np.sqrt(values[keep])).T
+    return Condensed.of(e, noise @ T)
+
+
 class _Profiled:
-    """The efficient criterion of all stages' moments, one parameter held."""
+    """The criterion of all stages' estimating equations, one parameter held."""
 
     def __init__(self, estimate: MomentEstimate, name: str) -> None:
         stages: Sequence[StageFit] = estimate.stages
@@ -183,9 +201,8 @@ class _Profiled:
         for st, k in entries:
             e = st.equations[k]
             n = len(e.Z)
-            own = covariance[at : at + n, at : at + n] * e.N
+            self.data.append(_score_equations(st, k, covariance[at : at + n, at : at + n]))
             at += n
-            self.data.append(Condensed.of(e, e.root_weight("optimal", st.thetas[k], own)))
             part = st.parts[k]
             self.values.append(
                 {**part.values, **{f: v for f, v in found.items() if f not in part.known}}
@@ -226,8 +243,9 @@ class _Profiled:
 def profile(estimate: MomentEstimate, name: str, *, level: float = 0.95) -> Profile:
     """Invert the test of one parameter: an interval that covers however curved the map is.
 
-    2 (V(name) - V_min) with the efficient weight S^-1 is chi squared with one degree of freedom
-    at the true value. With several outputs of one record their correlation is left out here.
+    2 (V(name) - V_min) of the estimating equations, weighted by their covariance, is chi squared
+    with one degree of freedom at the true value. With several outputs of one record their
+    correlation is left out here.
 
     Raises
     ------
