@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.pendulum_records import TS, Study, low_pass
 from analysis.pendulum_study_numbers import HEADER, Line, lines, load_by_formula, shares
 from analysis.pendulum_study_runs import Bench, Estimator, Floor, Profiles, Runs, bench
 from analysis.targets import Target, at_most, conclude, near
@@ -44,7 +45,6 @@ from problems.pendulum import (
     motion,
     telegraph,
 )
-from problems.pendulum_study import TS, Study, low_pass
 
 Array = NDArray[Any]
 AMPLITUDES = (0.15, 0.2, 0.3, 1.0)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.pendulum_records import TS
 from analysis.pendulum_study_runs import FREE
 from problems.pendulum import TABLE_7_2
-from problems.pendulum_study import TS
 
 Array = NDArray[Any]
 

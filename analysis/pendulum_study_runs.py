@@ -23,6 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.pendulum_records import INSTRUMENT_LAG, Study
 from casid.column_products import column_products
 from casid.instrumental import Reusable, StageSpec
 from casid.instruments import Instruments
@@ -32,7 +33,6 @@ from casid.reference_filter import ReferenceFilter
 from casid.resampling import profile
 from casid.stage import MomentSettings, Stage, StageFit
 from problems.pendulum import TABLE_7_2, indirect_model
-from problems.pendulum_study import INSTRUMENT_LAG, Study
 
 Array = NDArray[Any]
 Estimator = Literal["ls", "iv", "identity"]
@@ -169,7 +169,7 @@ class Runs:
 
     Attributes
     ----------
-    amplitude, N, seed, noise : of `problems.pendulum_study.Study`.
+    amplitude, N, seed, noise : of `analysis.pendulum_records.Study`.
     estimators : which; intervals are computed for all but `ls`.
     every : intervals in every run whose number is a multiple of this, NaN in the others.
     """
@@ -293,7 +293,7 @@ def _reusable(_: float) -> Reusable:
 def _experiments(study: Study, seed: np.random.SeedSequence) -> list[Any]:
     """One run as experiments, from the seed that a campaign hands out."""
     import casid
-    from problems.pendulum_study import UNITS
+    from analysis.pendulum_records import UNITS
 
     return [
         casid.Experiment(

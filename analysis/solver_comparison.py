@@ -30,6 +30,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from analysis.pendulum_records import INSTRUMENT_LAG, TS, Study
 from analysis.targets import Target, conclude
 from casid.instrumental import StageSpec, instrumental_variables, multistage
 from casid.instruments import Instruments
@@ -41,7 +42,6 @@ from casid.solvers import SolverComparison, compare_solvers
 from casid.stage import MomentSettings, StageFit
 from problems.pendulum import TABLE_7_2, indirect_model
 from problems.pendulum import experiments as simulated
-from problems.pendulum_study import INSTRUMENT_LAG, TS, Study
 
 TOLERANCE = 1e-7
 HOUSE = "ipopt + Newton"

@@ -42,12 +42,12 @@ def main() -> int:
     import numpy as np
     from scipy.signal import lfilter
 
+    from analysis.pendulum_records import Study, low_pass
     from casid.instruments import Instruments, Loop, reference_signals
     from casid.moment_equations import parts_of
     from casid.reference_filter import ReferenceFilter
     from casid.stage import MomentSettings, Stage
     from problems.pendulum import indirect_model
-    from problems.pendulum_study import Study, low_pass
 
     experiments = Study(0.3).experiments(0)[:1]
     model = indirect_model().with_known(m=0.0, k=10.39).with_unknown(d=0.1, I_x=0.15)

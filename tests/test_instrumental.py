@@ -1,6 +1,6 @@
 """Joint and multi-stage instrumental variables on the pendulum of Table 7.2.
 
-The data come from problems/pendulum_study.py, whose sampled motion is an exact matrix exponential
+The data come from analysis/pendulum_records.py, whose sampled motion is an exact matrix exponential
 and shares no code with the estimators.
 """
 
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import casid
+from analysis.pendulum_records import Study
 from casid.instrumental import (
     Prior,
     Reusable,
@@ -27,7 +28,6 @@ from casid.resampling import bootstrap, profile
 from casid.stage import MomentSettings
 from casid.validation import validate
 from problems.pendulum import TABLE_7_2, indirect_model
-from problems.pendulum_study import Study
 
 STAGES = (StageSpec(["I_x", "d"], ["nominal"]), StageSpec(["m", "z_m"], ["loaded"]))
 WRONG_LAG = Instruments("ref", ReferenceFilter.lag(0.1))

@@ -10,10 +10,10 @@ import pytest
 from scipy.linalg import expm
 
 import casid
+from analysis.pendulum_records import BlockFilter, Study, low_pass, sampled_exactly
 from casid.dimensions import check_units
 from problems import pendulum
 from problems.pendulum import TABLE_7_2
-from problems.pendulum_study import BlockFilter, Study, low_pass, sampled_exactly
 
 VALUES = {key: TABLE_7_2[key] for key in ("k", "d", "I_x")}
 

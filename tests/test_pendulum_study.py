@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import casid
+from analysis.pendulum_records import Study
 from analysis.pendulum_study import (
     Desk,
     Extent,
@@ -37,7 +38,6 @@ from casid.instrumental import multistage
 from casid.instruments import Instruments
 from casid.stage import MomentSettings
 from problems.pendulum import TABLE_7_2, indirect_model
-from problems.pendulum_study import Study
 
 N = 30_000
 EVERYTHING: tuple[Estimator, ...] = ("ls", "iv", "identity")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import casid
+from analysis.pendulum_records import Study
 from casid.columns import lagged
 from casid.instrumental import least_squares
 from casid.moments import Moments, moments, of_record
 from casid.stage import MomentSettings
 from casid.streamed import estimate_from_moments
 from problems.pendulum import TABLE_7_2, indirect_model
-from problems.pendulum_study import Study
 
 INSTRUMENTS = lagged("ref", range(0, 60, 4))
 
