@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from casid.errors import CasidError
 from casid.expressions import parse
-from casid.nlp import Solver
 from casid.regression import RegressionEstimate, regress
+from casid.solving.nlp import Solver
 
 Array = NDArray[Any]
 STARTS = ("start1", "start2")

@@ -60,12 +60,12 @@ from analysis.pendulum_rig_tables import (
     Output,
 )
 from analysis.targets import Target, at_most, conclude, near
-from casid.campaign import campaign
+from casid.campaigns.campaign import campaign
 from casid.data import Experiment
-from casid.instrumental import MomentEstimate, multistage
+from casid.instrumental.estimators import MomentEstimate, multistage
+from casid.instrumental.stage import MomentSettings
+from casid.instrumental.validation import validate
 from casid.prepare import align
-from casid.stage import MomentSettings
-from casid.validation import validate
 from problems import pendulum_rig as rig
 
 BASE = {n: p.value or 0.0 for n, p in MODEL.parameters.items()}

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.instrumental import MomentEstimate, Prior, Reusable, StageSpec
-from casid.instruments import Instruments
-from casid.propagation import jacobian_of
-from casid.stage import MomentSettings
+from casid.instrumental.estimators import MomentEstimate, Prior, Reusable, StageSpec
+from casid.instrumental.instruments import Instruments
+from casid.instrumental.propagation import jacobian_of
+from casid.instrumental.stage import MomentSettings
 from problems import pendulum_rig as rig
 
 Array = NDArray[np.float64]

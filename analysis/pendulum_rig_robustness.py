@@ -23,9 +23,9 @@ from analysis.pendulum_rig_estimators import (
 from analysis.pendulum_rig_records import AMPLITUDE, Draws
 from analysis.pendulum_rig_tables import Output
 from analysis.targets import Target, at_most, near
-from casid.instrumental import multistage
-from casid.stage import MomentSettings
-from casid.validation import validate
+from casid.instrumental.estimators import multistage
+from casid.instrumental.stage import MomentSettings
+from casid.instrumental.validation import validate
 from problems import pendulum_rig as rig
 
 LOAD = ("m", "z_m")

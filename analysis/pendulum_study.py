@@ -34,9 +34,9 @@ from analysis.pendulum_records import TS, Study, low_pass
 from analysis.pendulum_study_numbers import HEADER, Line, lines, load_by_formula, shares
 from analysis.pendulum_study_runs import Bench, Estimator, Floor, Profiles, Runs, bench
 from analysis.targets import Target, at_most, conclude, near
-from casid.campaign import Campaign, campaign
-from casid.discretisation_bias import bias_table
-from casid.linear import linearise
+from casid.campaigns.campaign import Campaign, campaign
+from casid.linear.discretisation_bias import bias_table
+from casid.linear.linear_model import linearise
 from problems.pendulum import (
     CART_LAG,
     TABLE_7_2,

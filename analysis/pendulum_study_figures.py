@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.pendulum_study_runs import THETA, Bench
-from casid.difference_equation import difference_equation
+from casid.linear.difference_equation import difference_equation
 from problems.pendulum import TABLE_7_2, indirect_model
 
 Array = NDArray[Any]

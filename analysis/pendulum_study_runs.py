@@ -24,14 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.pendulum_records import INSTRUMENT_LAG, Study
-from casid.column_products import column_products
-from casid.instrumental import Reusable, StageSpec
-from casid.instruments import Instruments
-from casid.moment_equations import Part, moment_covariance, parts_of
-from casid.propagation import Propagated, propagate
-from casid.reference_filter import ReferenceFilter
-from casid.resampling import profile
-from casid.stage import MomentSettings, Stage, StageFit
+from casid.instrumental.column_products import column_products
+from casid.instrumental.estimators import Reusable, StageSpec
+from casid.instrumental.instruments import Instruments
+from casid.instrumental.moment_equations import Part, moment_covariance, parts_of
+from casid.instrumental.propagation import Propagated, propagate
+from casid.instrumental.reference_filter import ReferenceFilter
+from casid.instrumental.resampling import profile
+from casid.instrumental.stage import MomentSettings, Stage, StageFit
 from problems.pendulum import TABLE_7_2, indirect_model
 
 Array = NDArray[Any]

@@ -32,14 +32,14 @@ import numpy as np
 
 from analysis.pendulum_records import INSTRUMENT_LAG, TS, Study
 from analysis.targets import Target, conclude
-from casid.instrumental import StageSpec, instrumental_variables, multistage
-from casid.instruments import Instruments
-from casid.moment_nlp import Condensed, LinearNlp, PhysicalNlp
-from casid.nlp import Nlp
-from casid.reference_filter import ReferenceFilter
+from casid.instrumental.estimators import StageSpec, instrumental_variables, multistage
+from casid.instrumental.instruments import Instruments
+from casid.instrumental.moment_nlp import Condensed, LinearNlp, PhysicalNlp
+from casid.instrumental.reference_filter import ReferenceFilter
+from casid.instrumental.stage import MomentSettings, StageFit
 from casid.simulation_error import SimulationError
-from casid.solvers import SolverComparison, compare_solvers
-from casid.stage import MomentSettings, StageFit
+from casid.solving.nlp import Nlp
+from casid.solving.solvers import SolverComparison, compare_solvers
 from problems.pendulum import TABLE_7_2, indirect_model
 from problems.pendulum import experiments as simulated
 

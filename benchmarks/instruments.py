@@ -43,10 +43,10 @@ def main() -> int:
     from scipy.signal import lfilter
 
     from analysis.pendulum_records import Study, low_pass
-    from casid.instruments import Instruments, Loop, reference_signals
-    from casid.moment_equations import parts_of
-    from casid.reference_filter import ReferenceFilter
-    from casid.stage import MomentSettings, Stage
+    from casid.instrumental.instruments import Instruments, Loop, reference_signals
+    from casid.instrumental.moment_equations import parts_of
+    from casid.instrumental.reference_filter import ReferenceFilter
+    from casid.instrumental.stage import MomentSettings, Stage
     from problems.pendulum import indirect_model
 
     experiments = Study(0.3).experiments(0)[:1]

@@ -72,9 +72,9 @@ def through_ipopt(signals: dict[str, np.ndarray]) -> tuple[Callable[[], Any], Ca
     """Moments alone; moments and the prebuilt solve, which returns theta (3,)."""
     import casadi as ca
 
-    from casid.columns import Column, lagged
-    from casid.moments import moments
-    from casid.nlp import Nlp
+    from casid.instrumental.columns import Column, lagged
+    from casid.instrumental.moments import moments
+    from casid.solving.nlp import Nlp
 
     columns = (*lagged("y", range(1, 3), -1.0), Column("u", (("u", 0, 1.0), ("u", 2, -1.0))))
     all_columns = (*columns, *lagged("y", range(1)))
@@ -165,7 +165,7 @@ def peak_megabytes() -> float:
 
 def streamed(samples: int) -> dict[str, Any]:
     """Moments of two generated channels behind a filter of 21 taps, a chunk at a time."""
-    from casid.moments import Accumulator
+    from casid.instrumental.moments import Accumulator
     from casid.prepare import equiripple
 
     rng = np.random.default_rng(1)
@@ -200,7 +200,7 @@ def written(path: Path, samples: int) -> None:
 
 def read(path: Path) -> dict[str, Any]:
     """Moments of a file."""
-    from casid.moments import of_file
+    from casid.instrumental.moments import of_file
 
     start = time.perf_counter()
     result = of_file(path, {"y": "y", "u": "u"}, 2)
@@ -243,7 +243,7 @@ def judge_times(result: dict[str, Any]) -> list[bool]:
     print(f"least squares, {N} samples, 3 coefficients, 1 constraint; one thread; least (median)")
     labels = {
         "bare": "11 dot products on views",
-        "moments": "casid.moments.moments",
+        "moments": "casid.instrumental.moments.moments",
         "casid": "moments and prebuilt Ipopt solve",
         "statsmodels": "statsmodels GLM.fit_constrained",
     }

@@ -10,13 +10,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from casid.affine import affine_hull
+    from casid.campaigns.monte_carlo import MonteCarlo, montecarlo
     from casid.checking import CheckReport, check
-    from casid.closed_loop import closed_loop_view
     from casid.data import Experiment, Record
     from casid.diagnosing import diagnose
     from casid.diagnosis import Diagnosis
-    from casid.discretisation_bias import bias_table
     from casid.effects import Effect
     from casid.errors import (
         CasidError,
@@ -28,7 +26,7 @@ if TYPE_CHECKING:
     )
     from casid.estimate import Estimate
     from casid.identification import FitSettings, identify
-    from casid.instrumental import (
+    from casid.instrumental.estimators import (
         MomentEstimate,
         Prior,
         StageSpec,
@@ -36,23 +34,25 @@ if TYPE_CHECKING:
         least_squares,
         multistage,
     )
-    from casid.instruments import Instruments
-    from casid.linear import linearise
+    from casid.instrumental.instruments import Instruments
+    from casid.instrumental.moments import Moments
+    from casid.instrumental.reference_filter import ReferenceFilter
+    from casid.instrumental.resampling import bootstrap, profile
+    from casid.instrumental.stage import MomentSettings
+    from casid.instrumental.streamed import estimate_from_moments
+    from casid.instrumental.validation import validate
+    from casid.linear.affine import affine_hull
+    from casid.linear.closed_loop import closed_loop_view
+    from casid.linear.discretisation_bias import bias_table
+    from casid.linear.linear_model import linearise
     from casid.model import Model, Parameter
-    from casid.moments import Moments
-    from casid.monte_carlo import MonteCarlo, montecarlo
-    from casid.nlp import Nlp, Solver
+    from casid.prediction.unknown_input import compare_unknown_input_options
     from casid.prepare import decimate, detrend, lowpass
     from casid.problem import Problem, load_problem
     from casid.reading import read_record
-    from casid.reference_filter import ReferenceFilter
     from casid.regression import regress
-    from casid.resampling import bootstrap, profile
-    from casid.solvers import compare_solvers
-    from casid.stage import MomentSettings
-    from casid.streamed import estimate_from_moments
-    from casid.unknown_input import compare_unknown_input_options
-    from casid.validation import validate
+    from casid.solving.nlp import Nlp, Solver
+    from casid.solving.solvers import compare_solvers
 
 __version__ = "0.1.0"
 
@@ -114,33 +114,33 @@ _HOME = {
         "checking": "CheckReport check",
         "data": "Experiment Record",
         "diagnosing": "diagnose",
-        "affine": "affine_hull",
-        "closed_loop": "closed_loop_view",
+        "linear.affine": "affine_hull",
+        "linear.closed_loop": "closed_loop_view",
         "diagnosis": "Diagnosis",
-        "discretisation_bias": "bias_table",
+        "linear.discretisation_bias": "bias_table",
         "effects": "Effect",
         "errors": "CasidError DataError IdentifiabilityError ModelError SolveError UnitError",
         "estimate": "Estimate",
         "identification": "FitSettings identify",
-        "instrumental": "MomentEstimate Prior StageSpec instrumental_variables least_squares "
-        "multistage",
-        "instruments": "Instruments",
-        "linear": "linearise",
+        "instrumental.estimators": "MomentEstimate Prior StageSpec instrumental_variables "
+        "least_squares multistage",
+        "instrumental.instruments": "Instruments",
+        "linear.linear_model": "linearise",
         "model": "Model Parameter",
-        "moments": "Moments",
-        "monte_carlo": "MonteCarlo montecarlo",
-        "nlp": "Nlp Solver",
+        "instrumental.moments": "Moments",
+        "campaigns.monte_carlo": "MonteCarlo montecarlo",
+        "solving.nlp": "Nlp Solver",
         "prepare": "decimate detrend lowpass",
         "problem": "Problem load_problem",
         "reading": "read_record",
-        "reference_filter": "ReferenceFilter",
+        "instrumental.reference_filter": "ReferenceFilter",
         "regression": "regress",
-        "resampling": "bootstrap profile",
-        "solvers": "compare_solvers",
-        "stage": "MomentSettings",
-        "streamed": "estimate_from_moments",
-        "unknown_input": "compare_unknown_input_options",
-        "validation": "validate",
+        "instrumental.resampling": "bootstrap profile",
+        "solving.solvers": "compare_solvers",
+        "instrumental.stage": "MomentSettings",
+        "instrumental.streamed": "estimate_from_moments",
+        "prediction.unknown_input": "compare_unknown_input_options",
+        "instrumental.validation": "validate",
     }.items()
     for name in names.split()
 }

@@ -244,7 +244,7 @@ def diagnose(
         with quiet_stdout(), progress_lines(quiet) as progress:
             fitted, hold_out = request.experiments(model)
             from casid.diagnosing import diagnose as run
-            from casid.nlp import Solver
+            from casid.solving.nlp import Solver
 
             with _ends_at_ctrl_c():
                 result = run(
@@ -318,8 +318,8 @@ def identify(
             fitted, hold_out = request.experiments(model)
             from casid.identification import FitSettings
             from casid.identification import identify as run
-            from casid.nlp import Solver
             from casid.report import estimate_page
+            from casid.solving.nlp import Solver
             from casid.writing import write_text
 
             result: Any
@@ -422,9 +422,9 @@ def montecarlo(
     request = Request(settings=settings)
     model = _load(problem)
     model = model.with_known(request.known(model))
+    from casid.campaigns.monte_carlo import Study
     from casid.identification import FitSettings
-    from casid.monte_carlo import Study
-    from casid.nlp import Solver
+    from casid.solving.nlp import Solver
 
     fit = FitSettings(starts=model.starts if starts is None else starts, solver=Solver(solver))
     study = Study(model, method, fit, duration)

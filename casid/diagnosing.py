@@ -23,11 +23,11 @@ from casid.holdout import (
     why_no_better,
 )
 from casid.identification import FitSettings, estimate_of, experiments_of, fit_model, rms, versions
-from casid.nlp import Solver
 from casid.problem import Problem
 from casid.scores import INVISIBLE
 from casid.search import Adopted, Candidate, Progress, Search, Weighted
 from casid.simulation_error import Fit
+from casid.solving.nlp import Solver
 from casid.spikes import Spikes, find_spikes
 
 Array = np.ndarray[Any, Any]

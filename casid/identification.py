@@ -15,7 +15,6 @@ from casid.errors import DataError, ModelError
 from casid.estimate import Estimate, Estimated, Identifiability
 from casid.local_rank import describe_null, local_rank
 from casid.model import Model
-from casid.nlp import Solver
 from casid.problem import Problem
 from casid.simulation_error import (
     Constraint,
@@ -23,6 +22,7 @@ from casid.simulation_error import (
     SimulationError,
     minimize_simulation_error,
 )
+from casid.solving.nlp import Solver
 from casid.uncertainty import sandwich, whiteness
 
 Array = np.ndarray[Any, Any]

@@ -315,11 +315,11 @@ class InstrumentRequest:
 
     def estimate(self, problem: Problem, fitted: Sequence[Experiment], solver: str) -> Any:
         """Joint instrumental variables on all records: a `casid.MomentEstimate`."""
-        from casid.instrumental import instrumental_variables
-        from casid.instruments import Instruments
-        from casid.nlp import Solver
-        from casid.reference_filter import ReferenceFilter
-        from casid.stage import MomentSettings
+        from casid.instrumental.estimators import instrumental_variables
+        from casid.instrumental.instruments import Instruments
+        from casid.instrumental.reference_filter import ReferenceFilter
+        from casid.instrumental.stage import MomentSettings
+        from casid.solving.nlp import Solver
 
         problem, free = self.freed(problem)
         for name in free or ():

@@ -18,7 +18,7 @@ import numpy as np
 
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.expressions import names, nearest, parse
-from casid.nlp import Array, Evaluation, Nlp, Solver
+from casid.solving.nlp import Array, Evaluation, Nlp, Solver
 
 HESSIANS = ("exact", "gauss-newton")
 _OFFSET = 1e-6  # relative offset of a converged fit; Bates & Watts (1981) are content with 1e-3
@@ -530,7 +530,7 @@ class _Problem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LeastSquares:
-    """`casid.nlp.Criterion` of a regression, divided by the response's spread."""
+    """`casid.solving.nlp.Criterion` of a regression, divided by the response's spread."""
 
     problem: _Problem
     exact: bool

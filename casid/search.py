@@ -23,10 +23,10 @@ from casid.diagnosis import Alternative
 from casid.effects import JUMP_TIMES, Effect, Sizes, catalogue, parameter_jump
 from casid.errors import SolveError
 from casid.model import Model
-from casid.nlp import Solver
 from casid.noise import NoiseModel, estimate_noise, input_noise_floor
 from casid.scores import INVISIBLE, Score, ScoreTable, scan, score_test
 from casid.simulation_error import Fit, SimulationError, minimize_simulation_error
+from casid.solving.nlp import Solver
 from casid.uncertainty import bartlett_lags, long_run_covariance, sandwich
 
 Array = np.ndarray[Any, Any]

@@ -20,8 +20,8 @@ from casid.data import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError, UnitError
 from casid.local_rank import describe_null, local_rank
 from casid.model import Model
-from casid.nlp import Evaluation, Nlp, Solution, Solver
 from casid.simulate import Simulator
+from casid.solving.nlp import Evaluation, Nlp, Solution, Solver
 from casid.units import describe_dimension, parse_unit, to_si
 
 Array = np.ndarray[Any, Any]

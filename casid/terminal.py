@@ -102,7 +102,7 @@ def study_folder(
     out: Path | None, name: str, manifest: dict[str, Any], *, force: bool
 ) -> Iterator[Path]:
     """The folder that holds this very study, else a reserved one."""
-    from casid.manifest import continues, read_manifest
+    from casid.campaigns.manifest import continues, read_manifest
 
     name = f"{_folder_name(name)}-montecarlo"
     folders = [out] if out is not None else list(Path("reports").glob(f"{name}-*"))

@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casid.affine import affine_hull, check_consistent, image_dimension, symbolic_hull
-from casid.difference_equation import difference_equation
 from casid.errors import IdentifiabilityError, ModelError
+from casid.linear.affine import affine_hull, check_consistent, image_dimension, symbolic_hull
+from casid.linear.difference_equation import difference_equation
 from casid.model import Model
 from problems.pendulum import direct_model
 

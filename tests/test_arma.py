@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from casid.arma import Arma, arma, arma_order
 from casid.errors import DataError, ModelError
+from casid.prediction.arma import Arma, arma, arma_order
 from tests.recursion import filtered
 
 try:

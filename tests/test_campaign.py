@@ -20,8 +20,8 @@ import joblib
 import numpy as np
 import pytest
 
-from casid import dask_backend, parts
-from casid.campaign import campaign, run_seed
+from casid.campaigns import dask_backend, parts
+from casid.campaigns.campaign import campaign, run_seed
 from casid.errors import DataError, SolveError
 from tests.shared import ROOT
 
@@ -338,7 +338,7 @@ PROGRAM = """
 import sys, time
 import joblib
 import numpy as np
-from casid.campaign import campaign
+from casid.campaigns.campaign import campaign
 
 def slow(seed):
     time.sleep(0.05)

@@ -562,9 +562,9 @@ def pendulum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 def test_identify_by_instruments_is_the_call_of_the_library(pendulum: list[Any]) -> None:
     """Files with 17 digits hold the same numbers, and the same numbers give the same estimate."""
-    from casid.instrumental import instrumental_variables
-    from casid.instruments import Instruments
-    from casid.reference_filter import ReferenceFilter
+    from casid.instrumental.estimators import instrumental_variables
+    from casid.instrumental.instruments import Instruments
+    from casid.instrumental.reference_filter import ReferenceFilter
     from problems.pendulum import indirect_model
 
     free = ("--free", "I_x,d,m=0.1,z_m", "--set", "k=10.39")

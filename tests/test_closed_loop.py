@@ -11,9 +11,9 @@ import pytest
 import scipy.signal
 import sympy
 
-from casid.closed_loop import closed_loop_view
-from casid.discrete_loop import bilinear
 from casid.errors import ModelError, SolveError
+from casid.linear.closed_loop import closed_loop_view
+from casid.linear.discrete_loop import bilinear
 from casid.model import Model
 from problems.pendulum import direct_model
 

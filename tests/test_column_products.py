@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from casid.column_products import column_products
-from casid.columns import Column
+from casid.instrumental.column_products import column_products
+from casid.instrumental.columns import Column
 
 CHANNELS = ("u", "v", "w")
 

@@ -16,12 +16,12 @@ import pytest
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 
-from casid.columns import Column
-from casid.difference_equation import difference_equation
-from casid.instruments import Instruments, Loop, Simulated
-from casid.moment_equations import MomentEquations, moment_covariance
-from casid.moments import moments
-from casid.polynomial import armax, arx
+from casid.instrumental.columns import Column
+from casid.instrumental.instruments import Instruments, Loop, Simulated
+from casid.instrumental.moment_equations import MomentEquations, moment_covariance
+from casid.instrumental.moments import moments
+from casid.linear.difference_equation import difference_equation
+from casid.prediction.polynomial import armax, arx
 from problems.pendulum import TABLE_7_2, indirect_model
 
 N = 200_000

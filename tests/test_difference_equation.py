@@ -10,11 +10,11 @@ import sympy
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from casid.difference_equation import difference_equation, difference_equations, invert
-from casid.discretise import METHODS, SUBSTITUTIONS, discretise
 from casid.errors import ModelError
-from casid.inverse_map import continuous_form
-from casid.linear import linearise
+from casid.linear.difference_equation import difference_equation, difference_equations, invert
+from casid.linear.discretise import METHODS, SUBSTITUTIONS, discretise
+from casid.linear.inverse_map import continuous_form
+from casid.linear.linear_model import linearise
 from casid.model import Model
 from problems.pendulum import direct_model
 from tests.linear_models import (

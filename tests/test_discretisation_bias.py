@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from casid.difference_equation import difference_equation
-from casid.discretisation_bias import bias_table
-from casid.discretise import discretise
 from casid.errors import IdentifiabilityError, ModelError
-from casid.inverse_map import invert
-from casid.linear import linearise
+from casid.linear.difference_equation import difference_equation
+from casid.linear.discretisation_bias import bias_table
+from casid.linear.discretise import discretise
+from casid.linear.inverse_map import invert
+from casid.linear.linear_model import linearise
 from tests.linear_models import NOMINAL, Z_G, Z_S, M, indirect, spring_chain
 
 FREE = ("I_x", "k", "d")

@@ -10,9 +10,9 @@ import scipy.signal
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from casid.discretise import METHODS, discretise, pade_exponential, substitution
 from casid.errors import ModelError
-from casid.linear import TransferMatrix, linearise
+from casid.linear.discretise import METHODS, discretise, pade_exponential, substitution
+from casid.linear.linear_model import TransferMatrix, linearise
 from casid.model import Model
 from problems.pendulum import direct_model
 from tests.linear_models import NOMINAL, chain_values, indirect, spring_chain

@@ -10,10 +10,10 @@ import pytest
 from scipy.signal import lfilter
 
 import casid
-from casid.instrumental import instrumental_variables
-from casid.instruments import Instruments
-from casid.nlp import Nlp
-from casid.stage import MomentSettings
+from casid.instrumental.estimators import instrumental_variables
+from casid.instrumental.instruments import Instruments
+from casid.instrumental.stage import MomentSettings
+from casid.solving.nlp import Nlp
 from problems.pendulum import TABLE_7_2, indirect_model
 
 TS = 0.05

@@ -14,7 +14,7 @@ import pytest
 
 import casid
 from analysis.pendulum_records import Study
-from casid.instrumental import (
+from casid.instrumental.estimators import (
     Prior,
     Reusable,
     StageSpec,
@@ -22,11 +22,11 @@ from casid.instrumental import (
     least_squares,
     multistage,
 )
-from casid.instruments import Instruments
-from casid.reference_filter import ReferenceFilter, estimate_reference_filter
-from casid.resampling import bootstrap, profile
-from casid.stage import MomentSettings
-from casid.validation import validate
+from casid.instrumental.instruments import Instruments
+from casid.instrumental.reference_filter import ReferenceFilter, estimate_reference_filter
+from casid.instrumental.resampling import bootstrap, profile
+from casid.instrumental.stage import MomentSettings
+from casid.instrumental.validation import validate
 from problems.pendulum import TABLE_7_2, indirect_model
 
 STAGES = (StageSpec(["I_x", "d"], ["nominal"]), StageSpec(["m", "z_m"], ["loaded"]))

@@ -9,10 +9,10 @@ import pytest
 from scipy.signal import lfilter
 
 import casid
-from casid.instrumental import instrumental_variables
-from casid.instruments import Instruments
-from casid.moment_equations import huber
-from casid.stage import MomentSettings
+from casid.instrumental.estimators import instrumental_variables
+from casid.instrumental.instruments import Instruments
+from casid.instrumental.moment_equations import huber
+from casid.instrumental.stage import MomentSettings
 
 TS = 0.05
 TRUTH = {"k1": 40.0, "k2": 25.0, "d": 1.5}

@@ -8,10 +8,10 @@ import sympy
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from casid.difference_equation import difference_equation
-from casid.discretise import METHODS
 from casid.errors import IdentifiabilityError, ModelError, SolveError
-from casid.inverse_map import closed_form, continuous_form, evaluate_form, invert
+from casid.linear.difference_equation import difference_equation
+from casid.linear.discretise import METHODS
+from casid.linear.inverse_map import closed_form, continuous_form, evaluate_form, invert
 from tests.linear_models import NOMINAL, SHIP, indirect, ship, spring_chain
 
 LOADED = NOMINAL | {"m": 0.2}

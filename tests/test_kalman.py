@@ -13,7 +13,7 @@ from scipy.stats import chi2, multivariate_normal
 
 from casid.data import Record
 from casid.errors import ModelError
-from casid.kalman import (
+from casid.prediction.kalman import (
     SystemTangent,
     gain_tangent,
     log_likelihood,
@@ -21,7 +21,7 @@ from casid.kalman import (
     steady_state,
     time_varying,
 )
-from casid.noisy_system import NoisySystem, exponential, sample_noise, sample_system
+from casid.prediction.noisy_system import NoisySystem, exponential, sample_noise, sample_system
 
 Array = np.ndarray[Any, Any]
 NAMES = "ABCDQSR"

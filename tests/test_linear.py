@@ -19,7 +19,7 @@ from casid.effects import (
     time_delay,
 )
 from casid.errors import ModelError
-from casid.linear import LinearModel, faddeev_leverrier, linearise
+from casid.linear.linear_model import LinearModel, faddeev_leverrier, linearise
 from casid.model import Model
 from problems.pendulum import direct_model
 from tests.linear_models import NOMINAL, Z_G, Z_S, G, M, chain_values, indirect, spring_chain

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import casid
-from casid.columns import Column
-from casid.instruments import Simulated, independent
-from casid.moment_equations import (
+from casid.instrumental.columns import Column
+from casid.instrumental.instruments import Simulated, independent
+from casid.instrumental.moment_equations import (
     MomentEquations,
     huber,
     moment_equations,
@@ -20,7 +20,7 @@ from casid.moment_equations import (
     robust_weights,
     weighted_equations,
 )
-from casid.moments import moments
+from casid.instrumental.moments import moments
 from problems.pendulum import experiments, indirect_model
 
 TS = 0.01
@@ -146,7 +146,7 @@ def test_the_covariance_of_the_means_is_that_of_many_draws() -> None:
     def error() -> np.ndarray:
         return np.asarray(lfilter([1.0, -1.95, 1.0], [1.0, -0.3], rng.standard_normal(N + 50)))[50:]
 
-    from casid.long_run import independent_covariances
+    from casid.instrumental.long_run import independent_covariances
 
     draws = np.array([[slow @ e / N, slow[:-3] @ e[3:] / N] for e in (error() for _ in range(200))])
     signals = {"w": np.concatenate([np.zeros(3), slow])}

@@ -16,11 +16,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-import casid.moments
-from casid.columns import Column, lagged
+import casid.instrumental.moments
 from casid.data import Record
 from casid.errors import DataError
-from casid.moments import Accumulator, Moments, moments, of_file, of_record, weighted
+from casid.instrumental.columns import Column, lagged
+from casid.instrumental.moments import Accumulator, Moments, moments, of_file, of_record, weighted
 from casid.prepare import anti_alias, equiripple
 from casid.reading import iter_chunks, read_record
 from casid.writing import write_text
@@ -197,7 +197,7 @@ def test_chunks_give_what_the_whole_gives_to_the_last_bit(N, lags, cuts, filters
         },
     }
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(casid.moments, "BLOCK", 8)
+        patch.setattr(casid.instrumental.moments, "BLOCK", 8)
         signals = noise(N, seed=N)
         whole = fed(signals, lags, [], **kinds[filters]).moments
         stream = fed(signals, lags, cuts, **kinds[filters])
@@ -226,7 +226,7 @@ def test_rounding_is_that_of_one_block_however_many_there_are(N, lags, cuts, see
     signals = {c: rng.standard_normal(N) * 10.0 ** rng.uniform(-8, 8, N) for c in "yu"}
     reference, size = exact(stacked(signals, lags))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(casid.moments, "BLOCK", 8)
+        patch.setattr(casid.instrumental.moments, "BLOCK", 8)
         whole = fed(signals, lags, cuts).moments
         edges = [0, *sorted(c for c in cuts if c <= N), N]
         pieces = sum(
@@ -243,7 +243,7 @@ def test_rounding_is_that_of_one_block_however_many_there_are(N, lags, cuts, see
 
 def test_ten_thousand_blocks_add_without_losing_a_digit(monkeypatch):
     """A large sample, then small ones: block after block is below the last place of the sum."""
-    monkeypatch.setattr(casid.moments, "BLOCK", 8)
+    monkeypatch.setattr(casid.instrumental.moments, "BLOCK", 8)
     y = np.full(80_000, 1e-9)
     y[0] = 1.0
     expected = math.fsum(y * y)
@@ -268,7 +268,7 @@ def test_moments_add_across_processes():
     """Two fresh processes take a half each (overlapping by the lags) and send back 2 kB."""
     program = (
         "import pickle, sys, numpy as np\n"
-        "from casid.moments import moments\n"
+        "from casid.instrumental.moments import moments\n"
         "a, b = int(sys.argv[1]), int(sys.argv[2])\n"
         "rng = np.random.default_rng(3)\n"
         "x = {c: rng.standard_normal(100_000)[a:b] for c in ('y', 'u')}\n"
@@ -285,7 +285,9 @@ def test_moments_add_across_processes():
     ]
     assert max(map(len, sent)) < 4096
     total, signals = sum(map(pickle.loads, sent)), noise(100_000)
-    bound = gamma(casid.moments.BLOCK + 7) * (np.abs(v := stacked(signals, 2)).T @ np.abs(v))
+    bound = gamma(casid.instrumental.moments.BLOCK + 7) * (
+        np.abs(v := stacked(signals, 2)).T @ np.abs(v)
+    )
     assert (np.abs(total.total - stacked(signals, 2).T @ stacked(signals, 2)) <= 2 * bound).all()
     assert total.N == 99_998
 
@@ -504,7 +506,7 @@ def test_weights_of_one_change_nothing_and_weights_of_zero_leave_samples_out():
     left = [Column("u[t] - u[t-2]", (("u", 0, 1.0), ("u", 2, -1.0))), ONE]
     right = [*lagged("y", range(3))]
     plain = moments(signals, 2, constant=True).between(left, right)
-    bound = 2 * gamma(casid.moments.BLOCK + 7) * 70_000 * 2
+    bound = 2 * gamma(casid.instrumental.moments.BLOCK + 7) * 70_000 * 2
     ones = weighted(left, right, signals, np.ones(69_998))
     assert np.allclose(ones, plain, rtol=0, atol=bound)
     kept = np.random.default_rng(4).random(69_998) < 0.7

@@ -19,14 +19,14 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner, Result
 
-from casid.campaign import Campaign
+from casid.campaigns.campaign import Campaign
+from casid.campaigns.monte_carlo import Accuracy, accuracy, montecarlo
 from casid.cli import main
 from casid.data import Experiment
 from casid.errors import CasidError, DataError, ModelError, SolveError
 from casid.identification import FitSettings
-from casid.monte_carlo import Accuracy, accuracy, montecarlo
-from casid.nlp import Solver
 from casid.problem import Problem, load_problem
+from casid.solving.nlp import Solver
 from tests.shared import ROOT
 
 TANK = """\
@@ -127,7 +127,7 @@ def test_chance_alone_is_called_bias_as_rarely_for_few_runs_as_for_many(n: int) 
 
 def test_a_printed_study_fits_into_100_columns() -> None:
     """The widest numbers, a long name, a long unit and a long message."""
-    from casid.monte_carlo import MonteCarlo
+    from casid.campaigns.monte_carlo import MonteCarlo
 
     rows = tuple(
         Accuracy(name, unit, -1.23457e-05, 100, -1.2345e-5, 1.11e-5, 1.11e-5, 100, 100)
@@ -213,7 +213,7 @@ def test_a_study_of_another_problem_file_is_not_continued(tank: Problem) -> None
 
 
 def test_any_function_of_problem_and_experiments_is_a_method(tank: Problem) -> None:
-    from casid.monte_carlo import simulation_error
+    from casid.campaigns.monte_carlo import simulation_error
 
     def halved(problem: Problem, experiments: Any, settings: FitSettings) -> Any:
         records = [replace(e, record=e.record.between(0.0, 7.4)) for e in experiments]
@@ -254,7 +254,7 @@ def test_a_method_that_returns_no_estimate_is_told_what_to_return(tank: Problem)
     def wrapped(problem: Problem, experiments: Any, settings: FitSettings) -> Any:
         from types import SimpleNamespace
 
-        from casid.monte_carlo import simulation_error
+        from casid.campaigns.monte_carlo import simulation_error
 
         return SimpleNamespace(estimate=simulation_error(problem, experiments, settings))
 

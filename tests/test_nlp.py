@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from casid.errors import SolveError
-from casid.nlp import Evaluation, Nlp, Solver
+from casid.solving.nlp import Evaluation, Nlp, Solver
 
 SOLVERS = pytest.mark.parametrize("solver", [Solver("ipopt"), Solver("sqpmethod")], ids=repr)
 N = 30

@@ -17,32 +17,48 @@ import pytest
 import casid
 from tests.shared import ROOT
 
-SOURCES = sorted((ROOT / "casid").glob("*.py"))
+SOURCES = sorted((ROOT / "casid").rglob("*.py"))
+
+
+def name_of(path: Path) -> str:
+    """`linear.affine` for casid/linear/affine.py; `linear` for the package itself."""
+    parts = path.relative_to(ROOT / "casid").with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
 HEAVY = "casadi numpy scipy sympy control pandas pyarrow pint joblib plotly rich matplotlib".split()
 
 # A module imports, when it is itself imported, from lines above its own alone. What a method needs
 # from below (`record.lowpass`, `diagnosis.write`) it imports when it is called. A module without a
 # line here is free, as long as there is no circle. An indented line goes on with the one above.
 LAYERS = """
-columns dask_backend errors lag_products local_rank loop_text progress spikes uncertainty
-column_products estimate expressions gram linear_constraints long_run manifest model nlp_solution
-  nlp_solver options polynomial_orders polynomial_residuals symbolic terminal transfer_text units
-  writing
-data diagnosis dimensions discrete_loop effects input_models inverse_map laplace moments
-  nlp_values parameter_draws parts simulate vanishing
-campaign closed_loop compiled excitation linear nlp noisy_system plotting polynomial_data
-  polynomial_start prepare reading reference_filter symbolic_hull
-checking contenders discretise kalman null_space polynomial_criterion polynomial_model problem
-  regression report simulation_error
-equation_error identification instruments monte_carlo_page noise noisy_model polynomial
-  scipy_solvers scores structural_relations
-affine arma difference_equation holdout likelihood monte_carlo search solvers validation
-diagnosing discretisation_bias moment_equations prediction_error
-moment_nlp unknown_input
-stage
-propagation
-instrumental
-resampling streamed
+campaigns.dask_backend campaigns.progress errors instrumental.columns instrumental.lag_products
+  linear.loop_text local_rank spikes uncertainty
+campaigns.manifest estimate expressions instrumental.column_products instrumental.gram
+  instrumental.long_run linear.linear_constraints linear.symbolic linear.transfer_text model options
+  prediction.polynomial_orders prediction.polynomial_residuals solving.nlp_solution
+  solving.nlp_solver terminal units writing
+campaigns.parts data diagnosis dimensions effects instrumental.moments linear.discrete_loop
+  linear.inverse_map linear.laplace linear.parameter_draws linear.vanishing prediction.input_models
+  simulate solving.nlp_criterion solving.nlp_values
+campaigns.campaign instrumental.reference_filter linear.closed_loop linear.linear_model
+  linear.symbolic_hull plotting prediction.excitation prediction.noisy_system
+  prediction.polynomial_data prediction.polynomial_start prepare reading solving.compiled
+  solving.nlp
+checking linear.discretise prediction.kalman prediction.polynomial_criterion
+  prediction.polynomial_model problem regression report simulation_error solving.contenders
+  solving.null_space
+campaigns.monte_carlo_page equation_error identification instrumental.instruments
+  linear.structural_relations noise prediction.noisy_model prediction.polynomial scores
+  solving.scipy_solvers
+campaigns.monte_carlo holdout instrumental.validation linear.affine linear.difference_equation
+  prediction.arma prediction.likelihood search solving.solvers
+diagnosing instrumental.moment_equations linear.discretisation_bias prediction.grey_box
+instrumental.moment_nlp prediction.unknown_input
+instrumental.stage
+instrumental.propagation
+instrumental.estimators
+instrumental.resampling instrumental.streamed
 cli
 __main__
 """
@@ -69,13 +85,13 @@ def imports_of(path: Path) -> Iterator[tuple[str, bool]]:
     yield from walk(ast.parse(path.read_text(encoding="utf-8")), True)
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
 def test_casid_imports_neither_problems_nor_analysis(path: Path) -> None:
     roots = {module.partition(".")[0] for module, _ in imports_of(path)}
     assert not roots & {"problems", "analysis", "tests", "benchmarks", "docs"}
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
 def test_imports_inside_casid_run_one_way(path: Path) -> None:
     lines = LAYERS.replace("\n  ", " ").split("\n")
     layer = {name: i for i, line in enumerate(lines) for name in line.split()}
@@ -84,13 +100,16 @@ def test_imports_inside_casid_run_one_way(path: Path) -> None:
         return
     for module, now in imports_of(path):
         name = module.removeprefix("casid.")
-        if now and module.startswith("casid.") and {name, path.stem} <= layer.keys():
-            assert layer[name] < layer[path.stem], f"{path.stem} imports {name}"
+        own = name_of(path)
+        if now and module.startswith("casid.") and {name, own} <= layer.keys():
+            assert layer[name] < layer[own], f"{own} imports {name}"
 
 
 def test_no_imports_run_in_a_circle() -> None:
     graph = {
-        f"casid.{path.stem}": {m for m, now in imports_of(path) if now and m.startswith("casid.")}
+        f"casid.{name_of(path)}": {
+            m for m, now in imports_of(path) if now and m.startswith("casid.")
+        }
         for path in SOURCES
     }
     assert list(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError
@@ -170,7 +189,7 @@ def public_functions(path: Path) -> Iterator[tuple[str, ast.FunctionDef | ast.Cl
                         yield f"{node.name}.{child.name}", child
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
 def test_every_public_function_says_what_it_does(path: Path) -> None:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     assert ast.get_docstring(tree), f"{path.name} does not say what it holds"

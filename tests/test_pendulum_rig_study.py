@@ -14,8 +14,8 @@ from analysis.pendulum_rig_records import TS, Draws, torque_response
 from analysis.pendulum_rig_robustness import amplitudes, crossing, stiffening
 from analysis.pendulum_rig_runs import Coverage
 from analysis.pendulum_rig_tables import PUBLISHED, PUBLISHED_FITS, PUBLISHED_VALUES
-from casid.difference_equation import difference_equation
-from casid.validation import validate
+from casid.instrumental.validation import validate
+from casid.linear.difference_equation import difference_equation
 from problems import pendulum_rig as rig
 from tests.shared import ROOT
 

@@ -33,10 +33,10 @@ from analysis.pendulum_study_runs import (
     sampled,
 )
 from analysis.targets import Target
-from casid.campaign import run_seed
-from casid.instrumental import multistage
-from casid.instruments import Instruments
-from casid.stage import MomentSettings
+from casid.campaigns.campaign import run_seed
+from casid.instrumental.estimators import multistage
+from casid.instrumental.instruments import Instruments
+from casid.instrumental.stage import MomentSettings
 from problems.pendulum import TABLE_7_2, indirect_model
 
 N = 30_000

@@ -13,16 +13,16 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from casid import polynomial
 from casid.data import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
-from casid.nlp import Solver
-from casid.polynomial import Orders, armax, arx, bj, oe, prediction_error
-from casid.polynomial_criterion import PredictionErrors
-from casid.polynomial_data import stretches
-from casid.polynomial_orders import Layout, reflected
-from casid.polynomial_residuals import residual_input_correlation
-from casid.polynomial_start import candidates, steiglitz_mcbride
+from casid.prediction import polynomial
+from casid.prediction.polynomial import Orders, armax, arx, bj, oe, prediction_error
+from casid.prediction.polynomial_criterion import PredictionErrors
+from casid.prediction.polynomial_data import stretches
+from casid.prediction.polynomial_orders import Layout, reflected
+from casid.prediction.polynomial_residuals import residual_input_correlation
+from casid.prediction.polynomial_start import candidates, steiglitz_mcbride
+from casid.solving.nlp import Solver
 from casid.uncertainty import whiteness
 from tests.recursion import filtered, predicted_errors, simulated
 

@@ -12,12 +12,12 @@ from scipy.stats import chi2
 
 import casid
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
-from casid.kalman import time_varying
-from casid.likelihood import PredictionError
-from casid.nlp import Solver
-from casid.noisy_model import White
-from casid.prediction_error import Prediction, minimize_prediction_error
+from casid.prediction.grey_box import Prediction, minimize_prediction_error
+from casid.prediction.kalman import time_varying
+from casid.prediction.likelihood import PredictionError
+from casid.prediction.noisy_model import White
 from casid.simulation_error import SimulationError, minimize_simulation_error
+from casid.solving.nlp import Solver
 from problems.pendulum import direct_model
 from tests.linear_pendulum import TRUTH, simulate
 
@@ -182,7 +182,7 @@ def test_prediction_error_of_a_noisy_lag_is_an_armax_model() -> None:
     The two treat the first sample differently, which moves an estimate by about one sample's part,
     far below a tenth of its standard error.
     """
-    from casid.polynomial import armax
+    from casid.prediction.polynomial import armax
 
     record = lag_record(4, N=4000)
     grey = fit_lag(record)

@@ -10,8 +10,8 @@ import pytest
 
 from analysis import nist
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
-from casid.nlp import Solver
 from casid.regression import RegressionEstimate, regress
+from casid.solving.nlp import Solver
 from tests.shared import shared
 
 NIST = "data/nist_strd_nonlinear"

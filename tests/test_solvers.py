@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from casid.errors import IdentifiabilityError, SolveError
-from casid.nlp import Evaluation, Nlp, Solver
-from casid.solvers import compare_solvers, null_space_least_squares
+from casid.solving.nlp import Evaluation, Nlp, Solver
+from casid.solving.solvers import compare_solvers, null_space_least_squares
 
 AT_HOME = ("ipopt", "sqpmethod/qrqp", "sqpmethod/daqp", "scipy/trust-constr", "scipy/SLSQP")
 
@@ -281,13 +281,13 @@ def test_a_solver_that_never_stops_is_stopped_and_the_next_one_runs():
 
 def test_a_solver_that_dies_costs_one_row(monkeypatch):
     dies = (
-        "import os\nfrom casid import contenders as c\nrun = c._attempt\n"
+        "import os\nfrom casid.solving import contenders as c\nrun = c._attempt\n"
         "def attempt(*arguments):\n"
         "    if arguments[-1].name == 'fatrop': os.kill(os.getpid(), 11)\n"
         "    return run(*arguments)\n"
         "c._attempt = attempt\nc._serve()\n"
     )
-    monkeypatch.setattr("casid.contenders._CHILD", dies)
+    monkeypatch.setattr("casid.solving.contenders._CHILD", dies)
     nlp, values = pendulum(is_lifted=False)
     comparison = compare_solvers(nlp, values, ["sqpmethod/qrqp", "fatrop", "ipopt"])
     assert comparison["fatrop"].reason == "its process died (exit status -11)"

@@ -7,11 +7,11 @@ import pytest
 
 import casid
 from analysis.pendulum_records import Study
-from casid.columns import lagged
-from casid.instrumental import least_squares
-from casid.moments import Moments, moments, of_record
-from casid.stage import MomentSettings
-from casid.streamed import estimate_from_moments
+from casid.instrumental.columns import lagged
+from casid.instrumental.estimators import least_squares
+from casid.instrumental.moments import Moments, moments, of_record
+from casid.instrumental.stage import MomentSettings
+from casid.instrumental.streamed import estimate_from_moments
 from problems.pendulum import TABLE_7_2, indirect_model
 
 INSTRUMENTS = lagged("ref", range(0, 60, 4))

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from casid.errors import ModelError
-from casid.symbolic import evaluate_exactly, exact, to_sympy
+from casid.linear.symbolic import evaluate_exactly, exact, to_sympy
 
 x, y = ca.SX.sym("x"), ca.SX.sym("y")
 EXPRESSIONS = {

@@ -12,10 +12,10 @@ from scipy.optimize import minimize
 
 import casid
 from casid.errors import DataError, ModelError
-from casid.input_models import as_known, as_random_walk
-from casid.linear import linearise
-from casid.noisy_model import White
-from casid.unknown_input import (
+from casid.linear.linear_model import linearise
+from casid.prediction.input_models import as_known, as_random_walk
+from casid.prediction.noisy_model import White
+from casid.prediction.unknown_input import (
     AS_EXACT,
     KNOWN,
     OPTIONS,

@@ -1,0 +1,1 @@
+"""Many runs: seeds, processes, clusters, and Monte Carlo studies of problems."""

@@ -1,0 +1,559 @@
+"""Monte Carlo studies: a problem simulates itself, many times, and is estimated every time.
+
+What a covariance promises can be seen: estimates scatter as their standard errors say, and 95 % of
+the intervals cover the truth, or they do not. Bias and coverage have errors of their own, since
+runs are finite; they stand beside the numbers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import html
+import math
+import sys
+import textwrap
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casid.campaigns.campaign import Campaign, campaign
+from casid.campaigns.manifest import manifest_of, name_of
+from casid.data import Experiment
+from casid.errors import DataError, ModelError, SolveError
+from casid.estimate import Estimate
+from casid.identification import FitSettings, identify
+from casid.model import Model
+from casid.problem import Problem, load_problem
+from casid.solving.nlp_solver import _is_installed, as_solver
+
+if TYPE_CHECKING:
+    from numpy.random import SeedSequence
+
+Array = np.ndarray[Any, Any]
+Method = Callable[[Problem, Sequence[Experiment], FitSettings], Any]
+"""Returns a `casid.Estimate`, or what carries one as `.estimate` (`casid.MomentEstimate`, ...)."""
+
+STD_ERROR = ".std_error"
+"""Behind a parameter's name: the column of its standard errors."""
+
+
+def simulation_error(
+    problem: Problem, experiments: Sequence[Experiment], settings: FitSettings
+) -> Estimate:
+    """Estimate as `casid.identify` does."""
+    return identify(problem, experiments, settings=settings)
+
+
+METHODS: dict[str, Method] = {"identify": simulation_error}
+"""What a study may estimate with, by name."""
+
+
+_WIDTH, _LABEL = 100, 14  # of a printed study, and of the names and units in it
+
+
+def _wrapped(text: str, first: str, rest: str) -> list[str]:
+    return textwrap.wrap(text, _WIDTH, initial_indent=first, subsequent_indent=rest)
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """How well one parameter is estimated, SI units.
+
+    Attributes
+    ----------
+    truth : the simulator's value, None where it is not told.
+    n : runs with an estimate.
+    mean, spread : mean and standard deviation (divisor n - 1) of the estimates.
+    mean_std_error : mean of the standard errors that the estimates report.
+    intervals, covered : runs with an interval, and those whose 95 % interval holds the truth.
+    """
+
+    name: str
+    unit: str
+    truth: float | None
+    n: int
+    mean: float
+    spread: float
+    mean_std_error: float
+    intervals: int
+    covered: int
+
+    @property
+    def bias(self) -> float | None:
+        """Mean minus truth."""
+        return None if self.truth is None else self.mean - self.truth
+
+    @property
+    def bias_std_error(self) -> float:
+        """Of the mean, and so of the bias: the spread over the root of the runs."""
+        return self.spread / math.sqrt(self.n) if self.n > 1 else math.nan
+
+    @property
+    def spread_std_error(self) -> float:
+        """Of the spread, were the estimates normal: spread / sqrt(2 (n - 1))."""
+        return self.spread / math.sqrt(2 * (self.n - 1)) if self.n > 1 else math.nan
+
+    @property
+    def coverage(self) -> float | None:
+        """Share of the intervals that hold the truth; 0.95 were everything as assumed."""
+        if self.truth is None or not self.intervals:
+            return None
+        return self.covered / self.intervals
+
+    @property
+    def coverage_interval(self) -> tuple[float, float] | None:
+        """95 % interval of the coverage (Wilson, JASA 22 (1927) 209-212), binomial."""
+        if self.coverage is None:
+            return None
+        z2, n, share = 1.96**2, self.intervals, self.coverage
+        middle = (share + z2 / (2 * n)) / (1 + z2 / n)
+        half = math.sqrt(z2 * (share * (1 - share) / n + z2 / (4 * n**2))) / (1 + z2 / n)
+        return max(0.0, middle - half), min(1.0, middle + half)
+
+    @property
+    def mean_text(self) -> str:
+        """The mean with the digits that the finite number of runs leaves meaningful."""
+        error = self.bias_std_error
+        if not (math.isfinite(error) and error > 0):
+            return f"{self.mean:.6g}"
+        places = 1 - math.floor(math.log10(error))
+        return f"{self.mean:.{max(places, 0)}f}" if -2 <= places <= 8 else f"{self.mean:.6g}"
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What differs from what the standard errors promise by more than chance would explain."""
+        from scipy.special import stdtrit
+
+        out = []
+        if self.bias is not None and self.n > 1:
+            # As rare as three standard errors of a normal mean, 0.27 %: t(n - 1) for few runs.
+            limit = float(stdtrit(self.n - 1, 1 - 0.00135)) * self.bias_std_error
+            if abs(self.bias) > limit:
+                spreads = (
+                    f"{abs(self.bias) / self.spread:.2g}" if self.spread else "infinitely many"
+                )
+                out.append(f"biased by {spreads} spreads")
+        between = self.coverage_interval
+        if between is not None and not between[0] <= 0.95 <= between[1]:
+            out.append(f"intervals cover too {'rarely' if between[1] < 0.95 else 'often'}")
+        if self.intervals < self.n:
+            out.append(f"{self.n - self.intervals} runs without interval")
+        return tuple(out)
+
+    def to_json(self) -> dict[str, Any]:
+        """As `montecarlo.json` has it."""
+        return {
+            **asdict(self),
+            "bias": self.bias,
+            "bias_std_error": self.bias_std_error,
+            "spread_std_error": self.spread_std_error,
+            "coverage": self.coverage,
+            "coverage_interval": self.coverage_interval,
+            "remarks": list(self.remarks),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MonteCarlo:
+    """The result of a study: every estimate, and how well each parameter is estimated."""
+
+    problem: str
+    method: str
+    campaign: Campaign
+    parameters: tuple[Accuracy, ...]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    sources: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> Accuracy:
+        """How well the parameter `name` is estimated."""
+        for p in self.parameters:
+            if p.name == name:
+                return p
+        raise KeyError(
+            f"no parameter {name!r}; there are {', '.join(p.name for p in self.parameters)}"
+        )
+
+    def estimates(self, name: str) -> Array:
+        """(n,) the estimates of a parameter, failed runs left out, SI units."""
+        return self.campaign.column(self[name].name)
+
+    @property
+    def failures(self) -> dict[str, int]:
+        """Message -> runs that failed with it, the commonest first."""
+        return dict(Counter(self.campaign.failures.values()).most_common())
+
+    def references(self) -> tuple[str, ...]:
+        """The papers behind the methods used."""
+        return self.sources
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of `montecarlo.json` (schema casid.montecarlo/1)."""
+        return {
+            "schema": "casid.montecarlo/1",
+            "problem": self.problem,
+            "method": self.method,
+            "seed": self.campaign.seed,
+            "runs": self.campaign.runs,
+            "failed": len(self.campaign.failures),
+            "failures": self.failures,
+            "parameters": {p.name: p.to_json() for p in self.parameters},
+            "settings": dict(self.settings),
+            "versions": dict(self.versions),
+        }
+
+    def __repr__(self) -> str:
+        remarks = sum(bool(p.remarks) for p in self.parameters)
+        return (
+            f"<MonteCarlo {self.problem}: {self.campaign.runs} runs, "
+            f"{len(self.campaign.failures)} failed, {len(self.parameters)} parameters, "
+            f"{remarks} with remarks>"
+        )
+
+    def __str__(self) -> str:
+        failed = len(self.campaign.failures)
+        head = (
+            f"Monte Carlo study of {self.problem}: {self.campaign.runs} runs with seed "
+            f"{self.campaign.seed}, method {self.method}, {failed} failed"
+        )
+        labels = [f"{p.name} [{p.unit}]" for p in self.parameters]
+        width = min(max((len(x) for x in (*labels, "parameter")), default=0), _LABEL)
+        lines = [
+            *_wrapped(head, "", "  "),
+            f"  {'parameter':<{width}} {'truth':>11}{'mean':>12}{'bias':>9} +- {'':<7}"
+            f"{'spread':>9}{'std. err.':>10}  coverage [%]",
+        ]
+        for label, p in zip(labels, self.parameters, strict=True):
+            truth = "--" if p.truth is None else f"{p.truth:.5g}"
+            bias = "--" if p.bias is None else f"{p.bias:.2g}"
+            covers = "--"
+            if p.coverage is not None and p.coverage_interval is not None:
+                low, high = (100 * x for x in p.coverage_interval)
+                covers = f"{100 * p.coverage:.1f} [{low:.1f}, {high:.1f}]"
+            if len(label) > width:
+                lines.append(f"  {label}")
+                label = ""
+            lines.append(
+                f"  {label:<{width}} {truth:>11}{p.mean_text:>12}{bias:>9} +- "
+                f"{p.bias_std_error:<7.2g}{p.spread:>9.3g}{p.mean_std_error:>10.3g}  {covers}"
+            )
+        lines += [
+            "  bias +- its Monte Carlo standard error; spread: standard deviation of the estimates",
+            "  std. err.: mean of those reported; coverage of 95 % intervals [its interval]",
+        ]
+        for p in self.parameters:
+            if p.remarks:
+                lines += _wrapped(f"{p.name}: {'; '.join(p.remarks)}", "  REMARK  ", " " * 10)
+        for message, n in self.failures.items():
+            lines += _wrapped(f"{n} times: {message}", "  failed  ", " " * 10)
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+    def plot(self) -> Any:
+        """Histograms of the estimates with truth and reported normal density, Plotly."""
+        from casid.campaigns.monte_carlo_page import histogram_figure
+
+        return histogram_figure(self)
+
+    def write(self, folder: Path) -> Path:
+        """Write `montecarlo.json` and `report.html` into `folder`; returns the former's path."""
+        from casid.campaigns.monte_carlo_page import montecarlo_page
+        from casid.writing import write_json, write_text
+
+        page = montecarlo_page(self)  # before anything is written: both files or none
+        path = write_json(folder / "montecarlo.json", self.to_json())
+        write_text(folder / "report.html", page)
+        return path
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Study:
+    """What every run of a study does: simulate the problem, estimate it.
+
+    Parameters
+    ----------
+    problem : with `simulate`. Worker processes load it again from its file; one that was changed
+        since, or never had a file, can be studied in one process alone.
+    method : a name of `METHODS`, or a function of problem, experiments and settings that returns a
+        `casid.Estimate`, or what carries one as `.estimate`.
+    settings : how a fit is sought.
+    duration : use the first seconds of every record alone [s]; None: whole records.
+
+    Raises
+    ------
+    DataError
+        If the problem has no simulator, or there is no such method.
+    SolveError
+        If there is no such solver.
+    """
+
+    problem: Problem
+    method: str | Method = "identify"
+    settings: FitSettings | None = None
+    duration: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.settings is None:
+            object.__setattr__(self, "settings", FitSettings(starts=self.problem.starts))
+        if self.problem.simulate is None:
+            self.problem.simulated(0)  # says how to give it one
+        if isinstance(self.method, str) and self.method not in METHODS:
+            raise DataError(f"no method {self.method!r}; there are {', '.join(METHODS)}")
+        solver = as_solver(self.fit_settings.solver)
+        if not _is_installed(solver.name):  # now, and not in every run
+            raise SolveError(
+                f"solver {solver.name!r} is no CasADi plug-in that loads here; use 'ipopt' or "
+                "'sqpmethod', as Solver(name), or on the command line --solver name"
+            )
+        if self.duration is not None and not self.duration > 0:
+            raise DataError(f"duration = {self.duration} s; give a positive number of seconds")
+        if not any(not p.is_known for p in self.problem.model.parameters.values()):
+            raise DataError(
+                f"problem {self.problem.name} has no unknown parameter left to estimate; set fewer"
+            )
+
+    def __call__(self, seed: SeedSequence) -> dict[str, Any]:
+        """One run: the estimates and their standard errors, SI units."""
+        number = int(seed.generate_state(1, np.uint64)[0])
+        with contextlib.redirect_stdout(sys.stderr):  # standard output is for the result
+            experiments = [self._cut(e) for e in self.problem.simulated(number)]
+            method = METHODS[self.method] if isinstance(self.method, str) else self.method
+            estimate = _estimate_in(method(self.problem, experiments, self.fit_settings))
+        row: dict[str, Any] = {}
+        for p in estimate.parameters:
+            if not p.known:
+                row[p.name] = p.value
+                row[p.name + STD_ERROR] = p.std_error
+        row |= {"converged": estimate.is_converged, "iterations": estimate.iterations}
+        for record, by_output in estimate.rmse.items():
+            row |= {f"rmse {record}/{output}": value for output, value in by_output.items()}
+        return row
+
+    def __reduce__(self) -> Any:
+        if self.problem.source is None:
+            raise ModelError(
+                f"problem {self.problem.name} was not loaded from a file, so worker processes "
+                "cannot have it; write it to a file and give casid.load_problem(path), or run in "
+                "one process with joblib.parallel_config(n_jobs=1)"
+            )
+        known = {n: p.value for n, p in self.problem.model.parameters.items() if p.is_known}
+        return _study_again, (
+            str(self.problem.source),
+            tuple(known.items()),
+            digest(self.problem),
+            self.method,
+            self.settings,
+            self.duration,
+        )
+
+    @property
+    def fit_settings(self) -> FitSettings:
+        """The settings of a fit, by default with the problem's number of starts."""
+        assert self.settings is not None
+        return self.settings
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """What the results of a run depend on besides its seed, as plain values."""
+        fit = self.fit_settings
+        model = self.problem.model
+        return {
+            "problem": self.problem.name,
+            "problem sha256": digest(self.problem),
+            "method": self.method if isinstance(self.method, str) else name_of(self.method),
+            "duration": self.duration,
+            "starts": fit.starts,
+            "segments": fit.segments,
+            "substeps": fit.substeps,
+            "own": list(fit.own),
+            "constraints": [name_of(c) for c in fit.constraints],
+            "seed of the starts": fit.seed,
+            "solver": asdict(as_solver(fit.solver)),
+            "known": {n: p.value for n, p in model.parameters.items() if p.is_known},
+        }
+
+    def manifest(self, seed: int) -> dict[str, Any]:
+        """What a folder of this study has in `campaign.json`."""
+        return manifest_of(self, seed, self.described)
+
+    def run(
+        self,
+        runs: int,
+        *,
+        seed: int = 0,
+        out: str | Path | None = None,
+        resume: bool = True,
+        progress: bool | Callable[[str], None] = False,
+    ) -> MonteCarlo:
+        """Do the runs through joblib, as `campaign.campaign` does, and sum them up."""
+        done = campaign(
+            self,
+            runs,
+            seed=seed,
+            out=out,
+            resume=resume,
+            settings=self.described,
+            progress=progress,
+        )
+        failures = Counter(done.failures.values())
+        if len(done.failures) == done.runs:
+            message, n = failures.most_common(1)[0]
+            raise SolveError(f"all {done.runs} runs failed, {n} of them with: {message}")
+        from casid.identification import SOURCES, versions
+
+        return MonteCarlo(
+            problem=self.problem.name,
+            method=self.described["method"],
+            campaign=done,
+            parameters=tuple(accuracy(self.problem, done)),
+            settings=self.described,
+            versions=versions(),
+            sources=SOURCES if self.method == "identify" else (),
+        )
+
+    def _cut(self, experiment: Experiment) -> Experiment:
+        if self.duration is None:
+            return experiment
+        record = experiment.record
+        return replace(experiment, record=record.between(record.t0, record.t0 + self.duration))
+
+
+def montecarlo(
+    problem: Problem | str | Path,
+    *,
+    runs: int = 200,
+    seed: int = 0,
+    method: str | Method = "identify",
+    settings: FitSettings | None = None,
+    duration: float | None = None,
+    out: str | Path | None = None,
+    resume: bool = True,
+    progress: bool | Callable[[str], None] = False,
+) -> MonteCarlo:
+    """Simulate a problem with a seed of its own for every run, estimate it, and hold against truth.
+
+    Runs where `joblib.parallel_config` says: one process by default.
+
+    Parameters
+    ----------
+    problem : with `simulate` (and `truth`, for bias and coverage), or the path of its file. Values
+        set known by `problem.with_known` are known to the estimate; the simulator keeps its own.
+    runs : estimates wanted; a folder that has some of them is continued.
+    method : a name of `monte_carlo.METHODS`, or a function of problem, experiments and
+        settings that returns an `Estimate`, or what carries one as `.estimate` (as all of casid's
+        estimators do): ``lambda problem, records, _: casid.multistage(problem, records, stages)``.
+    settings : how a fit is sought.
+    duration : use the first seconds of every record alone [s].
+    out : folder for `results.parquet`; `result.write(folder)` adds numbers and report.
+    resume, progress : as `casid.campaigns.campaign.campaign` has them.
+
+    Raises
+    ------
+    DataError
+        A problem without a simulator, a folder of another study, a full disk.
+    ModelError
+        A problem that worker processes cannot load.
+    SolveError
+        If there is no such solver, or every run fails.
+    """
+    if isinstance(problem, Model):
+        raise ModelError(
+            f"model {problem.name} cannot simulate itself; give casid.Problem(name, model, "
+            "simulate=f, truth={name: value})"
+        )
+    if not isinstance(problem, Problem):
+        problem = load_problem(problem)
+    study = Study(problem, method, settings, duration)
+    return study.run(runs, seed=seed, out=out, resume=resume, progress=progress)
+
+
+def _estimate_in(result: Any) -> Estimate:
+    """The estimate that a method returns, itself or inside of its result."""
+    estimate = result if isinstance(result, Estimate) else getattr(result, "estimate", None)
+    if not isinstance(estimate, Estimate):
+        raise DataError(
+            f"the method returned {type(result).__name__}, which is no estimate; return a "
+            "casid.Estimate, or what carries one as .estimate, as casid.identify, "
+            "casid.multistage and casid.instrumental_variables do"
+        )
+    return estimate
+
+
+def accuracy(problem: Problem, done: Campaign) -> list[Accuracy]:
+    """The columns of a study, held against the problem's truth."""
+    out = []
+    for column in done.table.columns:
+        if column + STD_ERROR not in done.table.columns:
+            continue
+        value = done.column(column).astype(float)
+        error = done.column(column + STD_ERROR).astype(float)
+        is_there = np.isfinite(value)
+        has_interval = is_there & np.isfinite(error)
+        n = int(is_there.sum())
+        truth = problem.truth.get(column)
+        inside = has_interval & (np.abs(value - (truth or 0.0)) <= 1.96 * error)
+        parameter = problem.model.parameters.get(column)
+        out.append(
+            Accuracy(
+                name=column,
+                unit="" if parameter is None else parameter.unit,
+                truth=truth,
+                n=n,
+                mean=float(value[is_there].mean()) if n else math.nan,
+                spread=float(value[is_there].std(ddof=1)) if n > 1 else math.nan,
+                mean_std_error=float(error[has_interval].mean())
+                if has_interval.any()
+                else math.nan,
+                intervals=int(has_interval.sum()),
+                covered=0 if truth is None else int(inside.sum()),
+            )
+        )
+    return out
+
+
+def digest(problem: Problem) -> str:
+    """SHA-256 of the model, what is known of it, and the file that it comes from."""
+    parts = [
+        str(problem.model),
+        *(repr(p) for p in problem.model.parameters.values()),
+        repr(sorted(problem.noise.items())),
+        repr(sorted(problem.truth.items())),
+        repr(problem.starts),
+        name_of(problem.simulate),
+    ]
+    if problem.source is not None:
+        with contextlib.suppress(OSError):
+            parts.append(problem.source.read_text(encoding="utf-8"))
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _study_again(
+    source: str,
+    known: tuple[tuple[str, float], ...],
+    expected: str,
+    method: str | Method,
+    settings: FitSettings | None,
+    duration: float | None,
+) -> Study:
+    """A study in another process, from the problem's file."""
+    return Study(_loaded(source, known, expected), method, settings, duration)
+
+
+@functools.lru_cache(maxsize=8)
+def _loaded(source: str, known: tuple[tuple[str, float], ...], expected: str) -> Problem:
+    problem = load_problem(source).with_known(dict(known))
+    if digest(problem) != expected:
+        raise ModelError(
+            f"the problem in {source} is not the one to be studied: it was changed after it was "
+            "loaded; make the change in the file, or run in one process with "
+            "joblib.parallel_config(n_jobs=1)"
+        )
+    return problem

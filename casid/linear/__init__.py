@@ -1,0 +1,1 @@
+"""Linear models: transfer functions, difference equations, their constraints and loops."""

@@ -1,0 +1,479 @@
+"""Linear models and their transfer functions, as expressions of the physical parameters.
+
+A model is linearised about an equilibrium that holds for every parameter value,
+
+    dx/dt = A(p) x + B(p) u,    y = C(p) x + D(p) u,                                        (1)
+
+and its transfer functions C (sI - A)^-1 B + D follow from the Faddeev-LeVerrier recursion, which
+divides by integers alone: polynomials in the entries of A, B, C, D, so that they can be
+differentiated in p. What vanishes for all parameter values is found in exact rational arithmetic
+and removed: states that no input reaches or no output sees, coefficients, common factors s.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.errors import ModelError
+from casid.linear.vanishing import float_points, remove_zeros
+from casid.model import Model, Parameter
+
+Array = NDArray[Any]
+Expr = Any  # a CasADi SX expression
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """The model (1): deviations from an equilibrium that holds for all parameter values.
+
+    Attributes
+    ----------
+    A (nx, nx), B (nx, nu), C (ny, nx), D (ny, nu) : SX, functions of `p`.
+    p : (np,) SX, all parameters of the model in its order, named in `parameters`.
+    known : the values of the parameters that are known.
+    equilibrium : value (SX) of every state, input and output there; 0 unless stated otherwise.
+    notes : what a reader should know, as parameters that the linearisation has lost.
+    """
+
+    name: str
+    A: Expr
+    B: Expr
+    C: Expr
+    D: Expr
+    p: Expr
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    description: tuple[Parameter, ...]
+    equilibrium: Mapping[str, Expr]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def known(self) -> dict[str, float]:
+        """The known parameters' values."""
+        return {q.name: q.value for q in self.description if q.value is not None}
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """p (np,) -> A, B, C, D."""
+        matrices = [ca.densify(m) for m in (self.A, self.B, self.C, self.D)]
+        return ca.Function("linear", [self.p], matrices, ["p"], ["A", "B", "C", "D"])
+
+    def vector(self, values: Mapping[str, float] | None = None) -> Array:
+        """The parameters (np,) in order; known ones have their value unless given here.
+
+        Raises
+        ------
+        ModelError
+            If an unknown parameter has no value, or a name is not a parameter.
+        """
+        return parameter_vector(self.name, self.description, values or {})
+
+    def matrices(
+        self, values: Mapping[str, float] | None = None
+    ) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D as numbers."""
+        A, B, C, D = (np.array(m) for m in self.function(self.vector(values)))
+        return A, B, C, D
+
+    def to_control(self, values: Mapping[str, float] | None = None) -> Any:
+        """A ``control.StateSpace`` with these parameter values."""
+        import control
+
+        return control.StateSpace(
+            *self.matrices(values),
+            states=list(self.states),
+            inputs=list(self.inputs),
+            outputs=list(self.outputs),
+            name=self.name,
+        )
+
+    def subsystem(self, outputs: Sequence[str] | str | None = None) -> LinearModel:
+        """What these outputs see of the inputs (all outputs by default): other states dropped.
+
+        A state stays if, by the sparsity of A, B and C, an input reaches it and an output sees it.
+        Where no input reaches any state that is seen, all that are seen stay: a free decay.
+        """
+        if isinstance(outputs, str):
+            outputs = (outputs,)
+        outputs = self.outputs if outputs is None else tuple(outputs)
+        rows = [self._output(o) for o in outputs]
+        into = _pattern(self.A)
+        C = self.C[rows, :]
+        seen = _closure(into.T, np.any(_pattern(C), axis=0))
+        reached = _closure(into, np.any(_pattern(self.B), axis=1))
+        is_driven = (seen & reached).any() or _pattern(self.D[rows, :]).any()
+        keep = seen & reached if is_driven else seen
+        index = [int(i) for i in np.flatnonzero(keep)]
+        return replace(
+            self,
+            A=self.A[index, index],
+            B=self.B[index, :],
+            C=C[:, index],
+            D=self.D[rows, :],
+            states=tuple(self.states[i] for i in index),
+            outputs=outputs,
+        )
+
+    def transfer(self, outputs: Sequence[str] | str | None = None) -> TransferMatrix:
+        """Transfer functions with one common denominator, of these outputs (all by default)."""
+        part = self.subsystem(outputs)
+        denominator, adjugate = faddeev_leverrier(part.A)
+        n, nu, ny = len(part.states), len(self.inputs), len(part.outputs)
+        flat = [denominator[k] for k in range(n + 1)]
+        products = [ca.SX(ny, nu), *(part.C @ M @ part.B for M in adjugate)]
+        for i in range(ny):
+            for j in range(nu):
+                flat += [products[k][i, j] + part.D[i, j] * denominator[k] for k in range(n + 1)]
+        flat = remove_zeros(flat, self.p)
+        rows = [flat[k * (n + 1) : (k + 1) * (n + 1)] for k in range(1 + ny * nu)]
+        while n > 0 and all(row[n].nnz() == 0 for row in rows):  # a factor s common to all
+            rows, n = [row[:n] for row in rows], n - 1
+        columns = [_column(row) for row in rows]
+        return TransferMatrix(
+            name=self.name,
+            denominator=columns[0],
+            numerators=tuple(tuple(columns[1 + i * nu + j] for j in range(nu)) for i in range(ny)),
+            p=self.p,
+            inputs=self.inputs,
+            outputs=part.outputs,
+            parameters=self.parameters,
+            description=self.description,
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        expressions = [self.A, self.B, self.C, self.D, *self.equilibrium.values()]
+        fields = dict(self.__dict__, equilibrium=tuple(self.equilibrium))
+        return _linear_from, (packed(self.p, expressions), _plain(fields))
+
+    def _output(self, name: str) -> int:
+        if name not in self.outputs:
+            near = difflib.get_close_matches(name, self.outputs, 1)
+            raise ModelError(
+                f"{self.name} has no output {name!r}; "
+                + (f"did you mean {near[0]!r}?" if near else f"it has {', '.join(self.outputs)}")
+            )
+        return self.outputs.index(name)
+
+    def __repr__(self) -> str:
+        return (
+            f"<LinearModel {self.name}: states {', '.join(self.states) or 'none'}; "
+            f"inputs {', '.join(self.inputs) or 'none'}; outputs {', '.join(self.outputs)}>"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TransferMatrix:
+    """Rational transfer functions with a common denominator, as expressions of the parameters.
+
+    Attributes
+    ----------
+    denominator : (n+1,) SX, descending powers of s, monic.
+    numerators : [output][input] -> (n+1,) SX, descending powers of s; longer than the denominator
+        where a transfer function is improper. Coefficients that vanish are structural zeros.
+    """
+
+    name: str
+    denominator: Expr
+    numerators: tuple[tuple[Expr, ...], ...]
+    p: Expr
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    description: tuple[Parameter, ...] = ()
+
+    @property
+    def order(self) -> int:
+        """The degree of the denominator."""
+        return int(self.denominator.numel()) - 1
+
+    @property
+    def is_proper(self) -> bool:
+        """True if no numerator has a higher degree than the denominator."""
+        return all(
+            int(b[: b.numel() - 1 - self.order].nnz()) == 0
+            for row in self.numerators
+            for b in row
+            if b.numel() > self.order + 1
+        )
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """p (np,) -> denominator, then the numerators, output by output."""
+        flat = [self.denominator, *(b for row in self.numerators for b in row)]
+        return ca.Function("transfer", [self.p], [ca.densify(b) for b in flat], {"cse": True})
+
+    def evaluate(
+        self, values: Mapping[str, float] | None = None
+    ) -> tuple[Array, list[list[Array]]]:
+        """Denominator (n+1,) and numerators [output][input] -> (n+1,) as numbers."""
+        vector = parameter_vector(self.name, self.description, values or {})
+        flat: list[Array] = [np.array(b).ravel() for b in self.function.call([vector])]
+        nu = len(self.inputs)
+        return flat[0], [flat[1 + i * nu : 1 + (i + 1) * nu] for i in range(len(self.outputs))]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _transfer_from, (packed_rows(self), _plain(self.__dict__))
+
+    def __repr__(self) -> str:
+        return (
+            f"<TransferMatrix {self.name}: {', '.join(self.outputs)} from "
+            f"{', '.join(self.inputs) or 'nothing'}, order {self.order}>"
+        )
+
+    def __str__(self) -> str:
+        """One line for each transfer function, factored, in letters; large ones are left out."""
+        from casid.linear.transfer_text import page
+
+        return page(self)
+
+
+def linearise(
+    model: Model,
+    *,
+    x: Mapping[str, float | Expr] | None = None,
+    u: Mapping[str, float | Expr] | None = None,
+) -> LinearModel:
+    """Linearise a model about an equilibrium.
+
+    Parameters
+    ----------
+    x, u : state or input -> its value at the equilibrium [its unit], a number or an SX expression
+        of the model's parameters; 0 for what is not given. Unknown inputs are inputs as others.
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown, this is not an equilibrium for all parameter values, a derivative is
+        not finite there, or the model has a delay, a clipping or a generated input.
+    """
+    for stage in model.stages:
+        what = "clips" if stage.kind == "clip" else "delays"
+        raise ModelError(
+            f"{model.name}: the effect on {stage.channel} {what} it, which no linear model of "
+            f"finite order does; linearise the model without that effect, or fit it by simulation"
+        )
+    for entry in model.inputs.values():
+        if entry.kind == "generated":
+            raise ModelError(
+                f"{model.name}: {entry.name!r} changes the model with time; linearise the model "
+                "without that effect, or fit it by simulation"
+            )
+    e = model.explicit()
+    point_x = _point(model.name, "state", e.states, x or {})
+    point_u = _point(model.name, "input", e.inputs, u or {})
+    symbols: Expr = ca.vertcat(e.x, e.u)
+    point: Expr = ca.vertcat(point_x, point_u)
+
+    def there(expression: Expr) -> Expr:
+        return ca.substitute(ca.SX(expression), symbols, point)
+
+    _require_equilibrium(model, e.states, there(e.f), e.p, point)
+    nx = len(e.states)
+    slopes = ca.jacobian(ca.vertcat(e.f, e.h), symbols)
+    is_linear = not any(ca.which_depends(ca.vec(slopes), symbols)) if slopes.nnz() else True
+    at = there(slopes)
+    flat = remove_zeros([at[i, j] for j in range(at.size2()) for i in range(at.size1())], e.p)
+    rows = at.size1()
+    matrix = ca.SX(rows, at.size2())
+    for k, entry in enumerate(flat):
+        if entry.nnz():
+            matrix[k % rows, k // rows] = entry
+    _require_finite(model, matrix, e.p)
+    lost = [n for i, n in enumerate(e.parameters) if ca.depends_on(ca.vertcat(e.f, e.h), e.p[i])]
+    lost = [n for n in lost if not ca.depends_on(matrix, model.symbol(n))]
+    notes = []
+    if not is_linear:
+        notes.append(f"{model.name} is nonlinear: valid for small deviations from the equilibrium")
+    if lost:
+        notes.append(f"the linear model does not depend on {', '.join(lost)}")
+    values = {name: point[i] for i, name in enumerate((*e.states, *e.inputs))}
+    h = there(e.h)
+    return LinearModel(
+        name=model.name,
+        A=matrix[:nx, :nx],
+        B=matrix[:nx, nx:],
+        C=matrix[nx:, :nx],
+        D=matrix[nx:, nx:],
+        p=e.p,
+        states=e.states,
+        inputs=e.inputs,
+        outputs=e.outputs,
+        parameters=e.parameters,
+        description=tuple(model.parameters[n] for n in e.parameters),
+        equilibrium=values | {name: h[i] for i, name in enumerate(e.outputs)},
+        notes=tuple(notes),
+    )
+
+
+def faddeev_leverrier(A: Expr) -> tuple[Expr, list[Expr]]:
+    """The characteristic polynomial and the adjugate of sI - A, division free but for integers.
+
+    Returns
+    -------
+    (n+1,) SX in descending powers of s, monic; and n matrices M_1 .. M_n (n, n) with
+    adj(sI - A) = sum_k M_k s^(n-k).
+
+    Source: F. R. Gantmacher, The Theory of Matrices (1959), vol. 1, ch. IV, section 5.
+    """
+    n = A.size1()
+    eye = ca.SX.eye(n)
+    coefficients, adjugate = [ca.SX(1)], []
+    M = eye
+    for k in range(1, n + 1):
+        adjugate.append(M)
+        AM = A @ M
+        c = -ca.trace(AM) / k
+        coefficients.append(c)
+        M = AM + c * eye
+    return ca.vertcat(*coefficients), adjugate
+
+
+def parameter_vector(
+    name: str, description: Sequence[Parameter], values: Mapping[str, float]
+) -> Array:
+    """The parameters (np,) in order, from `values` and else from what is known.
+
+    Raises
+    ------
+    ModelError
+        If an unknown parameter has no value, or a name is not a parameter.
+    """
+    names = [q.name for q in description]
+    for given in values:
+        if given not in names:
+            near = difflib.get_close_matches(given, names, 1)
+            raise ModelError(
+                f"{name} has no parameter {given!r}; "
+                + (f"did you mean {near[0]!r}?" if near else f"it has {', '.join(names)}")
+            )
+    lacking = [q.name for q in description if q.name not in values and q.value is None]
+    if lacking:
+        raise ModelError(
+            f"{name}: no value for {', '.join(lacking)}; give one for each, "
+            f"as in {{{lacking[0]!r}: 1.0}}"
+        )
+    return np.array([values.get(q.name, q.value) for q in description], dtype=float)
+
+
+# -- pickling ----------------------------------------------------------------------------------
+# An SX expression cannot be pickled, a Function of SX expressions can: zeros stay structural.
+
+
+def packed(p: Expr, expressions: Sequence[Expr]) -> ca.Function:
+    """Expressions of p as one function, which can be pickled."""
+    return ca.Function("packed", [p], [ca.SX(e) for e in expressions])
+
+
+def unpacked(function: ca.Function, names: Sequence[str]) -> tuple[Expr, list[Expr]]:
+    """New symbols with these names, and what `packed` got as expressions of them."""
+    p = ca.vertcat(ca.SX(0, 1), *[ca.SX.sym(n) for n in names])
+    return p, list(function.call([p]))
+
+
+def packed_rows(system: Any) -> ca.Function:
+    """The polynomials of a (discrete) transfer matrix, packed."""
+    return packed(system.p, [system.denominator, *(b for row in system.numerators for b in row)])
+
+
+def unpacked_rows(function: ca.Function, fields: Mapping[str, Any]) -> dict[str, Any]:
+    """p, denominator and numerators from `packed_rows`, beside the other fields."""
+    p, (denominator, *flat) = unpacked(function, fields["parameters"])
+    nu = len(fields["inputs"])
+    rows = tuple(tuple(flat[i * nu : (i + 1) * nu]) for i in range(len(fields["outputs"])))
+    return {**fields, "p": p, "denominator": denominator, "numerators": rows}
+
+
+def _plain(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields that are neither expressions nor derived."""
+    left_out = {"A", "B", "C", "D", "p", "denominator", "numerators", "function"}
+    return {k: v for k, v in fields.items() if k not in left_out}
+
+
+def _linear_from(function: ca.Function, fields: dict[str, Any]) -> LinearModel:
+    p, (A, B, C, D, *values) = unpacked(function, fields["parameters"])
+    fields["equilibrium"] = dict(zip(fields["equilibrium"], values, strict=True))
+    return LinearModel(A=A, B=B, C=C, D=D, p=p, **fields)
+
+
+def _transfer_from(function: ca.Function, fields: dict[str, Any]) -> TransferMatrix:
+    return TransferMatrix(**unpacked_rows(function, fields))
+
+
+# -- inside ------------------------------------------------------------------------------------
+
+
+def _column(entries: Sequence[Expr]) -> Expr:
+    """Scalars stacked, structural zeros kept."""
+    column = ca.SX(len(entries), 1)
+    for k, entry in enumerate(entries):
+        if entry.nnz():
+            column[k] = entry
+    return column
+
+
+def _pattern(matrix: Expr) -> Array:
+    """True where an SX matrix has a structural nonzero."""
+    return np.array(ca.DM(matrix.sparsity(), 1.0).full() != 0.0).reshape(matrix.shape)
+
+
+def _closure(into: Array, start: Array) -> Array:
+    """All nodes that can be reached from `start`; into[i, j]: an edge from j to i."""
+    reached = np.asarray(start, dtype=bool).copy()
+    for _ in range(len(reached)):
+        more = reached | (into[:, reached].any(axis=1) if reached.any() else False)
+        if (more == reached).all():
+            break
+        reached = more
+    return reached
+
+
+def _point(
+    model: str, kind: str, names: tuple[str, ...], given: Mapping[str, float | Expr]
+) -> Expr:
+    for name in given:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, 1)
+            raise ModelError(
+                f"{model} has no {kind} {name!r} to linearise about; "
+                + (f"did you mean {near[0]!r}?" if near else f"it has {', '.join(names)}")
+            )
+    return ca.vertcat(*[ca.SX(given.get(name, 0.0)) for name in names])
+
+
+def _require_equilibrium(
+    model: Model, states: tuple[str, ...], f: Expr, p: Expr, point: Expr
+) -> None:
+    foreign = [s.name() for s in ca.symvar(point) if not ca.depends_on(p, s)]
+    if foreign:
+        raise ModelError(
+            f"{model.name}: the equilibrium is given in terms of {', '.join(foreign)}; use numbers "
+            "or the model's own parameters, model.symbol('...')"
+        )
+    moving = remove_zeros([f[i] for i in range(f.numel())], p)
+    for name, rate in zip(states, moving, strict=True):
+        if rate.nnz() and not rate.is_zero():
+            raise ModelError(
+                f"{model.name}: the point to linearise about is no equilibrium for all parameters, "
+                f"d{name}/dt = {rate} there; give the values at rest, linearise(model, x=..., "
+                "u=...), as numbers or expressions of the parameters, or drop the constant term"
+            )
+
+
+def _require_finite(model: Model, matrix: Expr, p: Expr) -> None:
+    if matrix.nnz() == 0:
+        return
+    if not float_points(matrix.nz[:].elements(), p, 1):
+        raise ModelError(
+            f"{model.name}: a derivative is not finite at the point to linearise about (a root or "
+            "a division by zero there); choose another equilibrium, linearise(model, x=..., u=...)"
+        )

@@ -1,0 +1,204 @@
+"""Structural relations between the coefficients of a difference equation.
+
+Some coefficients are bound to each other whatever the parameters are, as b_1 = 0, b_2 = -b_0 for
+G(s) = beta s / (s^2 + alpha_1 s + alpha_2) under the bilinear transform. All coefficients of all
+parameter values span a linear space (a_0 = 1 is one of them, so affine relations are linear here);
+each is written as a combination of the first ones that are independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.linear.discretise import DiscreteTransfer, discretise, substitution
+from casid.linear.linear_model import TransferMatrix
+from casid.linear.vanishing import exact_points, float_points
+
+Array = NDArray[Any]
+Expr = Any  # a CasADi SX expression
+
+_SMALL = 1e-9  # relative size of a relation's error that is rounding, where it is not rational
+_LARGEST_DENOMINATOR = 64  # of a relation's coefficient that was found in floating point
+
+
+def rational_relations(
+    polynomials: Sequence[Expr], p: Expr, Ts: float, method: str
+) -> tuple[Array, list[int]]:
+    """All discrete coefficients as combinations of the first that are independent.
+
+    The continuous coefficients h = (denominator, numerators) of all parameter values span a linear
+    space; the substitution maps it onto the span of the discrete ones, exactly. Reducing a basis of
+    that to echelon form expresses every later coefficient by earlier ones.
+    """
+    n = polynomials[0].numel() - 1
+    flat = [b[k] for b in polynomials for k in range(n + 1)]
+    count = len(flat) + 4
+    points = exact_points(flat, p, count)
+    rows = points if points is not None else _rationalised(float_points(flat, p, 3 * count))
+    basis, _ = echelon(rows)
+    K = substitution(n, Fraction(repr(float(Ts))), method)
+    images = [
+        [
+            sum((row[b * (n + 1) + k] * K[k][j] for k in range(n + 1)), Fraction(0))
+            for b in range(len(polynomials))
+            for j in range(n + 1)
+        ]
+        for row in basis
+    ]
+    reduced, pivots = echelon(images)
+    return np.array([[float(v) for v in row] for row in reduced]).T, pivots
+
+
+def echelon(rows: Sequence[Sequence[Fraction]]) -> tuple[list[list[Fraction]], list[int]]:
+    """Reduced row echelon form without zero rows, and its pivot columns."""
+    work = [list(row) for row in rows]
+    pivots: list[int] = []
+    n = len(work[0]) if work else 0
+    for j in range(n):
+        r = len(pivots)
+        best = next((i for i in range(r, len(work)) if work[i][j]), None)
+        if best is None:
+            continue
+        work[r], work[best] = work[best], work[r]
+        lead = work[r][j]
+        work[r] = [v / lead for v in work[r]]
+        for i in range(len(work)):
+            if i != r and work[i][j]:
+                factor = work[i][j]
+                work[i] = [v - factor * w for v, w in zip(work[i], work[r], strict=True)]
+        pivots.append(j)
+    return work[: len(pivots)], pivots
+
+
+def _dependent(values: Array) -> list[tuple[int, list[int], Array]]:
+    """Columns of `values` (K, m) that are combinations of independent columns before them."""
+    scale = np.abs(values).max(axis=0)
+    scaled = values / np.where(scale > 0, scale, 1.0)
+    independent: list[int] = []
+    found = []
+    for j in range(values.shape[1]):
+        weights, *_ = np.linalg.lstsq(scaled[:, independent], scaled[:, j], rcond=None)
+        error = scaled[:, j] - scaled[:, independent] @ weights
+        if np.abs(error).max() < _SMALL:
+            found.append((j, list(independent), weights * scale[j] / scale[independent]))
+        else:
+            independent.append(j)
+    return found
+
+
+def _rationalised(rows: Sequence[Sequence[float]]) -> list[list[Fraction]]:
+    """A rational basis of the space that floating-point rows span."""
+    values = np.array(rows)
+    m = values.shape[1]
+    dependent = {j: (cols, w) for j, cols, w in _dependent(values)}
+    independent = [j for j in range(m) if j not in dependent]
+    basis = []
+    for i in independent:
+        row = [Fraction(0)] * m
+        row[i] = Fraction(1)
+        for j, (cols, w) in dependent.items():
+            if i in cols:
+                row[j] = _fraction(float(w[cols.index(i)]))
+        basis.append(row)
+    return basis
+
+
+def _fraction(value: float) -> Fraction:
+    """The small fraction that this is, or else the float itself."""
+    small = Fraction(value).limit_denominator(_LARGEST_DENOMINATOR)
+    return small if abs(float(small) - value) < 1e-7 * max(1.0, abs(value)) else Fraction(value)
+
+
+def common_degree(polynomials: Sequence[Expr], p: Expr) -> int:
+    """The degree of the factor that polynomials in s share for all parameter values.
+
+    Euclid's algorithm in fractions at one random point; 0 for irrational expressions.
+    """
+    n = polynomials[0].numel() - 1
+    flat = [b[k] for b in polynomials for k in range(n + 1)]
+    points = exact_points(flat, p, 1, seed=11)
+    if points is None:
+        return 0
+    rows = [points[0][i * (n + 1) : (i + 1) * (n + 1)] for i in range(len(polynomials))]
+    factor = rows[0]
+    for other in rows[1:]:
+        a, b = factor, _stripped(other)
+        while b:
+            a, b = b, _remainder(a, b)
+        factor = a
+    return len(factor) - 1
+
+
+def _stripped(polynomial: Sequence[Fraction]) -> list[Fraction]:
+    """Without leading zeros."""
+    first = next((i for i, c in enumerate(polynomial) if c), len(polynomial))
+    return list(polynomial[first:])
+
+
+def _remainder(a: Sequence[Fraction], b: Sequence[Fraction]) -> list[Fraction]:
+    rest = list(a)
+    while len(rest) >= len(b):
+        factor = rest[0] / b[0]
+        rest = [
+            r - factor * c for r, c in zip(rest, [*b, *[Fraction(0)] * len(rest)], strict=False)
+        ]
+        rest = rest[1:]
+    return _stripped(rest)
+
+
+def hold_relations(
+    transfer: TransferMatrix,
+    driven: Sequence[int],
+    Ts: float,
+    method: str,
+    discrete: DiscreteTransfer,
+) -> tuple[Array, list[int]]:
+    """As `rational_relations` for the holds, whose coefficients are no rational functions.
+
+    Relations with small fractions, as b_0 + b_1 + b_2 = 0, hold at every sample time: they are
+    found in floating point at a sample time that suits the system's poles, and kept if they hold at
+    `Ts`. Relations that change with the sample time are not found.
+    """
+    nominal = np.array([q.start if q.value is None else q.value for q in transfer.description])
+
+    def sample(system: Any, count: int, seed: int) -> Array:
+        rng = np.random.default_rng(seed)
+        rows: list[Array] = []
+        for _ in range(20 * count):
+            point = np.where(nominal == 0.0, rng.uniform(0.1, 1.0, len(nominal)), nominal)
+            point = point * np.exp(rng.uniform(-1.0, 1.0, len(nominal)))
+            parts = [np.array(v).ravel() for v in system.function.call([point])]
+            row = np.concatenate([parts[0], *(parts[1 + j] for j in driven)])
+            if np.isfinite(row).all():
+                rows.append(row)
+            if len(rows) == count:
+                break
+        return np.array(rows)
+
+    poles = np.abs(np.roots(np.array(transfer.function.call([nominal])[0]).ravel()))
+    fast = poles[np.isfinite(poles) & (poles > 0)]
+    coarse = discretise(transfer, 1.0 / float(np.median(fast)) if len(fast) else Ts, method)
+    m = (1 + len(driven)) * (transfer.order + 1)
+    values, check = sample(coarse, 3 * m, 1), sample(discrete, m, 2)
+    relations = np.eye(m)
+    independent = list(range(m))
+    if len(values) == 0 or len(check) == 0:
+        return relations, independent
+    for j, cols, weights in _dependent(values):
+        small = np.array([float(_fraction(float(w))) for w in weights])
+        small[np.abs(small) < 1e-7] = 0.0
+        terms = check[:, cols] * small
+        size = np.abs(terms).sum(axis=1) + np.abs(check[:, j])
+        error = np.abs(terms.sum(axis=1) - check[:, j])
+        if (error <= _SMALL * np.maximum(size, np.abs(check).max(axis=1) * 1e-6)).all():
+            row = np.zeros(m)
+            for c, w in zip(cols, small, strict=True):
+                row += w * relations[c]
+            relations[j] = row
+            independent.remove(j)
+    return relations[:, independent], independent

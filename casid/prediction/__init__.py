@@ -1,0 +1,1 @@
+"""Prediction error: polynomial models, Kalman predictors, grey-box models with process noise."""

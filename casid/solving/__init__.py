@@ -1,0 +1,1 @@
+"""Nonlinear programs, compiled once or solved once, and their solvers."""
