@@ -119,6 +119,8 @@ class Estimate:
     versions: Mapping[str, str] = field(default_factory=dict)
     sources: tuple[str, ...] = ()
     records: tuple[RecordView, ...] = ()  # measured and simulated signals, for figures
+    fit_is: str = "Free simulation against the measured outputs"  # what rmse and nrmse_fit measure
+    evidence: Mapping[str, str] = field(default_factory=dict)  # what else bears on trust: sentences
 
     def __getitem__(self, name: str) -> float:
         """The value of a parameter or initial state."""

@@ -350,7 +350,7 @@ def _fit_table(e: Estimate) -> _Html:
     if not rows:
         return _Html("")
     return _table(
-        "Free simulation against the measured outputs",
+        e.fit_is,
         ("part", "record", "output", "rms error", "unit", "fit [%]"),
         rows,
         numbers=(3, 5),
@@ -404,7 +404,8 @@ def _evidence_table(estimates: Mapping[str, Estimate]) -> _Html:
             "identifiable": f"{seen} (rank {i.rank} of {i.unknowns} at the estimate, smallest "
             f"singular value {i.smallest_singular_value:.2g}, scaled)",
         }
-        columns.append(facts | {f"residual of {k}": v for k, v in e.whiteness.items()})
+        residuals = {f"residual of {k}": v for k, v in e.whiteness.items()}
+        columns.append(facts | dict(e.evidence) | residuals)
     rows = dict.fromkeys(k for facts in columns for k in facts)
     return _table(
         "Solver, identifiability and residuals",

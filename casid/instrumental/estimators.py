@@ -171,27 +171,12 @@ class MomentEstimate:
 
     def __str__(self) -> str:
         lines = [str(self.estimate)]
-        p = self.propagated
         if len(self.stages) > 1 or self.prior is not None:
             lines.append(
                 "  stages        standard errors with earlier stages taken as exact: "
                 + ", ".join(f"{n} {self.std_error(n, propagated=False):.2g}" for n in self.names)
             )
-        lines.append(
-            f"  surplus       {p.degrees} moments more than parameters, chi2 {p.statistic:.3g}, "
-            f"p = {p.p_value:.2g}"
-            + (" (the moments contradict one another)" if p.p_value < 0.01 else "")
-            if p.degrees
-            else "  surplus       none: as many moments as parameters, nothing to test"
-        )
-        for st in self.stages:
-            for part, c in zip(st.parts, st.correlations, strict=False):
-                weak = ", ".join(f"{k} {v:+.2g}" for k, v in c.weakest.items() if abs(v) > 0.05)
-                lines.append(
-                    f"  {part.name}: rank of Phi {c.rank} of {len(c.canonical)}, "
-                    f"canonical correlations {', '.join(f'{v:.3g}' for v in c.canonical)}; "
-                    f"weakest along {weak}"
-                )
+        lines += [f"  {name + ' ':<14}{text}" for name, text in self.estimate.evidence.items()]
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
@@ -531,7 +516,29 @@ def as_estimate(
         provenance=tuple(provenance),
         versions=versions(),
         sources=SOURCES,
+        fit_is="One step of the difference equation (to simulate it: casid.validate)",
+        evidence=_evidence(fits, propagated),
     )
+
+
+def _evidence(fits: Sequence[StageFit], p: Propagated) -> dict[str, str]:
+    """What the moments say of themselves, and what the instruments see of each part."""
+    out = {
+        "surplus": (
+            f"{p.degrees} moments more than parameters, chi2 {p.statistic:.3g}, p = {p.p_value:.2g}"
+            + (" (the moments contradict one another)" if p.p_value < 0.01 else "")
+            if p.degrees
+            else "none: as many moments as parameters, nothing to test"
+        )
+    }
+    for st in fits:
+        for part, c in zip(st.parts, st.correlations, strict=False):
+            weak = ", ".join(f"{k} {v:+.2g}" for k, v in c.weakest.items() if abs(v) > 0.05)
+            out[part.name] = (
+                f"rank of Phi {c.rank} of {len(c.canonical)}, canonical correlations "
+                f"{', '.join(f'{v:.3g}' for v in c.canonical)}; weakest along {weak}"
+            )
+    return out
 
 
 def _rank(st: StageFit) -> Any:
