@@ -534,7 +534,7 @@ def _evidence(fits: Sequence[StageFit], p: Propagated) -> dict[str, str]:
     for st in fits:
         for part, c in zip(st.parts, st.correlations, strict=False):
             weak = ", ".join(f"{k} {v:+.2g}" for k, v in c.weakest.items() if abs(v) > 0.05)
-            out[part.name] = (
+            out[f"instruments of {part.name}"] = (
                 f"rank of Phi {c.rank} of {len(c.canonical)}, canonical correlations "
                 f"{', '.join(f'{v:.3g}' for v in c.canonical)}; weakest along {weak}"
             )
