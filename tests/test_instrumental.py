@@ -14,6 +14,7 @@ import pytest
 
 import casid
 from analysis.pendulum_records import Study
+from casid.instrumental.estimated_filter import estimate_reference_filter
 from casid.instrumental.estimators import (
     Prior,
     Reusable,
@@ -23,7 +24,7 @@ from casid.instrumental.estimators import (
     multistage,
 )
 from casid.instrumental.instruments import Instruments
-from casid.instrumental.reference_filter import ReferenceFilter, estimate_reference_filter
+from casid.instrumental.reference_filter import ReferenceFilter
 from casid.instrumental.resampling import bootstrap, profile
 from casid.instrumental.stage import MomentSettings
 from casid.instrumental.validation import validate

@@ -54,7 +54,7 @@ campaigns.monte_carlo_page equation_error identification instrumental.instrument
 campaigns.monte_carlo holdout instrumental.validation linear.affine linear.difference_equation
   prediction.arma prediction.likelihood search solving.solvers
 diagnosing instrumental.moment_equations linear.discretisation_bias prediction.grey_box
-instrumental.moment_nlp instrumental.image prediction.unknown_input
+instrumental.moment_nlp instrumental.image instrumental.estimated_filter prediction.unknown_input
 instrumental.stage
 instrumental.propagation
 instrumental.estimators
