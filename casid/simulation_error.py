@@ -180,6 +180,7 @@ class SimulationError:
         self.whiten = whiten
         self.segments = segments
         free = [p.name for p in model.parameters.values() if not p.is_known]
+        own = (own,) if isinstance(own, str) else own
         for name in own:
             model.parameter_named(name)
         self.free = [f for f in free if not all(f in d.known for d in self.data)]

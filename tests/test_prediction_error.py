@@ -385,6 +385,8 @@ def test_a_start_for_what_is_no_variable_is_refused() -> None:
     assert fit_lag(record, start={"a": 3.0}).estimate.parameter("a").start == 3.0
     both = [casid.Experiment(record, {}, "p"), casid.Experiment(lag_record(1), {}, "q")]
     c = PredictionError(lag_model(), both, LAG_NOISE, own=["a"], start={"a": 2.0, "x(0)@q": 0.3})
+    single = PredictionError(lag_model(), both, LAG_NOISE, own="a")
+    assert single.names == c.names
     starts = dict(zip(c.names, c.start, strict=True))
     assert (starts["a@p"], starts["a@q"], starts["x(0)@q"]) == (2.0, 2.0, 0.3)
 

@@ -94,6 +94,7 @@ class PredictionError:
         self.outputs = tuple(model.outputs)
         self.initial = None if initial is None else dict(initial)
         free = [p.name for p in model.parameters.values() if not p.is_known]
+        own = (own,) if isinstance(own, str) else own
         for name in own:
             model.parameter_named(name)
         for name in self.initial or {}:
