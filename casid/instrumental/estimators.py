@@ -22,7 +22,7 @@ from casid.estimate import Estimate, Estimated, Identifiability
 from casid.identification import versions
 from casid.instrumental.instruments import Instruments, Loop
 from casid.instrumental.moment_equations import Part, parts_of
-from casid.instrumental.propagation import Propagated, jacobian_of, propagate
+from casid.instrumental.propagation import Propagated, free_slope, propagate
 from casid.instrumental.stage import MomentSettings, Stage, StageFit
 from casid.local_rank import describe_null, local_rank
 from casid.model import Model
@@ -543,18 +543,8 @@ def _evidence(fits: Sequence[StageFit], p: Propagated) -> dict[str, str]:
 
 def _rank(st: StageFit) -> Any:
     """Local rank of the weighted moments in the stage's free parameters."""
-    rows = []
-    for k, (e, root) in enumerate(zip(st.equations, st.roots, strict=True)):
-        jacobian = jacobian_of(st, k)
-        index = {n: c for c, n in enumerate(e.equation.parameters)}
-        own = np.column_stack(
-            [
-                np.zeros(len(jacobian)) if f in st.parts[k].known else jacobian[:, index[f]]
-                for f in st.free
-            ]
-        )
-        rows.append(root @ e.Phi @ own)
-    J = np.vstack(rows)
+    parts = enumerate(zip(st.equations, st.roots, strict=True))
+    J = np.vstack([root @ e.Phi @ free_slope(st, k, st.free) for k, (e, root) in parts])
     return local_rank(J.T @ J, st.theta_p, st.free, np.maximum(np.abs(st.theta_p), 1e-12))
 
 

@@ -98,19 +98,7 @@ def propagate(
             jacobian = jacobian_of(st, k)
             index = {n: c for c, n in enumerate(e.equation.parameters)}
             fixed = st.parts[k].known
-            own = (
-                np.column_stack(
-                    [
-                        np.zeros(len(e.equation.coefficients))
-                        if f in fixed
-                        else jacobian[:, index[f]]
-                        for f in free
-                    ]
-                )
-                if free
-                else np.zeros((len(e.equation.coefficients), 0))
-            )
-            A = root @ e.Phi @ own
+            A = root @ e.Phi @ free_slope(st, k, free)
             source = np.zeros((len(e.Z), total))
             column = q + int(offsets[at + k])
             source[:, column : column + len(e.Z)] = np.eye(len(e.Z))
@@ -166,6 +154,14 @@ def jacobian_of(st: StageFit, k: int) -> Array:
     """d theta / d all parameters of part k at the estimate, (ntheta, np)."""
     e = st.equations[k].equation
     return np.asarray(e.jacobian([st.values[k][n] for n in e.parameters])[1])
+
+
+def free_slope(st: StageFit, k: int, free: Sequence[str]) -> Array:
+    """d theta / d `free` of part k, (ntheta, len(free)); zero for what its load case fixes."""
+    parameters = st.equations[k].equation.parameters
+    moves = np.array([f not in st.parts[k].known for f in free], dtype=bool)
+    slope = jacobian_of(st, k)[:, [parameters.index(f) for f in free]]
+    return np.where(moves, slope, 0.0)
 
 
 def _tangent(st: StageFit, free: Sequence[str]) -> Array:

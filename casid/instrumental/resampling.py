@@ -20,7 +20,7 @@ from casid.instrumental.estimators import MomentEstimate
 from casid.instrumental.long_run import memory
 from casid.instrumental.moment_equations import moment_covariance
 from casid.instrumental.moment_nlp import Condensed, PhysicalNlp
-from casid.instrumental.propagation import jacobian_of
+from casid.instrumental.propagation import free_slope
 from casid.instrumental.stage import StageFit
 
 Array = NDArray[Any]
@@ -171,10 +171,8 @@ def _score_equations(st: StageFit, k: int, covariance: Array) -> Condensed:
     the interval too narrow, have no say, and with a mild map the interval is that of `std_error`.
     """
     e, root = st.equations[k], st.roots[k]
-    index = {q: c for c, q in enumerate(e.equation.parameters)}
-    slope = jacobian_of(st, k)
     own = [f for f in st.free if f not in st.parts[k].known]
-    T = (root @ e.Phi @ slope[:, [index[f] for f in own]]).T @ root
+    T = (root @ e.Phi @ free_slope(st, k, own)).T @ root
     values, vectors = np.linalg.eigh(T @ covariance @ T.T)
     keep = values > 1e-12 * values[-1]
     noise = (vectors[:, keep] / np.sqrt(values[keep])).T

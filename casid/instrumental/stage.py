@@ -342,7 +342,7 @@ class Stage:
                 correlations = self._seen(equations, values, theta_p)
                 allowed = j
             before = (simulated, prefilters)
-            equations, roots = self._weigh(equations, parts, values, theta_p, history)
+            roots = self._weigh(equations, parts)
             old = theta_p
             theta_p, thetas, solution = self.solve(
                 equations, roots, values, theta_p, on_the_way=j < allowed and s.alpha is None
@@ -360,11 +360,11 @@ class Stage:
             change = 0.0
             if s.noise_model is not None:
                 prefilters, change = self._noise_models(parts, thetas, prefilters, remarks, j)
-            if self.instruments is not None:
-                simulated = self._simulate(parts, references, at, simulated, remarks, j)
             if j > 0 and moved < s.tolerance and change < 10 * s.tolerance:
                 settled = True
                 break
+            if self.instruments is not None:
+                simulated = self._simulate(parts, references, at, simulated, remarks, j)
             j += 1
         if j < allowed and s.alpha is None and s.form == "linear":
             theta_p, thetas, solution = self.solve(equations, roots, values, theta_p)
@@ -404,8 +404,8 @@ class Stage:
         start = np.array([p.start for p in self.parameters], dtype=float)
         self.image.require_identifiable(start, values)
         correlations = self._seen(equations, values, start)
-        chosen, roots = self._weigh(list(equations), parts, values, start, [])
-        theta_p, thetas, solution = self.solve(chosen, roots, values, start)
+        roots = self._weigh(equations, parts)
+        theta_p, thetas, solution = self.solve(equations, roots, values, start)
         at = [self._at(v, theta_p, fixed) for v, fixed in zip(values, self.known, strict=True)]
         return StageFit(
             stage=self,
@@ -413,7 +413,7 @@ class Stage:
             theta_p=theta_p,
             values=tuple(at),
             parts=tuple(parts),
-            equations=tuple(chosen),
+            equations=tuple(equations),
             roots=tuple(roots),
             thetas=tuple(thetas),
             solution=solution,
@@ -516,20 +516,14 @@ class Stage:
         found = dict(zip(self.free, theta_p.tolist(), strict=True))
         return {**values, **{k: v for k, v in found.items() if k not in fixed}}
 
-    def _weigh(
-        self,
-        equations: list[MomentEquations],
-        parts: Sequence[Part],
-        values: Sequence[Mapping[str, float]],
-        theta_p: Array,
-        history: Sequence[Array],
-    ) -> tuple[list[MomentEquations], list[Array]]:
+    def _weigh(self, equations: Sequence[MomentEquations], parts: Sequence[Part]) -> list[Array]:
+        """R of each part, by the weighting of the settings."""
         weighting = self.settings.weighting
         if weighting == "identity":
-            return equations, [e.root_weight(weighting, np.zeros(0), None) for e in equations]
+            return [e.root_weight(weighting, np.zeros(0), None) for e in equations]
         thetas = [e.unconstrained() for e in equations]
         if weighting != "optimal":
-            return equations, [
+            return [
                 e.root_weight(weighting, t, None) for e, t in zip(equations, thetas, strict=True)
             ]
         covariance = moment_covariance(
@@ -541,7 +535,7 @@ class Stage:
             own = covariance[at : at + n, at : at + n] * e.N
             roots.append(e.root_weight("optimal", t, own))
             at += n
-        return equations, roots
+        return roots
 
     def _robust(
         self,
