@@ -354,7 +354,7 @@ class Basis:
 
     def __init__(self, columns: int, p: int) -> None:
         self.p = p
-        self.rows = np.zeros((0, columns), dtype=np.int64)
+        self.rows: Array = np.zeros((0, columns), dtype=np.int64)
         self.pivots: list[int] = []
 
     @property

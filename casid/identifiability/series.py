@@ -1,8 +1,8 @@
 """Power series of the outputs and of their sensitivities, at a random point of a prime field.
 
-With y(t) = sum_k y_k t^k along the solution from x(0), the rows d y_k / d(x(0), theta) span what the
-first derivatives of the outputs tell (the extended observability matrix (2.64) of Linder (2017),
-rows divided by k!). They are computed order by order: in the newest coefficient every operation of
+With y(t) = sum_k y_k t^k along the solution from x(0), the rows d y_k / d(x(0), theta) span what
+the first derivatives of the outputs tell (the extended observability matrix (2.64) of Linder
+(2017), rows divided by k!). They are computed order by order: in the newest coefficient every operation of
 a `Program` is linear,
 
     sum         s_k = sum c_i a_i,k
@@ -92,7 +92,9 @@ class Schedule:
         is_primitive: list[bool] = []
         for depth in range(1, int(level.max(initial=0)) + 1):
             nodes = [n for n in program.order if level[n] == depth]
-            sums, terms, offsets = [], [], []
+            sums: list[int] = []
+            terms: list[int] = []
+            offsets: list[int] = []
             first = len(self.coefficients)
             for n in (n for n in nodes if n in program.sums):
                 content = program.sums[n]
