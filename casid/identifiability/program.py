@@ -15,7 +15,7 @@ Source: A. Sedoglavic, J. Symb. Comput. 33 (2002) 735-755, for the straight-line
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any, Literal
 
@@ -31,15 +31,31 @@ Terms = dict[int, Fraction]  # node -> coefficient; node -1 is the number 1
 ONE = -1
 MAX_POWER = 64
 
+_ZERO_AT_ZERO = ("asin", "atan", "asinh", "atanh", "erf")
+_PINNED: Mapping[str, tuple[int, int]] = {
+    "exp": (0, 1),
+    "log": (1, 0),
+    "power": (1, 1),
+    **dict.fromkeys(_ZERO_AT_ZERO, (0, 0)),
+}
+"""Where an immersed function has a rational value at a rational point (sin and cos: see series)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """ds/dt = slope da/dt; how s(0) follows from a(0): inverted, rooted, paired, or drawn."""
+    """ds/dt = slope da/dt; how s(0) follows from a(0): inverted, rooted, paired, or drawn.
+
+    Attributes
+    ----------
+    pinned : a(0) and s(0) where both are rational, such as exp(0) = 1: a special initial value may
+        be that very point. Elsewhere s(0) is drawn.
+    """
 
     argument: int
     slope: int
     start: Literal["inverse", "root", "circle", "partner", "free"]
     partner: int = -1  # the sine of a cosine
+    pinned: tuple[int, int] | None = None
 
 
 @dataclass(slots=True)
@@ -113,6 +129,7 @@ class _Reader:
         self.immersed: list[str] = []
         self._known: dict[Any, int] = {}  # what a node computes -> the node
         self._sine: dict[int, tuple[int, int]] = {}
+        self._exponentials: dict[Any, tuple[Fraction, int]] = {}  # direction -> scale, node
 
     def read(self, function: Any) -> list[Terms]:
         """The linear combination of each output of an SX function of one vector."""
@@ -215,9 +232,8 @@ class _Reader:
                 if bit == "1":
                     result = self._product(result, base)
             return result
-        if exponent.denominator == 2 and abs(exponent.numerator) == 1:
-            root = self.sqrt(a)
-            return root if exponent > 0 else self._inverse(root)
+        if exponent.denominator == 2 and abs(exponent.numerator) <= MAX_POWER:
+            return self._power(self.sqrt(a), {ONE: Fraction(exponent.numerator)})
         return self._adjoined(f"power {exponent}", a, self._power_slope(a, exponent), "free")
 
     def _power_slope(self, a: Terms, exponent: Fraction) -> Callable[[int], Terms]:
@@ -236,8 +252,19 @@ class _Reader:
         return self._adjoined("sqrt", a, slope, "root")
 
     def exp(self, a: Terms) -> Terms:
-        """exp(a): g = s."""
-        return self._adjoined("exp", a, lambda s: {s: Fraction(1)}, "free")
+        """exp(a): g = s. exp(k a) is its k-th power, so that exp(a) exp(-a) stays one."""
+        if _constant(a) == 0:
+            return _UNIT
+        first = min(a)
+        direction = tuple(sorted((n, c / a[first]) for n, c in a.items()))
+        if direction in self._exponentials:
+            scale, node = self._exponentials[direction]
+            times = a[first] / scale
+            if times.denominator == 1 and abs(times) <= MAX_POWER:
+                return self._power({node: Fraction(1)}, {ONE: times})
+        result = self._adjoined("exp", a, lambda s: {s: Fraction(1)}, "free")
+        self._exponentials.setdefault(direction, (a[first], next(iter(result))))
+        return result
 
     def log(self, a: Terms) -> Terms:
         """log(a): g = 1/a."""
@@ -245,6 +272,9 @@ class _Reader:
 
     def sine(self, a: Terms) -> tuple[Terms, Terms]:
         """sin(a) and cos(a), which are each other's slope."""
+        if a and a[min(a)] < 0:
+            sine_, cosine_ = self.sine(_scaled(a, -1))
+            return _scaled(sine_, -1), cosine_
         n = self.node(a)
         if n not in self._sine:
             self.immersed += ["sin", "cos"]
@@ -257,7 +287,14 @@ class _Reader:
         return {sine: Fraction(1)}, {cosine: Fraction(1)}
 
     def sign(self, a: Terms) -> Terms:
-        """+-1, constant on each side of the kink."""
+        """+-1, constant on each side of the kink; c a has its kink where a has."""
+        constant = _constant(a)
+        if constant is not None:
+            return {ONE: Fraction(1 if constant > 0 else -1)} if constant else {}
+        first = a[min(n for n in a if n != ONE)]
+        if first != 1:
+            turned = self.sign({n: c / first for n, c in a.items()})
+            return turned if first > 0 else _scaled(turned, -1)
         n = self.node(a)
         key = ("sign", n)
         if key not in self._known:
@@ -300,7 +337,9 @@ class _Reader:
         if key not in self._known:
             node = self._append()
             self._known[key] = node
-            self.program.primitives[node] = Primitive(argument, self.node(slope(node)), start)
+            pinned = _PINNED.get(name.split()[0])
+            step = self.node(slope(node))
+            self.program.primitives[node] = Primitive(argument, step, start, pinned=pinned)
         return self._known[key]
 
     def _new(self, kind: Kind, key: Any, content: Any) -> int:
@@ -471,8 +510,11 @@ def _drop_unused(program: Program) -> None:
         new[n]: (new[a], new[b]) for n, (a, b) in program.products.items() if n in needed
     }
     program.primitives = {
-        new[n]: Primitive(
-            new[q.argument], new[q.slope], q.start, new[q.partner] if q.partner >= 0 else -1
+        new[n]: replace(
+            q,
+            argument=new[q.argument],
+            slope=new[q.slope],
+            partner=new[q.partner] if q.partner >= 0 else -1,
         )
         for n, q in program.primitives.items()
         if n in needed

@@ -2,7 +2,8 @@
 
 With y(t) = sum_k y_k t^k along the solution from x(0), the rows d y_k / d(x(0), theta) span what
 the first derivatives of the outputs tell (the extended observability matrix (2.64) of Linder
-(2017), rows divided by k!). They are computed order by order: in the newest coefficient every operation of
+(2017), rows divided by k!). They are computed order by order: in the newest coefficient every
+operation of
 a `Program` is linear,
 
     sum         s_k = sum c_i a_i,k
@@ -21,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.identifiability.prime_field import matmul, to_field
+from casid.identifiability.prime_field import matmul, to_field, to_rational
 from casid.identifiability.program import ONE, Program, program_of
 from casid.identifiability.system import System
 
@@ -266,16 +267,23 @@ class Series:
             root = _square_root(a, p)
             if root is None or root == 0:
                 raise SpecialPoint("a square root does not exist in the field")
-            return root
+            # Of a special value such as 4 the positive root; elsewhere either will do.
+            number = to_rational(root, p)
+            return p - root if number is not None and number < 0 else root
         if primitive.start == "partner":
             return self._cosine[primitive.partner]
         if primitive.start == "circle":
+            if a == 0:
+                self._cosine[n] = 1
+                return 0
             t = int(self._rng.integers(2, p - 1))
             while (1 + t * t) % p == 0:
                 t = int(self._rng.integers(2, p - 1))
             scale = pow(1 + t * t, -1, p)
             self._cosine[n] = (1 - t * t) * scale % p
             return 2 * t * scale % p
+        if primitive.pinned is not None and a == primitive.pinned[0]:
+            return primitive.pinned[1]
         return int(self._rng.integers(1, p))
 
     def _slopes(self, value: Array) -> None:
