@@ -9,6 +9,7 @@ repeated at points and primes of their own until its error probability is below 
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -27,6 +28,10 @@ Array = np.ndarray[Any, Any]
 
 ATTEMPTS = 400
 """Points tried before a model is said to have none (a square root exists at every second one)."""
+
+
+MAX_KINKS = 4
+"""Of so many kinks (abs, sign) in one experiment, every choice of sides is looked at."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +87,8 @@ class Observability:
     error_bound : 0 where the rank is full, which is a proof; otherwise the probability that a
         verdict is wrong is at most this; nan where `is_partial`.
     is_certified : False where initial values or parameters are special and the rank stayed below
-        that of almost every point: then later derivatives might still tell more.
+        that of almost every point: then later derivatives might still tell more. False too where
+        there are more than `MAX_KINKS` kinks, whose sides are not all looked at.
     points : of largest rank.
     deficiency : dimension of what the parameters can do unseen.
     bytes : memory of the largest series.
@@ -205,7 +211,10 @@ class Search:
         deadline: float = math.inf,
         max_order: int | None = None,
     ) -> PointRank:
-        """The rank at one point; parameters and constants not among `values` are drawn."""
+        """The rank at one point; what is not among `values` is drawn.
+
+        `values` may name parameters, constants and initial states (of all experiments).
+        """
         reason = ""
         for _ in range(ATTEMPTS):
             drawn = self._values(prime, rng, values or {})
@@ -262,6 +271,8 @@ class Search:
 
     def _is_certified(self, rank: int) -> bool:
         """The stopping rule holds at almost every point; elsewhere its rank bounds this one."""
+        if any(len(s.program.kinks) > MAX_KINKS for s in self.schedules):
+            return False
         if all(s.is_generic for s in self.systems):
             return True
         generic = [
@@ -278,7 +289,8 @@ class Search:
         values = dict(zip(names, drawn, strict=True))
         for s in self.systems:
             values |= {n: to_field(v, p) for n, v in s.at.items()}
-        return values | {n: v % p for n, v in given.items() if n in values}
+        known = {*values, *(x for s in self.systems for x in s.states)}
+        return values | {n: v % p for n, v in given.items() if n in known}
 
     def _at(
         self,
@@ -331,7 +343,7 @@ class Search:
     ) -> tuple[Array, int, bool]:
         """Echelon form of an experiment's rows, the orders used, and whether it was cut."""
         system = schedule.system
-        initial = {x: int(rng.integers(1, p)) for x in system.states}
+        initial = {x: values.get(x, int(rng.integers(1, p))) for x in system.states}
         initial |= {x: to_field(v, p) for x, v in system.initial_values.items()}
         series = Series(schedule, {**values, **initial}, p, rng, branches)
         full = schedule.n_columns
@@ -404,12 +416,11 @@ def _spread(parts: Sequence[Array], system: System, index: Mapping[str, int], p:
 
 
 def _branches(kinks: int, rng: np.random.Generator) -> list[list[int]]:
-    """Signs of the kinks to look at: all plus, all minus and a random one."""
-    if not kinks:
-        return [[]]
-    random = [int(v) for v in rng.choice([-1, 1], kinks)]
-    chosen = [[1] * kinks, [-1] * kinks, random]
-    return [list(c) for c in dict.fromkeys(tuple(c) for c in chosen)]
+    """Signs of the kinks to look at: all choices, or a sample where they are many."""
+    if kinks <= MAX_KINKS:
+        return [list(c) for c in itertools.product((1, -1), repeat=kinks)]
+    sample = [[int(v) for v in rng.choice([-1, 1], kinks)] for _ in range(2**MAX_KINKS - 2)]
+    return [[1] * kinks, [-1] * kinks, *sample]
 
 
 def _free_states(system: System) -> tuple[str, ...]:
