@@ -44,14 +44,14 @@ def vanishing(
         If an expression has a pole wherever it is looked at, or is not made of analytic functions.
     """
     zero = [True] * len(expressions)
-    doubtful = [i for i, e in enumerate(expressions) if not _is_settled(ca.SX(e))]
+    held = {k: Fraction(v) for k, v in (at or {}).items()}
+    doubtful = [i for i, e in enumerate(expressions) if not _is_settled(ca.SX(e), held)]
     for i, e in enumerate(expressions):
         zero[i] = i in doubtful or bool(ca.SX(e).is_zero())
     if not doubtful:
         return zero
     vector = ca.densify(ca.vertcat(*[expressions[i] for i in doubtful]))
     symbols = ca.symvar(vector)
-    held = {k: Fraction(v) for k, v in (at or {}).items()}
     function = ca.Function("zero", [ca.vertcat(*symbols)], [vector], {"cse": True})
     names = [s.name() for s in symbols]
     rng = np.random.default_rng(seed)
@@ -61,8 +61,8 @@ def vanishing(
     return zero
 
 
-def _is_settled(e: Expr) -> bool:
-    return bool(e.is_zero() or e.is_constant() or e.is_symbolic())
+def _is_settled(e: Expr, held: Mapping[str, Fraction]) -> bool:
+    return bool(e.is_zero() or e.is_constant() or (e.is_symbolic() and e.name() not in held))
 
 
 def _at_a_point(

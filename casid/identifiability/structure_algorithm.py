@@ -253,12 +253,6 @@ class StructureAlgorithm:
                     "which feels it not at all, or another unknown input before it; name another "
                     "output, or leave the choice open"
                 )
-        if any(row.contains for row in self.rows):
-            names = ", ".join(self.names[w] for w in self.remaining)
-            raise IdentifiabilityError(
-                f"{self.system.name}: {names} can only be eliminated with an output that is kept "
-                "for another unknown input; leave the choice of outputs open"
-            )
 
 
 def _put(vector: Expr, symbol: Expr, solution: Expr, v: Expr) -> Expr:
