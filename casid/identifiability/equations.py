@@ -153,6 +153,13 @@ def _fields(mapping: Any, where: str) -> dict[str, Any]:
 
 
 def text_of(fields: Mapping[str, Any], field: str, where: str) -> str:
+    """A field that is text, "" where it is absent.
+
+    Raises
+    ------
+    ModelError
+        If it is something else.
+    """
     value = fields.get(field, "")
     if not isinstance(value, str):
         raise ModelError(f"{where}, {field}: expected text, got {_kind(value)}; put it in quotes")
