@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from casid.errors import ModelError
-from casid.identifiability.error_bound import failure_probability
+from casid.identifiability.error_bound import failure_probabilities
 from casid.identifiability.prime_field import echelon, matmul, random_prime, to_field
 from casid.identifiability.series import Schedule, Series, SpecialPoint
 from casid.identifiability.system import System
@@ -156,9 +156,10 @@ def observability(
         if point.is_partial or point.rank == search.unknowns:
             break
         best = max(p.rank for p in points)
+        last = search.failure(best, points[-1].orders)
         failure = math.prod(search.failure(best, p.orders) for p in points)
         enough = len(points) == len(primes) if primes is not None else failure <= error_bound
-        if enough:
+        if enough or last == 1.0:  # degrees beyond the prime: no number of points would do
             break
         if time.monotonic() > deadline:
             points[-1] = replace(point, is_partial=True)
@@ -231,12 +232,23 @@ class Search:
         )
 
     def failure(self, rank: int, orders: Sequence[int]) -> float:
-        """Bound on the probability that a point shows too small a rank or a wrong verdict."""
-        single = max(
-            failure_probability(s.program, rank, order, columns=self.unknowns)
-            for s, order in zip(self.schedules, orders, strict=True)
-        )
-        return min(1.0, (self.unknowns + 1) * single)
+        """Bound on the probability that a point shows too small a rank or a wrong verdict.
+
+        One event for each order at which the series may have stopped too early, and one for each
+        verdict; where experiments differ, a minor has at most as many rows of each as in all.
+        """
+        known = sum(len(s.states) - len(_free_states(s)) for s in self.systems)
+        columns = self.unknowns + known
+        copies: dict[int, list[int]] = {}  # position of a schedule -> orders of its experiments
+        for schedule, order in zip(self.schedules, orders, strict=True):
+            copies.setdefault(self.schedules.index(schedule), []).append(order)
+        total = 0.0
+        for i, own in copies.items():
+            single = failure_probabilities(
+                self.schedules[i].program, rank + known, max(own), columns=columns, copies=len(own)
+            )
+            total += len(own) * sum(single) + self.unknowns * single[-1]
+        return min(1.0, total)
 
     def verdict(self, points: Sequence[PointRank], failure: float) -> Observability:
         """What the points of largest rank say together."""
