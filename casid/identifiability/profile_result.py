@@ -1,0 +1,177 @@
+"""Profiles of parameters: intervals, figure, and which of them are open or flat."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+Array = np.ndarray[Any, Any]
+Kind = Literal["identifiable", "practically non-identifiable", "flat"]
+
+ASSUMES = (
+    "white Gaussian noise of the stated standard deviation on each output, exact inputs, the model "
+    "true; the deviance is then chi squared with one degree of freedom in large records"
+)
+SOURCES = (
+    "A. Raue et al., Bioinformatics 25 (2009) 1923-1929: profile likelihood, structural and "
+    "practical identifiability",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ProfileLikelihood:
+    """The profile of one parameter, SI units.
+
+    Attributes
+    ----------
+    best : the estimate.
+    lower, upper : end points of the confidence interval; -inf or inf where the deviance never
+        crosses the threshold as far as it was followed.
+    grid, deviance : (m,) values tried, increasing, and PL(c) - PL(best) there, chi squared with one
+        degree of freedom at the true value.
+    path : (m, n) all variables along the profile, columns as `Profiles.names`.
+    kind : "identifiable" (both ends found), "practically non-identifiable" (open on one side or
+        both), or "flat" (nothing was lost anywhere: structurally non-identifiable).
+    note : how far an open side was followed, and what stopped it.
+    """
+
+    name: str
+    unit: str
+    best: float
+    lower: float
+    upper: float
+    threshold: float
+    grid: Array
+    deviance: Array
+    path: Array
+    kind: Kind
+    note: str = ""
+
+    def __repr__(self) -> str:
+        return (
+            f"<ProfileLikelihood {self.name}: {self.kind}, {self.best:.6g} in "
+            f"{self.lower:.6g} to {self.upper:.6g}>"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; an open end is None."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "best": self.best,
+            "lower": self.lower if math.isfinite(self.lower) else None,
+            "upper": self.upper if math.isfinite(self.upper) else None,
+            "threshold": self.threshold,
+            "grid": self.grid.tolist(),
+            "deviance": self.deviance.tolist(),
+            "kind": self.kind,
+            "note": self.note,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Profiles:
+    """Profiles of chosen parameters over the same records.
+
+    Attributes
+    ----------
+    names : variables of each profile's `path`.
+    noise : output -> standard deviation the deviance is counted in; `noise_source` says whence.
+    """
+
+    problem: str
+    records: tuple[str, ...]
+    confidence: float
+    profiles: tuple[ProfileLikelihood, ...]
+    names: tuple[str, ...]
+    noise: Mapping[str, float]
+    noise_source: Mapping[str, str]
+    assumes: str = ASSUMES
+    sources: tuple[str, ...] = SOURCES
+
+    def __repr__(self) -> str:
+        return f"<Profiles {self.problem}: {', '.join(p.name for p in self.profiles)}>"
+
+    def __getitem__(self, name: str) -> ProfileLikelihood:
+        """The profile of one parameter."""
+        for p in self.profiles:
+            if p.name == name:
+                return p
+        raise KeyError(f"no profile of {name!r}; there are {', '.join(p.name for p in self)}")
+
+    def __iter__(self) -> Iterator[ProfileLikelihood]:
+        return iter(self.profiles)
+
+    def __str__(self) -> str:
+        lines = [
+            f"Profile likelihood of {self.problem} from {', '.join(self.records)}, "
+            f"{100 * self.confidence:g} % intervals"
+        ]
+        for p in self.profiles:
+            lines.append(
+                f"  {p.name}  {p.best:.6g} {p.unit}  {_end(p.lower)} to {_end(p.upper)}  {p.kind}"
+                + (f" ({p.note})" if p.note else "")
+            )
+        lines += [f"  noise  {n} {sd:.3g} ({self.noise_source[n]})" for n, sd in self.noise.items()]
+        lines.append(f"  What the interval assumes: {self.assumes}")
+        return "\n".join(lines)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "schema": "casid.profiles/1",
+            "problem": self.problem,
+            "records": list(self.records),
+            "confidence": self.confidence,
+            "profiles": [p.to_json() for p in self.profiles],
+            "noise": dict(self.noise),
+            "noise_source": dict(self.noise_source),
+            "assumes": self.assumes,
+            "sources": list(self.sources),
+        }
+
+    def plot(self) -> Any:
+        """Plotly figure: deviance against each parameter, with the threshold of the interval."""
+        from plotly.subplots import make_subplots
+
+        from casid.plotting import AFTER, BEFORE, figure_text, visible_text
+
+        columns = min(2, len(self.profiles))
+        rows = math.ceil(len(self.profiles) / columns)
+        figure = make_subplots(rows=rows, cols=columns, vertical_spacing=0.35 / rows)
+        for k, p in enumerate(self.profiles):
+            at = {"row": k // columns + 1, "col": k % columns + 1}
+            figure.add_scatter(
+                x=p.grid,
+                y=p.deviance,
+                mode="lines+markers",
+                line={"color": AFTER, "width": 2},
+                name=figure_text(p.name),
+                showlegend=False,
+                **at,
+            )
+            figure.add_hline(y=p.threshold, line_dash="dash", line_color=BEFORE, **at)
+            figure.add_vline(x=p.best, line_dash="dot", line_width=1, **at)
+            figure.update_xaxes(title_text=figure_text(f"{p.name} [{p.unit}]"), **at)
+            figure.update_yaxes(title_text="deviance", range=[0, 2.5 * p.threshold], **at)
+        caption = (
+            f"Profile likelihood of {visible_text(self.problem)}: deviance with all else estimated "
+            f"again; below the dashed line lies the {100 * self.confidence:g} % interval. "
+            + "; ".join(f"{visible_text(p.name)} {p.kind}" for p in self.profiles)
+            + "."
+        )
+        figure.update_layout(
+            template="plotly_white",
+            title={"text": figure_text(caption, 200), "font": {"size": 13}},
+            meta={"caption": caption},
+            height=60 + 300 * rows,
+        )
+        return figure
+
+
+def _end(value: float) -> str:
+    return f"{value:.6g}" if math.isfinite(value) else ("-inf" if value < 0 else "inf")
