@@ -21,10 +21,19 @@ import click
 
 from casid import __version__
 from casid.errors import CasidError, DataError, ModelError
+from casid.identifiability_options import (
+    ASSUMPTION_OPTIONS,
+    QUESTION_OPTIONS,
+    Inquiry,
+    is_equation_file,
+    read_equations_for,
+)
 from casid.options import (
+    DATA_OPTIONS,
     FIT_OPTIONS,
     INSTRUMENT_OPTIONS,
     OUTPUT_OPTIONS,
+    SET_OPTION,
     TIME,
     InstrumentRequest,
     Request,
@@ -345,6 +354,94 @@ def identify(
             result.write(folder)
             write_text(folder / "report.html", page)
     say_where(folder, ("report.html", "estimate.json"), quiet)
+    if as_json:
+        print_json(result.to_json())
+    else:
+        print_text(str(result))
+
+
+@main.command()
+@click.argument("problem", metavar="PROBLEM|EQUATIONS", type=click.Path())
+@click.argument("data", nargs=-1)
+@options(*ASSUMPTION_OPTIONS, *QUESTION_OPTIONS)
+@options(
+    *DATA_OPTIONS,
+    SET_OPTION,
+    seed_option("Seed of the random points."),
+    *folder_options("a new reports/<problem>-<n>", "Write into a folder that is not empty."),
+    *OUTPUT_OPTIONS,
+)
+def identifiability(
+    problem: str,
+    data: tuple[str, ...],
+    maps: tuple[str, ...],
+    window: str | None,
+    resample: float | None,
+    lowpass: float | None,
+    decimate: int,
+    detrend: bool,
+    settings: tuple[str, ...],
+    seed: int,
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+    **asked: Any,
+) -> None:
+    """Say which parameters these experiments can tell, and what would mend the rest.
+
+    PROBLEM is a problem file (.py), analysed for the load cases and inputs of DATA or of its own
+    example, with the errors to expect of them; EQUATIONS is a JSON or TOML file of states,
+    parameters, inputs and outputs, for which nobody needs Python. Every experiment has unknown
+    inputs of its own unless --shared-input says otherwise. Writes identifiability.json and
+    report.html.
+
+    Example: casid identifiability problems/pendulum.py nominal=a.csv b.csv --known k
+
+    Equations: casid identifiability model.toml --sensor angle=x1 --known-initial x1,x2=0
+    """
+    request = Request(
+        data=data,
+        maps=maps,
+        window=window,
+        settings=settings,
+        resample=resample,
+        lowpass=lowpass,
+        decimate=decimate,
+        detrend=detrend,
+    )
+    inquiry = Inquiry(**asked)
+    assuming, candidates = inquiry.assumptions(), inquiry.candidates()
+    subject: Any
+    if is_equation_file(problem):
+        subject = read_equations_for(problem, request)
+    else:
+        model = _load(problem)
+        subject = model.with_known(request.known(model))
+    with reserved(out, subject.name, force=force) as folder:
+        with quiet_stdout(), progress_lines(quiet) as progress:
+            from casid.identifiability.assess import assess_identifiability
+
+            experiments = None
+            if not is_equation_file(problem) and (data or subject.example is not None):
+                experiments, _ = request.experiments(subject)
+
+            with _ends_at_ctrl_c():
+                result = assess_identifiability(
+                    subject,
+                    experiments,
+                    assuming=assuming,
+                    candidates=candidates,
+                    symbolic=not inquiry.structural,
+                    practical=not inquiry.structural,
+                    profiles=inquiry.profiled(),
+                    time_limit=inquiry.time_limit,
+                    seed=seed,
+                    progress=progress,
+                )
+            progress("write the report")
+            result.write(folder)
+    say_where(folder, ("report.html", "identifiability.json"), quiet)
     if as_json:
         print_json(result.to_json())
     else:

@@ -421,14 +421,16 @@ DATA_OPTIONS = (
 )
 """Where records come from, and how they are prepared."""
 
+SET_OPTION = click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="A parameter that is known, SI units. Repeatable.",
+)
+
 FIT_OPTIONS = (
-    click.option(
-        "--set",
-        "settings",
-        multiple=True,
-        metavar="NAME=VALUE",
-        help="A parameter that is known, SI units. Repeatable.",
-    ),
+    SET_OPTION,
     click.option(
         "--starts",
         type=click.IntRange(min=1),

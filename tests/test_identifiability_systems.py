@@ -75,7 +75,8 @@ def explicit_values(model: casid.Model, at: Points) -> Array:
 
 
 def system_values(system: System, at: Points) -> Array:
-    return evaluated(system.symbols, ca.vertcat(system.f, system.h), at)
+    held = {n: float(v) for n, v in system.at.items()}
+    return evaluated(system.symbols, ca.vertcat(system.f, system.h), {**at, **held})
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -103,7 +104,7 @@ def test_unknown_parameters_are_asked_about_and_no_others(name):
     system = system_of(model)
     unknown = [p.name for p in model.parameters.values() if not p.is_known]
     assert system.parameters == tuple(unknown)
-    assert system.constants == ()
+    assert set(system.constants) == set(system.at)
     assert (system.states, system.outputs) == (tuple(model.states), tuple(model.outputs))
     assert set(system.units) >= {*system.declared, *system.outputs}
 
@@ -226,7 +227,7 @@ def test_each_experiment_knows_its_load_case():
     accelerations = [system_values(s, at)[1] for s in systems]
     np.testing.assert_allclose(accelerations, [-10.0, -6.0, -5.0], rtol=1e-14)
     generic = systems_of(model, experiments, generic=True)
-    assert [s.constants for s in generic] == [("m",), ("m", "load"), ("m",)]
+    assert [s.constants for s in generic] == [("m",), ("m", "load_loaded"), ("m",)]
 
 
 def test_an_input_that_rests_is_taken_at_rest():
@@ -237,10 +238,11 @@ def test_an_input_that_rests_is_taken_at_rest():
     ]
     translation = translated(spring(), experiments)
     moving, free, hanging = translation.systems
-    assert (moving.inputs, moving.constants) == (("F",), ())
-    assert (free.inputs, free.constants) == ((), ())
+    assert (moving.inputs, moving.constants) == (("F",), tuple(moving.at))
+    assert (free.inputs, "F" in free.constants) == ((), False)
     assert "F" not in free.symbols
-    assert (hanging.inputs, hanging.constants) == ((), ("F",))
+    assert (hanging.inputs, hanging.constants[-1]) == ((), "F")
+    assert hanging.at["F"] == 2.5
     assert translation.notes == (
         "free: input F is 0 in all samples, and taken as 0",
         "hanging: input F is the same in all samples, and taken as a known constant",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -46,12 +47,14 @@ def system_of(
 
     Parameters
     ----------
-    model : its unknown parameters are asked about, also those that stand in no equation; measured,
-        known and generated inputs are known, and so are outputs that an unknown input was
-        eliminated with. States with `initial` have that initial value, exactly.
+    model : its unknown parameters are asked about, also those that stand in no equation, and its
+        known ones are constants; measured, known and generated inputs are known, and so are outputs
+        that an unknown input was eliminated with. States with `initial` have that initial value,
+        exactly.
     known : values of parameters over those of the model, SI.
-    generic : known parameters are some known numbers (`System.constants`) and not the values they
-        have, except a value of exactly 0: a load that is absent stays absent.
+    generic : known parameters are some known numbers and not the values they have, except a value
+        of exactly 0: a load that is absent stays absent. Else they have their values, exactly
+        (`System.at`), and what coincides in the numbers coincides in the answer.
     direct : undo eliminations first (`Model.direct`): unknown inputs are there, and measured.
 
     Returns
@@ -100,8 +103,9 @@ def system_of(
         },
         units=_units(model),
     )
-    put = {p: v for p, v in fixed.items() if not generic or v == 0.0}
-    return _finite(system.substituted(put), [p for p, v in put.items() if v == 0.0])
+    zeros = {p: v for p, v in fixed.items() if v == 0.0}
+    at = {} if generic else {p: exact(v) for p, v in fixed.items() if v != 0.0}
+    return _finite(system.where(at=at).substituted(zeros), list(zeros))
 
 
 def systems_of(
@@ -121,6 +125,7 @@ def translated(
     *,
     generic: bool = False,
     direct: bool = False,
+    resting: bool = True,
 ) -> Translation:
     """Each experiment's system: its load case known, inputs that rest in its record at rest.
 
@@ -129,11 +134,15 @@ def translated(
     problem : a problem or its model.
     experiments : one or more; each system has its experiment's name.
     generic, direct : as in `system_of`.
+    resting : look at the samples for inputs that rest.
 
     Notes
     -----
+    A value that other load cases do not know, or know otherwise, is a constant of its own: ``m`` of
+    the experiment ``calibration`` is ``m_calibration``.
+
     An input that is exactly 0 in all samples is replaced by 0; one that is exactly constant becomes
-    a known constant, some number. Samples marked missing do not count; a generated input is
+    a known constant of that value. Samples marked missing do not count; a generated input is
     evaluated on the record's clock.
 
     Raises
@@ -151,7 +160,8 @@ def translated(
     notes = list(left_out(acting))
     for experiment in experiments:
         system = system_of(acting, known=experiment.known, generic=generic)
-        zero, constant = _at_rest(acting, system, experiment)
+        system = system.renamed(_own_names(model, experiment, experiments))
+        zero, constant = _at_rest(acting, system, experiment) if resting else ([], {})
         for name in zero:
             notes.append(f"{experiment.name}: input {name} is 0 in all samples, and taken as 0")
         for name in constant:
@@ -160,12 +170,26 @@ def translated(
                 "constant"
             )
         system = system.substituted(dict.fromkeys(zero, 0.0)).where(name=experiment.name)
-        resting = system.where(
+        at_rest = system.where(
             inputs=tuple(u for u in system.inputs if u not in constant),
             constants=(*system.constants, *constant),
+            at={**system.at, **constant},
         )
-        systems.append(_finite(resting, zero))
+        systems.append(_finite(at_rest, zero))
     return Translation(tuple(systems), tuple(notes))
+
+
+def _own_names(
+    model: Model, experiment: Experiment, experiments: Sequence[Experiment]
+) -> dict[str, str]:
+    """Names of values that this load case knows, and others do not know or know otherwise."""
+    own = {}
+    for n, value in experiment.known.items():
+        if n not in model.parameters:
+            continue
+        if any(e.known.get(n, model.parameters[n].value) != value for e in experiments):
+            own[n] = f"{n}_{experiment.name}"
+    return own
 
 
 def left_out(model: Model) -> tuple[str, ...]:
@@ -223,7 +247,7 @@ def _finite(system: System, zeros: Sequence[str]) -> System:
 
 def _at_rest(
     model: Model, system: System, experiment: Experiment
-) -> tuple[list[str], tuple[str, ...]]:
+) -> tuple[list[str], dict[str, Fraction]]:
     """Known inputs of a system that are zero, and that are constant, in all of a record."""
     record = experiment.record
     for name in (*system.inputs, *system.outputs):
@@ -234,7 +258,7 @@ def _at_rest(
                 f"{', '.join(record.channels)}. Rename or map one of them to {name!r}"
             )
     zero: list[str] = []
-    constant: list[str] = []
+    constant: dict[str, Fraction] = {}
     for name in system.inputs:
         entry = model.inputs[name]
         if entry.kind != "generated":
@@ -245,5 +269,8 @@ def _at_rest(
         else:
             continue
         if values.size and np.all(values == values[0]):
-            (zero if values[0] == 0.0 else constant).append(name)
-    return zero, tuple(constant)
+            if values[0] == 0.0:
+                zero.append(name)
+            else:
+                constant[name] = exact(float(values[0]))
+    return zero, constant

@@ -26,8 +26,11 @@ from casid.identifiability.system import System
 
 Array = np.ndarray[Any, Any]
 
-ATTEMPTS = 400
-"""Points tried before a model is said to have none (a square root exists at every second one)."""
+ATTEMPTS = 40
+"""Points tried modulo one prime (a square root exists at every second one)."""
+
+PRIMES = 20
+"""Primes tried before a model is said to have no point."""
 
 
 MAX_KINKS = 4
@@ -150,8 +153,8 @@ def observability(
     points: list[PointRank] = []
     failure = 1.0
     while True:
-        prime = primes[len(points)] if primes is not None else random_prime(rng)
-        point = search.at(prime, rng, deadline=deadline, max_order=max_order)
+        given = primes[len(points) : len(points) + 1] if primes is not None else None
+        point = _somewhere(search, rng, given, deadline, max_order)
         points.append(point)
         if point.is_partial or point.rank == search.unknowns:
             break
@@ -165,6 +168,24 @@ def observability(
             points[-1] = replace(point, is_partial=True)
             break
     return search.verdict(points, failure)
+
+
+def _somewhere(
+    search: Search,
+    rng: np.random.Generator,
+    primes: Sequence[int] | None,
+    deadline: float,
+    max_order: int | None,
+) -> PointRank:
+    """The rank at a random point; a root of a special value exists modulo every second prime."""
+    failed: ModelError | None = None
+    for prime in primes or (random_prime(rng) for _ in range(PRIMES)):
+        try:
+            return search.at(prime, rng, deadline=deadline, max_order=max_order)
+        except ModelError as problem:
+            failed = problem
+    assert failed is not None
+    raise failed
 
 
 def rank_at(
@@ -299,8 +320,11 @@ class Search:
         names = dict.fromkeys(n for s in self.systems for n in (*s.parameters, *s.constants))
         drawn = rng.integers(1, p, len(names)).tolist()
         values = dict(zip(names, drawn, strict=True))
-        for s in self.systems:
-            values |= {n: to_field(v, p) for n, v in s.at.items()}
+        for n in values:
+            held = {s.at.get(n) for s in self.systems if n in (*s.parameters, *s.constants)}
+            number = next(iter(held)) if len(held) == 1 else None
+            if number is not None:
+                values[n] = to_field(number, p)
         known = {*values, *(x for s in self.systems for x in s.states)}
         return values | {n: v % p for n, v in given.items() if n in known}
 
@@ -357,7 +381,8 @@ class Search:
         system = schedule.system
         initial = {x: values.get(x, int(rng.integers(1, p))) for x in system.states}
         initial |= {x: to_field(v, p) for x, v in system.initial_values.items()}
-        series = Series(schedule, {**values, **initial}, p, rng, branches)
+        held = {n: to_field(v, p) for n, v in system.at.items()}
+        series = Series(schedule, {**values, **held, **initial}, p, rng, branches)
         full = schedule.n_columns
         patience = 1 if system.is_generic else full + 1
         basis = Basis(full, p)

@@ -103,8 +103,11 @@ class System:
 
     @property
     def is_generic(self) -> bool:
-        """True if no initial value or parameter is looked at where it is special."""
-        return not self.initial_values and not self.at
+        """True if no initial value or parameter is looked at where it is special.
+
+        The value of a known constant is no point of the unknowns: it belongs to the equations.
+        """
+        return not self.initial_values and not any(p in self.at for p in self.parameters)
 
     def where(self, **changes: Any) -> System:
         """A copy with some attributes replaced."""
@@ -133,6 +136,28 @@ class System:
             input_derivatives={k: v for k, v in self.input_derivatives.items() if k not in values},
             at={k: v for k, v in self.at.items() if k not in values},
             symbols={k: v for k, v in self.symbols.items() if k not in values},
+        )
+
+    def renamed(self, names: Mapping[str, str]) -> System:
+        """A copy in which parameters or constants have other names, and other symbols with them."""
+        names = {old: new for old, new in names.items() if old in self.symbols}
+
+        def new(n: str) -> str:
+            return names.get(n, n)
+
+        symbols = {new(n): ca.SX.sym(new(n)) if n in names else s for n, s in self.symbols.items()}
+        old = [self.symbols[n] for n in names]
+        put = [symbols[new(n)] for n in names]
+        f, h = ca.substitute([self.f, self.h], old, put) if old else (self.f, self.h)
+        return replace(
+            self,
+            f=f,
+            h=h,
+            symbols=symbols,
+            parameters=tuple(map(new, self.parameters)),
+            constants=tuple(map(new, self.constants)),
+            at={new(n): v for n, v in self.at.items()},
+            units={new(n): u for n, u in self.units.items()},
         )
 
     def with_known(self, *names: str) -> System:

@@ -1,0 +1,122 @@
+"""Answers side by side: one a class of unknown inputs, one a poorer excitation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from casid.errors import CasidError
+from casid.identifiability.asked import Asked, Assumptions, eliminated, prepared
+from casid.identifiability.assessment import Answer, StateVerdict, Verdict
+from casid.identifiability.input_classes import (
+    as_harmonic,
+    as_polynomial,
+    as_zero,
+    with_input_class,
+)
+from casid.identifiability.observability import Observability, observability
+from casid.identifiability.system import System
+
+
+def answer_of(
+    label: str, result: Observability, original: Sequence[System], note: str = ""
+) -> Answer:
+    """Verdicts by name; states that only the assumed inputs have are not listed."""
+    undecided = result.is_partial
+
+    def of_parameter(told: bool) -> Verdict:
+        return "identifiable" if told else "unknown" if undecided else "not_identifiable"
+
+    def of_state(told: bool) -> StateVerdict:
+        return "observable" if told else "unknown" if undecided else "not_observable"
+
+    states: dict[str, StateVerdict] = {}
+    seen: dict[str, int] = {}
+    for system, verdict in zip(original, result.observable, strict=True):
+        seen[system.name] = seen.get(system.name, 0) + 1
+        label_ = system.name + (f"#{seen[system.name]}" if seen[system.name] > 1 else "")
+        for x in system.states:
+            if x in verdict:
+                states[x if len(original) == 1 else f"{x}@{label_}"] = of_state(verdict[x])
+    return Answer(
+        label=label,
+        rank=result.rank,
+        unknowns=result.unknowns,
+        parameters={p: of_parameter(v) for p, v in result.identifiable.items()},
+        states=states,
+        deficiency=None if undecided else result.deficiency,
+        error_bound=result.error_bound,
+        is_partial=undecided,
+        note=note,
+    )
+
+
+def _try(
+    label: str, make: Callable[[], Sequence[System]], original: Sequence[System], **options: Any
+) -> Answer:
+    try:
+        return answer_of(label, observability(make(), **options), original)
+    except CasidError as error:
+        return Answer(label, None, None, {}, {}, note=str(error))
+
+
+def by_class(
+    systems: Sequence[System], degrees: Sequence[int], seed: int, error_bound: float
+) -> dict[str, Answer]:
+    """One answer a class of unknown inputs, arbitrary ones first."""
+    if not any(s.unknown_inputs for s in systems):
+        return {}
+    options = {"seed": seed, "error_bound": error_bound}
+
+    def each(change: Callable[[System], System]) -> Callable[[], list[System]]:
+        def make() -> list[System]:
+            once = {id(s): change(s) if s.unknown_inputs else s for s in systems}
+            return [once[id(s)] for s in systems]
+
+        return make
+
+    table = {"arbitrary": _try("arbitrary", lambda: eliminated(systems)[0], systems, **options)}
+    for degree in degrees:
+        label = f"polynomial_{degree}"
+        change = each(lambda s, d=degree: as_polynomial(s, d))  # type: ignore[misc]
+        table[label] = _try(label, change, systems, **options)
+    table["harmonic"] = _try("harmonic", each(as_harmonic), systems, **options)
+    table["zero"] = _try("zero", each(as_zero), systems, **options)
+    return table
+
+
+def by_excitation(
+    asked: Asked, systems: Sequence[System], assuming: Assumptions, seed: int, error_bound: float
+) -> dict[str, Answer]:
+    """Answers for poorer known inputs: all at rest, and what drives them at rest.
+
+    An input that is a function of the states carries no information although it moves: with the
+    unknown input of the direct model at zero, the output it was eliminated with is one (Linder
+    2017, section 7.3.1).
+    """
+    options = {"seed": seed, "error_bound": error_bound}
+    known = tuple(dict.fromkeys(u for s in systems for u in s.inputs))
+    table: dict[str, Answer] = {}
+
+    def at_rest(kind: str) -> Callable[[], list[System]]:
+        def make() -> list[System]:
+            once = {id(s): with_input_class(s, dict.fromkeys(s.inputs, kind)) for s in systems}
+            return list(eliminated([once[id(s)] for s in systems])[0])
+
+        return make
+
+    if known:
+        for kind, label in (("zero", "zero"), ("constant", "constant")):
+            name = f"{', '.join(known)} {label}"
+            table[name] = _try(name, at_rest(kind), systems, **options)
+    if asked.model is not None and asked.model.eliminated_units:
+
+        def direct() -> list[System]:
+            read = prepared(asked.translated(generic=assuming.generic, direct=True), assuming)
+            once = {id(s): as_zero(s) for s in read}
+            return [once[id(s)] for s in read]
+
+        gone = ", ".join(asked.model.eliminated_units)
+        name = f"{gone} zero, so that what replaces it is a function of the states"
+        table[name] = _try(name, direct, systems, **options)
+    return table

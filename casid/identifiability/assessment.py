@@ -1,0 +1,319 @@
+"""The assessment: which parameters the experiments can tell, which combinations, what mends it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from casid.identifiability.family import Family
+    from casid.identifiability.mends import Mends
+    from casid.identifiability.null_direction import NullDirection
+    from casid.identifiability.practical import Practical
+    from casid.identifiability.profiles import Profiles
+    from casid.identifiability.reference_excitation import RecordExcitation
+    from casid.identifiability.replicas import ReplicasNeeded
+    from casid.identifiability.subsets import FixingSets
+
+SCHEMA = "casid.identifiability/1"
+
+Verdict = Literal["identifiable", "not_identifiable", "unknown"]
+StateVerdict = Literal["observable", "not_observable", "unknown"]
+
+SOURCES = (
+    "A. Sedoglavic, J. Symb. Comput. 33 (2002) 735-755: rank by power series over a prime field",
+    "J. Linder, Indirect System Identification for Unknown Input Problems, Linkoping 2017, "
+    "section 2.7 and chapters 4, 7, 8: extended observability matrix, indirect models",
+    "R. M. Hirschorn, SIAM J. Control Optim. 17 (1979) 289-297: inversion of nonlinear systems",
+    "J. G. Oxley, Matroid Theory, 2nd ed., Oxford 2011: fixing sets as bases",
+    "J. T. Schwartz, J. ACM 27 (1980) 701-717: the error bound",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Rank and verdicts under one assumption on the inputs.
+
+    Attributes
+    ----------
+    rank, unknowns : parameters and initial states (and coefficients of assumed inputs).
+    error_bound : 0 is a proof, nan where `is_partial`.
+    deficiency : dimension of what the parameters can do unseen.
+    note : what was assumed, or why there is no answer (then rank is None).
+    """
+
+    label: str
+    rank: int | None
+    unknowns: int | None
+    parameters: Mapping[str, Verdict]
+    states: Mapping[str, StateVerdict]
+    deficiency: int | None = None
+    error_bound: float = 0.0
+    is_partial: bool = False
+    note: str = ""
+
+    @property
+    def not_identifiable(self) -> tuple[str, ...]:
+        """Parameters that are not."""
+        return tuple(p for p, v in self.parameters.items() if v == "not_identifiable")
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "rank": self.rank,
+            "unknowns": self.unknowns,
+            "deficiency": self.deficiency,
+            "parameters": dict(self.parameters),
+            "states": dict(self.states),
+            "non_identifiable": list(self.not_identifiable),
+            "unobservable_states": [x for x, v in self.states.items() if v == "not_observable"],
+            "error_bound": _finite(self.error_bound),
+            "partial": self.is_partial,
+            **({"note": self.note} if self.note else {}),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assessment:
+    """What experiments can tell of a model's parameters.
+
+    Attributes
+    ----------
+    name : of the problem or equation file.
+    experiments : names; parameters are shared, initial states are each experiment's own.
+    answer : for arbitrary unknown inputs, and known inputs as rich as they can be.
+    confounded_groups : parameters that can be traded for each other; a single name is a parameter
+        that can be anything.
+    fixing : minimal sets to know; their complements are the maximal identifiable subsets.
+    directions : how parameters move unseen, as functions of the physical symbols, one a direction.
+    families : the same integrated, with the combinations that do not change, where that is
+        possible in closed form.
+    unknown_inputs : their names; `by_class` has the answers for other classes of them.
+    eliminated : how arbitrary unknown inputs were eliminated, a sentence each.
+    by_excitation : answers for poorer known inputs (a reference at rest).
+    orders : by experiment, the highest derivative of the outputs that told something.
+    notes : what was assumed or left out.
+    """
+
+    name: str
+    experiments: tuple[str, ...]
+    answer: Answer
+    confounded_groups: tuple[tuple[str, ...], ...]
+    fixing: FixingSets | None
+    directions: tuple[NullDirection, ...] = ()
+    families: tuple[Family, ...] = ()
+    unknown_inputs: tuple[str, ...] = ()
+    shared_inputs: tuple[str, ...] = ()
+    by_class: Mapping[str, Answer] = field(default_factory=dict)
+    eliminated: tuple[str, ...] = ()
+    by_excitation: Mapping[str, Answer] = field(default_factory=dict)
+    orders: tuple[int, ...] = ()
+    points: int = 1
+    is_certified: bool = True
+    units: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    mends: Mends | None = None
+    replicas: ReplicasNeeded | None = None
+    practical: Practical | None = None
+    profiles: Profiles | None = None
+    excitations: tuple[RecordExcitation, ...] = ()
+    seconds: float = 0.0  # of the answer: rank, verdicts, groups and fixing sets
+    versions: Mapping[str, str] = field(default_factory=dict)
+    sources: tuple[str, ...] = SOURCES
+
+    # -- the verdict --------------------------------------------------------------------------
+
+    @property
+    def rank(self) -> int | None:
+        """Of the extended observability matrix of all experiments."""
+        return self.answer.rank
+
+    @property
+    def unknowns(self) -> int | None:
+        """Parameters and initial states."""
+        return self.answer.unknowns
+
+    @property
+    def parameters(self) -> Mapping[str, Verdict]:
+        """Parameter -> verdict."""
+        return self.answer.parameters
+
+    @property
+    def states(self) -> Mapping[str, StateVerdict]:
+        """State -> verdict; ``state@experiment`` where there are several."""
+        return self.answer.states
+
+    @property
+    def is_identifiable(self) -> bool:
+        """True if every parameter is identifiable."""
+        return all(v == "identifiable" for v in self.parameters.values())
+
+    @property
+    def sentence(self) -> str:
+        """The answer in a sentence."""
+        lost = self.answer.not_identifiable
+        unsure = [p for p, v in self.parameters.items() if v == "unknown"]
+        if not self.parameters:
+            return "The model has no unknown parameters."
+        if unsure:
+            return (
+                f"Time ran out: {len(self.parameters) - len(unsure)} of {len(self.parameters)} "
+                f"parameters are proven identifiable, {', '.join(unsure)} are undecided."
+            )
+        if not lost:
+            return f"All {len(self.parameters)} parameters are identifiable."
+        kept = len(self.parameters) - len(lost)
+        return (
+            f"{kept} of {len(self.parameters)} parameters are identifiable; "
+            f"{', '.join(lost)} {'is' if len(lost) == 1 else 'are'} not, whatever the data."
+        )
+
+    @property
+    def combinations(self) -> tuple[str, ...]:
+        """What can be told of parameters that cannot, one line a family."""
+        return tuple(str(f) for f in self.families)
+
+    @property
+    def certainty(self) -> str:
+        """What the answer rests on."""
+        a = self.answer
+        if a.is_partial:
+            return "Partial: what is called identifiable is, up to chance below 1e-6; rest open."
+        if a.error_bound == 0.0:
+            return "Proven: full rank at one point modulo one prime."
+        sure = (
+            f"Exact rank at {self.points} random points modulo primes of their own; the "
+            f"probability of an error is below {a.error_bound:.1e}."
+        )
+        if not self.is_certified:
+            sure += (
+                " At the special values given, derivatives beyond order "
+                f"{max(self.orders, default=0)} were not looked at and might tell more."
+            )
+        return sure
+
+    def mend(self) -> str:
+        """What would make all parameters identifiable, in a sentence; empty where they are."""
+        if self.is_identifiable or self.fixing is None:
+            return ""
+        parts = []
+        for group, size in zip(self.fixing.groups, self.fixing.group_sizes, strict=True):
+            if len(group) == size:
+                parts.append(f"give {_all(group)} a known value, or measure what {_feels(group)}")
+            else:
+                count = "any one" if size == 1 else f"{size}"
+                exact = math.comb(len(group), size) == _ways(self.fixing, group)
+                suffix = "" if exact else " (not every choice; see the fixing sets)"
+                parts.append(f"give {count} of {', '.join(group)} a known value{suffix}")
+        return "; ".join(parts)
+
+    # -- showing ------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        return f"<Assessment of {self.name}: rank {self.rank} of {self.unknowns}>"
+
+    def __str__(self) -> str:
+        from casid.identifiability.assessment_text import as_text
+
+        return as_text(self)
+
+    def plot(self) -> Any:
+        """Plotly figures by name: errors, correlations, profiles, as far as they were computed."""
+        from casid.identifiability.figures import figures
+
+        return figures(self)
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``casid identifiability --json`` prints it."""
+        a = self.answer
+        classes = {k: v.to_json() for k, v in self.by_class.items()}
+        return {
+            "schema": SCHEMA,
+            "problem": self.name,
+            "experiments": list(self.experiments),
+            "rank": a.rank,
+            "unknowns": a.unknowns,
+            "error_bound": _finite(a.error_bound),
+            "partial": a.is_partial,
+            "certified": self.is_certified,
+            "parameters": dict(a.parameters),
+            "states": dict(a.states),
+            "deficiency": a.deficiency,
+            "confounded_groups": [list(g) for g in self.confounded_groups],
+            "minimal_fixing_sets": [list(s) for s in self.fixing.sets] if self.fixing else [],
+            "minimal_fixing_sets_count": self.fixing.count if self.fixing else 0,
+            "minimal_fixing_sets_cut": self.fixing.is_cut if self.fixing else False,
+            "families": [_family(f) for f in self.families],
+            "directions": [_direction(d) for d in self.directions],
+            "unknown_inputs": {
+                "class": "arbitrary" if self.unknown_inputs else "none",
+                "names": list(self.unknown_inputs),
+                "shared": list(self.shared_inputs),
+                "eliminated": list(self.eliminated),
+                "verdict_by_class": classes,
+            },
+            "verdict_by_excitation": {k: v.to_json() for k, v in self.by_excitation.items()},
+            "excitation": [e.to_json() for e in self.excitations],
+            "orders": list(self.orders),
+            "points": self.points,
+            "mends": self.mends.to_json() if self.mends else None,
+            "replicas": self.replicas.to_json() if self.replicas else None,
+            "practical": self.practical.to_json() if self.practical else None,
+            "profiles": self.profiles.to_json() if self.profiles else None,
+            "advice": self.mend(),
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+            "versions": dict(self.versions),
+            "sources": list(self.sources),
+        }
+
+    def write(self, folder: str | Path) -> Path:
+        """Write `identifiability.json` and `report.html`; returns the report's path."""
+        from casid.identifiability.page import assessment_page
+        from casid.writing import write_json, write_text
+
+        folder = Path(folder)
+        page = assessment_page(self)  # before anything is written: both files or none
+        write_json(folder / "identifiability.json", self.to_json())
+        return write_text(folder / "report.html", page)
+
+
+def _family(family: Family) -> dict[str, Any]:
+    return {
+        "free": family.free,
+        "formulas": {n: str(v) for n, v in family.formulas.items()},
+        "invariants": [str(v) for v in family.invariants],
+        "unchanged": list(family.unchanged),
+        "unsolved": list(family.unsolved),
+        "unchanged_where": {n: [str(v) for v in f] for n, f in family.unchanged_where.items()},
+    }
+
+
+def _direction(direction: NullDirection) -> dict[str, Any]:
+    return {
+        "free": direction.free,
+        "moves": {
+            n: None if v is None else str(v)
+            for n, v in direction.entries.items()
+            if v is None or v != 0
+        },
+    }
+
+
+def _all(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + f" and {names[-1]}"
+
+
+def _feels(names: Sequence[str]) -> str:
+    return "it acts on" if len(names) == 1 else "they act on"
+
+
+def _ways(fixing: FixingSets, group: tuple[str, ...]) -> int:
+    return fixing.group_counts[fixing.groups.index(group)]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,130 @@
+"""An assessment as text: the answer first, then what it rests on and what would mend it."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Mapping
+
+from casid.identifiability.assessment import Answer, Assessment
+
+WIDTH = 98
+_LISTED = 12  # fixing sets
+
+
+def as_text(a: Assessment) -> str:
+    """Lines of at most `WIDTH` characters, for a terminal."""
+    lines = [f"Identifiability of {a.name}: rank {a.rank} of {a.unknowns}"]
+    lines += _wrapped(a.sentence, "  ")
+    lines += _wrapped(a.certainty, "  ")
+    lines += _section("parameters", _verdicts(a.parameters, a))
+    lines += _section("states", _states(a.states))
+    lines += _section("confounded", _groups(a))
+    lines += _section("equivalent", _families(a))
+    lines += _section("to mend", _mends(a))
+    lines += _section("unknown", _classes(a))
+    lines += _section("poorer", _excitations(a))
+    lines += _section("records", [str(e) for e in a.excitations])
+    lines += _section("expected", str(a.practical).splitlines() if a.practical else [])
+    lines += _section("profiles", str(a.profiles).splitlines() if a.profiles else [])
+    lines += _section("notes", a.notes)
+    return "\n".join(lines)
+
+
+def verdict_words(a: Assessment, name: str) -> str:
+    """Structural and practical verdict of a parameter together: never, not so, or how well."""
+    verdict = a.parameters.get(name, "unknown")
+    if verdict == "not_identifiable":
+        return "no data will tell"
+    if verdict == "unknown":
+        return "undecided"
+    if a.practical is None:
+        return "identifiable"
+    row = next((r for r in a.practical.parameters if r.name == name), None)
+    if row is None or row.verdict == "well determined":
+        return "identifiable"
+    return f"identifiable, but not with these records: {row.verdict}"
+
+
+def _verdicts(verdicts: Mapping[str, str], a: Assessment) -> list[str]:
+    by_word: dict[str, list[str]] = {}
+    for name in verdicts:
+        by_word.setdefault(verdict_words(a, name), []).append(name)
+    return [f"{word}: {', '.join(names)}" for word, names in by_word.items()]
+
+
+def _states(states: Mapping[str, str]) -> list[str]:
+    by_word: dict[str, list[str]] = {}
+    for name, verdict in states.items():
+        by_word.setdefault(verdict.replace("_", " "), []).append(name)
+    return [f"{word}: {', '.join(names)}" for word, names in by_word.items()]
+
+
+def _groups(a: Assessment) -> list[str]:
+    return [
+        f"{g[0]} can be anything" if len(g) == 1 else f"{', '.join(g)} can be traded for each other"
+        for g in a.confounded_groups
+    ]
+
+
+def _families(a: Assessment) -> list[str]:
+    lines: list[str] = []
+    for f in a.families:
+        if len(f.moved) > 1 or not f.is_closed:
+            lines += str(f).splitlines()
+    return lines
+
+
+def _mends(a: Assessment) -> list[str]:
+    if a.is_identifiable:
+        return []
+    lines = [a.mend()] if a.mend() else []
+    if a.fixing is not None and 1 < a.fixing.count:
+        shown = ["{" + ", ".join(s) + "}" for s in a.fixing.sets[:_LISTED]]
+        more = f", ... ({a.fixing.count} in all)" if a.fixing.count > len(shown) else ""
+        lines.append(f"minimal fixing sets: {', '.join(shown)}{more}")
+    if a.replicas is not None:
+        lines += str(a.replicas).splitlines()
+    if a.mends is not None:
+        lines += str(a.mends).splitlines()
+    return lines
+
+
+def _classes(a: Assessment) -> list[str]:
+    if not a.by_class:
+        return []
+    lines = [f"inputs {', '.join(a.unknown_inputs)}"]
+    lines += [_answer(k, v) for k, v in a.by_class.items()]
+    return lines + list(a.eliminated)
+
+
+def _excitations(a: Assessment) -> list[str]:
+    return [_answer(k, v) for k, v in a.by_excitation.items()]
+
+
+def _answer(label: str, answer: Answer) -> str:
+    if answer.rank is None:
+        return f"{label}: no answer, {answer.note}"
+    lost = answer.not_identifiable
+    verdict = f"not identifiable: {', '.join(lost)}" if lost else "all parameters identifiable"
+    return f"{label}: rank {answer.rank} of {answer.unknowns}, {verdict}"
+
+
+def _section(title: str, lines: Iterable[str]) -> list[str]:
+    out: list[str] = []
+    for line in lines:
+        lead = f"  {title:<12}" if not out else " " * 14
+        out += _wrapped(line, lead)
+    return out
+
+
+def _wrapped(text: str, lead: str) -> list[str]:
+    if len(lead) + len(text) <= WIDTH or text.startswith(" "):
+        return [lead + text]
+    return textwrap.wrap(
+        text,
+        WIDTH,
+        initial_indent=lead,
+        subsequent_indent=" " * len(lead) + "  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )

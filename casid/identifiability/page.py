@@ -1,0 +1,324 @@
+"""The page of an assessment: the answer, what can be told instead, and what would mend it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from casid.identifiability.assessment import Answer, Assessment
+from casid.identifiability.assessment_text import verdict_words
+from casid.identifiability.figures import figures
+from casid.plotting import visible_text
+from casid.report import (
+    _element,
+    _Html,
+    _join,
+    _list,
+    _mapping,
+    _notice,
+    _number,
+    _p,
+    _Page,
+    _provenance,
+    _safe,
+    _table,
+    _value,
+)
+
+_LISTED = 60  # fixing sets in the table
+
+
+def assessment_page(assessment: Assessment) -> str:
+    """The assessment as one self-contained HTML page."""
+    a = assessment
+    page = _Page(figures(a))
+    page.section("", _banner(a), _cards(a), _notice(a.notes, ()))
+    page.section("Parameters", _parameters(a), _advice(a))
+    page.section("What can be told instead", _groups(a), _families(a))
+    page.section("What would mend it", _fixing(a), _further(a))
+    page.section("States", _states(a))
+    page.section("Unknown inputs", _classes(a))
+    page.section("Poorer excitation", _excitation(a))
+    page.section(
+        "What these records give",
+        page.figure("errors"),
+        _practical(a),
+        page.figure("correlations"),
+        page.figure("profiles"),
+        _profiles(a),
+        _orders(a),
+    )
+    page.section("What the answer rests on", _p(a.certainty), _facts(a))
+    page.section("Provenance", *_provenance((), {}, a.versions))
+    page.section("References", _list(_sources(a)))
+    return page.text(f"Identifiability of {visible_text(a.name)}", "Identifiability", a.name)
+
+
+def _banner(a: Assessment) -> _Html:
+    if a.answer.is_partial:
+        word, look = "partial", "undecided"
+    elif a.is_identifiable:
+        word, look = "identifiable", "adequate"
+    else:
+        word, look = "not identifiable", "deficient"
+    return _element(
+        "div",
+        _element("p", _element("b", word) + _safe(f"rank {a.rank} of {a.unknowns}"), class_="word")
+        + _element("p", a.sentence, class_="sentence"),
+        class_=f"banner {look}",
+        role="status",
+    )
+
+
+def _cards(a: Assessment) -> _Html:
+    told = sum(v == "identifiable" for v in a.parameters.values())
+    seen = sum(v == "observable" for v in a.states.values())
+    bound = a.answer.error_bound
+    sure = "a proof" if bound == 0.0 else f"error probability below {bound:.1e}"
+    cards = [
+        ("Rank", f"{a.rank} of {a.unknowns}", "partial" if a.answer.is_partial else sure),
+        ("Parameters", f"{told} of {len(a.parameters)}", "identifiable"),
+        ("Initial states", f"{seen} of {len(a.states)}", "observable"),
+    ]
+    if a.fixing is not None and a.fixing.size:
+        many = "" if a.fixing.is_count_exact else "at least "
+        cards.append(
+            ("To be known", f"{a.fixing.size}", f"in {many}{a.fixing.count} minimal choices")
+        )
+    return _element(
+        "dl",
+        _join(
+            _element(
+                "div",
+                _element("dt", title) + _element("dd", value) + _element("dd", rest, class_="rest"),
+                class_="card",
+            )
+            for title, value, rest in cards
+        ),
+        class_="cards",
+    )
+
+
+def _parameters(a: Assessment) -> _Html:
+    group = {n: g for g in a.confounded_groups for n in g}
+    rows: list[tuple[str, ...]] = []
+    expected = {r.name: r for r in a.practical.parameters} if a.practical else {}
+    for name in a.parameters:
+        partners = [n for n in group.get(name, ()) if n != name]
+        row = expected.get(name)
+        told = "\u2013"
+        if row is not None and a.parameters[name] == "identifiable":
+            told = _number(row.std_error)
+        rows.append(
+            (
+                _element("code", name),
+                a.units.get(name, ""),
+                verdict_words(a, name),
+                ", ".join(partners),
+                told,
+            )
+        )
+    header = ["parameter", "unit", "verdict", "confounded with", "expected std. error"]
+    if not expected:
+        header, rows = header[:-1], [r[:-1] for r in rows]
+    return _table(
+        "Structural and practical verdict, parameter by parameter",
+        header,
+        rows,
+        numbers=(4,) if expected else (),
+    )
+
+
+def _advice(a: Assessment) -> _Html | str:
+    mend = a.mend()
+    if not mend:
+        return ""
+    text = mend[0].upper() + mend[1:] + "."
+    return _element("div", _element("h3", "To mend it") + _p(text), class_="advice")
+
+
+def _groups(a: Assessment) -> _Html:
+    return _list(
+        [
+            f"{g[0]} can be anything: no output feels it"
+            if len(g) == 1
+            else f"{', '.join(g)} can be traded for each other"
+            for g in a.confounded_groups
+        ]
+    )
+
+
+def _families(a: Assessment) -> _Html:
+    parts = []
+    for f in a.families:
+        if len(f.moved) == 1 and f.is_closed:
+            continue
+        lines = [_element("code", line) for line in str(f).splitlines()]
+        parts.append(
+            _element(
+                "div",
+                _element("h3", f"Moving {f.free}") + _join(_element("p", line) for line in lines),
+                class_="cause",
+            )
+        )
+    if parts:
+        parts.insert(
+            0,
+            _p(
+                "All values on such a curve give the same outputs; what stays the same along it "
+                "is what the data tell. Primes mark new values."
+            ),
+        )
+    return _join(parts)
+
+
+def _fixing(a: Assessment) -> _Html:
+    f = a.fixing
+    if f is None or not f.size:
+        return _Html("")
+    names = list(a.parameters)
+    rows = [
+        (", ".join(s), ", ".join(n for n in names if n not in set(s))) for s in f.sets[:_LISTED]
+    ]
+    many = f"{f.count}" if f.is_count_exact else f"at least {f.count}"
+    shown = "" if len(rows) == f.count else f"; the first {len(rows)} are shown"
+    return _table(
+        f"Minimal fixing sets ({many}{shown}): once known, all others are identifiable",
+        ("known", "then identifiable"),
+        rows,
+    )
+
+
+def _further(a: Assessment) -> _Html:
+    parts = []
+    for title, found in (("Replicas", a.replicas), ("Sensors and experiments", a.mends)):
+        if found is not None:
+            lines = str(found).splitlines()
+            parts.append(_element("h3", title) + _join(_p(line) for line in lines))
+    return _join(parts)
+
+
+def _states(a: Assessment) -> _Html:
+    return _table(
+        "Initial states",
+        ("state", "verdict"),
+        [(_element("code", x), v.replace("_", " ")) for x, v in a.states.items()],
+    )
+
+
+def _classes(a: Assessment) -> _Html:
+    if not a.by_class:
+        return _Html("")
+    shared = (
+        f"Shared by all experiments: {', '.join(a.shared_inputs)}."
+        if a.shared_inputs
+        else ("Every experiment has its own." if len(a.experiments) > 1 else "")
+    )
+    return (
+        _p(f"Unknown: {', '.join(a.unknown_inputs)}. {shared}")
+        + _answers("The class of the unknown input changes the verdict", a.by_class)
+        + _list(a.eliminated)
+    )
+
+
+def _excitation(a: Assessment) -> _Html:
+    if not a.by_excitation:
+        return _Html("")
+    return _answers("Ranks with known inputs that do less than they could", a.by_excitation)
+
+
+def _answers(caption: str, answers: Mapping[str, Answer]) -> _Html:
+    rows = [
+        (
+            label,
+            "\u2013" if v.rank is None else f"{v.rank} of {v.unknowns}",
+            v.note if v.rank is None else ", ".join(v.not_identifiable) or "none",
+        )
+        for label, v in answers.items()
+    ]
+    return _table(caption, ("inputs", "rank", "not identifiable"), rows)
+
+
+def _practical(a: Assessment) -> _Html:
+    p = a.practical
+    if p is None:
+        return _Html("")
+    rows = [
+        (
+            _element("code", r.name),
+            r.unit,
+            _value(r.value),
+            _number(r.std_error),
+            "\u2013" if r.relative is None else f"{100 * r.relative:.3g} %",
+            "\u2013" if r.correlation is None else f"{r.correlation:+.3f} {r.partner}",
+            r.verdict + (f": {r.note}" if r.note else ""),
+        )
+        for r in p.rows
+    ]
+    table = _table(
+        f"Expected errors from {', '.join(p.records)} ({p.samples} samples)",
+        ("", "unit", "value", "std. error", "relative", "correlated", "with these records"),
+        rows,
+        numbers=(2, 3, 4),
+    )
+    weakest = _list([f"weakest: {d}" for d in p.weakest[:3]])
+    return table + weakest + _p(f"What the error bar assumes: {p.assumes}.")
+
+
+def _profiles(a: Assessment) -> _Html:
+    if a.profiles is None:
+        return _Html("")
+    rows = [
+        (
+            _element("code", q.name),
+            q.unit,
+            _value(q.best),
+            _number(q.lower),
+            _number(q.upper),
+            q.kind,
+        )
+        for q in a.profiles
+    ]
+    return _table(
+        f"Profile likelihood, {100 * a.profiles.confidence:g} % intervals",
+        ("parameter", "unit", "best", "lower", "upper", "kind"),
+        rows,
+        numbers=(2, 3, 4),
+    )
+
+
+def _orders(a: Assessment) -> _Html:
+    parts: list[str] = []
+    for e in a.excitations:
+        rows = [
+            (_element("code", c.name), c.unit, str(c), _number(c.rms)) for c in e.signals.channels
+        ]
+        parts.append(
+            _table(
+                f"Excitation orders in {e.record}",
+                ("channel", "unit", "order", "rms"),
+                rows,
+                numbers=(3,),
+            )
+        )
+        parts.append(_list([str(r) for r in e.references]))
+    return _join(parts)
+
+
+def _facts(a: Assessment) -> _Html:
+    facts: dict[str, str] = {
+        "experiments": ", ".join(a.experiments),
+        "highest derivative needed": ", ".join(map(str, a.orders)),
+        "random points": str(a.points),
+        "time": f"{1000 * a.seconds:.3g} ms",
+    }
+    return _mapping(facts, ("what", "value"))
+
+
+def _sources(a: Assessment) -> Sequence[str]:
+    found: list[Any] = [*a.sources]
+    for part in (a.practical, a.profiles):
+        found += list(getattr(part, "sources", ()))
+    for e in a.excitations:
+        found += list(e.sources)
+    return tuple(dict.fromkeys(found))

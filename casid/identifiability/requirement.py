@@ -1,0 +1,137 @@
+"""What an estimator asks before it starts: can these experiments tell its parameters at all?
+
+The rank is exact and about almost every value of the parameters, so a refusal here does not hang on
+start values, scaling or tolerances; whether *these* records move enough is asked afterwards, of the
+sensitivities.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from casid.errors import CasidError, IdentifiabilityError
+from casid.identifiability.closed_form import families
+from casid.identifiability.family import Family
+from casid.identifiability.model_system import translated
+from casid.identifiability.observability import Observability, observability
+from casid.identifiability.subsets import FixingSets, confounded_groups, fixing_sets
+from casid.identifiability.system import System
+from casid.model import Model
+
+if TYPE_CHECKING:
+    from casid.data import Experiment
+
+TIME_LIMIT = 5.0
+"""Seconds for the rank, and again for the closed form of what is told instead."""
+
+
+def require_identifiable(
+    model: Model,
+    experiments: Sequence[Experiment],
+    *,
+    free: Sequence[str] | None = None,
+    own: Sequence[str] = (),
+) -> str:
+    """Refuse parameters that no data from these experiments can tell apart.
+
+    Parameters
+    ----------
+    model : without unknown inputs.
+    experiments : each with its load case; their samples play no part.
+    free : the parameters that are estimated, all others known; default the model's unknown ones.
+    own : parameters that every experiment has for itself.
+
+    Returns
+    -------
+    str
+        What was found, for the estimate's evidence: the rank, or why it was not decided.
+
+    Raises
+    ------
+    IdentifiabilityError
+        With the parameters, the combinations that can be told instead, and the mend.
+    """
+    try:
+        systems = _systems(model, experiments, free, own)
+        result = observability(systems, time_limit=TIME_LIMIT)
+    except CasidError as error:
+        return f"not decided: {error}"
+    if result.is_partial:
+        return f"not decided within {TIME_LIMIT:g} s"
+    if result.deficiency == 0:
+        proof = "a proof" if result.is_full else f"error below {result.error_bound:.0e}"
+        return f"all parameters (rank {result.rank} of {result.unknowns}, {proof})"
+    symbols = _systems(model, experiments, free, own, generic=True)
+    raise IdentifiabilityError(_refusal(model, experiments, symbols, result))
+
+
+def _systems(
+    model: Model,
+    experiments: Sequence[Experiment],
+    free: Sequence[str] | None,
+    own: Sequence[str],
+    *,
+    generic: bool = False,
+) -> tuple[System, ...]:
+    chosen = model
+    if free is not None:
+        chosen = model.copy()
+        for p in model.parameters.values():
+            if p.name in free:
+                chosen.parameters[p.name] = replace(p, value=None)
+            elif not p.is_known:  # known to this estimate, some number
+                chosen.parameters[p.name] = replace(p, value=p.start)
+    named = [replace(e, name=_word(e.name)) for e in experiments]
+    read = translated(chosen, named, generic=generic, resting=False)
+    return tuple(
+        s.renamed({p: f"{p} of {e.name}" for p in own})
+        for s, e in zip(read.systems, experiments, strict=True)
+    )
+
+
+def _word(name: str) -> str:
+    """An experiment's name as a part of the name of a constant."""
+    return re.sub(r"\W+", "_", name).strip("_") or "record"
+
+
+def _refusal(
+    model: Model,
+    experiments: Sequence[Experiment],
+    symbols: Sequence[System],
+    result: Observability,
+) -> str:
+    point = result.points[0]
+    groups = confounded_groups(point.information, result.parameters, point.prime)
+    fixing = fixing_sets(point.information, result.parameters, point.prime, limit=100)
+    found: Sequence[Family] = ()
+    try:
+        found = families(symbols, fixing, time_limit=TIME_LIMIT)[0]
+    except CasidError:
+        found = ()
+    where = ", ".join(e.name for e in experiments)
+    return (
+        f"{model.name}: rank {result.rank} of {result.unknowns} parameters and initial states, "
+        f"whatever is recorded in {where}. " + " ".join(_sentence(g, fixing, found) for g in groups)
+    )
+
+
+def _sentence(group: tuple[str, ...], fixing: FixingSets, found: Sequence[Family]) -> str:
+    """What cannot be told of a group, what can, and the mend."""
+    size = fixing.group_sizes[fixing.groups.index(group)]
+    if len(group) == 1:
+        return (
+            f"{group[0]} does not move any output in these experiments: give it a known value, or "
+            "make an experiment in which it acts."
+        )
+    inside = [f for f in found if f.free in group]
+    told = list(dict.fromkeys(str(i) for f in inside for i in f.invariants))
+    instead = f"; they tell {', '.join(told)} instead" if told and len(inside) == size else ""
+    named = f"{', '.join(group[:-1])} and {group[-1]}"
+    many = "one" if size == 1 else str(size)
+    return (
+        f"{named} cannot be told apart{instead}: give {many} of them a known value, or ask "
+        "casid.assess_identifiability for a sensor or experiment that mends it."
+    )
