@@ -284,7 +284,7 @@ def test_a_linear_models_matrix_is_that_of_its_solution() -> None:
     inputs = [sp.Symbol("u" + "'" * i) for i in range(4)]
     state = sp.Matrix([x1, x2])
     unknown = [x1, x2, p, q, r, b]
-    primes = [sp.Rational(n, 7) for n in (2, 3, 5, 11, 13, 17, 19, 23, 29)]
+    primes = [sp.Rational(n, 7) for n in (2, 3, 5, 11, 13, 17, 19, 23, 29, 31)]
     point = dict(zip([*unknown, *inputs], primes, strict=True))
     O = observability_matrix(linear, 3)  # noqa: E741
     for order in range(4):
