@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from itertools import combinations, islice
 from math import comb
 
@@ -11,6 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from casid.errors import IdentifiabilityError
+from casid.identifiability.equation_file import read_equations
+from casid.identifiability.observability import observability
 from casid.identifiability.prime_field import echelon, matmul, null_space, rank
 from casid.identifiability.subsets import (
     can_identify,
@@ -20,6 +23,7 @@ from casid.identifiability.subsets import (
     identifiable_subsets,
     joined,
 )
+from tests.shared import shared
 
 P = 1_073_741_827  # the least prime above 2^30
 
@@ -291,3 +295,21 @@ def test_more_subsets_than_the_limit_are_refused_with_what_to_do():
 def test_a_matrix_that_does_not_fit_the_names_is_refused():
     with pytest.raises(IdentifiabilityError, match="one column for each parameter"):
         fixing_sets(np.eye(3, dtype=np.int64), ["a"], P)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["akt_fujita", "cgv1990", "crauste", "goodwin", "hiv_wodarz", "jakstat", "kd1999", "llw"]
+    + ["nfkb_full", "qy", "seaijrc", "siwr1"],
+)
+def test_groups_and_fixing_sets_of_published_models_are_the_known_ones(name):
+    path = shared(f"identifiability/{name}.json")
+    expected = json.loads(path.read_text(encoding="utf-8"))["expected"]
+    point = observability(read_equations(path).systems).points[0]
+    names, p = point.parameters, point.prime
+    found = fixing_sets(point.information, names, p)
+    groups = confounded_groups(point.information, names, p)
+    assert [list(g) for g in groups] == expected["confounded_groups"]
+    assert found.size == expected["parameter_deficiency"]
+    assert found.count == (expected["number_of_minimal_fixing_sets"] or 1)
+    assert tuple(expected["example_fixing_set"] or ()) in found.sets
