@@ -15,9 +15,9 @@ from casid.identifiability.elimination import eliminate_unknown_inputs
 from casid.identifiability.equations import parse_system, parse_systems
 from casid.identifiability.experiments import merge, replicas, systems_by_class
 from casid.identifiability.generic_zero import vanishing
-from casid.identifiability.input_classes import as_polynomial
 from casid.identifiability.observability import observability, rank_at
 from casid.identifiability.system import System
+from casid.identifiability.unknown_jets import observability_by_jets
 from problems import pendulum
 from tests.shared import shared
 
@@ -123,12 +123,8 @@ def test_replicas_with_own_unknown_inputs_tell_nothing_new():
     assert identifiable(systems_by_class(replicas(mass_damper(), 3))["arbitrary"]) == set()
 
 
-def test_elimination_agrees_with_unknown_derivatives_of_the_input_order_by_order():
-    """Up to the order s, outputs hold w, ..., d^s w/dt^s at most: s + 1 unknown numbers.
-
-    A parameter that these orders tell is identifiable for arbitrary w; and s = 12 exceeds what
-    three states and two parameters need. The two ways have nothing in common but the engine.
-    """
+def test_elimination_and_counting_derivatives_agree_on_random_systems():
+    """Two certificates that have the engine in common and nothing else (see `unknown_jets`)."""
     rng = np.random.default_rng(20)
     terms = "x1 x2 x3 x1*x2 k1*x1 k2*x2 k1*x3 w1 x1*w1 w2 k1*w1 k2*w2 w1^2 u u*x2 w1*w2 k2".split()
     seen = "x1 x2 x3 x1+x2 k1*x1 x1*x2 x1+w1 x2+k2*w1 x1+w1+w2".split()
@@ -144,14 +140,56 @@ def test_elimination_agrees_with_unknown_derivatives_of_the_input_order_by_order
         )
         elimination = eliminate_unknown_inputs(system)
         certified = observability(elimination.system)
-        counted = observability(as_polynomial(system, 12), max_order=12)
-        assert dict(certified.identifiable) == dict(counted.identifiable), (equations, outputs)
+        counted = observability_by_jets(system)
+        where = f"{equations}, {outputs}"
+        assert dict(certified.identifiable) == dict(counted.identifiable), where
         for x in system.states:
-            assert certified.observable[0][x] == counted.observable[0][x], (equations, outputs)
+            assert certified.observable[0][x] == counted.observable[0][x], where
+        if not elimination.prolonged:  # else w(0) is a state, which counting leaves out
+            assert (certified.rank, certified.unknowns) == (counted.rank, counted.unknowns), where
         prolonged += bool(elimination.prolonged)
         derivatives += bool(elimination.system.input_derivatives)
     assert prolonged >= 5  # the sample has such cases
     assert derivatives >= 5
+
+
+def test_counting_derivatives_says_how_sure_it_is():
+    result = observability_by_jets(mass_damper())
+    assert (result.rank, result.unknowns) == (1, 3)
+    assert 0.0 < result.error_bound <= 1e-12
+    assert result.is_certified
+    assert not result.is_partial
+    assert list(result.observable[0]) == ["v"]
+    assert repr(result) == "<Observability: rank 1 of 3>"
+
+
+def test_counting_derivatives_of_own_and_of_shared_forces():
+    experiments = (mass_damper(), mass_damper("dm"))
+    assert not any(observability_by_jets(experiments).identifiable.values())
+    assert all(observability_by_jets(merge(experiments, shared=["w"])).identifiable.values())
+
+
+def test_counting_derivatives_reaches_where_they_are_too_large_to_write_down():
+    """A chain of n states with the force at its far end: relative degree n, all of it hidden.
+
+    d^k y/dt^k for k < n tells as many combinations of initial states, and d^n y/dt^n is the force.
+    """
+    n = 14
+    equations = {f"x{i}": f"-k{i}*x{i}^2/(1 + x{i}) + x{i + 1}*x{i}" for i in range(1, n)}
+    equations[f"x{n}"] = f"-k{n}*x{n}^2 + w + x1"
+    params = [f"k{i}" for i in range(1, n + 1)]
+    system = system_of(equations, {"y": "x1"}, params=params, unknown=["w"])
+    with pytest.raises(IdentifiabilityError, match="observability_by_jets"):
+        eliminate_unknown_inputs(system)
+    result = observability_by_jets(system)
+    assert (result.rank, result.unknowns) == (n, 2 * n)
+    assert [x for x, told in result.observable[0].items() if told] == ["x1"]
+
+
+def test_counting_that_runs_out_of_time_says_so():
+    result = observability_by_jets(mass_damper(), time_limit=0.0)
+    assert result.is_partial
+    assert np.isnan(result.error_bound)
 
 
 # -- the choice of outputs, and of the order ------------------------------------------------------
@@ -393,7 +431,7 @@ def test_derivatives_that_grow_beyond_bounds_are_refused(monkeypatch):
     system = system_of(
         {"x": "-k*x^2 + q", "q": "w - k*q*x"}, {"y": "x"}, params=["k"], unknown=["w"]
     )
-    with pytest.raises(IdentifiabilityError, match="as_polynomial"):
+    with pytest.raises(IdentifiabilityError, match="use observability_by_jets"):
         eliminate_unknown_inputs(system)
 
 

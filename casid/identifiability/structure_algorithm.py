@@ -29,8 +29,8 @@ from casid.identifiability.system import System
 
 Expr = Any  # a CasADi SX expression
 
-MAX_NODES = 300_000
-"""Derivatives larger than this are refused: the elimination would take minutes."""
+MAX_NODES = 20_000
+"""Derivatives larger than this are refused: the rank would take minutes (see `unknown_jets`)."""
 
 
 def written(output: str, order: int) -> str:
@@ -183,9 +183,9 @@ class StructureAlgorithm:
         if ca.n_nodes(row.expression) > MAX_NODES:
             raise IdentifiabilityError(
                 f"{self.system.name}: {written(row.output, row.order)} has more than {MAX_NODES} "
-                f"operations and {', '.join(self.names.values())} are not eliminated yet; add an "
-                "output that feels the unknown input sooner, or give the input a class, "
-                "as_polynomial(system, degree)"
+                f"operations and {', '.join(self.names.values())} are not eliminated yet; use "
+                "observability_by_jets, which writes no derivatives down, or add an output that "
+                "feels the unknown input sooner"
             )
 
     def eliminate(self, row: Row, w: str) -> None:
