@@ -175,6 +175,17 @@ def test_an_estimate_brings_its_own_errors_along():
     assert found.references[0].order == 0
 
 
+def test_values_that_are_only_starts_are_said_to_be():
+    """A wrong stiffness leaves a rest of the motion that looks like an input."""
+    free = swing(np.zeros(1000), angle=0.2)
+    (found,) = record_excitation(problem(), free)
+    assert found.references[0].is_exciting
+    assert "give an estimate" in found.note
+    assert found.note in str(found)
+    (told,) = record_excitation(problem(), free, at={**TRUE, "phi(0)": 0.2, "p(0)": 0.0})
+    assert told.note == ""
+
+
 def test_a_model_without_eliminated_inputs_has_orders_of_its_inputs_alone():
     m = casid.Model("lag")
     x, u = m.state("x", "m"), m.input("u", "m/s")

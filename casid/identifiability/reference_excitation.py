@@ -112,19 +112,22 @@ class RecordExcitation:
     signals : orders of the model's inputs and of channels recorded beside them (references).
     references : one an eliminated input; empty for a model without any.
     recorded : names in `signals` that were recorded beside the model's, a reference among them.
+    note : what the reconstruction hangs on, where no values were given for it.
     """
 
     record: str
     signals: Excitation
     references: tuple[Reference, ...]
     recorded: tuple[str, ...] = ()
+    note: str = ""
     sources: tuple[str, ...] = SOURCES
 
     def __repr__(self) -> str:
         return f"<RecordExcitation {self.record}: {'; '.join(map(str, self.references))}>"
 
     def __str__(self) -> str:
-        return "\n".join([str(self.signals), *(f"  {r}" for r in self.references)])
+        said = [*map(str, self.references), *([self.note] if self.note else [])]
+        return "\n".join([str(self.signals), *(f"  {line}" for line in said)])
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -134,6 +137,7 @@ class RecordExcitation:
             "signals": self.signals.to_json(),
             "references": [r.to_json() for r in self.references],
             "recorded": list(self.recorded),
+            "note": self.note,
             "sources": [*self.signals.sources, *self.sources],
         }
 
@@ -192,10 +196,17 @@ def record_excitation(
         )
         signals = excitation_orders(record, chosen, max_order=max_order, noise=known, spacing=apart)
         references: tuple[Reference, ...] = ()
+        note = ""
+        if split is not None and at is None and p.criterion.names:
+            unknown = " and ".join(split.unknown)
+            note = (
+                f"{unknown} was reconstructed at the start values, and what they have wrong looks "
+                "like an input: give an estimate, at=casid.identify(...)"
+            )
         if split is not None:
             rng = np.random.default_rng((seed, e))
             references = split.references(e, signals, known, at, max_order, draws, rng)
-        out.append(RecordExcitation(record.name, signals, references, tuple(recorded)))
+        out.append(RecordExcitation(record.name, signals, references, tuple(recorded), note))
     return tuple(out)
 
 
