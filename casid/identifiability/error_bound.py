@@ -77,7 +77,8 @@ def failure_probabilities(
     out = []
     for size in minor_sizes(program, rows, order, copies=copies):
         bits = size.bits + size.cleared * math.log2(denominator)
-        out.append(min(1.0, bits / 30.0 / PRIMES_THERE + rooted * size.degree / LOWEST_PRIME))
+        single = bits / 30.0 / PRIMES_THERE + size.degree / LOWEST_PRIME
+        out.append(min(1.0, rooted * single))
     return out
 
 

@@ -417,7 +417,8 @@ def _cosh(r: _Reader, a: Terms) -> Terms:
 
 
 def _tanh(r: _Reader, a: Terms) -> Terms:
-    e = r.exp(_scaled(a, 2))
+    e = r.exp(a)
+    e = r.times(e, e)
     return r.times(_added(e, _UNIT, -1), r.one_over(_added(e, _UNIT)))
 
 
