@@ -85,11 +85,14 @@ class OutputSpans:
     def failure(self, spans: Spans, rank: int) -> float:
         """Bound on the probability that a subset's rank or a verdict is wrong at a point.
 
-        As in a search for that subset, and once more for each output, whose derivatives might have
-        been left too early.
+        As in a search for that subset, but each output has a series of its own, whose derivatives
+        might have been left too early.
+
+        Parameters
+        ----------
+        rank : that was found.
         """
-        single = self._search.failure(rank, (max(spans.orders),))
-        return min(1.0, (1 + len(spans.orders)) * single)
+        return min(1.0, len(spans.orders) * self._search.failure(rank, (max(spans.orders),)))
 
     def _spans(self, values: dict[str, int], prime: int, rng: np.random.Generator) -> Spans:
         width = self.schedule.n_columns

@@ -187,4 +187,6 @@ def _joined(before: list[Told], now: list[Told]) -> list[Told]:
 
 def _failure(search: Search, first: PointRank, count: int) -> float:
     """Bound on the probability that a point shows too small a rank for one of the counts."""
-    return min(1.0, count * search.failure(count * first.rank, first.orders))
+    repeated = Search(search.systems * count)
+    rank = min(count * first.rank, repeated.unknowns)
+    return repeated.failure(rank, first.orders * count)

@@ -248,9 +248,8 @@ def _all_points(
         here = spans.at(random_prime(rng), rng)
         for subset, told in _sums(here):
             best[subset] = _joined(best.get(subset), told)
-        # A rank that is too small is refuted by a minor of one more row.
         short = [t for t in best.values() if t.rank < spans.unknowns]
-        failures.append(spans.failure(here, max((t.rank for t in short), default=0) + 1))
+        failures.append(spans.failure(here, max((t.rank for t in short), default=0)))
         bound = min(1.0, len(short) * math.prod(failures))
         if bound <= error_bound or len(failures) == MAX_POINTS:
             return best, bound, len(failures)
