@@ -25,6 +25,23 @@ if TYPE_CHECKING:
         UnitError,
     )
     from casid.estimate import Estimate
+    from casid.identifiability.asked import Assumptions
+    from casid.identifiability.assess import assess_identifiability
+    from casid.identifiability.assessment import Assessment
+    from casid.identifiability.candidates import (
+        Candidate,
+        known_initial_state,
+        known_parameter,
+        replica,
+        sensor,
+    )
+    from casid.identifiability.equation_file import EquationFile, parse_system, read_equations
+    from casid.identifiability.observability import observability
+    from casid.identifiability.observability_matrix import observability_matrix
+    from casid.identifiability.practical import practical_identifiability
+    from casid.identifiability.profiles import profile_likelihood
+    from casid.identifiability.sensor_subsets import sensor_subsets
+    from casid.identifiability.system import System
     from casid.identification import FitSettings, identify
     from casid.instrumental.estimators import (
         MomentEstimate,
@@ -57,11 +74,15 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Assessment",
+    "Assumptions",
+    "Candidate",
     "CasidError",
     "CheckReport",
     "DataError",
     "Diagnosis",
     "Effect",
+    "EquationFile",
     "Estimate",
     "Experiment",
     "FitSettings",
@@ -70,9 +91,9 @@ __all__ = [
     "Model",
     "ModelError",
     "MomentEstimate",
-    "MonteCarlo",
     "MomentSettings",
     "Moments",
+    "MonteCarlo",
     "Nlp",
     "Parameter",
     "Prior",
@@ -82,8 +103,10 @@ __all__ = [
     "SolveError",
     "Solver",
     "StageSpec",
+    "System",
     "UnitError",
     "affine_hull",
+    "assess_identifiability",
     "bias_table",
     "bootstrap",
     "check",
@@ -96,15 +119,26 @@ __all__ = [
     "estimate_from_moments",
     "identify",
     "instrumental_variables",
+    "known_initial_state",
+    "known_parameter",
     "least_squares",
     "linearise",
     "load_problem",
     "lowpass",
     "montecarlo",
     "multistage",
+    "observability",
+    "observability_matrix",
+    "parse_system",
+    "practical_identifiability",
     "profile",
+    "profile_likelihood",
+    "read_equations",
     "read_record",
     "regress",
+    "replica",
+    "sensor",
+    "sensor_subsets",
     "validate",
 ]
 
@@ -121,6 +155,18 @@ _HOME = {
         "effects": "Effect",
         "errors": "CasidError DataError IdentifiabilityError ModelError SolveError UnitError",
         "estimate": "Estimate",
+        "identifiability.asked": "Assumptions",
+        "identifiability.assess": "assess_identifiability",
+        "identifiability.assessment": "Assessment",
+        "identifiability.candidates": "Candidate known_initial_state known_parameter replica "
+        "sensor",
+        "identifiability.equation_file": "EquationFile parse_system read_equations",
+        "identifiability.observability": "observability",
+        "identifiability.observability_matrix": "observability_matrix",
+        "identifiability.practical": "practical_identifiability",
+        "identifiability.profiles": "profile_likelihood",
+        "identifiability.sensor_subsets": "sensor_subsets",
+        "identifiability.system": "System",
         "identification": "FitSettings identify",
         "instrumental.estimators": "MomentEstimate Prior StageSpec instrumental_variables "
         "least_squares multistage",

@@ -52,12 +52,13 @@ class Estimated:
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """Rank of the sensitivities at the estimate."""
+    """Rank of the sensitivities at the estimate, and what any data could tell."""
 
     rank: int
     unknowns: int
     smallest_singular_value: float  # columns scaled to length one
     unseen: str = ""
+    structural: str = ""  # the exact rank of the model and its experiments, asked before the fit
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -66,6 +67,7 @@ class Identifiability:
             "unknowns": self.unknowns,
             "smallest_singular_value": self.smallest_singular_value,
             "unseen": self.unseen,
+            "structural": self.structural,
         }
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from casid.data import Experiment, Record
 from casid.errors import DataError, ModelError
 from casid.estimate import Estimate, Estimated, Identifiability
+from casid.identifiability.requirement import require_identifiable
 from casid.local_rank import describe_null, local_rank
 from casid.model import Model
 from casid.problem import Problem
@@ -162,10 +163,18 @@ def identify(
     chosen = experiments_of(problem, experiments)
     split = split_records(chosen, hold_out)
     settings = settings or FitSettings(starts=problem.starts)
+    told = "not asked, as there are constraints"
+    if not settings.constraints:
+        told = require_identifiable(problem.model, split.fitted, own=settings.own)
     say(f"fit {', '.join(e.name for e in split.fitted)}")
     fit = fit_model(problem.model, split.fitted, settings, start=start)
     held = validation(fit, split)
-    return replace(estimate_of(problem, fit, held), records=record_views(fit, None, split))
+    estimate = estimate_of(problem, fit, held)
+    return replace(
+        estimate,
+        records=record_views(fit, None, split),
+        identifiability=replace(estimate.identifiability, structural=told),
+    )
 
 
 def experiments_of(

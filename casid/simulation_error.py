@@ -414,7 +414,7 @@ class SimulationError:
         """Residuals and sensitivities of one experiment, unweighted."""
         if signals is None:
             key = x.tobytes()
-            if self._last.get(experiment, (b"", None))[0] != key:
+            if experiment not in self._last or self._last[experiment][0] != key:
                 self._last[experiment] = (
                     key,
                     self._simulated(x, experiment, self.data[experiment]),

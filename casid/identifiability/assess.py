@@ -34,7 +34,7 @@ def assess_identifiability(
     *,
     assuming: Assumptions | None = None,
     candidates: Sequence[Candidate] = (),
-    degrees: Sequence[int] = (0, 1, 2),
+    degrees: Sequence[int] = (0, 1, 2, 4),
     symbolic: bool = True,
     practical: bool = True,
     profiles: Sequence[str] = (),

@@ -200,14 +200,17 @@ class Assessment:
         if self.is_identifiable or self.fixing is None:
             return ""
         parts = []
+        alone: list[str] = []
         for group, size in zip(self.fixing.groups, self.fixing.group_sizes, strict=True):
             if len(group) == size:
-                parts.append(f"give {_all(group)} a known value, or measure what {_feels(group)}")
+                alone += group
             else:
                 count = "any one" if size == 1 else f"{size}"
                 exact = math.comb(len(group), size) == _ways(self.fixing, group)
                 suffix = "" if exact else " (not every choice; see the fixing sets)"
                 parts.append(f"give {count} of {', '.join(group)} a known value{suffix}")
+        if alone:
+            parts.append(f"give {_all(alone)} a known value, or measure what {_feels(alone)}")
         return "; ".join(parts)
 
     # -- showing ------------------------------------------------------------------------------

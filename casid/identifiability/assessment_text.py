@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from casid.identifiability.assessment import Answer, Assessment
 
@@ -60,10 +60,14 @@ def _states(states: Mapping[str, str]) -> list[str]:
 
 
 def _groups(a: Assessment) -> list[str]:
-    return [
-        f"{g[0]} can be anything" if len(g) == 1 else f"{', '.join(g)} can be traded for each other"
-        for g in a.confounded_groups
-    ]
+    return [group_words(g) for g in a.confounded_groups]
+
+
+def group_words(group: Sequence[str]) -> str:
+    """What a confounded group means."""
+    if len(group) == 1:
+        return f"{group[0]} can have any value, whatever the other parameters are"
+    return f"{', '.join(group)} can be traded for each other"
 
 
 def _families(a: Assessment) -> list[str]:

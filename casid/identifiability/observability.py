@@ -326,7 +326,7 @@ class Search:
             if number is not None:
                 values[n] = to_field(number, p)
         known = {*values, *(x for s in self.systems for x in s.states)}
-        return values | {n: v % p for n, v in given.items() if n in known}
+        return values | {n: int(v) % p for n, v in given.items() if n in known}
 
     def _at(
         self,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from casid.identifiability.assessment import Answer, Assessment
-from casid.identifiability.assessment_text import verdict_words
+from casid.identifiability.assessment_text import group_words, verdict_words
 from casid.identifiability.figures import figures
 from casid.plotting import visible_text
 from casid.report import (
@@ -138,14 +138,7 @@ def _advice(a: Assessment) -> _Html | str:
 
 
 def _groups(a: Assessment) -> _Html:
-    return _list(
-        [
-            f"{g[0]} can be anything: no output feels it"
-            if len(g) == 1
-            else f"{', '.join(g)} can be traded for each other"
-            for g in a.confounded_groups
-        ]
-    )
+    return _list([group_words(g) for g in a.confounded_groups])
 
 
 def _families(a: Assessment) -> _Html:

@@ -76,20 +76,16 @@ def _systems(
     *,
     generic: bool = False,
 ) -> tuple[System, ...]:
-    chosen = model
-    if free is not None:
-        chosen = model.copy()
-        for p in model.parameters.values():
-            if p.name in free:
-                chosen.parameters[p.name] = replace(p, value=None)
-            elif not p.is_known:  # known to this estimate, some number
-                chosen.parameters[p.name] = replace(p, value=p.start)
+    chosen = model.copy()
+    for p in free or ():
+        chosen.parameters[p] = replace(model.parameter_named(p), value=None)
     named = [replace(e, name=_word(e.name)) for e in experiments]
     read = translated(chosen, named, generic=generic, resting=False)
-    return tuple(
-        s.renamed({p: f"{p} of {e.name}" for p in own})
-        for s, e in zip(read.systems, experiments, strict=True)
-    )
+    systems = []
+    for s, e in zip(read.systems, experiments, strict=True):
+        given = [p for p in s.parameters if free is not None and p not in free]
+        systems.append(s.with_known(*given).renamed({p: f"{p} of {e.name}" for p in own}))
+    return tuple(systems)
 
 
 def _word(name: str) -> str:

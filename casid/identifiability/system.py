@@ -60,8 +60,9 @@ class System:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "f", ca.densify(ca.SX(self.f)))
-        object.__setattr__(self, "h", ca.densify(ca.SX(self.h)))
+        for name in ("f", "h"):
+            column = ca.densify(ca.SX(getattr(self, name)))
+            object.__setattr__(self, name, column if column.numel() else ca.SX(0, 1))
         for name in ("symbols", "input_derivatives", "initial_values", "at", "units"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         if self.f.shape != (len(self.states), 1) or self.h.shape != (len(self.outputs), 1):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from casid.data import Experiment
 from casid.errors import ModelError
 from casid.estimate import Estimate, Estimated, Identifiability
+from casid.identifiability.requirement import require_identifiable
 from casid.identification import versions
 from casid.instrumental.instruments import Instruments, Loop
 from casid.instrumental.moment_equations import Part, parts_of
@@ -346,6 +347,7 @@ def _estimate(
     equations = cache.setdefault("equations", {})
     loops: dict[float, Loop] = cache.setdefault("loops", {})
     fits: list[StageFit] = []
+    told: list[str] = []
     found: dict[str, float] = {}
     by_name = {e.name: e for e in experiments}
     for i, s in enumerate(specs):
@@ -360,6 +362,10 @@ def _estimate(
             chosen = [by_name[r] for r in s.records]
         parts = parts_of(model, chosen, method=own.method, outputs=own.outputs, equations=equations)
         _refuse_undetermined(specs, i, parts, {*declared} - {*found} - {*s.free})
+        asked = ("structure", i, tuple((e.name, tuple(e.known.items())) for e in chosen))
+        if asked not in cache:
+            cache[asked] = require_identifiable(model, chosen, free=s.free)
+        told.append(cache[asked])
         key = ("stage", i, tuple((p.name, p.Ts, p.known) for p in parts))
         if key not in cache:
             cache[key] = Stage(
@@ -381,6 +387,10 @@ def _estimate(
     name = problem.name
     provenance = [f"{e.name}: {line}" for e in experiments for line in e.record.provenance]
     estimate = as_estimate(name, model, provenance, fits, propagated, settings)
+    structural = "; ".join(dict.fromkeys(told))
+    estimate = replace(
+        estimate, identifiability=replace(estimate.identifiability, structural=structural)
+    )
     return MomentEstimate(model, estimate, propagated, tuple(fits), prior)
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from casid.data import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, SolveError
 from casid.estimate import Estimate, Estimated, Identifiability
+from casid.identifiability.requirement import require_identifiable
 from casid.identification import nrmse_fit, rms, versions
 from casid.local_rank import describe_null, local_rank
 from casid.model import Model
@@ -223,12 +224,25 @@ def minimize_prediction_error(
             f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e}): "
             f"{solution.mend}"
         )
+    estimate = _estimate(criterion, solution, wanted)
+    structural = _structure(model, chosen, own)
+    estimate = replace(
+        estimate, identifiability=replace(estimate.identifiability, structural=structural)
+    )
     return Prediction(
-        _estimate(criterion, solution, wanted),
+        estimate,
         criterion,
         solution,
         criterion.log_likelihood(solution.x),
     )
+
+
+def _structure(model: Model, experiments: Sequence[Experiment], own: Sequence[str]) -> str:
+    """What the equations without process noise can tell; noise that drives them may tell more."""
+    try:
+        return require_identifiable(model, experiments, own=own)
+    except IdentifiabilityError as refusal:
+        return f"without process noise: {refusal}"
 
 
 def _quadratic(criterion: PredictionError, x: Array) -> float:
