@@ -223,6 +223,7 @@ class Search:
         self.parameters = tuple(dict.fromkeys(p for s in self.systems for p in s.parameters))
         self.unknowns = len(self.parameters) + sum(len(_free_states(s)) for s in self.systems)
         self.bytes = 0
+        self._failures: dict[tuple[int, tuple[int, ...]], float] = {}
 
     def at(
         self,
@@ -258,6 +259,8 @@ class Search:
         One event for each order at which the series may have stopped too early, and one for each
         verdict; where experiments differ, a minor has at most as many rows of each as in all.
         """
+        if (rank, tuple(orders)) in self._failures:
+            return self._failures[rank, tuple(orders)]
         known = sum(len(s.states) - len(_free_states(s)) for s in self.systems)
         columns = self.unknowns + known
         copies: dict[int, list[int]] = {}  # position of a schedule -> orders of its experiments
@@ -269,7 +272,8 @@ class Search:
                 self.schedules[i].program, rank + known, max(own), columns=columns, copies=len(own)
             )
             total += len(own) * sum(single) + self.unknowns * single[-1]
-        return min(1.0, total)
+        self._failures[rank, tuple(orders)] = min(1.0, total)
+        return self._failures[rank, tuple(orders)]
 
     def verdict(self, points: Sequence[PointRank], failure: float) -> Observability:
         """What the points of largest rank say together."""
