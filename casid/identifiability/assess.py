@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from casid.errors import CasidError
+from casid.errors import CasidError, IdentifiabilityError
 from casid.identifiability.answers import answer_of, by_class, by_excitation
 from casid.identifiability.asked import Asked, Assumptions, asked_about, eliminated, prepared
 from casid.identifiability.assessment import Assessment
@@ -18,6 +18,7 @@ from casid.identifiability.equation_file import EquationFile
 from casid.identifiability.observability import Observability, observability
 from casid.identifiability.subsets import confounded_groups, fixing_sets
 from casid.identifiability.system import System
+from casid.identifiability.unknown_jets import observability_by_jets
 from casid.model import Model
 from casid.problem import Problem
 
@@ -76,8 +77,13 @@ def assess_identifiability(
     given = prepared(asked.systems, assuming)
     say(f"rank of {_count(len(given), 'experiment')}")
     started = time.perf_counter()
-    systems, how = eliminated(given)
-    result = observability(systems, seed=seed, error_bound=error_bound, time_limit=time_limit)
+    options: Any = {"seed": seed, "error_bound": error_bound, "time_limit": time_limit}
+    try:
+        systems, how = eliminated(given)
+        result = observability(systems, **options)
+    except IdentifiabilityError as too_large:
+        systems, how = (), (f"not eliminated, derivatives of them are unknowns: {too_large}",)
+        result = observability_by_jets(given, **options)
     point = result.points[0]
     partial = result.is_partial
     names = result.parameters
@@ -110,7 +116,7 @@ def assess_identifiability(
         by_class=by_class(given, degrees, seed, error_bound),
         by_excitation=by_excitation(asked, given, assuming, seed, error_bound),
     )
-    if result.deficiency and symbolic:
+    if result.deficiency and symbolic and systems:
         say("families of equivalent parameters")
         assessment = _with_families(assessment, systems, asked.with_symbols(assuming), seed)
     if result.deficiency and (candidates or len(given) == 1):

@@ -23,7 +23,7 @@ def as_text(a: Assessment) -> str:
     lines += _section("to mend", _mends(a))
     lines += _section("unknown", _classes(a))
     lines += _section("poorer", _excitations(a))
-    lines += _section("records", [str(e) for e in a.excitations])
+    lines += _section("records", [line for e in a.excitations for line in str(e).splitlines()])
     lines += _section("expected", str(a.practical).splitlines() if a.practical else [])
     lines += _section("profiles", str(a.profiles).splitlines() if a.profiles else [])
     lines += _section("notes", a.notes)
@@ -122,10 +122,14 @@ def _section(title: str, lines: Iterable[str]) -> list[str]:
 
 
 def _wrapped(text: str, lead: str) -> list[str]:
-    if len(lead) + len(text) <= WIDTH or text.startswith(" "):
+    if len(lead) + len(text) <= WIDTH:
         return [lead + text]
+    inner = text.lstrip()
+    lead += " " * (len(text) - len(inner))
+    if "  " in inner.strip() and len(inner.split()) < 16:
+        return [lead + inner]  # a row of a table
     return textwrap.wrap(
-        text,
+        inner,
         WIDTH,
         initial_indent=lead,
         subsequent_indent=" " * len(lead) + "  ",

@@ -78,9 +78,10 @@ class Mends:
             )
         if idle:
             lines.append(f"nothing is gained by one of these alone: {', '.join(idle)}")
-        return "\n".join([*lines, *self._conclusion()])
+        return "\n".join([*lines, *self.conclusion])
 
-    def _conclusion(self) -> list[str]:
+    @property
+    def conclusion(self) -> list[str]:
         if not self.together.is_mend:
             missing = ", ".join(self.together.missing)
             return [f"all candidates together do not mend it: {missing} stay unidentifiable"]

@@ -119,13 +119,12 @@ def _parameters(a: Assessment) -> _Html:
             )
         )
     header = ["parameter", "unit", "verdict", "confounded with", "expected std. error"]
-    if not expected:
-        header, rows = header[:-1], [r[:-1] for r in rows]
+    shown = [i for i in range(5) if i in (0, 2) or any(r[i] not in ("", "\u2013") for r in rows)]
     return _table(
         "Structural and practical verdict, parameter by parameter",
-        header,
-        rows,
-        numbers=(4,) if expected else (),
+        [header[i] for i in shown],
+        [[r[i] for i in shown] for r in rows],
+        numbers=(shown.index(4),) if 4 in shown else (),
     )
 
 
@@ -183,11 +182,32 @@ def _fixing(a: Assessment) -> _Html:
 
 
 def _further(a: Assessment) -> _Html:
-    parts = []
-    for title, found in (("Replicas", a.replicas), ("Sensors and experiments", a.mends)):
-        if found is not None:
-            lines = str(found).splitlines()
-            parts.append(_element("h3", title) + _join(_p(line) for line in lines))
+    parts: list[str] = []
+    r = a.replicas
+    if r is not None:
+        rows = [(str(k), str(d)) for k, d in enumerate(r.deficiencies, 1)]
+        header = ("replicas", "deficiency of the parameters")
+        parts.append(_table("The same experiment, repeated", header, rows, numbers=(0, 1)))
+        parts.append(_p(r.conclusion[0].upper() + r.conclusion[1:] + "."))
+    if a.mends is not None:
+        singles = [
+            (
+                ", ".join(str(c) for c in e.candidates),
+                f"{e.cost:g}",
+                ", ".join(e.gained) or "nothing",
+                ", ".join(e.missing) or "nothing",
+            )
+            for e in a.mends.singles
+        ]
+        parts.append(
+            _table(
+                "What each candidate does alone",
+                ("candidate", "cost", "gives", "still missing"),
+                singles,
+                numbers=(1,),
+            )
+        )
+        parts += [_p(line.strip()) for line in a.mends.conclusion]
     return _join(parts)
 
 

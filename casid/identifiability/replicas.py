@@ -71,15 +71,19 @@ class ReplicasNeeded:
         lines = ["replicas  deficiency  identifiable"]
         for i, (d, told) in enumerate(zip(self.deficiencies, self.identifiable, strict=True)):
             lines.append(f"{i + 1:8d}  {d:10d}  {len(told)} of {n}")
-        if self.needed is not None:
-            lines.append(f"{self.needed} make all parameters identifiable")
-        elif self.is_cut:
-            lines.append("the limit was reached while replicas still told more; raise limit")
-        else:
-            lines.append(f"more than {self.enough} tell nothing new; replicas do not mend it")
+        lines.append(self.conclusion)
         if self.error_bound:
             lines.append(f"probability that this is wrong: below {self.error_bound:.1e}")
         return "\n".join(lines)
+
+    @property
+    def conclusion(self) -> str:
+        """How many replicas are worth making."""
+        if self.needed is not None:
+            return f"{self.needed} make all parameters identifiable"
+        if self.is_cut:
+            return "the limit was reached while replicas still told more; raise limit"
+        return f"more than {self.enough} tell nothing new; replicas do not mend it"
 
     def to_json(self) -> dict[str, Any]:
         """Plain lists and numbers."""
