@@ -82,6 +82,7 @@ class Mends:
 
     @property
     def conclusion(self) -> list[str]:
+        """The cheapest mend and how sure it is, or why there is none; lines."""
         if not self.together.is_mend:
             missing = ", ".join(self.together.missing)
             return [f"all candidates together do not mend it: {missing} stay unidentifiable"]
