@@ -157,6 +157,11 @@ def test_at_rest_nothing_is_told(equation, state):
     "zero",
     [
         "exp(x)*exp(-x) - 1",
+        "exp(2*x) - exp(x)**2",
+        "exp(x) - exp(x/2)**2",
+        "exp(x/2)*exp(x/3) - exp(5*x/6)",
+        "exp(-b*x)*exp(b*x) - 1",
+        "(exp(x) - 1)/(exp(x) + 1) - tanh(x/2)",
         "tanh(x)*cosh(x) - sinh(x)",
         "sin(x)**2 + cos(x)**2 - 1",
         "sin(-x) + sin(x)",

@@ -14,7 +14,8 @@ Source: A. Sedoglavic, J. Symb. Comput. 33 (2002) 735-755, for the straight-line
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any, Literal
@@ -30,6 +31,8 @@ Terms = dict[int, Fraction]  # node -> coefficient; node -1 is the number 1
 
 ONE = -1
 MAX_POWER = 64
+MAX_RELATED = 8
+"""exp(a), ..., exp(8 a) are read as powers of one exponential; farther ones as unrelated."""
 
 _ZERO_AT_ZERO = ("asin", "atan", "asinh", "atanh", "erf")
 _PINNED: Mapping[str, tuple[int, int]] = {
@@ -112,6 +115,8 @@ def program_of(system: System) -> Program:
     function = ca.Function("system", [symbols], [ca.densify(value)])
     reader = _Reader(system.name, Program(tuple(names)))
     flat = reader.read(function)
+    if reader.has_related_exponentials():
+        flat = reader.read(function)
     nx = len(system.states)
     program = reader.program
     program.f = [reader.node(t) for t in flat[:nx]]
@@ -129,7 +134,8 @@ class _Reader:
         self.immersed: list[str] = []
         self._known: dict[Any, int] = {}  # what a node computes -> the node
         self._sine: dict[int, tuple[int, int]] = {}
-        self._exponentials: dict[Any, tuple[Fraction, int]] = {}  # direction -> scale, node
+        self._scales: dict[Any, list[Fraction]] = {}  # direction -> of its exponentials
+        self._units: dict[Any, Fraction] = {}  # direction -> all its scales are multiples of that
 
     def read(self, function: Any) -> list[Terms]:
         """The linear combination of each output of an SX function of one vector."""
@@ -252,19 +258,25 @@ class _Reader:
         return self._adjoined("sqrt", a, slope, "root")
 
     def exp(self, a: Terms) -> Terms:
-        """exp(a): g = s. exp(k a) is its k-th power, so that exp(a) exp(-a) stays one."""
+        """exp(a): g = s. exp(k a) is a power of exp(a), so that exp(a) exp(-a) stays one."""
         if _constant(a) == 0:
             return _UNIT
-        first = min(a)
-        direction = tuple(sorted((n, c / a[first]) for n, c in a.items()))
-        if direction in self._exponentials:
-            scale, node = self._exponentials[direction]
-            times = a[first] / scale
-            if times.denominator == 1 and abs(times) <= MAX_POWER:
-                return self._power({node: Fraction(1)}, {ONE: times})
-        result = self._adjoined("exp", a, lambda s: {s: Fraction(1)}, "free")
-        self._exponentials.setdefault(direction, (a[first], next(iter(result))))
-        return result
+        first = a[min(a)]
+        direction = tuple(sorted((n, c / first) for n, c in a.items()))
+        self._scales.setdefault(direction, []).append(first)
+        unit = self._units.get(direction, first)
+        times = first / unit
+        if times.denominator != 1 or abs(times) > MAX_RELATED:
+            unit, times = first, Fraction(1)
+        base = self._adjoined("exp", _scaled(a, unit / first), lambda s: {s: Fraction(1)}, "free")
+        return self._power(base, {ONE: times})
+
+    def has_related_exponentials(self) -> bool:
+        """True if arguments are multiples of one another: read again, with their common unit."""
+        for direction, scales in self._scales.items():
+            if len(set(scales)) > 1:
+                self._units[direction] = _common_unit(scales)
+        return bool(self._units)
 
     def log(self, a: Terms) -> Terms:
         """log(a): g = 1/a."""
@@ -353,6 +365,12 @@ class _Reader:
     def _append(self) -> int:
         self.program.order.append(self.program.n_nodes)
         return self.program.order[-1]
+
+
+def _common_unit(numbers: Sequence[Fraction]) -> Fraction:
+    """The largest number of which all are multiples."""
+    denominator = math.lcm(*(x.denominator for x in numbers))
+    return Fraction(math.gcd(*(int(x * denominator) for x in numbers)), denominator)
 
 
 def _constant(a: Terms) -> Fraction | None:
