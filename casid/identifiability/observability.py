@@ -33,6 +33,9 @@ PRIMES = 20
 """Primes tried before a model is said to have no point."""
 
 
+PATIENCE = 16
+"""At special values the series goes on for so many orders that add nothing (or n + 1)."""
+
 MAX_KINKS = 4
 """Of so many kinks (abs, sign) in one experiment, every choice of sides is looked at."""
 
@@ -167,7 +170,7 @@ def observability(
         if time.monotonic() > deadline:
             points[-1] = replace(point, is_partial=True)
             break
-    return search.verdict(points, failure)
+    return search.verdict(points, failure, deadline=deadline)
 
 
 def _somewhere(
@@ -275,7 +278,9 @@ class Search:
         self._failures[rank, tuple(orders)] = min(1.0, total)
         return self._failures[rank, tuple(orders)]
 
-    def verdict(self, points: Sequence[PointRank], failure: float) -> Observability:
+    def verdict(
+        self, points: Sequence[PointRank], failure: float, *, deadline: float = math.inf
+    ) -> Observability:
         """What the points of largest rank say together."""
         rank = max(p.rank for p in points)
         best = tuple(p for p in points if p.rank == rank)
@@ -295,7 +300,7 @@ class Search:
             unknowns=self.unknowns,
             error_bound=0.0 if is_full else math.nan if partial else failure,
             is_partial=partial,
-            is_certified=is_full or (not partial and self._is_certified(rank)),
+            is_certified=is_full or (not partial and self._is_certified(rank, deadline)),
             orders=best[0].orders,
             points=best,
             identifiable=identifiable,
@@ -306,7 +311,7 @@ class Search:
             bytes=self.bytes,
         )
 
-    def _is_certified(self, rank: int) -> bool:
+    def _is_certified(self, rank: int, deadline: float) -> bool:
         """The stopping rule holds at almost every point; elsewhere its rank bounds this one."""
         if any(len(s.program.kinks) > MAX_KINKS for s in self.schedules):
             return False
@@ -316,7 +321,9 @@ class Search:
             s.where(known_initial=(*s.known_initial, *s.initial_values), initial_values={}, at={})
             for s in self.systems
         ]
-        return observability(generic, seed=1).rank == rank
+        left = None if deadline == math.inf else max(deadline - time.monotonic(), 0.0)
+        found = observability(generic, seed=1, time_limit=left)
+        return found.rank == rank and not found.is_partial
 
     # -- one point ----------------------------------------------------------------------------
 
@@ -388,7 +395,7 @@ class Search:
         held = {n: to_field(v, p) for n, v in system.at.items()}
         series = Series(schedule, {**values, **held, **initial}, p, rng, branches)
         full = schedule.n_columns
-        patience = 1 if system.is_generic else full + 1
+        patience = 1 if system.is_generic else max(full + 1, PATIENCE)
         basis = Basis(full, p)
         idle = 0
         for order, rows in enumerate(series.rows()):
