@@ -60,8 +60,8 @@ def judged(label: str, value: float, target: float, unit: str) -> bool:
 
 def systems_of(path: Path) -> tuple[Any, ...]:
     """The systems of a file, arbitrary unknown inputs eliminated."""
-    from casid.identifiability.elimination import eliminate_unknown_inputs
-    from casid.identifiability.equation_file import read_equations
+    from casid.identifiability.equations.equation_file import read_equations
+    from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 
     return tuple(
         eliminate_unknown_inputs(s).system if s.unknown_inputs else s
@@ -73,8 +73,8 @@ def by_casid(path: Path) -> dict[str, Any]:
     """Milliseconds of a point and of a bounded answer, and the rank."""
     import numpy as np
 
-    from casid.identifiability.observability import observability, rank_at
-    from casid.identifiability.prime_field import random_prime
+    from casid.identifiability.rank.observability import observability, rank_at
+    from casid.identifiability.rank.prime_field import random_prime
 
     systems = systems_of(path)
     seeds = iter(range(10_000))
@@ -217,10 +217,10 @@ def table(folder: Path, *, quick: bool) -> list[bool]:
 
 def subsets(folder: Path) -> list[bool]:
     """All minimal fixing sets of one model, all sensor subsets of another."""
-    from casid.identifiability.equation_file import read_equations
-    from casid.identifiability.observability import observability
-    from casid.identifiability.sensor_subsets import sensor_subsets
-    from casid.identifiability.subsets import fixing_sets
+    from casid.identifiability.combinations.subsets import fixing_sets
+    from casid.identifiability.equations.equation_file import read_equations
+    from casid.identifiability.mends.sensor_subsets import sensor_subsets
+    from casid.identifiability.rank.observability import observability
 
     (akt,) = read_equations(folder / "akt_fujita.json").systems
     (nfkb,) = read_equations(folder / f"{LARGEST}.json").systems
@@ -252,7 +252,7 @@ def chain(n: int, *, is_saturated: bool, every: int = 5) -> Any:
 
     The rates are linear, or of Michaelis and Menten with one constant K for all.
     """
-    from casid.identifiability.equations import parse_system
+    from casid.identifiability.equations.equation_text import parse_system
 
     def flow(i: int) -> str:
         return f"k{i}*x{i}/(K + x{i})" if is_saturated else f"k{i}*x{i}"
@@ -276,7 +276,7 @@ def one_chain(n: int, *, is_saturated: bool, every: int) -> dict[str, float]:
     """Seconds of a full answer, and peak memory of one more [MB]."""
     import tracemalloc
 
-    from casid.identifiability.observability import observability
+    from casid.identifiability.rank.observability import observability
 
     system = chain(n, is_saturated=is_saturated, every=every)
     found = observability(system)

@@ -28,20 +28,24 @@ if TYPE_CHECKING:
     from casid.identifiability.asked import Assumptions
     from casid.identifiability.assess import assess_identifiability
     from casid.identifiability.assessment import Assessment
-    from casid.identifiability.candidates import (
+    from casid.identifiability.equations.equation_file import (
+        EquationFile,
+        parse_system,
+        read_equations,
+    )
+    from casid.identifiability.mends.candidates import (
         Candidate,
         known_initial_state,
         known_parameter,
         replica,
         sensor,
     )
-    from casid.identifiability.equation_file import EquationFile, parse_system, read_equations
-    from casid.identifiability.observability import observability
-    from casid.identifiability.observability_matrix import observability_matrix
-    from casid.identifiability.practical import practical_identifiability
-    from casid.identifiability.profiles import profile_likelihood
-    from casid.identifiability.sensor_subsets import sensor_subsets
-    from casid.identifiability.system import System
+    from casid.identifiability.mends.sensor_subsets import sensor_subsets
+    from casid.identifiability.rank.observability import observability
+    from casid.identifiability.rank.system import System
+    from casid.identifiability.records.practical import practical_identifiability
+    from casid.identifiability.records.profiles import profile_likelihood
+    from casid.identifiability.symbolic.observability_matrix import observability_matrix
     from casid.identification import FitSettings, identify
     from casid.instrumental.estimators import (
         MomentEstimate,
@@ -158,15 +162,15 @@ _HOME = {
         "identifiability.asked": "Assumptions",
         "identifiability.assess": "assess_identifiability",
         "identifiability.assessment": "Assessment",
-        "identifiability.candidates": "Candidate known_initial_state known_parameter replica "
+        "identifiability.mends.candidates": "Candidate known_initial_state known_parameter replica "
         "sensor",
-        "identifiability.equation_file": "EquationFile parse_system read_equations",
-        "identifiability.observability": "observability",
-        "identifiability.observability_matrix": "observability_matrix",
-        "identifiability.practical": "practical_identifiability",
-        "identifiability.profiles": "profile_likelihood",
-        "identifiability.sensor_subsets": "sensor_subsets",
-        "identifiability.system": "System",
+        "identifiability.equations.equation_file": "EquationFile parse_system read_equations",
+        "identifiability.rank.observability": "observability",
+        "identifiability.symbolic.observability_matrix": "observability_matrix",
+        "identifiability.records.practical": "practical_identifiability",
+        "identifiability.records.profiles": "profile_likelihood",
+        "identifiability.mends.sensor_subsets": "sensor_subsets",
+        "identifiability.rank.system": "System",
         "identification": "FitSettings identify",
         "instrumental.estimators": "MomentEstimate Prior StageSpec instrumental_variables "
         "least_squares multistage",

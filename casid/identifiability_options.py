@@ -14,8 +14,8 @@ from casid.options import Request, near, parse_setting
 
 if TYPE_CHECKING:
     from casid.identifiability.asked import Assumptions
-    from casid.identifiability.candidates import Candidate
-    from casid.identifiability.equation_file import EquationFile
+    from casid.identifiability.equations.equation_file import EquationFile
+    from casid.identifiability.mends.candidates import Candidate
 
 ASSUMPTION_OPTIONS = (
     click.option(
@@ -148,7 +148,7 @@ class Inquiry:
         DataError
             If a text is not NAME=FORMULA[@COST].
         """
-        from casid.identifiability.candidates import sensor
+        from casid.identifiability.mends.candidates import sensor
 
         made = []
         for text in self.sensors:
@@ -172,7 +172,7 @@ def read_equations_for(path: str, request: Request) -> EquationFile:
     DataError
         If data or their options are given, or --set names no parameter.
     """
-    from casid.identifiability.equation_file import read_equations
+    from casid.identifiability.equations.equation_file import read_equations
 
     for option, is_given in (
         ("DATA", request.data),

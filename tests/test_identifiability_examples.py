@@ -11,9 +11,9 @@ import sympy as sp
 
 from casid import Model
 from casid.expressions import parse
-from casid.identifiability.observability import observability
-from casid.identifiability.observability_matrix import observability_matrix
-from casid.identifiability.system import System
+from casid.identifiability.rank.observability import observability
+from casid.identifiability.rank.system import System
+from casid.identifiability.symbolic.observability_matrix import observability_matrix
 
 
 def static(parameters: str, inputs: str, **outputs: str) -> System:

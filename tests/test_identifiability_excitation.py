@@ -9,8 +9,8 @@ import pytest
 
 import casid
 from casid.errors import DataError
-from casid.identifiability.excitation import decorrelation, excitation_orders
-from casid.identifiability.reference_excitation import record_excitation
+from casid.identifiability.records.excitation import decorrelation, excitation_orders
+from casid.identifiability.records.reference_excitation import record_excitation
 from casid.simulate import Simulator
 from problems import pendulum
 

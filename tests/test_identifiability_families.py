@@ -11,10 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from casid.errors import IdentifiabilityError
-from casid.identifiability.family import family
-from casid.identifiability.null_direction import NullDirection, normalised, null_directions
-from casid.identifiability.prime_field import null_space
-from casid.identifiability.scalar_flow import integrate_scalar, rational_integral
+from casid.identifiability.combinations.family import family
+from casid.identifiability.combinations.null_direction import (
+    NullDirection,
+    normalised,
+    null_directions,
+)
+from casid.identifiability.combinations.scalar_flow import integrate_scalar, rational_integral
+from casid.identifiability.rank.prime_field import null_space
 
 SHIP = ["k", "A_x", "d", "K_r", "K_vdot", "K_delta", "z_f", "m", "zbar_m"]
 KNOWN = ["M", "zbar_g", "zbar_s", "m_c", "zbar_c", "g"]

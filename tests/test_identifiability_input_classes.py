@@ -9,10 +9,10 @@ import casadi as ca
 import pytest
 
 from casid.errors import ModelError
-from casid.identifiability.elimination import eliminate_unknown_inputs
-from casid.identifiability.equations import parse_system
-from casid.identifiability.experiments import merge, replicas, systems_by_class
-from casid.identifiability.input_classes import (
+from casid.identifiability.equations.equation_text import parse_system
+from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
+from casid.identifiability.inputs.experiments import merge, replicas, systems_by_class
+from casid.identifiability.inputs.input_classes import (
     Exosystem,
     as_exosystem,
     as_harmonic,
@@ -20,8 +20,8 @@ from casid.identifiability.input_classes import (
     as_zero,
     with_input_class,
 )
-from casid.identifiability.observability import observability
-from casid.identifiability.system import System
+from casid.identifiability.rank.observability import observability
+from casid.identifiability.rank.system import System
 from tests.shared import shared
 
 

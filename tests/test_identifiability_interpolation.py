@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from casid.errors import ModelError
-from casid.identifiability.interpolation import interpolate
-from casid.identifiability.prime_field import random_prime
-from casid.identifiability.rational_degrees import univariate_degrees
+from casid.identifiability.combinations.interpolation import interpolate
+from casid.identifiability.combinations.rational_degrees import univariate_degrees
+from casid.identifiability.rank.prime_field import random_prime
 
 P = 1_073_741_827  # the least prime above 2^30
 

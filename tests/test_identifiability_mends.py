@@ -12,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from casid.errors import IdentifiabilityError, ModelError
-from casid.identifiability.elimination import eliminate_unknown_inputs
-from casid.identifiability.equation_file import read_equations
-from casid.identifiability.equations import parse_system
-from casid.identifiability.mends import (
+from casid.identifiability.combinations.subsets import confounded_groups, fixing_sets
+from casid.identifiability.equations.equation_file import read_equations
+from casid.identifiability.equations.equation_text import parse_system
+from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
+from casid.identifiability.mends.cheapest import (
     cheapest_mends,
     experiment,
     known_initial_state,
@@ -25,8 +26,7 @@ from casid.identifiability.mends import (
     sensor,
     sensor_subsets,
 )
-from casid.identifiability.observability import observability
-from casid.identifiability.subsets import confounded_groups, fixing_sets
+from casid.identifiability.rank.observability import observability
 from tests.shared import shared
 
 

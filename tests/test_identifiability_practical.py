@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 import casid
 from casid.errors import DataError, IdentifiabilityError, ModelError
-from casid.identifiability.planned import plan
-from casid.identifiability.practical import practical_identifiability
+from casid.identifiability.records.planned import plan
+from casid.identifiability.records.practical import practical_identifiability
 from tests.excited_models import TS, decay, inputs, integrator, regressor
 
 

@@ -10,8 +10,8 @@ from scipy.stats import chi2
 
 import casid
 from casid.errors import DataError, ModelError
-from casid.identifiability.practical import practical_identifiability
-from casid.identifiability.profiles import profile_likelihood
+from casid.identifiability.records.practical import practical_identifiability
+from casid.identifiability.records.profiles import profile_likelihood
 from tests.excited_models import decay, inputs, integrator, regressor
 
 ONE = casid.FitSettings(starts=1, substeps=1)

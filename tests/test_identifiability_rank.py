@@ -16,10 +16,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from casid.errors import ModelError
-from casid.identifiability.equation_file import parse_system, read_equations
-from casid.identifiability.error_bound import failure_probability, minor_sizes
-from casid.identifiability.observability import observability, rank_at
-from casid.identifiability.prime_field import (
+from casid.identifiability.equations.equation_file import parse_system, read_equations
+from casid.identifiability.rank.error_bound import failure_probability, minor_sizes
+from casid.identifiability.rank.observability import observability, rank_at
+from casid.identifiability.rank.prime_field import (
     echelon,
     inverse,
     is_prime,
@@ -30,9 +30,9 @@ from casid.identifiability.prime_field import (
     to_field,
     to_rational,
 )
-from casid.identifiability.program import program_of
-from casid.identifiability.series import Schedule, Series
-from casid.identifiability.system import System
+from casid.identifiability.rank.program import program_of
+from casid.identifiability.rank.series import Schedule, Series
+from casid.identifiability.rank.system import System
 from tests.shared import shared
 
 P = 2_147_483_629  # the second largest prime below 2^31

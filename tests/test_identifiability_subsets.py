@@ -12,10 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from casid.errors import IdentifiabilityError
-from casid.identifiability.equation_file import read_equations
-from casid.identifiability.observability import observability
-from casid.identifiability.prime_field import echelon, matmul, null_space, rank
-from casid.identifiability.subsets import (
+from casid.identifiability.combinations.subsets import (
     can_identify,
     confounded_groups,
     count_not_identifiable,
@@ -23,6 +20,9 @@ from casid.identifiability.subsets import (
     identifiable_subsets,
     joined,
 )
+from casid.identifiability.equations.equation_file import read_equations
+from casid.identifiability.rank.observability import observability
+from casid.identifiability.rank.prime_field import echelon, matmul, null_space, rank
 from tests.shared import shared
 
 P = 1_073_741_827  # the least prime above 2^30

@@ -11,9 +11,9 @@ import pytest
 import sympy as sp
 
 from casid.errors import ModelError
-from casid.identifiability.lie_derivatives import lie_derivatives
-from casid.identifiability.observability_matrix import observability_matrix
-from casid.identifiability.system import System
+from casid.identifiability.rank.system import System
+from casid.identifiability.symbolic.lie_derivatives import lie_derivatives
+from casid.identifiability.symbolic.observability_matrix import observability_matrix
 
 
 def system(

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from casid.identifiability.equation_file import read_equations
-from casid.identifiability.observability import observability
+from casid.identifiability.equations.equation_file import read_equations
+from casid.identifiability.rank.observability import observability
 from tests.shared import shared
 
 symident = pytest.importorskip("symident", reason="symident is not installed; pip install symident")

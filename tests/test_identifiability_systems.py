@@ -13,8 +13,8 @@ import pytest
 import casid
 from casid.effects import parameter_jump, saturation, sensor_bias, time_delay
 from casid.errors import DataError, ModelError
-from casid.identifiability.model_system import left_out, system_of, systems_of, translated
-from casid.identifiability.system import System
+from casid.identifiability.equations.model_system import left_out, system_of, systems_of, translated
+from casid.identifiability.rank.system import System
 from casid.model import Input
 from problems import emps, pendulum, pendulum_rig, roll_decay
 

@@ -36,10 +36,10 @@ from analysis.identifiability_models import (
     true_ship,
     with_sought,
 )
-from casid.identifiability.model_system import systems_of
-from casid.identifiability.observability import observability, rank_at
-from casid.identifiability.prime_field import matmul, random_prime, to_field
-from casid.identifiability.subsets import fixing_sets
+from casid.identifiability.combinations.subsets import fixing_sets
+from casid.identifiability.equations.model_system import systems_of
+from casid.identifiability.rank.observability import observability, rank_at
+from casid.identifiability.rank.prime_field import matmul, random_prime, to_field
 from casid.linear.symbolic import evaluate_exactly
 from problems import pendulum, ship
 from problems.ship import NINE

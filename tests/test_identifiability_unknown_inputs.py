@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from casid.errors import IdentifiabilityError, ModelError
-from casid.identifiability import structure_algorithm
-from casid.identifiability.elimination import eliminate_unknown_inputs
-from casid.identifiability.equations import parse_system, parse_systems
-from casid.identifiability.experiments import merge, replicas, systems_by_class
-from casid.identifiability.generic_zero import vanishing
-from casid.identifiability.observability import observability, rank_at
-from casid.identifiability.system import System
-from casid.identifiability.unknown_jets import observability_by_jets
+from casid.identifiability.inputs import structure_algorithm
+from casid.identifiability.equations.equation_text import parse_system, parse_systems
+from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
+from casid.identifiability.inputs.experiments import merge, replicas, systems_by_class
+from casid.identifiability.inputs.generic_zero import vanishing
+from casid.identifiability.inputs.unknown_jets import observability_by_jets
+from casid.identifiability.rank.observability import observability, rank_at
+from casid.identifiability.rank.system import System
 from problems import pendulum
 from tests.shared import shared
 

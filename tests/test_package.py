@@ -32,33 +32,53 @@ HEAVY = "casadi numpy scipy sympy control pandas pyarrow pint joblib plotly rich
 # from below (`record.lowpass`, `diagnosis.write`) it imports when it is called. A module without a
 # line here is free, as long as there is no circle. An indented line goes on with the one above.
 LAYERS = """
-campaigns.dask_backend campaigns.progress errors instrumental.columns instrumental.lag_products
+campaigns.dask_backend campaigns.progress errors identifiability.assessment
+  identifiability.combinations.readable identifiability.combinations.scalar_flow
+  identifiability.records.profile_result instrumental.columns instrumental.lag_products
   linear.loop_text local_rank spikes uncertainty
-campaigns.manifest estimate expressions instrumental.column_products instrumental.gram
-  instrumental.long_run linear.linear_constraints linear.symbolic linear.transfer_text model options
-  prediction.polynomial_orders prediction.polynomial_residuals solving.nlp_solution
-  solving.nlp_solver terminal units writing
-campaigns.parts data diagnosis dimensions effects instrumental.moments linear.discrete_loop
+campaigns.manifest estimate expressions identifiability.assessment_text
+  identifiability.rank.prime_field instrumental.column_products instrumental.gram
+  instrumental.long_run instrumental.reference_filter linear.linear_constraints linear.symbolic
+  linear.transfer_text model options prediction.polynomial_orders prediction.polynomial_residuals
+  solving.nlp_solution solving.nlp_solver terminal units writing
+campaigns.parts data diagnosis dimensions effects identifiability.combinations.matroid
+  identifiability.combinations.rational_degrees identifiability.inputs.generic_zero
+  identifiability.rank.system identifiability_options instrumental.moments linear.discrete_loop
   linear.inverse_map linear.laplace linear.parameter_draws linear.vanishing prediction.input_models
   simulate solving.nlp_criterion solving.nlp_values
-campaigns.campaign instrumental.reference_filter linear.closed_loop linear.linear_model
-  linear.symbolic_hull plotting prediction.excitation prediction.noisy_system
-  prediction.polynomial_data prediction.polynomial_start prepare reading solving.compiled
-  solving.nlp
-checking linear.discretise prediction.kalman prediction.polynomial_criterion
-  prediction.polynomial_model problem regression report simulation_error solving.contenders
-  solving.null_space
-campaigns.monte_carlo_page equation_error identification instrumental.instruments
+campaigns.campaign identifiability.combinations.interpolation identifiability.combinations.subsets
+  identifiability.equations.formula_scope identifiability.inputs.signals
+  identifiability.mends.candidates identifiability.rank.program identifiability.records.excitation
+  linear.closed_loop linear.linear_model linear.symbolic_hull plotting prediction.excitation
+  prediction.noisy_system prediction.polynomial_data prediction.polynomial_start prepare reading
+  solving.compiled solving.nlp
+checking identifiability.combinations.null_direction identifiability.equations.equation_text
+  identifiability.equations.model_system identifiability.inputs.input_classes
+  identifiability.inputs.structure_algorithm identifiability.rank.error_bound
+  identifiability.rank.series identifiability.symbolic.symbolic_rank linear.discretise
+  prediction.kalman prediction.polynomial_criterion prediction.polynomial_model problem regression
+  report simulation_error solving.contenders solving.null_space
+campaigns.monte_carlo_page equation_error identifiability.combinations.family
+  identifiability.equations.equation_file identifiability.inputs.elimination
+  identifiability.rank.observability identifiability.symbolic.reduced_form instrumental.instruments
   linear.structural_relations noise prediction.noisy_model prediction.polynomial scores
   solving.scipy_solvers
-campaigns.monte_carlo holdout instrumental.validation linear.affine linear.difference_equation
-  prediction.arma prediction.likelihood search solving.solvers
-diagnosing instrumental.moment_equations linear.discretisation_bias prediction.grey_box
-instrumental.moment_nlp instrumental.image instrumental.estimated_filter prediction.unknown_input
-instrumental.stage
-instrumental.propagation
-instrumental.estimators
-instrumental.resampling instrumental.streamed
+identifiability.combinations.closed_form identifiability.inputs.experiments
+  identifiability.inputs.unknown_jets identifiability.mends.output_spans
+  identifiability.mends.replicas identifiability.mends.screening
+  identifiability.symbolic.lie_derivatives instrumental.estimated_filter instrumental.validation
+  linear.affine linear.difference_equation prediction.arma prediction.likelihood search
+  solving.solvers
+identifiability.asked identifiability.mends.sensor_subsets identifiability.requirement
+  identifiability.symbolic.observability_matrix instrumental.image instrumental.moment_equations
+  linear.discretisation_bias
+identifiability.answers identifiability.mends.cheapest identification instrumental.moment_nlp
+campaigns.monte_carlo holdout identifiability.assess identifiability.records.planned
+  instrumental.stage prediction.grey_box
+diagnosing identifiability.records.practical_result identifiability.records.profiles
+  identifiability.records.reference_excitation instrumental.propagation prediction.unknown_input
+identifiability.figures identifiability.records.practical instrumental.estimators
+identifiability.page instrumental.resampling instrumental.streamed
 cli
 __main__
 """

@@ -8,14 +8,14 @@ from typing import Any
 from casid.errors import CasidError
 from casid.identifiability.asked import Asked, Assumptions, eliminated, prepared
 from casid.identifiability.assessment import Answer, StateVerdict, Verdict
-from casid.identifiability.input_classes import (
+from casid.identifiability.inputs.input_classes import (
     as_harmonic,
     as_polynomial,
     as_zero,
     with_input_class,
 )
-from casid.identifiability.observability import Observability, observability
-from casid.identifiability.system import System
+from casid.identifiability.rank.observability import Observability, observability
+from casid.identifiability.rank.system import System
 
 
 def answer_of(

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from casid.errors import CasidError, ModelError
 from casid.expressions import nearest
-from casid.identifiability.elimination import eliminate_unknown_inputs
-from casid.identifiability.equation_file import EquationFile, read_equations
-from casid.identifiability.experiments import merge, replicas
-from casid.identifiability.model_system import system_of, translated
-from casid.identifiability.system import System
+from casid.identifiability.equations.equation_file import EquationFile, read_equations
+from casid.identifiability.equations.model_system import system_of, translated
+from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
+from casid.identifiability.inputs.experiments import merge, replicas
+from casid.identifiability.rank.system import System
 from casid.linear.symbolic import exact
 from casid.model import Model
 from casid.problem import Problem, load_problem

@@ -12,19 +12,19 @@ from casid.errors import CasidError, IdentifiabilityError
 from casid.identifiability.answers import answer_of, by_class, by_excitation
 from casid.identifiability.asked import Asked, Assumptions, asked_about, eliminated, prepared
 from casid.identifiability.assessment import Assessment
-from casid.identifiability.closed_form import families
-from casid.identifiability.elimination import eliminate_unknown_inputs
-from casid.identifiability.equation_file import EquationFile
-from casid.identifiability.observability import Observability, observability
-from casid.identifiability.subsets import confounded_groups, fixing_sets
-from casid.identifiability.system import System
-from casid.identifiability.unknown_jets import observability_by_jets
+from casid.identifiability.combinations.closed_form import families
+from casid.identifiability.combinations.subsets import confounded_groups, fixing_sets
+from casid.identifiability.equations.equation_file import EquationFile
+from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
+from casid.identifiability.inputs.unknown_jets import observability_by_jets
+from casid.identifiability.rank.observability import Observability, observability
+from casid.identifiability.rank.system import System
 from casid.model import Model
 from casid.problem import Problem
 
 if TYPE_CHECKING:
     from casid.data import Experiment, Record
-    from casid.identifiability.candidates import Candidate
+    from casid.identifiability.mends.candidates import Candidate
 
 Progress = Callable[[str], None]
 
@@ -178,8 +178,8 @@ def _mended(
     candidates: Sequence[Candidate],
     seed: int,
 ) -> Assessment:
-    from casid.identifiability.mends import cheapest_mends
-    from casid.identifiability.replicas import replicas_needed
+    from casid.identifiability.mends.cheapest import cheapest_mends
+    from casid.identifiability.mends.replicas import replicas_needed
 
     def prepare(system: System) -> System:
         return eliminate_unknown_inputs(system).system if system.unknown_inputs else system
@@ -200,9 +200,9 @@ def _mended(
 def _practical(
     assessment: Assessment, asked: Asked, profiles: Sequence[str], say: Progress
 ) -> Assessment:
-    from casid.identifiability.practical import practical_identifiability
-    from casid.identifiability.profiles import profile_likelihood
-    from casid.identifiability.reference_excitation import record_excitation
+    from casid.identifiability.records.practical import practical_identifiability
+    from casid.identifiability.records.profiles import profile_likelihood
+    from casid.identifiability.records.reference_excitation import record_excitation
 
     assert asked.problem is not None
     notes = list(assessment.notes)

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from casid.identifiability.family import Family
-    from casid.identifiability.mends import Mends
-    from casid.identifiability.null_direction import NullDirection
-    from casid.identifiability.practical import Practical
-    from casid.identifiability.profiles import Profiles
-    from casid.identifiability.reference_excitation import RecordExcitation
-    from casid.identifiability.replicas import ReplicasNeeded
-    from casid.identifiability.subsets import FixingSets
+    from casid.identifiability.combinations.family import Family
+    from casid.identifiability.combinations.null_direction import NullDirection
+    from casid.identifiability.combinations.subsets import FixingSets
+    from casid.identifiability.mends.cheapest import Mends
+    from casid.identifiability.mends.replicas import ReplicasNeeded
+    from casid.identifiability.records.practical import Practical
+    from casid.identifiability.records.profiles import Profiles
+    from casid.identifiability.records.reference_excitation import RecordExcitation
 
 SCHEMA = "casid.identifiability/1"
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casid.identifiability.practical_result import POOR, SEEN, UNSEEN, WELL, Practical
+from casid.identifiability.records.practical_result import POOR, SEEN, UNSEEN, WELL, Practical
 from casid.plotting import AFTER, BEFORE, FLOOR, MEASURED, _Panels, figure_text, visible_text
 
 if TYPE_CHECKING:
     from casid.identifiability.assessment import Assessment
-    from casid.identifiability.profiles import Profiles
+    from casid.identifiability.records.profiles import Profiles
 
 _COLOURS = {WELL: FLOOR, POOR: BEFORE, UNSEEN: "#000000", SEEN: MEASURED}
 

@@ -13,12 +13,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from casid.errors import CasidError, IdentifiabilityError
-from casid.identifiability.closed_form import families
-from casid.identifiability.family import Family
-from casid.identifiability.model_system import translated
-from casid.identifiability.observability import Observability, observability
-from casid.identifiability.subsets import FixingSets, confounded_groups, fixing_sets
-from casid.identifiability.system import System
+from casid.identifiability.combinations.closed_form import families
+from casid.identifiability.combinations.family import Family
+from casid.identifiability.combinations.subsets import FixingSets, confounded_groups, fixing_sets
+from casid.identifiability.equations.model_system import translated
+from casid.identifiability.rank.observability import Observability, observability
+from casid.identifiability.rank.system import System
 from casid.model import Model
 
 if TYPE_CHECKING:

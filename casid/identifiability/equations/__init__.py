@@ -1,0 +1,1 @@
+"""Systems from equation files, from text and from models that are fitted."""

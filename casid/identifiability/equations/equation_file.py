@@ -1,0 +1,106 @@
+"""The equations of a JSON or TOML file, in the fields that `equation_text` reads."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+from casid.errors import DataError, ModelError
+from casid.expressions import nearest
+from casid.identifiability.equations.equation_text import parse_system as parse_system
+from casid.identifiability.equations.equation_text import parse_systems, text_of
+from casid.identifiability.rank.system import System
+
+MAX_BYTES = 5_000_000  # of a file
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EquationFile:
+    """What an equation file says: one system for each data set (one where there are none)."""
+
+    name: str
+    description: str
+    systems: tuple[System, ...]
+    path: Path
+
+
+def read_equations(path: str | Path) -> EquationFile:
+    """Read a JSON or TOML equation file; its fields are those of `equations`.
+
+    Raises
+    ------
+    DataError
+        If the file is absent, larger than `MAX_BYTES`, or not JSON or TOML (with the line).
+    ModelError
+        If its equations contradict themselves; the message names file, field and entry.
+    """
+    path = Path(path)
+    fields = _loaded(path)
+    name = text_of(fields, "name", path.name) or path.stem
+    description = text_of(fields, "description", path.name)
+    systems = parse_systems(fields, name=name, where=path.name)
+    return EquationFile(name, description, systems, path)
+
+
+def _loaded(path: Path) -> Mapping[str, Any]:
+    if path.suffix.lower() not in (".json", ".toml"):
+        raise DataError(f"{path}: equations are read from .json or .toml; rename or convert it")
+    if not path.is_file():
+        folder = path.parent if path.parent.is_dir() else Path()
+        there = [p.name for p in folder.glob(f"*{path.suffix}")]
+        raise DataError(f"{path}: no such equation file{nearest(path.name, there)}")
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror}); check its rights") from error
+    if len(data) > MAX_BYTES:
+        raise DataError(
+            f"{path}: larger than {MAX_BYTES / 1e6:g} MB, which no equations are; check that it is "
+            "an equation file, or give a mapping to parse_systems"
+        )
+    kind = path.suffix.lower()[1:].upper()
+    try:
+        text = data.decode("utf-8-sig")
+        loaded = _from_json(text) if kind == "JSON" else tomllib.loads(text)
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise DataError(f"{path}, line {line}: not UTF-8; save it in that encoding") from error
+    except ModelError as error:
+        raise ModelError(f"{path.name}: {error}") from None
+    except json.JSONDecodeError as error:
+        raise DataError(
+            f"{path}, line {error.lineno}, column {error.colno}: not JSON ({error.msg}); mend that "
+            "line: names and formulas in double quotes, a comma between entries and none at the end"
+        ) from error
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(
+            f"{path}: not TOML ({error}); mend that line: formulas stand in quotes, a key once"
+        ) from error
+    except (RecursionError, ValueError) as error:
+        raise DataError(
+            f"{path}: not {kind} that can be read (nested too deep, or a number of too many "
+            "digits); an equation file holds lists and mappings of names and formulas"
+        ) from error
+    if not isinstance(loaded, Mapping):
+        raise ModelError(f"{path.name}: expected a mapping of fields, such as states, equations")
+    return loaded
+
+
+def _from_json(text: str) -> Any:
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        seen = dict(pairs)
+        if len(seen) < len(pairs):
+            keys = [k for k, _ in pairs]
+            twice = next(k for k in keys if keys.count(k) > 1)
+            raise ModelError(f"{twice!r} stands twice in one mapping; remove one of them")
+        return seen
+
+    def refuse(word: str) -> NoReturn:
+        raise ModelError(f"{word} is no number that an equation can use; remove it")
+
+    return json.loads(text, object_pairs_hook=once, parse_constant=refuse)

@@ -1,0 +1,276 @@
+"""A fitted model as the equations whose identifiability is asked, for each experiment.
+
+The expressions are those that the estimators simulate, `Model.explicit`; what a record says of an
+experiment beyond them is its load case, and inputs that never move in it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from casid.errors import DataError, ModelError
+from casid.identifiability.equations.formula_scope import is_finite
+from casid.identifiability.rank.system import System
+from casid.linear.symbolic import exact
+from casid.model import Model
+
+if TYPE_CHECKING:
+    from casid.data import Experiment
+    from casid.problem import Problem
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Translation:
+    """Systems, one an experiment, and in words what they leave out of the model and the records."""
+
+    systems: tuple[System, ...]
+    notes: tuple[str, ...]
+
+
+def system_of(
+    model: Model,
+    *,
+    known: Mapping[str, float] | None = None,
+    generic: bool = False,
+    direct: bool = False,
+) -> System:
+    """A model as the system whose identifiability is asked.
+
+    Parameters
+    ----------
+    model : its unknown parameters are asked about, also those that stand in no equation, and its
+        known ones are constants; measured, known and generated inputs are known, and so are outputs
+        that an unknown input was eliminated with. States with `initial` have that initial value,
+        exactly.
+    known : values of parameters over those of the model, SI.
+    generic : known parameters are some known numbers and not the values they have, except a value
+        of exactly 0: a load that is absent stays absent. Else they have their values, exactly
+        (`System.at`), and what coincides in the numbers coincides in the answer.
+    direct : undo eliminations first (`Model.direct`): unknown inputs are there, and measured.
+
+    Returns
+    -------
+    System
+        Without the model's stages (delays, clipping), which have no exact algebra: a parameter
+        that is in a stage alone is not asked about. `left_out` says which.
+
+    Raises
+    ------
+    ModelError
+        If `known` names no parameter or is not finite, or known values make a denominator zero.
+    """
+    values = dict(known or {})
+    for name, value in values.items():
+        if not math.isfinite(value):
+            raise ModelError(f"{model.name}: {name} = {value} is known, but no number; mend it")
+    model = model.with_known(**values)
+    model = model.direct() if direct else model
+    e = model.explicit()
+    symbols = {
+        name: column[i]
+        for names, column in ((e.states, e.x), (e.inputs, e.u), (e.parameters, e.p))
+        for i, name in enumerate(names)
+    }
+    slopes, dropped = _slopes(model), _in_stages_alone(model)
+    fixed = {
+        p.name: p.value
+        for p in model.parameters.values()
+        if p.value is not None and p.name not in dropped
+    }
+    kinds = {name: entry.kind for name, entry in model.inputs.items()}
+    system = System(
+        name=model.name,
+        states=e.states,
+        parameters=tuple(p for p in e.parameters if p not in fixed and p not in dropped),
+        outputs=e.outputs,
+        symbols={n: s for n, s in symbols.items() if n not in slopes | dropped},
+        f=_without(e.f, slopes, e),
+        h=_without(e.h, slopes, e),
+        constants=tuple(fixed),
+        inputs=tuple(u for u in e.inputs if kinds[u] != "unknown" and u not in slopes),
+        unknown_inputs=tuple(u for u in e.inputs if kinds[u] == "unknown"),
+        initial_values={
+            s.name: exact(s.initial) for s in model.states.values() if s.initial is not None
+        },
+        units=_units(model),
+    )
+    zeros = {p: v for p, v in fixed.items() if v == 0.0}
+    at = {} if generic else {p: exact(v) for p, v in fixed.items() if v != 0.0}
+    return _finite(system.where(at=at).substituted(zeros), list(zeros))
+
+
+def systems_of(
+    problem: Problem | Model,
+    experiments: Sequence[Experiment],
+    *,
+    generic: bool = False,
+    direct: bool = False,
+) -> tuple[System, ...]:
+    """The systems of `translated`."""
+    return translated(problem, experiments, generic=generic, direct=direct).systems
+
+
+def translated(
+    problem: Problem | Model,
+    experiments: Sequence[Experiment],
+    *,
+    generic: bool = False,
+    direct: bool = False,
+    resting: bool = True,
+) -> Translation:
+    """Each experiment's system: its load case known, inputs that rest in its record at rest.
+
+    Parameters
+    ----------
+    problem : a problem or its model.
+    experiments : one or more; each system has its experiment's name.
+    generic, direct : as in `system_of`.
+    resting : look at the samples for inputs that rest.
+
+    Notes
+    -----
+    A value that other load cases do not know, or know otherwise, is a constant of its own: ``m`` of
+    the experiment ``calibration`` is ``m_calibration``.
+
+    An input that is exactly 0 in all samples is replaced by 0; one that is exactly constant becomes
+    a known constant of that value. Samples marked missing do not count; a generated input is
+    evaluated on the record's clock.
+
+    Raises
+    ------
+    DataError
+        If there is no experiment, or a record lacks a channel of the model.
+    ModelError
+        As `system_of`.
+    """
+    if not experiments:
+        raise DataError("no experiment to analyse; give one or more, or use system_of(model)")
+    model = problem if isinstance(problem, Model) else problem.model
+    acting = model.direct() if direct else model
+    systems: list[System] = []
+    notes = list(left_out(acting))
+    for experiment in experiments:
+        system = system_of(acting, known=experiment.known, generic=generic)
+        system = system.renamed(_own_names(model, experiment, experiments))
+        zero, constant = _at_rest(acting, system, experiment) if resting else ([], {})
+        for name in zero:
+            notes.append(f"{experiment.name}: input {name} is 0 in all samples, and taken as 0")
+        for name in constant:
+            notes.append(
+                f"{experiment.name}: input {name} is the same in all samples, and taken as a known "
+                "constant"
+            )
+        system = system.substituted(dict.fromkeys(zero, 0.0)).where(name=experiment.name)
+        at_rest = system.where(
+            inputs=tuple(u for u in system.inputs if u not in constant),
+            constants=(*system.constants, *constant),
+            at={**system.at, **constant},
+        )
+        systems.append(_finite(at_rest, zero))
+    return Translation(tuple(systems), tuple(notes))
+
+
+def _own_names(
+    model: Model, experiment: Experiment, experiments: Sequence[Experiment]
+) -> dict[str, str]:
+    """Names of values that this load case knows, and others do not know or know otherwise."""
+    own = {}
+    for n, value in experiment.known.items():
+        if n not in model.parameters:
+            continue
+        if any(e.known.get(n, model.parameters[n].value) != value for e in experiments):
+            own[n] = f"{n}_{experiment.name}"
+    return own
+
+
+def left_out(model: Model) -> tuple[str, ...]:
+    """What of a model its system leaves out, a sentence for each stage."""
+    gone = _in_stages_alone(model)
+    return tuple(
+        f"the {'clipping' if s.kind == 'clip' else 'delay'} of {s.channel} is left out"
+        + (f", and {s.parameter} is not asked about" if s.parameter in gone else "")
+        for s in model.stages
+    )
+
+
+# -- inside --------------------------------------------------------------------------------------
+
+
+def _slopes(model: Model) -> frozenset[str]:
+    """Generated inputs that carry no signal, only the tangent of a delayed input's delay."""
+    delayed = {s.channel for s in model.stages if s.kind == "delay_input"}
+    return frozenset(n for n in model.inputs if n in {f"slope of {c}" for c in delayed})
+
+
+def _in_stages_alone(model: Model) -> frozenset[str]:
+    """Parameters of stages that stand in no equation when slopes are zero."""
+    e = model.explicit()
+    both = _without(ca.vertcat(e.f, e.h), _slopes(model), e)
+    inside = {s.name() for s in ca.symvar(both)}
+    return frozenset(s.parameter for s in model.stages) - inside
+
+
+def _without(expression: Any, inputs: frozenset[str], e: Any) -> Any:
+    """An expression in which the named inputs are zero."""
+    for i, name in enumerate(e.inputs):
+        if name in inputs:
+            expression = ca.substitute(expression, e.u[i], ca.SX(0))
+    return expression
+
+
+def _units(model: Model) -> dict[str, str]:
+    units = {name: unit for name, (_, unit) in model.outputs.items()}
+    for entries in (model.states, model.inputs, model.parameters):
+        units |= {name: entry.unit for name, entry in entries.items()}
+    return units
+
+
+def _finite(system: System, zeros: Sequence[str]) -> System:
+    """The system, unless zeros that were put in made it divide by zero."""
+    if not is_finite(ca.vertcat(system.f, system.h)):
+        guilty = f" with {', '.join(zeros)} = 0" if zeros else ""
+        raise ModelError(
+            f"{system.name}: division by zero at every point{guilty}; correct that value, or "
+            "rewrite the equation so that it does not divide by it"
+        )
+    return system
+
+
+def _at_rest(
+    model: Model, system: System, experiment: Experiment
+) -> tuple[list[str], dict[str, Fraction]]:
+    """Known inputs of a system that are zero, and that are constant, in all of a record."""
+    record = experiment.record
+    for name in (*system.inputs, *system.outputs):
+        generated = name in model.inputs and model.inputs[name].kind == "generated"
+        if not generated and name not in record.channels:
+            raise DataError(
+                f"{experiment.name}: no channel {name!r} for {model.name}; it has "
+                f"{', '.join(record.channels)}. Rename or map one of them to {name!r}"
+            )
+    zero: list[str] = []
+    constant: dict[str, Fraction] = {}
+    for name in system.inputs:
+        entry = model.inputs[name]
+        if entry.kind != "generated":
+            mask = record.missing.get(name)
+            values: Array = record[name] if mask is None else record[name][~mask]
+        elif entry.signal is not None:
+            values = np.asarray(entry.signal(record.t))
+        else:
+            continue
+        if values.size and np.all(values == values[0]):
+            if values[0] == 0.0:
+                zero.append(name)
+            else:
+                constant[name] = exact(float(values[0]))
+    return zero, constant

@@ -1,0 +1,1 @@
+"""Unknown inputs: eliminated, classed, counted; and experiments that own or share them."""

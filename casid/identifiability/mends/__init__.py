@@ -1,0 +1,1 @@
+"""What would mend a deficiency: sensors, experiments, replicas, known values."""

@@ -1,0 +1,485 @@
+"""The observability rank of one or several experiments, exactly, with an error bound.
+
+Each experiment's series of sensitivities is reduced order by order until an order adds nothing:
+then no later one does, at almost every point (Sedoglavic 2002; Linder 2017, section 2.7). What an
+experiment tells of the parameters is what is left when its initial states are eliminated; what
+several tell is the sum. Full rank at one point modulo one prime is a proof. A deficiency is
+repeated at points and primes of their own until its error probability is below the bound.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from casid.errors import ModelError
+from casid.identifiability.rank.error_bound import failure_probabilities
+from casid.identifiability.rank.prime_field import echelon, matmul, random_prime, to_field
+from casid.identifiability.rank.series import Schedule, Series, SpecialPoint
+from casid.identifiability.rank.system import System
+
+Array = np.ndarray[Any, Any]
+
+ATTEMPTS = 40
+"""Points tried modulo one prime (a square root exists at every second one)."""
+
+PRIMES = 20
+"""Primes tried before a model is said to have no point."""
+
+
+PATIENCE = 16
+"""At special values the series goes on for so many orders that add nothing (or n + 1)."""
+
+MAX_KINKS = 4
+"""Of so many kinks (abs, sign) in one experiment, every choice of sides is looked at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointRank:
+    """What the outputs tell at one point: row echelon forms modulo `prime`.
+
+    Attributes
+    ----------
+    values : parameters and constants at the point.
+    information : (r, n_parameters), what all experiments together tell of the parameters.
+    full : by experiment, over [initial states that are not known | parameters].
+    states : by experiment, the states whose columns stand in `full`.
+    orders : by experiment, the highest derivative that was needed.
+    is_partial : time ran out, or the highest order allowed was reached.
+    """
+
+    prime: int
+    parameters: tuple[str, ...]
+    values: Mapping[str, int]
+    information: Array
+    full: tuple[Array, ...]
+    states: tuple[tuple[str, ...], ...]
+    orders: tuple[int, ...]
+    is_partial: bool = False
+
+    @property
+    def rank(self) -> int:
+        """Rank of the joint observability matrix."""
+        seen = sum(
+            _leading(full, len(states)) for full, states in zip(self.full, self.states, strict=True)
+        )
+        return seen + len(self.information)
+
+    def identifiable(self) -> list[bool]:
+        """Per parameter: its unit vector lies in the span of the rows."""
+        return unit_vectors(self.information)
+
+    def observable(self) -> list[list[bool]]:
+        """Per experiment and state of `states`."""
+        return [
+            unit_vectors(full)[: len(states)]
+            for full, states in zip(self.full, self.states, strict=True)
+        ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observability:
+    """The rank and what follows from it parameter by parameter and state by state.
+
+    Attributes
+    ----------
+    rank, unknowns : over all experiments; parameters and initial states that are not known.
+    error_bound : 0 where the rank is full, which is a proof; otherwise the probability that a
+        verdict is wrong is at most this; nan where `is_partial`.
+    is_certified : False where initial values or parameters are special and the rank stayed below
+        that of almost every point: then later derivatives might still tell more. False too where
+        there are more than `MAX_KINKS` kinks, whose sides are not all looked at.
+    points : of largest rank.
+    deficiency : dimension of what the parameters can do unseen.
+    bytes : memory of the largest series.
+    """
+
+    systems: tuple[System, ...]
+    parameters: tuple[str, ...]
+    rank: int
+    unknowns: int
+    error_bound: float
+    is_partial: bool
+    is_certified: bool
+    orders: tuple[int, ...]
+    points: tuple[PointRank, ...]
+    identifiable: Mapping[str, bool]
+    observable: tuple[Mapping[str, bool], ...]
+    deficiency: int
+    immersed: tuple[str, ...]
+    has_kinks: bool
+    bytes: int
+
+    @property
+    def is_full(self) -> bool:
+        """True if every parameter and every initial state is told: a proof."""
+        return self.rank == self.unknowns
+
+    def __repr__(self) -> str:
+        return f"<Observability: rank {self.rank} of {self.unknowns}>"
+
+
+def observability(
+    systems: System | Sequence[System],
+    *,
+    seed: int = 0,
+    error_bound: float = 1e-12,
+    time_limit: float | None = None,
+    max_order: int | None = None,
+    primes: Sequence[int] | None = None,
+) -> Observability:
+    """Rank and verdicts for experiments that share parameters (and constants) by name.
+
+    Parameters
+    ----------
+    systems : one for each experiment, without unknown inputs.
+    seed : of the random points and primes.
+    error_bound : largest error probability of a deficiency.
+    time_limit : seconds after which what is proven so far is returned.
+    max_order : highest derivative; by default as many as tell anything.
+    primes : instead of random ones; there is one point for each.
+
+    Raises
+    ------
+    ModelError
+        If a system has unknown inputs left, or is defined at no point.
+    """
+    search = Search(systems)
+    deadline = math.inf if time_limit is None else time.monotonic() + time_limit
+    rng = np.random.default_rng(seed)
+    points: list[PointRank] = []
+    failure = 1.0
+    while True:
+        given = primes[len(points) : len(points) + 1] if primes is not None else None
+        point = _somewhere(search, rng, given, deadline, max_order)
+        points.append(point)
+        if point.is_partial or point.rank == search.unknowns:
+            break
+        best = max(p.rank for p in points)
+        last = search.failure(best, points[-1].orders)
+        failure = math.prod(search.failure(best, p.orders) for p in points)
+        enough = len(points) == len(primes) if primes is not None else failure <= error_bound
+        if enough or last == 1.0:  # degrees beyond the prime: no number of points would do
+            break
+        if time.monotonic() > deadline:
+            points[-1] = replace(point, is_partial=True)
+            break
+    return search.verdict(points, failure, deadline=deadline)
+
+
+def _somewhere(
+    search: Search,
+    rng: np.random.Generator,
+    primes: Sequence[int] | None,
+    deadline: float,
+    max_order: int | None,
+) -> PointRank:
+    """The rank at a random point; a root of a special value exists modulo every second prime."""
+    failed: ModelError | None = None
+    for prime in primes or (random_prime(rng) for _ in range(PRIMES)):
+        try:
+            return search.at(prime, rng, deadline=deadline, max_order=max_order)
+        except ModelError as problem:
+            failed = problem
+    assert failed is not None
+    raise failed
+
+
+def rank_at(
+    systems: System | Sequence[System],
+    prime: int,
+    *,
+    values: Mapping[str, int] | None = None,
+    rng: np.random.Generator,
+) -> PointRank:
+    """The rank at one point: `values` where they name a parameter or constant, random elsewhere."""
+    return Search(systems).at(prime, rng, values=values)
+
+
+class Search:
+    """Experiments laid out for evaluation at as many points as wanted.
+
+    Raises
+    ------
+    ModelError
+        If a system has unknown inputs left, or holds a function that cannot be immersed.
+    """
+
+    def __init__(self, systems: System | Sequence[System]) -> None:
+        self.systems = (systems,) if isinstance(systems, System) else tuple(systems)
+        if not self.systems:
+            raise ModelError("no experiment given; name at least one system")
+        for s in self.systems:
+            if s.unknown_inputs:
+                raise ModelError(
+                    f"{s.name}: {', '.join(s.unknown_inputs)} is an unknown input; eliminate it, "
+                    "or say which class of signals it belongs to"
+                )
+        made: dict[int, Schedule] = {}
+        self.schedules = [made.setdefault(id(s), Schedule(s)) for s in self.systems]
+        self.parameters = tuple(dict.fromkeys(p for s in self.systems for p in s.parameters))
+        self.unknowns = len(self.parameters) + sum(len(_free_states(s)) for s in self.systems)
+        self.bytes = 0
+        self._failures: dict[tuple[int, tuple[int, ...]], float] = {}
+
+    def at(
+        self,
+        prime: int,
+        rng: np.random.Generator,
+        *,
+        values: Mapping[str, int] | None = None,
+        deadline: float = math.inf,
+        max_order: int | None = None,
+    ) -> PointRank:
+        """The rank at one point; what is not among `values` is drawn.
+
+        `values` may name parameters, constants and initial states (of all experiments).
+        """
+        reason = ""
+        for _ in range(ATTEMPTS):
+            drawn = self._values(prime, rng, values or {})
+            try:
+                return self._at(prime, rng, drawn, deadline, max_order)
+            except SpecialPoint as problem:
+                reason = problem.function
+            except ZeroDivisionError:
+                reason = f"a number in the equations has a denominator divisible by {prime}"
+        raise ModelError(
+            f"{self.systems[0].name}: no point was found where the model is defined: {reason} at "
+            f"{ATTEMPTS} random points. Look for a division by something that is zero whatever "
+            "the parameters are, or for special values that make it zero"
+        )
+
+    def failure(self, rank: int, orders: Sequence[int]) -> float:
+        """Bound on the probability that a point shows too small a rank or a wrong verdict.
+
+        One event for each order at which the series may have stopped too early, and one for each
+        verdict; where experiments differ, a minor has at most as many rows of each as in all.
+        """
+        if (rank, tuple(orders)) in self._failures:
+            return self._failures[rank, tuple(orders)]
+        known = sum(len(s.states) - len(_free_states(s)) for s in self.systems)
+        columns = self.unknowns + known
+        copies: dict[int, list[int]] = {}  # position of a schedule -> orders of its experiments
+        for schedule, order in zip(self.schedules, orders, strict=True):
+            copies.setdefault(self.schedules.index(schedule), []).append(order)
+        total = 0.0
+        for i, own in copies.items():
+            single = failure_probabilities(
+                self.schedules[i].program, rank + known, max(own), columns=columns, copies=len(own)
+            )
+            total += len(own) * sum(single) + self.unknowns * single[-1]
+        self._failures[rank, tuple(orders)] = min(1.0, total)
+        return self._failures[rank, tuple(orders)]
+
+    def verdict(
+        self, points: Sequence[PointRank], failure: float, *, deadline: float = math.inf
+    ) -> Observability:
+        """What the points of largest rank say together."""
+        rank = max(p.rank for p in points)
+        best = tuple(p for p in points if p.rank == rank)
+        told = np.all([p.identifiable() for p in best], axis=0)
+        identifiable = dict(zip(self.parameters, told.tolist(), strict=True))
+        observable = []
+        for i, system in enumerate(self.systems):
+            seen = np.all([p.observable()[i] for p in best], axis=0)
+            verdict = dict(zip(best[0].states[i], np.atleast_1d(seen).tolist(), strict=True))
+            observable.append({x: bool(verdict.get(x, True)) for x in system.states})
+        partial = any(p.is_partial for p in points) and rank < self.unknowns
+        is_full = rank == self.unknowns
+        return Observability(
+            systems=self.systems,
+            parameters=self.parameters,
+            rank=rank,
+            unknowns=self.unknowns,
+            error_bound=0.0 if is_full else math.nan if partial else failure,
+            is_partial=partial,
+            is_certified=is_full or (not partial and self._is_certified(rank, deadline)),
+            orders=best[0].orders,
+            points=best,
+            identifiable=identifiable,
+            observable=tuple(observable),
+            deficiency=len(self.parameters) - len(best[0].information),
+            immersed=tuple(dict.fromkeys(f for s in self.schedules for f in s.program.immersed)),
+            has_kinks=any(s.program.kinks for s in self.schedules),
+            bytes=self.bytes,
+        )
+
+    def _is_certified(self, rank: int, deadline: float) -> bool:
+        """The stopping rule holds at almost every point; elsewhere its rank bounds this one."""
+        if any(len(s.program.kinks) > MAX_KINKS for s in self.schedules):
+            return False
+        if all(s.is_generic for s in self.systems):
+            return True
+        generic = [
+            s.where(known_initial=(*s.known_initial, *s.initial_values), initial_values={}, at={})
+            for s in self.systems
+        ]
+        left = None if deadline == math.inf else max(deadline - time.monotonic(), 0.0)
+        found = observability(generic, seed=1, time_limit=left)
+        return found.rank == rank and not found.is_partial
+
+    # -- one point ----------------------------------------------------------------------------
+
+    def _values(self, p: int, rng: np.random.Generator, given: Mapping[str, int]) -> dict[str, int]:
+        names = dict.fromkeys(n for s in self.systems for n in (*s.parameters, *s.constants))
+        drawn = rng.integers(1, p, len(names)).tolist()
+        values = dict(zip(names, drawn, strict=True))
+        for n in values:
+            held = {s.at.get(n) for s in self.systems if n in (*s.parameters, *s.constants)}
+            number = next(iter(held)) if len(held) == 1 else None
+            if number is not None:
+                values[n] = to_field(number, p)
+        known = {*values, *(x for s in self.systems for x in s.states)}
+        return values | {n: int(v) % p for n, v in given.items() if n in known}
+
+    def _at(
+        self,
+        p: int,
+        rng: np.random.Generator,
+        values: dict[str, int],
+        deadline: float,
+        max_order: int | None,
+    ) -> PointRank:
+        reduced: list[Array] = []
+        orders: list[int] = []
+        partial = False
+        index = {n: i for i, n in enumerate(self.parameters)}
+        for schedule in self.schedules:
+            system = schedule.system
+            rows = []
+            order = 0
+            for branches in _branches(len(schedule.program.kinks), rng):
+                rows_, order_, cut = self._reduce(
+                    schedule, values, p, rng, branches, deadline, max_order
+                )
+                rows.append(rows_)
+                order, partial = max(order, order_), partial or cut
+            orders.append(order)
+            reduced.append(_spread(rows, system, index, p))
+        states = tuple(_free_states(s) for s in self.systems)
+        told = [
+            full[_leading(full, len(x)) :, len(x) :]
+            for full, x in zip(reduced, states, strict=True)
+        ]
+        information = echelon(np.vstack(told), p)[0] if len(told) > 1 else told[0]
+        if len(told) > 1:
+            reduced = [
+                echelon(np.vstack([full, _padded(information, len(x))]), p)[0]
+                for full, x in zip(reduced, states, strict=True)
+            ]
+        return PointRank(
+            p, self.parameters, values, information, tuple(reduced), states, tuple(orders), partial
+        )
+
+    def _reduce(
+        self,
+        schedule: Schedule,
+        values: Mapping[str, int],
+        p: int,
+        rng: np.random.Generator,
+        branches: Sequence[int],
+        deadline: float,
+        max_order: int | None,
+    ) -> tuple[Array, int, bool]:
+        """Echelon form of an experiment's rows, the orders used, and whether it was cut."""
+        system = schedule.system
+        initial = {x: values.get(x, int(rng.integers(1, p))) for x in system.states}
+        initial |= {x: to_field(v, p) for x, v in system.initial_values.items()}
+        held = {n: to_field(v, p) for n, v in system.at.items()}
+        series = Series(schedule, {**values, **held, **initial}, p, rng, branches)
+        full = schedule.n_columns
+        patience = 1 if system.is_generic else max(full + 1, PATIENCE)
+        basis = Basis(full, p)
+        idle = 0
+        for order, rows in enumerate(series.rows()):
+            gained = basis.add(rows)
+            self.bytes = max(self.bytes, series.bytes)
+            idle = 0 if gained else idle + 1
+            if basis.rank == full or idle >= patience:
+                return basis.rows, order, False
+            if order == max_order or time.monotonic() > deadline:
+                return basis.rows, order, True
+        raise AssertionError("a series has no end")
+
+
+class Basis:
+    """Reduced row echelon form that grows."""
+
+    def __init__(self, columns: int, p: int) -> None:
+        self.p = p
+        self.rows: Array = np.zeros((0, columns), dtype=np.int64)
+        self.pivots: list[int] = []
+
+    @property
+    def rank(self) -> int:
+        """Number of rows."""
+        return len(self.pivots)
+
+    def add(self, rows: Array) -> int:
+        """Add (m, n) rows; how many of them are new."""
+        p = self.p
+        if self.pivots:
+            rows = (rows - matmul(rows[:, self.pivots], self.rows, p)) % p
+        new, pivots = echelon(rows, p)
+        if pivots:
+            if self.pivots:
+                self.rows = (self.rows - matmul(self.rows[:, pivots], new, p)) % p
+            self.rows = np.vstack([self.rows, new])
+            self.pivots += pivots
+        return len(pivots)
+
+
+def unit_vectors(rows: Array) -> list[bool]:
+    """Per column of a reduced row echelon form: its unit vector lies in the span of the rows."""
+    alone = np.count_nonzero(rows, axis=1) == 1
+    out = np.zeros(rows.shape[1], dtype=bool)
+    if alone.any():
+        out[np.argmax(rows[alone] != 0, axis=1)] = True
+    return [bool(v) for v in out]
+
+
+def _spread(parts: Sequence[Array], system: System, index: Mapping[str, int], p: int) -> Array:
+    """Rows over [free initial states | all parameters] in echelon form; branches joined."""
+    free = [i for i, x in enumerate(system.states) if x in set(_free_states(system))]
+    nx, n = len(system.states), len(index)
+    joined: list[Array] = []
+    for part in parts:
+        wide = np.zeros((len(part), len(free) + n), dtype=np.int64)
+        wide[:, : len(free)] = part[:, free]
+        wide[:, [len(free) + index[q] for q in system.parameters]] = part[:, nx:]
+        joined.append(echelon(wide, p)[0])
+    if len(joined) == 1:
+        return joined[0]
+    # Each side of a kink is met with states of its own: what it tells of the parameters adds.
+    told = [m[_leading(m, len(free)) :] for m in joined]
+    best = max(joined, key=len)
+    return echelon(np.vstack([best, *told]), p)[0]
+
+
+def _branches(kinks: int, rng: np.random.Generator) -> list[list[int]]:
+    """Signs of the kinks to look at: all choices, or a sample where they are many."""
+    if kinks <= MAX_KINKS:
+        return [list(c) for c in itertools.product((1, -1), repeat=kinks)]
+    sample = [[int(v) for v in rng.choice([-1, 1], kinks)] for _ in range(2**MAX_KINKS - 2)]
+    return [[1] * kinks, [-1] * kinks, *sample]
+
+
+def _free_states(system: System) -> tuple[str, ...]:
+    known = {*system.known_initial, *system.initial_values}
+    return tuple(x for x in system.states if x not in known)
+
+
+def _leading(rows: Array, columns: int) -> int:
+    """Number of echelon rows whose pivot lies in the first columns."""
+    return int(np.count_nonzero(rows[:, :columns].any(axis=1))) if columns else 0
+
+
+def _padded(rows: Array, before: int) -> Array:
+    return np.hstack([np.zeros((len(rows), before), dtype=np.int64), rows])

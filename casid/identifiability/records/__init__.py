@@ -1,0 +1,1 @@
+"""What given records tell: excitation, expected errors, profiles."""

@@ -1,0 +1,234 @@
+"""What records will tell of every parameter: expected errors, correlations, weakest directions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from casid.identifiability.records.planned import Noise
+
+Array = np.ndarray[Any, Any]
+Verdict = Literal[
+    "well determined", "poorly determined", "not seen by this record", "seen, not judged"
+]
+WELL: Verdict = "well determined"
+POOR: Verdict = "poorly determined"
+UNSEEN: Verdict = "not seen by this record"
+SEEN: Verdict = "seen, not judged"
+
+ASSUMES = (
+    "white Gaussian noise of the stated standard deviation on each output, exact inputs, the model "
+    "true, small errors around the stated values (Cramer-Rao bound); coloured noise, noise on "
+    "measured inputs and a wrong model make the errors larger"
+)
+SOURCES = (
+    "L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, section 7.4: Cramer-Rao bound",
+    "E. Walter, L. Pronzato, Identification of Parametric Models from Experimental Data, "
+    "Springer 1997: Fisher information of an experiment",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What the records will tell of one parameter or initial state, SI units.
+
+    Attributes
+    ----------
+    std_error : expected standard error, inf where not seen; for noise of one unit on every output
+        where the noise is unknown.
+    relative : std_error / |value|, None where the value is zero; of an initial state, against the
+        rms of the state over the records where that is more.
+    correlation, partner : the largest correlation with a parameter, and which; None without one.
+    note : why, and which other parameter it is confused with.
+    """
+
+    name: str
+    unit: str
+    value: float
+    is_state: bool
+    std_error: float
+    relative: float | None
+    correlation: float | None
+    partner: str | None
+    verdict: Verdict
+    note: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; None for what is infinite."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "value": self.value,
+            "kind": "initial state" if self.is_state else "parameter",
+            "std_error": _finite(self.std_error),
+            "relative": None if self.relative is None else _finite(self.relative),
+            "correlation": self.correlation,
+            "partner": self.partner,
+            "verdict": self.verdict,
+            "note": self.note,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Direction:
+    """A combination of the parameters and how well it is told, initial states eliminated.
+
+    Attributes
+    ----------
+    error : standard error along the relative direction of length one; inf where nothing moves.
+    moves : parameter -> its move at one standard error, relative to its value (to its scale where
+        that is zero); per cent of a common factor where the error is infinite.
+    """
+
+    error: float
+    moves: Mapping[str, float]
+
+    def __str__(self) -> str:
+        moves = ", ".join(f"{n} {100 * v:+.3g} %" for n, v in self.moves.items())
+        if math.isinf(self.error):
+            return f"{moves}: moves no output"
+        return f"{moves}: one standard error"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {"error": _finite(self.error), "moves": dict(self.moves)}
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Practical:
+    """Expected errors, correlations and weakest directions for stated records, values and noise.
+
+    Attributes
+    ----------
+    rows : every parameter asked about, then every initial state.
+    names : (n,) variables of the matrices, in order.
+    fisher_information, covariance, correlation : (n, n), SI units; covariance is inf and
+        correlation NaN at what is not seen.
+    singular_values : of the parameters' sensitivities relative to their values, in units of the
+        noise, initial states eliminated: one over the relative standard error along `weakest`.
+    condition : their largest over their smallest; inf where a direction is not seen.
+    weakest : directions, the worst first.
+    rank, unknowns : numerical rank of all sensitivities, and how many there are.
+    unseen : what the records cannot tell and what they tell instead, empty where all is seen.
+    """
+
+    problem: str
+    records: tuple[str, ...]
+    rows: tuple[Row, ...]
+    names: tuple[str, ...]
+    fisher_information: Array
+    covariance: Array
+    correlation: Array
+    singular_values: Array
+    condition: float
+    weakest: tuple[Direction, ...]
+    rank: int
+    unknowns: int
+    unseen: str
+    noise: Noise
+    samples: int
+    largest_relative: float
+    largest_correlation: float
+    assumes: str = ASSUMES
+    sources: tuple[str, ...] = SOURCES
+
+    def __repr__(self) -> str:
+        poor = [r.name for r in self.parameters if r.verdict == POOR]
+        lost = [r.name for r in self.parameters if r.verdict == UNSEEN]
+        said = [f"poorly determined: {', '.join(poor)}"] if poor else []
+        said += [f"not seen: {', '.join(lost)}"] if lost else []
+        return (
+            f"<Practical {self.problem}: rank {self.rank} of {self.unknowns}"
+            f"{'; ' if said else ''}{'; '.join(said)}>"
+        )
+
+    def __getitem__(self, name: str) -> Row:
+        """The row of a parameter or initial state."""
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise KeyError(f"no {name!r}; there are {', '.join(r.name for r in self.rows)}")
+
+    @property
+    def parameters(self) -> tuple[Row, ...]:
+        """Rows of parameters alone."""
+        return tuple(r for r in self.rows if not r.is_state)
+
+    def __str__(self) -> str:
+        head = ("", "unit", "value", "std. error", "relative", "correlated", "with this record")
+        table = [head] + [_cells(r) for r in self.rows]
+        widths = [max(len(line[i]) for line in table) for i in range(len(head))]
+        lines = [
+            f"Practical identifiability of {self.problem} from {', '.join(self.records)} "
+            f"({self.samples} samples)",
+            *(
+                "  " + "  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)).rstrip()
+                for line in table
+            ),
+            f"  sensitivities  rank {self.rank} of {self.unknowns}, condition {self.condition:.3g}",
+            *(f"  weakest        {d}" for d in self.weakest[:2]),
+        ]
+        if self.unseen:
+            lines.append(f"  not seen       {self.unseen}")
+        lines += [f"  noise          {text}" for text in self._noise_lines()]
+        lines.append(f"  What the error bar assumes: {self.assumes}")
+        return "\n".join(lines)
+
+    def _noise_lines(self) -> list[str]:
+        if not self.noise.is_absolute:
+            return [
+                f"{next(iter(self.noise.source.values()))}; the errors are relative to each other "
+                "only. Give noise={output: standard deviation} to have them judged"
+            ]
+        return [f"{n} {sd:.3g} ({self.noise.source[n]})" for n, sd in self.noise.sd.items()]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; None for what is infinite or not a number."""
+
+        def plain(matrix: Array) -> list[list[float | None]]:
+            return [[_finite(v) for v in row] for row in matrix.tolist()]
+
+        return {
+            "schema": "casid.practical/1",
+            "problem": self.problem,
+            "records": list(self.records),
+            "samples": self.samples,
+            "rows": [r.to_json() for r in self.rows],
+            "names": list(self.names),
+            "fisher_information": plain(self.fisher_information),
+            "covariance": plain(self.covariance),
+            "correlation": plain(self.correlation),
+            "singular_values": self.singular_values.tolist(),
+            "condition": _finite(self.condition),
+            "weakest": [d.to_json() for d in self.weakest],
+            "rank": self.rank,
+            "unknowns": self.unknowns,
+            "unseen": self.unseen,
+            "noise": dict(self.noise.sd),
+            "noise_source": dict(self.noise.source),
+            "noise_is_absolute": self.noise.is_absolute,
+            "thresholds": {
+                "relative": self.largest_relative,
+                "correlation": self.largest_correlation,
+            },
+            "assumes": self.assumes,
+            "sources": list(self.sources),
+        }
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    def percent(share: float | None) -> str:
+        return "--" if share is None or not math.isfinite(share) else f"{100 * share:.3g} %"
+
+    close = "--" if row.correlation is None else f"{row.correlation:+.3f} {row.partner}"
+    error = f"{row.std_error:.3g}" if math.isfinite(row.std_error) else "--"
+    verdict = f"{row.verdict}: {row.note}" if row.note else row.verdict
+    return row.name, row.unit, f"{row.value:.5g}", error, percent(row.relative), close, verdict
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

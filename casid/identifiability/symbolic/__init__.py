@@ -1,0 +1,1 @@
+"""Lie derivatives and the observability matrix as formulas to read."""
