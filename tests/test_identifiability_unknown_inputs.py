@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from casid.errors import IdentifiabilityError, ModelError
-from casid.identifiability.inputs import structure_algorithm
 from casid.identifiability.equations.equation_text import parse_system, parse_systems
+from casid.identifiability.inputs import structure_algorithm
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.experiments import merge, replicas, systems_by_class
 from casid.identifiability.inputs.generic_zero import vanishing

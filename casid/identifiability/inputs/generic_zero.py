@@ -132,7 +132,7 @@ def _field_operations(p: int) -> Operations:
 def _in_many_digits(
     function: ca.Function, names: list[str], held: dict[str, Fraction], rng: np.random.Generator
 ) -> list[bool]:
-    import mpmath  # type: ignore[import-untyped]
+    import mpmath
 
     with mpmath.workdps(_DIGITS):
 
