@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         parse_system,
         read_equations,
     )
+    from casid.identifiability.inputs.input_classes import Exosystem
     from casid.identifiability.mends.candidates import (
         Candidate,
         known_initial_state,
@@ -87,6 +88,7 @@ __all__ = [
     "Diagnosis",
     "Effect",
     "EquationFile",
+    "Exosystem",
     "Estimate",
     "Experiment",
     "FitSettings",
@@ -162,6 +164,7 @@ _HOME = {
         "identifiability.asked": "Assumptions",
         "identifiability.assess": "assess_identifiability",
         "identifiability.assessment": "Assessment",
+        "identifiability.inputs.input_classes": "Exosystem",
         "identifiability.mends.candidates": "Candidate known_initial_state known_parameter replica "
         "sensor",
         "identifiability.equations.equation_file": "EquationFile parse_system read_equations",

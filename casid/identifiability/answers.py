@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from casid.errors import CasidError
 from casid.identifiability.asked import Asked, Assumptions, eliminated, prepared
 from casid.identifiability.assessment import Answer, StateVerdict, Verdict
 from casid.identifiability.inputs.input_classes import (
+    Exosystem,
+    as_exosystem,
     as_harmonic,
     as_polynomial,
     as_zero,
@@ -61,12 +63,15 @@ def _try(
 
 
 def by_class(
-    systems: Sequence[System], degrees: Sequence[int], seed: int, error_bound: float
+    systems: Sequence[System],
+    arbitrary: Answer,
+    degrees: Sequence[int],
+    exosystems: Mapping[str, Exosystem],
+    **options: Any,
 ) -> dict[str, Answer]:
     """One answer a class of unknown inputs, arbitrary ones first."""
     if not any(s.unknown_inputs for s in systems):
         return {}
-    options = {"seed": seed, "error_bound": error_bound}
 
     def each(change: Callable[[System], System]) -> Callable[[], list[System]]:
         def make() -> list[System]:
@@ -75,18 +80,21 @@ def by_class(
 
         return make
 
-    table = {"arbitrary": _try("arbitrary", lambda: eliminated(systems)[0], systems, **options)}
+    table = {"arbitrary": arbitrary}
     for degree in degrees:
         label = f"polynomial_{degree}"
         change = each(lambda s, d=degree: as_polynomial(s, d))  # type: ignore[misc]
         table[label] = _try(label, change, systems, **options)
     table["harmonic"] = _try("harmonic", each(as_harmonic), systems, **options)
+    for name, source in exosystems.items():
+        driven = each(lambda s, e=source: as_exosystem(s, e))  # type: ignore[misc]
+        table[name] = _try(name, driven, systems, **options)
     table["zero"] = _try("zero", each(as_zero), systems, **options)
     return table
 
 
 def by_excitation(
-    asked: Asked, systems: Sequence[System], assuming: Assumptions, seed: int, error_bound: float
+    asked: Asked, systems: Sequence[System], assuming: Assumptions, **options: Any
 ) -> dict[str, Answer]:
     """Answers for poorer known inputs: all at rest, and what drives them at rest.
 
@@ -94,7 +102,6 @@ def by_excitation(
     unknown input of the direct model at zero, the output it was eliminated with is one (Linder
     2017, section 7.3.1).
     """
-    options = {"seed": seed, "error_bound": error_bound}
     known = tuple(dict.fromkeys(u for s in systems for u in s.inputs))
     table: dict[str, Answer] = {}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from casid.problem import Problem
 
 if TYPE_CHECKING:
     from casid.data import Experiment, Record
+    from casid.identifiability.inputs.input_classes import Exosystem
     from casid.identifiability.mends.candidates import Candidate
 
 Progress = Callable[[str], None]
@@ -36,6 +37,7 @@ def assess_identifiability(
     assuming: Assumptions | None = None,
     candidates: Sequence[Candidate] = (),
     degrees: Sequence[int] = (0, 1, 2, 4),
+    exosystems: Mapping[str, Exosystem] | None = None,
     symbolic: bool = True,
     practical: bool = True,
     profiles: Sequence[str] = (),
@@ -56,6 +58,8 @@ def assess_identifiability(
         samples matter to the practical part alone.
     candidates : sensors, experiments or known parameters to choose the cheapest mend from.
     degrees : of the polynomials that unknown inputs are also taken to be.
+    exosystems : name -> what else may drive the unknown inputs, such as a sea of known spectrum:
+        a row of its own in the table of classes.
     symbolic : look for the families of equivalent parameters in closed form.
     practical : expected errors for these records (only with a problem or model that has some).
     profiles : parameters whose profile likelihood is computed; takes a fit for each point.
@@ -113,8 +117,8 @@ def assess_identifiability(
     say("other classes of inputs")
     assessment = replace(
         assessment,
-        by_class=by_class(given, degrees, seed, error_bound),
-        by_excitation=by_excitation(asked, given, assuming, seed, error_bound),
+        by_class=by_class(given, answer, degrees, exosystems or {}, **options),
+        by_excitation=by_excitation(asked, given, assuming, **options),
     )
     if result.deficiency and symbolic and systems:
         say("families of equivalent parameters")
