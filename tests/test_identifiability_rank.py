@@ -30,7 +30,7 @@ from casid.identifiability.rank.prime_field import (
     to_field,
     to_rational,
 )
-from casid.identifiability.rank.program import program_of
+from casid.identifiability.rank.program_reader import program_of
 from casid.identifiability.rank.series import Schedule, Series
 from casid.identifiability.rank.system import System
 from tests.shared import shared
@@ -168,6 +168,15 @@ def test_at_rest_nothing_is_told(equation, state):
         "sin(-x) + sin(x)",
         "cos(-x) - cos(x)",
         "x**1.5 - x*sqrt(x)",
+        "exp(b + x) - exp(b)*exp(x)",
+        "log(b*x) - log(b) - log(x)",
+        "log(b/x) - log(b) + log(x)",
+        "log(b**3) - 3*log(b)",
+        "log(exp(b*x)) - b*x",
+        "exp(log(b)) - b",
+        "sqrt(b*x) - sqrt(b)*sqrt(x)",
+        "(b*x)**0.3 - b**0.3*x**0.3",
+        "(2*x)**b - 2**b*x**b",
         "sign(2*x) - sign(x)",
         "abs(-x) - abs(x)",
     ],

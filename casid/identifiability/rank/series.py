@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from casid.identifiability.rank.prime_field import matmul, to_field, to_rational
-from casid.identifiability.rank.program import ONE, Program, program_of
+from casid.identifiability.rank.program import ONE, Program
+from casid.identifiability.rank.program_reader import program_of
 from casid.identifiability.rank.system import System
 
 Array = np.ndarray[Any, Any]
