@@ -83,6 +83,8 @@ class ReplicasNeeded:
             return f"{self.needed} make all parameters identifiable"
         if self.is_cut:
             return "the limit was reached while replicas still told more; raise limit"
+        if self.deficiencies[-1] == len(self.parameters):
+            return "no number of them tells anything of the parameters"
         return f"more than {self.enough} tell nothing new; replicas do not mend it"
 
     def to_json(self) -> dict[str, Any]:
@@ -143,7 +145,8 @@ def replicas_needed(
     n = len(search.parameters)
     enough = ranks.index(ranks[-1]) + 1  # the first count that tells as much as the last
     complete = ranks[-1] == n
-    is_cut = not complete and enough == len(ranks)
+    is_idle = ranks[-1] == 0  # one that tells nothing of the parameters: then no other does
+    is_cut = not complete and not is_idle and enough == len(ranks)
     counts = enough if complete else len(ranks)
     return ReplicasNeeded(
         parameters=search.parameters,
