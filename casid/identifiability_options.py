@@ -137,8 +137,17 @@ class Inquiry:
         return found
 
     def profiled(self) -> tuple[str, ...]:
-        """Parameters whose profile is asked for."""
-        return _names(self.profiles)
+        """Parameters whose profile is asked for.
+
+        Raises
+        ------
+        DataError
+            If only the rank is asked for as well.
+        """
+        names = _names(self.profiles)
+        if names and self.structural:
+            raise DataError("--profile takes fits, and --structural leaves them out; drop one")
+        return names
 
     def candidates(self) -> tuple[Candidate, ...]:
         """The sensors of --sensor; their formulas are read where they are mounted.
@@ -159,7 +168,7 @@ class Inquiry:
                     f"--sensor {text}: write it as name=formula, or name=formula@cost, for example "
                     "--sensor angle=x1@2"
                 )
-            price = _setting(f"cost={cost}", f"--sensor {text}:")[1] if at else 1.0
+            price = _cost(cost, text) if at else 1.0
             made.append(sensor(name.strip(), formula.strip(), price))
         return tuple(made)
 
@@ -206,13 +215,23 @@ def read_equations_for(path: str, request: Request) -> EquationFile:
 
 
 def is_equation_file(path: str) -> bool:
-    """True for a file of equations, by its ending."""
-    return Path(path).suffix.lower() in (".json", ".toml")
+    """True for what is neither a Python file nor a record, by its ending."""
+    return Path(path).suffix.lower() not in ("", ".py", ".csv", ".parquet")
 
 
 def _names(texts: Sequence[str]) -> tuple[str, ...]:
     """Names of options that take several, separated by commas."""
     return tuple(dict.fromkeys(n.strip() for t in texts for n in t.split(",") if n.strip()))
+
+
+def _cost(text: str, sensor: str) -> float:
+    try:
+        return parse_setting(f"cost={text}")[1]
+    except DataError:
+        raise DataError(
+            f"--sensor {sensor}: the cost {text!r} is no finite number; write name=formula@cost, "
+            "for example --sensor angle=x1@2"
+        ) from None
 
 
 def _setting(text: str, option: str) -> tuple[str, float]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from casid.errors import CasidError, IdentifiabilityError
+from casid.errors import CasidError, DataError, IdentifiabilityError
 from casid.identifiability.answers import answer_of, by_class, by_excitation
 from casid.identifiability.asked import Asked, Assumptions, asked_about, eliminated, prepared
 from casid.identifiability.assessment import Assessment
@@ -71,7 +71,7 @@ def assess_identifiability(
     Raises
     ------
     ModelError, DataError
-        If the equations or records cannot be used; says which and how to mend it.
+        If the equations, candidates or records cannot be used; says which and how to mend it.
 
     Source: A. Sedoglavic (2002) for the rank; Linder (2017), sections 2.7, 4.3, 7.2, 8.3.
     """
@@ -79,6 +79,7 @@ def assess_identifiability(
     assuming = assuming or Assumptions()
     asked = asked_about(subject, experiments, assuming)
     given = prepared(asked.systems, assuming)
+    _refuse_what_has_no_use(asked, given, candidates, profiles)
     say(f"rank of {_count(len(given), 'experiment')}")
     started = time.perf_counter()
     options: Any = {"seed": seed, "error_bound": error_bound, "time_limit": time_limit}
@@ -123,12 +124,32 @@ def assess_identifiability(
     if result.deficiency and symbolic and systems:
         say("families of equivalent parameters")
         assessment = _with_families(assessment, systems, asked.with_symbols(assuming), seed)
+    if candidates and not result.deficiency:
+        note = "all parameters are identifiable, so the candidates were not weighed"
+        assessment = replace(assessment, notes=(*assessment.notes, note))
     if result.deficiency and (candidates or len(given) == 1):
         say("mends")
         assessment = _mended(assessment, given, candidates, seed)
     if practical and asked.problem is not None and asked.experiments:
         assessment = _practical(assessment, asked, profiles, say)
     return assessment
+
+
+def _refuse_what_has_no_use(
+    asked: Asked,
+    systems: Sequence[System],
+    candidates: Sequence[Candidate],
+    profiles: Sequence[str],
+) -> None:
+    if candidates:
+        from casid.identifiability.mends.candidates import check
+
+        check(candidates, systems)
+    if profiles and not asked.experiments:
+        raise DataError(
+            f"a profile of {', '.join(profiles)} is fitted to records, and {asked.name} comes "
+            "without any; give experiments, or leave it out"
+        )
 
 
 def _notes(

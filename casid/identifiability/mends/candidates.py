@@ -106,8 +106,10 @@ def check(candidates: Sequence[Candidate], systems: Sequence[System]) -> None:
             if n not in known:
                 raise IdentifiabilityError(f"{c}: there is no experiment {n!r}{nearest(n, known)}")
         own = [s for s in systems if c.concerns(s)]
-        if c.kind == "sensor" and not any(can_mount(c, s) for s in own):
-            with_sensor(own[0], c)  # says which symbol is not there
+        if c.kind == "sensor":
+            # Where it fits none, the first says which symbol is not there.
+            for s in [s for s in own if can_mount(c, s)] or own[:1]:
+                with_sensor(s, c)
         fields = {"known parameter": "parameters", "known initial state": "states"}
         if c.kind in fields:
             there = dict.fromkeys(n for s in own for n in getattr(s, fields[c.kind]))
