@@ -159,16 +159,18 @@ class Assessment:
         if not self.parameters:
             return "The model has no unknown parameters."
         if unsure:
+            proven = len(self.parameters) - len(unsure)
             return (
-                f"Time ran out: {len(self.parameters) - len(unsure)} of {len(self.parameters)} "
-                f"parameters are proven identifiable, {', '.join(unsure)} are undecided."
+                f"Time ran out: {proven} of {len(self.parameters)} parameters "
+                f"{_are(proven)} proven identifiable, {shortened(unsure)} {_are(len(unsure))} "
+                "undecided."
             )
         if not lost:
             return f"All {len(self.parameters)} parameters are identifiable."
         kept = len(self.parameters) - len(lost)
         return (
-            f"{kept} of {len(self.parameters)} parameters are identifiable; "
-            f"{', '.join(lost)} {'is' if len(lost) == 1 else 'are'} not, whatever the data."
+            f"{kept} of {len(self.parameters)} parameters {_are(kept)} identifiable; "
+            f"{shortened(lost)} {_are(len(lost))} not, whatever the data."
         )
 
     @property
@@ -304,6 +306,17 @@ def _direction(direction: NullDirection) -> dict[str, Any]:
             if v is None or v != 0
         },
     }
+
+
+def shortened(names: Sequence[str], most: int = 40) -> str:
+    """Names with commas; of very many the first, and how many more there are."""
+    if len(names) <= most:
+        return ", ".join(names)
+    return f"{', '.join(names[:most])} and {len(names) - most} more"
+
+
+def _are(count: int) -> str:
+    return "is" if count == 1 else "are"
 
 
 def _all(names: Sequence[str]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 
-from casid.identifiability.assessment import Answer, Assessment
+from casid.identifiability.assessment import Answer, Assessment, shortened
 
 WIDTH = 98
 _LISTED = 12  # fixing sets
@@ -49,14 +49,14 @@ def _verdicts(verdicts: Mapping[str, str], a: Assessment) -> list[str]:
     by_word: dict[str, list[str]] = {}
     for name in verdicts:
         by_word.setdefault(verdict_words(a, name), []).append(name)
-    return [f"{word}: {', '.join(names)}" for word, names in by_word.items()]
+    return [f"{word}: {shortened(names)}" for word, names in by_word.items()]
 
 
 def _states(states: Mapping[str, str]) -> list[str]:
     by_word: dict[str, list[str]] = {}
     for name, verdict in states.items():
         by_word.setdefault(verdict.replace("_", " "), []).append(name)
-    return [f"{word}: {', '.join(names)}" for word, names in by_word.items()]
+    return [f"{word}: {shortened(names)}" for word, names in by_word.items()]
 
 
 def _groups(a: Assessment) -> list[str]:

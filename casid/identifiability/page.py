@@ -83,7 +83,11 @@ def _cards(a: Assessment) -> _Html:
     if a.fixing is not None and a.fixing.size:
         many = "" if a.fixing.is_count_exact else "at least "
         cards.append(
-            ("To be known", f"{a.fixing.size}", f"in {many}{a.fixing.count} minimal choices")
+            (
+                "To be known",
+                f"{a.fixing.size}",
+                f"in {many}{a.fixing.count} minimal choice{'' if a.fixing.count == 1 else 's'}",
+            )
         )
     return _element(
         "dl",
@@ -314,7 +318,7 @@ def _orders(a: Assessment) -> _Html:
                 numbers=(3,),
             )
         )
-        parts.append(_list([str(r) for r in e.references]))
+        parts.append(_list([*(str(r) for r in e.references), *([e.note] if e.note else [])]))
     return _join(parts)
 
 

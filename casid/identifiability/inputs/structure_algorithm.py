@@ -219,8 +219,9 @@ class StructureAlgorithm:
         if row.order == 0:
             self.replaced.append(row.output)
         self.used[self.names[w]] = (row.output, row.order)
+        called = "" if name == row.output else f", {name}"
         self.notes.append(
-            f"{w} eliminated with {written(row.output, row.order)}, which is the known input {name}"
+            f"{w} eliminated with {written(row.output, row.order)}, now a known input{called}"
         )
 
     def finish(self) -> tuple[str, ...]:

@@ -226,7 +226,9 @@ def _cells(row: Row) -> tuple[str, ...]:
 
     close = "--" if row.correlation is None else f"{row.correlation:+.3f} {row.partner}"
     error = f"{row.std_error:.3g}" if math.isfinite(row.std_error) else "--"
-    verdict = f"{row.verdict}: {row.note}" if row.note else row.verdict
+    is_long = row.verdict == UNSEEN and row.note.count(",") > 1
+    note = "only in combination, see below" if is_long else row.note
+    verdict = f"{row.verdict}: {note}" if note else row.verdict
     return row.name, row.unit, f"{row.value:.5g}", error, percent(row.relative), close, verdict
 
 
