@@ -22,6 +22,7 @@ from casid.holdout import (
     whole_simulation,
     why_no_better,
 )
+from casid.identifiability.requirement import require_identifiable
 from casid.identification import FitSettings, estimate_of, experiments_of, fit_model, rms, versions
 from casid.problem import Problem
 from casid.scores import INVISIBLE
@@ -92,6 +93,7 @@ def diagnose(
         starts=problem.starts if starts is None else starts, solver=solver, seed=seed
     )
     say("fit the model as it is")
+    require_identifiable(problem.model, split.fitted)
     base_fit = fit_model(problem.model, split.fitted, settings, throw=False)
     spikes, split = _without_spikes(base_fit, split, false_alarm_rate)
     if spikes:

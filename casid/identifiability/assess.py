@@ -13,11 +13,17 @@ from casid.identifiability.answers import answer_of, by_class, by_excitation
 from casid.identifiability.asked import Asked, Assumptions, asked_about, eliminated, prepared
 from casid.identifiability.assessment import Assessment
 from casid.identifiability.combinations.closed_form import families
-from casid.identifiability.combinations.subsets import confounded_groups, fixing_sets
+from casid.identifiability.combinations.subsets import (
+    Exclusion,
+    confounded_groups,
+    count_not_identifiable,
+    fixing_sets,
+    joined,
+)
 from casid.identifiability.equations.equation_file import EquationFile
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.unknown_jets import observability_by_jets
-from casid.identifiability.rank.observability import Observability, observability
+from casid.identifiability.rank.observability import Observability, PointRank, observability
 from casid.identifiability.rank.system import System
 from casid.model import Model
 from casid.problem import Problem
@@ -28,6 +34,9 @@ if TYPE_CHECKING:
     from casid.identifiability.mends.candidates import Candidate
 
 Progress = Callable[[str], None]
+
+MAX_EXCLUDED = 12
+"""Parameters of which every subset is looked at, one by one."""
 
 
 def assess_identifiability(
@@ -121,6 +130,8 @@ def assess_identifiability(
         by_class=by_class(given, answer, degrees, exosystems or {}, **options),
         by_excitation=by_excitation(asked, given, assuming, **options),
     )
+    if result.deficiency and systems:
+        assessment = replace(assessment, exclusions=_exclusions(point))
     if result.deficiency and symbolic and systems:
         say("families of equivalent parameters")
         assessment = _with_families(assessment, systems, asked.with_symbols(assuming), seed)
@@ -175,6 +186,16 @@ def _notes(
     if special:
         notes.append(f"looked at special values of {', '.join(dict.fromkeys(special))}")
     return tuple(notes)
+
+
+def _exclusions(point: PointRank) -> tuple[Exclusion, ...]:
+    """Rank per column exclusion, set size by set size."""
+    n = len(point.parameters)
+    if n > MAX_EXCLUDED:
+        return ()
+    rows, states = joined(point.full, [len(x) for x in point.states], point.prime)
+    names, p = point.parameters, point.prime
+    return tuple(count_not_identifiable(rows, states, names, k, p) for k in range(1, n + 1))
 
 
 def _with_families(

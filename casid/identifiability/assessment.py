@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from casid.identifiability.combinations.family import Family
     from casid.identifiability.combinations.null_direction import NullDirection
-    from casid.identifiability.combinations.subsets import FixingSets
+    from casid.identifiability.combinations.subsets import Exclusion, FixingSets
     from casid.identifiability.mends.cheapest import Mends
     from casid.identifiability.mends.replicas import ReplicasNeeded
     from casid.identifiability.records.practical import Practical
@@ -94,6 +94,8 @@ class Assessment:
     unknown_inputs : their names; `by_class` has the answers for other classes of them.
     eliminated : how arbitrary unknown inputs were eliminated, a sentence each.
     by_excitation : answers for poorer known inputs (a reference at rest).
+    exclusions : by size, how many sets of parameters are not identifiable although all others are
+        known (Linder 2017, Tables 7.1 and 8.1); for few parameters only.
     orders : by experiment, the highest derivative of the outputs that told something.
     notes : what was assumed or left out.
     """
@@ -110,6 +112,7 @@ class Assessment:
     by_class: Mapping[str, Answer] = field(default_factory=dict)
     eliminated: tuple[str, ...] = ()
     by_excitation: Mapping[str, Answer] = field(default_factory=dict)
+    exclusions: tuple[Exclusion, ...] = ()
     orders: tuple[int, ...] = ()
     points: int = 1
     is_certified: bool = True
@@ -251,6 +254,10 @@ class Assessment:
             "minimal_fixing_sets": [list(s) for s in self.fixing.sets] if self.fixing else [],
             "minimal_fixing_sets_count": self.fixing.count if self.fixing else 0,
             "minimal_fixing_sets_cut": self.fixing.is_cut if self.fixing else False,
+            "exclusions": [
+                {"size": e.size, "total": e.total, "not_identifiable": e.count}
+                for e in self.exclusions
+            ],
             "families": [_family(f) for f in self.families],
             "directions": [_direction(d) for d in self.directions],
             "unknown_inputs": {

@@ -86,11 +86,20 @@ def _mends(a: Assessment) -> list[str]:
         shown = ["{" + ", ".join(s) + "}" for s in a.fixing.sets[:_LISTED]]
         more = f", ... ({a.fixing.count} in all)" if a.fixing.count > len(shown) else ""
         lines.append(f"minimal fixing sets: {', '.join(shown)}{more}")
+    lines += exclusion_lines(a)
     if a.replicas is not None:
         lines += str(a.replicas).splitlines()
     if a.mends is not None:
         lines += str(a.mends).splitlines()
     return lines
+
+
+def exclusion_lines(a: Assessment) -> list[str]:
+    """How many sets of each size are not identifiable although all others are known."""
+    counted = [f"{e.count} of {e.total} of size {e.size}" for e in a.exclusions if e.count]
+    if not counted:
+        return []
+    return [f"sets not identifiable with all others known: {', '.join(counted)}"]
 
 
 def _classes(a: Assessment) -> list[str]:

@@ -35,7 +35,7 @@ def assessment_page(assessment: Assessment) -> str:
     page.section("", _banner(a), _cards(a), _notice(a.notes, ()))
     page.section("Parameters", _parameters(a), _advice(a))
     page.section("What can be told instead", _groups(a), _families(a))
-    page.section("What would mend it", _fixing(a), _further(a))
+    page.section("What would mend it", _fixing(a), _exclusions(a), _further(a))
     page.section("States", _states(a))
     page.section("Unknown inputs", _classes(a))
     page.section("Poorer excitation", _excitation(a))
@@ -182,6 +182,18 @@ def _fixing(a: Assessment) -> _Html:
         f"Minimal fixing sets ({many}{shown}): once known, all others are identifiable",
         ("known", "then identifiable"),
         rows,
+    )
+
+
+def _exclusions(a: Assessment) -> _Html:
+    if not any(e.count for e in a.exclusions):
+        return _Html("")
+    rows = [(str(e.size), str(e.total), str(e.count)) for e in a.exclusions]
+    return _table(
+        "Sets of parameters that are not identifiable although all others are known",
+        ("size", "sets", "not identifiable"),
+        rows,
+        numbers=(0, 1, 2),
     )
 
 
