@@ -42,6 +42,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "push.toml").write_text(PUSH)
     (tmp_path / "spring.toml").write_text(SPRING)
+    (tmp_path / "branch.toml").write_text(SPRING.replace("k*x", "k*min(x, 1)"))
     (tmp_path / "decay.py").write_text(BARE)
     return tmp_path
 
@@ -73,6 +74,7 @@ REFUSED: dict[str, tuple[list[str], list[str]]] = {
     "a sensor that is no formula": (["spring.toml", "--sensor", "s=x+*2"], ["sensor s"]),
     "a cost in words": (["spring.toml", "--sensor", "s=x@much"], ["cost 'much'", "formula@cost"]),
     "a sensor that is there": (["push.toml", "--sensor", "a=v"], ["output 'a'", "rename"]),
+    "a branch": (["branch.toml"], ["min", "each branch as a model of its own"]),
     "a profile of equations": (["spring.toml", "--profile", "k"], ["records", "leave it out"]),
     "a profile without records": (["decay.py", "--profile", "a"], ["records", "leave it out"]),
     "a profile without fits": (["decay.py", "--profile", "a", "--structural"], ["drop one"]),

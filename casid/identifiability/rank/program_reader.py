@@ -391,5 +391,6 @@ def _nearest(value: float, name: str) -> Fraction:
 def _name(code: int) -> str:
     for name in dir(ca):
         if name.startswith("OP_") and getattr(ca, name) == code:
-            return name[3:].lower()
+            called = name[3:].lower()
+            return {"fmin": "fmin (min)", "fmax": "fmax (max)"}.get(called, called)
     return f"operation {code}"
