@@ -107,7 +107,7 @@ def assess_identifiability(
     seconds = time.perf_counter() - started
     assessment = Assessment(
         name=asked.name,
-        experiments=tuple(s.name for s in given),
+        experiments=tuple(s.name for s in asked.systems for _ in range(assuming.replicas)),
         answer=answer,
         confounded_groups=groups,
         fixing=fixing,

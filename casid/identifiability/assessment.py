@@ -236,7 +236,7 @@ class Assessment:
 
     def to_json(self) -> dict[str, Any]:
         """As ``casid identifiability --json`` prints it."""
-        a = self.answer
+        a, f = self.answer, self.fixing
         classes = {k: v.to_json() for k, v in self.by_class.items()}
         return {
             "schema": SCHEMA,
@@ -251,14 +251,14 @@ class Assessment:
             "states": dict(a.states),
             "deficiency": a.deficiency,
             "confounded_groups": [list(g) for g in self.confounded_groups],
-            "minimal_fixing_sets": [list(s) for s in self.fixing.sets] if self.fixing else [],
-            "minimal_fixing_sets_count": self.fixing.count if self.fixing else 0,
+            "minimal_fixing_sets": [list(s) for s in f.sets] if f is not None and f.size else [],
+            "minimal_fixing_sets_count": f.count if f is not None and f.size else 0,
             "minimal_fixing_sets_cut": self.fixing.is_cut if self.fixing else False,
             "exclusions": [
                 {"size": e.size, "total": e.total, "not_identifiable": e.count}
                 for e in self.exclusions
             ],
-            "families": [_family(f) for f in self.families],
+            "families": [_family(m) for m in self.families],
             "directions": [_direction(d) for d in self.directions],
             "unknown_inputs": {
                 "class": "arbitrary" if self.unknown_inputs else "none",
