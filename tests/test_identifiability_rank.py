@@ -337,8 +337,8 @@ def test_a_parameter_that_acts_in_one_quadrant_only_is_found():
 @pytest.mark.parametrize(
     ("name", "expression"),
     [
-        ("fmin", lambda x, a: a * ca.fmin(x, 1)),
-        ("fmax", lambda x, a: a * ca.fmax(x, 1)),
+        (r"fmin \(min\)", lambda x, a: a * ca.fmin(x, 1)),
+        (r"fmax \(max\)", lambda x, a: a * ca.fmax(x, 1)),
         ("floor", lambda x, a: a * ca.floor(x)),
         ("ceil", lambda x, a: a * ca.ceil(x)),
         ("fmod", lambda x, a: ca.fmod(x, a)),
