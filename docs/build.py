@@ -36,6 +36,7 @@ PAGES = (
     "report",
     "records",
     "diagnosis",
+    "identifiability",
     "linear_models",
     "instruments",
     "prediction",
