@@ -17,6 +17,7 @@ from casid.identifiability.combinations.closed_form import families
 from casid.identifiability.combinations.family import Family
 from casid.identifiability.combinations.subsets import FixingSets, confounded_groups, fixing_sets
 from casid.identifiability.equations.model_system import translated
+from casid.identifiability.inputs.input_classes import as_zero
 from casid.identifiability.rank.observability import Observability, observability
 from casid.identifiability.rank.system import System
 from casid.model import Model
@@ -34,15 +35,17 @@ def require_identifiable(
     *,
     free: Sequence[str] | None = None,
     own: Sequence[str] = (),
+    at_rest: bool = False,
 ) -> str:
     """Refuse parameters that no data from these experiments can tell apart.
 
     Parameters
     ----------
-    model : without unknown inputs.
+    model : without unknown inputs, unless they are `at_rest`.
     experiments : each with its load case; their samples play no part.
     free : the parameters that are estimated, all others known; default the model's unknown ones.
     own : parameters that every experiment has for itself.
+    at_rest : unknown inputs are zero, the mean of the noise that they are.
 
     Returns
     -------
@@ -55,7 +58,7 @@ def require_identifiable(
         With the parameters, the combinations that can be told instead, and the mend.
     """
     try:
-        systems = _systems(model, experiments, free, own)
+        systems = _systems(model, experiments, free, own, at_rest)
         result = observability(systems, time_limit=TIME_LIMIT)
     except CasidError as error:
         return f"not decided: {error}"
@@ -64,7 +67,7 @@ def require_identifiable(
     if result.deficiency == 0:
         proof = "a proof" if result.is_full else f"error below {result.error_bound:.0e}"
         return f"all parameters (rank {result.rank} of {result.unknowns}, {proof})"
-    symbols = _systems(model, experiments, free, own, generic=True)
+    symbols = _systems(model, experiments, free, own, at_rest, generic=True)
     raise IdentifiabilityError(_refusal(model, experiments, symbols, result))
 
 
@@ -73,6 +76,7 @@ def _systems(
     experiments: Sequence[Experiment],
     free: Sequence[str] | None,
     own: Sequence[str],
+    at_rest: bool,
     *,
     generic: bool = False,
 ) -> tuple[System, ...]:
@@ -82,7 +86,8 @@ def _systems(
     named = [replace(e, name=_word(e.name)) for e in experiments]
     read = translated(chosen, named, generic=generic, resting=False)
     systems = []
-    for s, e in zip(read.systems, experiments, strict=True):
+    for found, e in zip(read.systems, experiments, strict=True):
+        s = as_zero(found) if at_rest and found.unknown_inputs else found
         given = [p for p in s.parameters if free is not None and p not in free]
         systems.append(s.with_known(*given).renamed({p: f"{p} of {e.name}" for p in own}))
     return tuple(systems)

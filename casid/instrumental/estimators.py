@@ -350,7 +350,8 @@ def _estimate(
     told: list[str] = []
     found: dict[str, float] = {}
     by_name = {e.name: e for e in experiments}
-    for i, s in enumerate(specs):
+    read: list[tuple[MomentSettings, list[Part]]] = []
+    for i, s in enumerate(specs):  # all stages are asked about before one is estimated
         own = s.settings or settings
         chosen = list(experiments)
         if s.records is not None:
@@ -361,11 +362,14 @@ def _estimate(
                 )
             chosen = [by_name[r] for r in s.records]
         parts = parts_of(model, chosen, method=own.method, outputs=own.outputs, equations=equations)
-        _refuse_undetermined(specs, i, parts, {*declared} - {*found} - {*s.free})
+        before = {f for earlier in specs[:i] for f in earlier.free}
+        _refuse_undetermined(specs, i, parts, {*declared} - before - {*s.free})
         asked = ("structure", i, tuple((e.name, tuple(e.known.items())) for e in chosen))
         if asked not in cache:
             cache[asked] = require_identifiable(model, chosen, free=s.free)
         told.append(cache[asked])
+        read.append((own, parts))
+    for i, (s, (own, parts)) in enumerate(zip(specs, read, strict=True)):
         key = ("stage", i, tuple((p.name, p.Ts, p.known) for p in parts))
         if key not in cache:
             cache[key] = Stage(
