@@ -12,6 +12,7 @@ from click.testing import CliRunner, Result
 import casid
 from casid.cli import main
 from casid.identifiability.mends.replicas import replicas_needed
+from tests.shared import ROOT
 
 PUSH = """
 states = ["v"]
@@ -131,3 +132,12 @@ def test_where_one_replica_tells_nothing_no_number_of_them_does() -> None:
     assert (told.is_cut, told.needed, told.enough) == (False, None, 1)
     assert "no number of them" in told.conclusion
     assert told.deficiency(7) == 1
+
+
+def test_an_error_beside_a_value_of_zero_is_no_verdict_against_the_records() -> None:
+    """The offset starts at zero: no error is relative to it, and none makes it unidentifiable."""
+    problem = casid.load_problem(ROOT / "problems" / "roll_decay.py")
+    found = casid.assess_identifiability(problem)
+    assert found.practical is not None
+    assert found.practical["phi_0"].verdict == "seen, not judged"
+    assert "not with these records" not in str(found)

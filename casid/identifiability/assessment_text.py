@@ -40,7 +40,7 @@ def verdict_words(a: Assessment, name: str) -> str:
     if a.practical is None:
         return "identifiable"
     row = next((r for r in a.practical.parameters if r.name == name), None)
-    if row is None or row.verdict == "well determined":
+    if row is None or row.verdict in ("well determined", "seen, not judged"):
         return "identifiable"
     return f"identifiable, but not with these records: {row.verdict}"
 
