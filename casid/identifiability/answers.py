@@ -7,7 +7,7 @@ from typing import Any
 
 from casid.errors import CasidError
 from casid.identifiability.asked import Asked, Assumptions, eliminated, prepared
-from casid.identifiability.assessment import Answer, StateVerdict, Verdict
+from casid.identifiability.assessment import AT_REST, Answer, StateVerdict, Verdict
 from casid.identifiability.inputs.input_classes import (
     Exosystem,
     as_exosystem,
@@ -124,6 +124,6 @@ def by_excitation(
             return [once[id(s)] for s in read]
 
         gone = ", ".join(asked.model.eliminated_units)
-        name = f"{gone} zero, so that what replaces it is a function of the states"
+        name = f"{gone} {AT_REST}"
         table[name] = _try(name, direct, systems, **options)
     return table

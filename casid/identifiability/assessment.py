@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 SCHEMA = "casid.identifiability/1"
 
+AT_REST = "zero, so that what replaces it is a function of the states"
+"""What is said in `Assessment.by_excitation` of unknown inputs that were eliminated."""
+
 Verdict = Literal["identifiable", "not_identifiable", "unknown"]
 StateVerdict = Literal["observable", "not_observable", "unknown"]
 
@@ -153,6 +156,19 @@ class Assessment:
     def is_identifiable(self) -> bool:
         """True if every parameter is identifiable."""
         return all(v == "identifiable" for v in self.parameters.values())
+
+    @property
+    def unexcited(self) -> tuple[str, ...]:
+        """Parameters that are told only where an eliminated input acts, if it acts in no record.
+
+        The channel that it was eliminated with may move all the same, as a function of the states
+        (Linder 2017, section 7.3.1).
+        """
+        references = [r for e in self.excitations for r in e.references]
+        if not references or any(r.is_exciting for r in references):
+            return ()
+        resting = [v for k, v in self.by_excitation.items() if k.endswith(AT_REST)]
+        return tuple(dict.fromkeys(p for v in resting for p in v.not_identifiable))
 
     @property
     def sentence(self) -> str:

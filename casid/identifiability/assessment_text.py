@@ -37,6 +37,9 @@ def verdict_words(a: Assessment, name: str) -> str:
         return "no data will tell"
     if verdict == "unknown":
         return "undecided"
+    if name in a.unexcited:
+        acting = dict.fromkeys(r.unknown for e in a.excitations for r in e.references)
+        return f"identifiable, but {', '.join(acting)} does not act in these records"
     if a.practical is None:
         return "identifiable"
     row = next((r for r in a.practical.parameters if r.name == name), None)

@@ -13,16 +13,31 @@ from casid.identifiability.rank.terms import UNIT, added, scaled
 
 
 class Reader(Protocol):
-    """What the functions below are made with."""
+    """What the functions below are made with: combinations of nodes in, a combination out."""
 
-    def exp(self, a: Terms) -> Terms: ...
-    def log(self, a: Terms) -> Terms: ...
-    def sqrt(self, a: Terms) -> Terms: ...
-    def sine(self, a: Terms) -> tuple[Terms, Terms]: ...
-    def sign(self, a: Terms) -> Terms: ...
-    def one_over(self, a: Terms) -> Terms: ...
-    def times(self, a: Terms, b: Terms) -> Terms: ...
-    def integral(self, name: str, a: Terms, slope: Terms) -> Terms: ...
+    def exp(self, a: Terms) -> Terms:
+        """exp(a)."""
+
+    def log(self, a: Terms) -> Terms:
+        """log(a)."""
+
+    def sqrt(self, a: Terms) -> Terms:
+        """sqrt(a)."""
+
+    def sine(self, a: Terms) -> tuple[Terms, Terms]:
+        """sin(a) and cos(a)."""
+
+    def sign(self, a: Terms) -> Terms:
+        """+1 or -1."""
+
+    def one_over(self, a: Terms) -> Terms:
+        """1/a."""
+
+    def times(self, a: Terms, b: Terms) -> Terms:
+        """a b."""
+
+    def integral(self, name: str, a: Terms, slope: Terms) -> Terms:
+        """A function of `a` with that derivative."""
 
 
 def _tan(r: Reader, a: Terms) -> Terms:
