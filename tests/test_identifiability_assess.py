@@ -343,6 +343,51 @@ def test_what_is_told_of_a_confounded_pair_is_the_known_combination(name, wanted
     assert a.to_json()["families"][0]["invariants"] == [str(found)]
 
 
+TOGETHER = {
+    "akt_fujita": {"reaction_1_k2 + reaction_9_k1 - reaction_1_k1"},
+    "hiv_wodarz": {"beta*k*lm", "c*lm**2", "q/lm"},
+    "kd1999": {"UA/DH", "cp*ro/DH", "cph*roh/DH"},
+}
+
+
+@pytest.mark.parametrize("name", TOGETHER)
+def test_what_is_told_of_a_group_that_moves_along_several_curves_stays_along_all(name):
+    """k lm of hiv_wodarz stays where lm moves, and changes where beta does: it is not told."""
+    a = casid.assess_identifiability(shared(f"{FOLDER}/{name}.json"))
+    (told_of,) = [t for t in a.told_instead if sum(f.free in t.group for f in a.families) > 1]
+    assert told_of.is_complete
+    names = {n: sympy.Symbol(n) for n in a.parameters}
+    wanted = {sympy.sympify(text, locals=names) for text in TOGETHER[name]}
+    assert set(told_of.combinations) == wanted
+    for f in a.families:
+        for c in wanted:
+            slopes = [sympy.diff(c, names[n]) * v for n, v in f.direction.entries.items()]
+            assert sympy.simplify(sum(slopes)) == 0
+    text = " ".join(str(a).split())
+    assert f"told of {', '.join(told_of.group)}: " in text
+    assert "on this curve alone, unchanged: " in text
+    content = a.to_json()["told_instead"]
+    assert {tuple(t["group"]) for t in content} == {t.group for t in a.told_instead}
+
+
+def test_curves_that_are_no_scalings_and_no_shifts_have_joint_invariants_of_their_own():
+    """x' = u - p x/(q + r): moving p scales q + r, moving q leaves it, and p/(q + r) stays in both."""
+    fields = {
+        "states": ["x"],
+        "params": ["p", "q", "r"],
+        "known_inputs": ["u"],
+        "equations": {"x": "u - p/(q + r)*x"},
+        "outputs": {"y": "x"},
+    }
+    a = casid.assess_identifiability(casid.parse_system(fields))
+    (told_of,) = a.told_instead
+    assert set(told_of.group) == {"p", "q", "r"}
+    p, q, r = sympy.symbols("p q r")
+    (combination,) = told_of.combinations
+    assert is_function_of(p / (q + r), [combination])
+    assert told_of.is_complete
+
+
 def test_a_pendulum_tells_the_sum_of_its_inertias():
     a = casid.assess_identifiability(pendulum.linear_model().with_unknown(I_xm=0.01))
     assert a.confounded_groups == (("I_x", "I_xm"),)

@@ -119,6 +119,20 @@ def test_a_second_calibration_mends_the_ship():
     assert told == "all parameters (rank 17 of 17, a proof)"
 
 
+def test_of_a_group_with_two_freedoms_only_what_stays_in_both_is_called_told():
+    """x' = b u - (p + q + r) x: p + q stays where p and q are traded, but it is not told."""
+    m = casid.Model("sum")
+    x, u = m.state("x", "m"), m.input("u", "m/s", hold="zoh")
+    p, q, r = (m.parameter(n, "1/s", start=1.0) for n in "pqr")
+    m.derivative(x, m.parameter("b", "1", start=1.0) * u - (p + q + r) * x)
+    m.output("y", x, "m")
+    records = [casid.Experiment(e.record, {}, e.name) for e in both()]
+    with pytest.raises(IdentifiabilityError) as refusal:
+        require_identifiable(m, records)
+    assert "p, q and r cannot be told apart; they tell p + q + r instead" in str(refusal.value)
+    assert "give 2 of them a known value" in str(refusal.value)
+
+
 # -- a force on a mass: two load cases tell both ---------------------------------------------------
 
 

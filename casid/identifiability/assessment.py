@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
+    from casid.identifiability.combinations.closed_form import Told
     from casid.identifiability.combinations.family import Family
     from casid.identifiability.combinations.null_direction import NullDirection
     from casid.identifiability.combinations.subsets import Exclusion, FixingSets
@@ -193,6 +194,15 @@ class Assessment:
         )
 
     @property
+    def told_instead(self) -> tuple[Told, ...]:
+        """By confounded group, the combinations that are told; for closed forms that were found."""
+        if not self.families or self.fixing is None:
+            return ()
+        from casid.identifiability.combinations.closed_form import told_instead
+
+        return told_instead(self.families, self.fixing)
+
+    @property
     def combinations(self) -> tuple[str, ...]:
         """What can be told of parameters that cannot, one line a family."""
         return tuple(str(f) for f in self.families)
@@ -275,6 +285,7 @@ class Assessment:
                 for e in self.exclusions
             ],
             "families": [_family(m) for m in self.families],
+            "told_instead": [t.to_json() for t in self.told_instead],
             "directions": [_direction(d) for d in self.directions],
             "unknown_inputs": {
                 "class": "arbitrary" if self.unknown_inputs else "none",

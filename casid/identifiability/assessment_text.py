@@ -74,11 +74,27 @@ def group_words(group: Sequence[str]) -> str:
 
 
 def _families(a: Assessment) -> list[str]:
-    lines: list[str] = []
+    return [line for _, lines in family_lines(a) for line in lines]
+
+
+def family_lines(a: Assessment) -> list[tuple[str, list[str]]]:
+    """What moves, and lines about it: a curve each, then groups that move along several curves."""
+    groups = [(g, [f for f in a.families if f.free in g]) for g in a.confounded_groups]
+    several = {f.free for _, inside in groups if len(inside) > 1 for f in inside}
+    out = []
     for f in a.families:
         if len(f.moved) > 1 or not f.is_closed:
-            lines += str(f).splitlines()
-    return lines
+            lines = str(f).splitlines()
+            if f.free in several:
+                lines = [x.replace("invariants:", "on this curve alone, unchanged:") for x in lines]
+            out.append((f.free, lines))
+    for told in a.told_instead:
+        if several & set(told.group) and told.combinations:
+            more = "" if told.is_complete else ", and more"
+            names = ", ".join(told.group)
+            words = f"told of {names}: {', '.join(map(str, told.combinations))}{more}"
+            out.append((names, [words]))
+    return out
 
 
 def _mends(a: Assessment) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from casid.identifiability.assessment import Answer, Assessment
-from casid.identifiability.assessment_text import group_words, verdict_words
+from casid.identifiability.assessment_text import family_lines, group_words, verdict_words
 from casid.identifiability.figures import figures
 from casid.plotting import visible_text
 from casid.report import (
@@ -146,23 +146,15 @@ def _groups(a: Assessment) -> _Html:
 
 def _families(a: Assessment) -> _Html:
     parts = []
-    for f in a.families:
-        if len(f.moved) == 1 and f.is_closed:
-            continue
-        lines = [_element("code", line) for line in str(f).splitlines()]
-        parts.append(
-            _element(
-                "div",
-                _element("h3", f"Moving {f.free}") + _join(_element("p", line) for line in lines),
-                class_="cause",
-            )
-        )
+    for name, words in family_lines(a):
+        lines = _join(_element("p", _element("code", line)) for line in words)
+        parts.append(_element("div", _element("h3", f"Moving {name}") + lines, class_="cause"))
     if parts:
         parts.insert(
             0,
             _p(
-                "All values on such a curve give the same outputs; what stays the same along it "
-                "is what the data tell. Primes mark new values."
+                "All values on such a curve give the same outputs; what stays the same along all "
+                "curves of a group is what the data tell. Primes mark new values."
             ),
         )
     return _join(parts)

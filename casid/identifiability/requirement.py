@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from casid.errors import CasidError, IdentifiabilityError
-from casid.identifiability.combinations.closed_form import families
+from casid.identifiability.combinations.closed_form import families, joint_invariants
 from casid.identifiability.combinations.family import Family
 from casid.identifiability.combinations.subsets import FixingSets, confounded_groups, fixing_sets
 from casid.identifiability.equations.model_system import translated
@@ -128,8 +128,9 @@ def _sentence(group: tuple[str, ...], fixing: FixingSets, found: Sequence[Family
             "make an experiment in which it acts."
         )
     inside = [f for f in found if f.free in group]
-    told = list(dict.fromkeys(str(i) for f in inside for i in f.invariants))
-    instead = f"; they tell {', '.join(told)} instead" if told and len(inside) == size else ""
+    told, is_all = joint_invariants(inside) if len(inside) == size else ((), False)
+    more = "" if is_all else " and more"
+    instead = f"; they tell {', '.join(map(str, told))}{more} instead" if told else ""
     named = f"{', '.join(group[:-1])} and {group[-1]}"
     many = "one" if size == 1 else str(size)
     return (

@@ -7,8 +7,10 @@ parameters and constants: it is evaluated at random points and found by interpol
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -93,6 +95,105 @@ def families(
     lost = sorted({n for d in directions for n in d.not_found} & moving)
     note = f"no closed form was found for how {', '.join(lost)} move" if lost else ""
     return made, directions, note
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What data do tell of a confounded group: combinations (sympy) that no family changes."""
+
+    group: tuple[str, ...]
+    combinations: tuple[Any, ...]
+    is_complete: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "group": list(self.group),
+            "combinations": [str(c) for c in self.combinations],
+            "complete": self.is_complete,
+        }
+
+
+def told_instead(families: Sequence[Family], fixing: FixingSets) -> tuple[Told, ...]:
+    """By confounded group, what is told of its parameters; groups whose families were found."""
+    out = []
+    for group, size in zip(fixing.groups, fixing.group_sizes, strict=True):
+        inside = [f for f in families if f.free in group]
+        if len(inside) == size:
+            out.append(Told(group, *joint_invariants(inside)))
+    return tuple(out)
+
+
+def joint_invariants(families: Sequence[Family]) -> tuple[tuple[Any, ...], bool]:
+    """What no family of a confounded group changes: what data do tell of its parameters.
+
+    Where parameters move along several curves, an invariant of one of them may move along another.
+
+    Parameters
+    ----------
+    families : all those of one group, at least one.
+
+    Returns
+    -------
+    invariants : sympy expressions, independent of each other.
+    is_complete : they and the parameters that stay are all that is told.
+    """
+    import sympy
+
+    if len(families) == 1:
+        return families[0].invariants, families[0].is_closed
+    names = list(dict.fromkeys(n for f in families for n in f.moved))
+    symbols = [sympy.Symbol(n) for n in names]
+    rows = [[_sympified(f.direction.entries[n]) for n in names] for f in families]
+    weights = [f.weights for f in families]
+    if all(w is not None for w in weights):  # scalings leave monomials
+        exponents = [[(w or {}).get(n, 0) for n in names] for w in weights]
+        return tuple(
+            sympy.Mul(*(s**k for s, k in zip(symbols, v, strict=True)))
+            for v in _integer_null_space(exponents)
+        ), True
+    if all(v is not None and v.is_Rational for row in rows for v in row):
+        return tuple(
+            sympy.Add(*(k * s for s, k in zip(symbols, v, strict=True)))
+            for v in _integer_null_space(rows)
+        ), True
+    if any(v is None for row in rows for v in row):
+        return (), False
+
+    found = list(dict.fromkeys(i for f in families for i in f.invariants))
+    occurring = {s for e in (*found, *(v for row in rows for v in row)) for s in e.free_symbols}
+    occurring |= set(symbols)
+    at = {s: sympy.Rational(k, 97) for k, s in enumerate(sorted(occurring, key=str), 101)}
+
+    def stays(i: Any, row: Sequence[Any]) -> bool:
+        """At one point that nothing singles out, exactly where it is rational."""
+        speed = sum(sympy.diff(i, s) * v for s, v in zip(symbols, row, strict=True))
+        value = sympy.sympify(speed).xreplace(at)
+        return bool(value == 0 if value.is_Rational else abs(value.evalf(30)) < 1e-15)
+
+    kept = [i for i in found if all(stays(i, row) for row in rows)]
+    slopes = sympy.Matrix([[sympy.diff(i, s) for s in symbols] for i in kept])
+    independent = slopes.subs(at).T.rref()[1] if kept else ()
+    return tuple(kept[i] for i in independent), len(independent) == len(names) - len(families)
+
+
+def _sympified(entry: Any) -> Any:
+    import sympy
+
+    return None if entry is None else sympy.sympify(entry)
+
+
+def _integer_null_space(rows: Sequence[Sequence[Any]]) -> list[list[int]]:
+    """A basis of what is orthogonal to the rows, in integers without a common factor."""
+    import sympy
+
+    basis = []
+    for vector in sympy.Matrix(rows).nullspace():
+        common = math.lcm(*(int(v.q) for v in vector))
+        whole = [int(v * common) for v in vector]
+        sign = 1 if sum(v > 0 for v in whole) >= sum(v < 0 for v in whole) else -1
+        basis.append([sign * v // math.gcd(*whole) for v in whole])
+    return basis
 
 
 def _simplest(direction: NullDirection, fixing: FixingSets) -> NullDirection:

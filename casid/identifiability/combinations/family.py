@@ -32,7 +32,8 @@ class Family:
     formulas : parameter that moves -> its new value, a sympy expression of the old values (symbols
         of the physical names) and the new value of the free parameter (its name with a prime).
     invariants : expressions that keep their value; with the unchanged parameters they are what can
-        be identified in place of the parameters that move.
+        be identified in place of the parameters that move, where no other family moves them
+        (`closed_form.joint_invariants`).
     unsolved : parameters that move, too, but for which no closed form was found; their speed is
         still in `direction`.
     unchanged_where : parameter -> expressions; where one of them is zero it does not move.
