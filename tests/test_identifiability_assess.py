@@ -371,7 +371,7 @@ def test_what_is_told_of_a_group_that_moves_along_several_curves_stays_along_all
 
 
 def test_curves_that_are_no_scalings_and_no_shifts_have_joint_invariants_of_their_own():
-    """x' = u - p x/(q + r): moving p scales q + r, moving q leaves it, and p/(q + r) stays in both."""
+    """x' = u - p x/(q + r): one curve scales q + r, the other leaves it; p/(q + r) stays."""
     fields = {
         "states": ["x"],
         "params": ["p", "q", "r"],
@@ -484,6 +484,21 @@ def test_a_constant_input_of_known_value_still_tells_its_parameter():
     a = structural(integrator(), run(w=0.7))
     assert told(a) == {"a", "b"}
     assert "w is the same in all samples" in " ".join(str(a).split())
+
+
+def test_a_planned_record_needs_no_outputs():
+    """Before anybody measures: known inputs decide, and the answer says what is to be measured."""
+    channels = {name: run()[name] for name in ("u", "w")}
+    planned = casid.Record(channels, {"u": "m/s", "w": "m/s"}, Ts=TS, name="plan")
+    a = casid.assess_identifiability(integrator(), planned)
+    assert told(a) == {"a", "b"}
+    assert "plan: y is not recorded, and taken as measured" in " ".join(str(a).split())
+    assert a.practical is not None  # errors relative to each other: the noise is unknown
+    assert verdict_words(a, "a") == "identifiable"
+    rest = casid.Record({**channels, "w": np.zeros(200)}, planned.units, Ts=TS, name="plan")
+    assert lost(structural(integrator(), rest)) == {"b"}
+    with pytest.raises(DataError, match="no channel 'w' for integrator"):
+        structural(integrator(), planned.without("w"))
 
 
 def test_no_data_will_tell_and_not_with_these_records_are_two_verdicts():

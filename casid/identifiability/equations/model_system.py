@@ -148,7 +148,8 @@ def translated(
     Raises
     ------
     DataError
-        If there is no experiment, or a record lacks a channel of the model.
+        If there is no experiment, or a record lacks an input of the model. Outputs may be absent
+        from a record that is planned; a note says so.
     ModelError
         As `system_of`.
     """
@@ -162,6 +163,11 @@ def translated(
         system = system_of(acting, known=experiment.known, generic=generic)
         system = system.renamed(_own_names(model, experiment, experiments))
         zero, constant = _at_rest(acting, system, experiment) if resting else ([], {})
+        planned = [y for y in system.outputs if y not in experiment.record.channels]
+        if resting and planned:
+            notes.append(
+                f"{experiment.name}: {', '.join(planned)} is not recorded, and taken as measured"
+            )
         for name in zero:
             notes.append(f"{experiment.name}: input {name} is 0 in all samples, and taken as 0")
         for name in constant:
@@ -250,7 +256,7 @@ def _at_rest(
 ) -> tuple[list[str], dict[str, Fraction]]:
     """Known inputs of a system that are zero, and that are constant, in all of a record."""
     record = experiment.record
-    for name in (*system.inputs, *system.outputs):
+    for name in system.inputs:
         generated = name in model.inputs and model.inputs[name].kind == "generated"
         if not generated and name not in record.channels:
             raise DataError(
