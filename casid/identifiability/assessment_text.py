@@ -154,7 +154,7 @@ def _wrapped(text: str, lead: str) -> list[str]:
         return [lead + text]
     inner = text.lstrip()
     lead += " " * (len(text) - len(inner))
-    if "  " in inner.strip() and len(inner.split()) < 16:
+    if inner.strip().count("  ") > 1:
         return [lead + inner]  # a row of a table
     return textwrap.wrap(
         inner,

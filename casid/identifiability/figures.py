@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from casid.identifiability.assessment import Assessment
     from casid.identifiability.records.profiles import Profiles
 
-_COLOURS = {WELL: FLOOR, POOR: BEFORE, UNSEEN: "#000000", SEEN: MEASURED}
+_COLOURS = {WELL: FLOOR, POOR: BEFORE, UNSEEN: "#5f6073", SEEN: MEASURED}
 
 
 def figures(assessment: Assessment) -> dict[str, Any]:
@@ -23,7 +23,7 @@ def figures(assessment: Assessment) -> dict[str, Any]:
     p = assessment.practical
     if p is not None and any(r.relative is not None and r.relative > 0 for r in p.parameters):
         out["errors"] = error_figure(p, assessment)
-    if p is not None and len(p.parameters) > 1 and np.isfinite(p.correlation).any():
+    if p is not None and sum(math.isfinite(r.std_error) for r in p.parameters) > 1:
         out["correlations"] = correlation_figure(p)
     if assessment.profiles is not None and len(assessment.profiles.profiles):
         out["profiles"] = profile_figure(assessment.profiles)
@@ -104,7 +104,7 @@ def correlation_figure(practical: Practical) -> Any:
     panel.figure.update_yaxes(autorange="reversed")
     return panel.done(
         "Correlation of the expected errors: a pair near +1 or -1 is told in combination, not "
-        "one by one; white rows are parameters that are not seen.",
+        "one by one. Parameters that are not seen are left out.",
         (),
     )
 

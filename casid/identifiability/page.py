@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -269,8 +270,10 @@ def _practical(a: Assessment) -> _Html:
             _element("code", r.name),
             r.unit,
             _value(r.value),
-            _number(r.std_error),
-            "\u2013" if r.relative is None else f"{100 * r.relative:.3g} %",
+            _number(r.std_error) if math.isfinite(r.std_error) else "\u2013",
+            "\u2013"
+            if r.relative is None or not math.isfinite(r.relative)
+            else f"{100 * r.relative:.3g} %",
             "\u2013" if r.correlation is None else f"{r.correlation:+.3f} {r.partner}",
             r.verdict + (f": {r.note}" if r.note else ""),
         )
