@@ -542,3 +542,16 @@ def test_candidates_are_weighed_by_what_they_cost():
     assert str(a.mends.cheapest[0]) == "sensor second"
     assert "cheapest mend: sensor second (cost 1)" in str(a)
     assert a.to_json()["mends"]["cheapest"]
+
+
+def test_a_reference_at_rest_takes_with_it_what_only_it_tells():
+    """The accelerometer moves with the noise; the cart does not, and nothing is told (7.3.1)."""
+    still = pendulum.simulate(duration=10.0, ref=np.zeros(1000), noise=0.01)
+    rest = casid.assess_identifiability(pendulum.problem, [still], symbolic=False)
+    assert rest.is_identifiable
+    assert rest.unexcited == ("k", "d", "I_x")
+    assert "a_y does not act in these records: k, d, I_x" in str(rest)
+    moving = casid.assess_identifiability(
+        pendulum.problem, [pendulum.simulate(duration=10.0)], symbolic=False
+    )
+    assert moving.unexcited == ()

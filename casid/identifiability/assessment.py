@@ -186,6 +186,8 @@ class Assessment:
                 "undecided."
             )
         if not lost:
+            if len(self.parameters) == 1:
+                return f"{next(iter(self.parameters))} is identifiable."
             return f"All {len(self.parameters)} parameters are identifiable."
         kept = len(self.parameters) - len(lost)
         return (
@@ -212,7 +214,7 @@ class Assessment:
         """What the answer rests on."""
         a = self.answer
         if a.is_partial:
-            return "Partial: what is called identifiable is, up to chance below 1e-6; rest open."
+            return "Partial: time ran out. What is called identifiable is so; the rest is open."
         if a.error_bound == 0.0:
             return "Proven: full rank at one point modulo one prime."
         sure = (

@@ -154,8 +154,9 @@ def _wrapped(text: str, lead: str) -> list[str]:
         return [lead + text]
     inner = text.lstrip()
     lead += " " * (len(text) - len(inner))
-    if inner.strip().count("  ") > 1:
-        return [lead + inner]  # a row of a table
+    head, gap, tail = inner.rstrip().rpartition("  ")
+    if gap and "  " in head and len(lead + head.rstrip()) <= WIDTH:  # a row of a table
+        return [(lead + head).rstrip(), *_wrapped(tail.strip(), lead + "  ")]
     return textwrap.wrap(
         inner,
         WIDTH,

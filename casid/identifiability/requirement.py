@@ -25,7 +25,7 @@ from casid.model import Model
 if TYPE_CHECKING:
     from casid.data import Experiment
 
-TIME_LIMIT = 5.0
+TIME_LIMIT = 20.0
 """Seconds for the rank, and again for the closed form of what is told instead."""
 
 
