@@ -13,6 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from casid.data import Experiment, Record
+from casid.derived import Derived, derive
 from casid.errors import DataError, ModelError
 from casid.model import Model
 from casid.reading import ColumnSpec, read_record
@@ -30,9 +31,14 @@ class Problem:
         where the column's name does not tell; signals not named have columns of their own name.
     recorded : channels recorded beside the model's, name -> unit; candidate extra inputs. Columns
         of the same name are read where the file has them.
+    derived : channels of the model, or recorded beside it, that no file has -> how they are
+        computed from others (`casid.derived.Derived`). Their sources are read as channels are, each
+        from the column of its own name or the one in `channels`; a column mapped to the derived
+        channel itself goes before.
     time : the time column; found by name where not given.
     load_cases : name -> values of parameters known in that case.
-    noise : channel -> standard deviation of its white noise, where known (SI units).
+    noise : channel -> standard deviation of its white noise, where known (SI units); that of a
+        derived channel's sources is carried through and told in the record's provenance.
     example : returns the example experiments (their effect is for the diagnosis to find).
     simulate : takes a seed and returns experiments with noise drawn from it, for Monte Carlo
         studies; the system is to be the same for every seed.
@@ -47,6 +53,7 @@ class Problem:
     model: Model
     channels: Mapping[str, str] = field(default_factory=dict)
     recorded: Mapping[str, str] = field(default_factory=dict)
+    derived: Mapping[str, Derived] = field(default_factory=dict, kw_only=True)
     time: str | ColumnSpec | None = None
     load_cases: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
@@ -63,8 +70,10 @@ class Problem:
 
         check_units(self.model)
         signals = [*self.model.inputs, *self.model.outputs]
+        self._check_derived(signals)
+        sources = {source for entry in self.derived.values() for source in entry.sources}
         for key in (*self.channels, *self.noise):
-            if key not in signals and key not in self.recorded:
+            if key not in signals and key not in self.recorded and key not in sources:
                 raise ModelError(
                     f"problem {self.name}: channel {key!r} is no input or output of the model; "
                     f"it has {', '.join(signals)}{_near(key, signals)}"
@@ -83,18 +92,41 @@ class Problem:
                     f"parameter{_near(key, list(self.model.parameters))}; it has "
                     f"{', '.join(self.model.parameters)}"
                 )
-        for name in ("channels", "recorded", "load_cases", "noise", "truth"):
+        for name in ("channels", "recorded", "derived", "load_cases", "noise", "truth"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def _check_derived(self, signals: Sequence[str]) -> None:
+        there = [*signals, *self.recorded]
+        for name, entry in self.derived.items():
+            if name not in there:
+                raise ModelError(
+                    f"problem {self.name}: derived channel {name!r} is no input or output of the "
+                    f"model, nor recorded; name one of {', '.join(there)}{_near(name, there)}"
+                )
+            twice = [s for s in entry.sources if s in self.derived]
+            if twice:
+                raise ModelError(
+                    f"problem {self.name}: {name!r} is derived from {twice[0]!r}, which is derived "
+                    f"itself; compute {name!r} from the sources of {twice[0]!r}"
+                )
 
     def __repr__(self) -> str:
         return f"<Problem {self.name}: {self.model!r}>"
 
     def columns(self, mapping: Mapping[str, str] | None = None) -> dict[str, ColumnSpec]:
-        """Where each signal is read from, the user's `mapping` over the problem's own."""
+        """Where each signal is read from, the user's `mapping` over the problem's own.
+
+        Instead of a derived channel there are its sources, unless it is mapped itself.
+        """
         merged = {**self.channels, **(mapping or {})}
         units = {name: entry.unit for name, entry in self.model.inputs.items()}
         units |= {name: unit for name, (_, unit) in self.model.outputs.items()}
         units |= dict(self.recorded)
+        for entry in self.derived.values():
+            units = {**entry.sources, **units}
+        computed = {n: entry for n, entry in self.derived.items() if n not in merged}
+        needed = {source for entry in computed.values() for source in entry.sources}
+        own = {*self.model.inputs, *self.model.outputs, *self.recorded}
         for key in merged:
             if key not in units:
                 raise DataError(
@@ -103,8 +135,10 @@ class Problem:
                 )
         specs = {}
         for signal, target in units.items():
-            entry = self.model.inputs.get(signal)
-            if entry is not None and entry.kind == "generated":
+            known = self.model.inputs.get(signal)
+            if known is not None and known.kind == "generated":
+                continue
+            if signal in computed or (signal not in own and signal not in needed):
                 continue
             column, _, unit = merged.get(signal, signal).partition(":")
             specs[signal] = ColumnSpec(column or signal, unit or None, target)
@@ -135,6 +169,24 @@ class Problem:
         )
         return self.experiment(record, case=case, known=known)
 
+    def derive(self, record: Record) -> Record:
+        """The record with the derived channels that it lacks, cut where their filters end.
+
+        A channel beside the model's is left out where the record lacks its sources.
+
+        Raises
+        ------
+        DataError
+            If a source of one of the model's channels is absent or misses samples.
+        """
+        signals = {*self.model.inputs, *self.model.outputs}
+        wanted = {
+            name: entry
+            for name, entry in self.derived.items()
+            if name in signals or all(source in record for source in entry.sources)
+        }
+        return derive(record, wanted, self.noise)
+
     def _present(
         self, path: str | Path, specs: dict[str, ColumnSpec], mapping: Mapping[str, str]
     ) -> dict[str, ColumnSpec]:
@@ -142,10 +194,14 @@ class Problem:
         from casid.reading import column_names
 
         there = set(column_names(path))
+        signals = {*self.model.inputs, *self.model.outputs}
+        for name, entry in self.derived.items():
+            if name in signals:
+                signals |= set(entry.sources)
         return {
             signal: spec
             for signal, spec in specs.items()
-            if signal not in self.recorded or signal in mapping or spec.column in there
+            if signal in signals or signal in mapping or spec.column in there
         }
 
     def experiment(
@@ -155,7 +211,8 @@ class Problem:
         case: str | None = None,
         known: Mapping[str, float] | None = None,
     ) -> Experiment:
-        """A record with its load case and further known values."""
+        """A record with its derived channels, its load case and further known values."""
+        record = self.derive(record)
         values: dict[str, float] = {}
         if case is not None:
             if case not in self.load_cases:
