@@ -34,30 +34,34 @@ HEAVY = "casadi numpy scipy sympy control pandas pyarrow pint joblib plotly rich
 LAYERS = """
 campaigns.dask_backend campaigns.progress errors identifiability.assessment
   identifiability.combinations.readable identifiability.combinations.scalar_flow
-  identifiability.records.profile_result instrumental.columns instrumental.lag_products
-  linear.loop_text local_rank spikes uncertainty
+  identifiability.rank.program identifiability.records.profile_result instrumental.columns
+  instrumental.lag_products instrumental.switching linear.loop_text local_rank spikes uncertainty
 campaigns.manifest estimate expressions identifiability.assessment_text
-  identifiability.rank.prime_field instrumental.column_products instrumental.gram
-  instrumental.long_run instrumental.reference_filter linear.linear_constraints linear.symbolic
-  linear.transfer_text model options prediction.polynomial_orders prediction.polynomial_residuals
-  solving.nlp_solution solving.nlp_solver terminal units writing
+  identifiability.rank.prime_field identifiability.rank.terms instrumental.column_products
+  instrumental.gram instrumental.long_run instrumental.reference_filter linear.linear_constraints
+  linear.symbolic linear.transfer_text local_polynomial model options prediction.extended_smoother
+  prediction.polynomial_orders prediction.polynomial_residuals solving.nlp_solution
+  solving.nlp_solver terminal units writing
 campaigns.parts data diagnosis dimensions effects identifiability.combinations.matroid
   identifiability.combinations.rational_degrees identifiability.inputs.generic_zero
+  identifiability.rank.error_bound identifiability.rank.immersion identifiability.rank.row_basis
   identifiability.rank.system identifiability_options instrumental.moments linear.discrete_loop
   linear.inverse_map linear.laplace linear.parameter_draws linear.vanishing prediction.input_models
   simulate solving.nlp_criterion solving.nlp_values
-campaigns.campaign identifiability.combinations.interpolation identifiability.combinations.subsets
-  identifiability.equations.formula_scope identifiability.inputs.signals
-  identifiability.mends.candidates identifiability.rank.program identifiability.records.excitation
-  linear.closed_loop linear.linear_model linear.symbolic_hull plotting prediction.excitation
+campaigns.campaign derived identifiability.combinations.interpolation
+  identifiability.combinations.subsets identifiability.equations.formula_scope
+  identifiability.inputs.signals identifiability.mends.candidates
+  identifiability.rank.program_reader identifiability.rank.rank_result
+  identifiability.records.excitation instrumental.exogeneity linear.closed_loop linear.linear_model
+  linear.symbolic_hull plotting prediction.coordinated_turn prediction.excitation
   prediction.noisy_system prediction.polynomial_data prediction.polynomial_start prepare reading
   solving.compiled solving.nlp
 checking identifiability.combinations.null_direction identifiability.equations.equation_text
   identifiability.equations.model_system identifiability.inputs.input_classes
-  identifiability.inputs.structure_algorithm identifiability.rank.error_bound
-  identifiability.rank.series identifiability.symbolic.symbolic_rank linear.discretise
-  prediction.kalman prediction.polynomial_criterion prediction.polynomial_model problem regression
-  report simulation_error solving.contenders solving.null_space
+  identifiability.inputs.structure_algorithm identifiability.rank.series
+  identifiability.symbolic.symbolic_rank linear.discretise prediction.kalman
+  prediction.polynomial_criterion prediction.polynomial_model problem regression report
+  simulation_error solving.contenders solving.null_space
 campaigns.monte_carlo_page equation_error identifiability.combinations.family
   identifiability.equations.equation_file identifiability.inputs.elimination
   identifiability.rank.observability identifiability.symbolic.reduced_form instrumental.instruments

@@ -16,7 +16,8 @@ from casid.identifiability.inputs.input_classes import (
     as_zero,
     with_input_class,
 )
-from casid.identifiability.rank.observability import Observability, observability
+from casid.identifiability.rank.observability import observability
+from casid.identifiability.rank.rank_result import Observability
 from casid.identifiability.rank.system import System
 
 

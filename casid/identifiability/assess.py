@@ -23,7 +23,8 @@ from casid.identifiability.combinations.subsets import (
 from casid.identifiability.equations.equation_file import EquationFile
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.unknown_jets import observability_by_jets
-from casid.identifiability.rank.observability import Observability, PointRank, observability
+from casid.identifiability.rank.observability import observability
+from casid.identifiability.rank.rank_result import Observability, PointRank
 from casid.identifiability.rank.system import System
 from casid.model import Model
 from casid.problem import Problem

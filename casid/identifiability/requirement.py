@@ -18,7 +18,8 @@ from casid.identifiability.combinations.family import Family
 from casid.identifiability.combinations.subsets import FixingSets, confounded_groups, fixing_sets
 from casid.identifiability.equations.model_system import translated
 from casid.identifiability.inputs.input_classes import as_zero
-from casid.identifiability.rank.observability import Observability, observability
+from casid.identifiability.rank.observability import observability
+from casid.identifiability.rank.rank_result import Observability
 from casid.identifiability.rank.system import System
 from casid.model import Model
 

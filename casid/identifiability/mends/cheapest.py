@@ -26,7 +26,8 @@ from casid.identifiability.mends.screening import Effect, Prepare, Screening
 from casid.identifiability.mends.sensor_subsets import SensorSubset as SensorSubset
 from casid.identifiability.mends.sensor_subsets import SensorSubsets as SensorSubsets
 from casid.identifiability.mends.sensor_subsets import sensor_subsets as sensor_subsets
-from casid.identifiability.rank.observability import Observability, observability
+from casid.identifiability.rank.observability import observability
+from casid.identifiability.rank.rank_result import Observability
 from casid.identifiability.rank.system import System
 
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from casid.errors import ModelError
-from casid.identifiability.rank.observability import ATTEMPTS, Basis, Search
+from casid.identifiability.rank.observability import ATTEMPTS, Search
+from casid.identifiability.rank.row_basis import Basis
 from casid.identifiability.rank.series import Series, SpecialPoint
 from casid.identifiability.rank.system import System
 

@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 
 from casid.errors import IdentifiabilityError
-from casid.identifiability.rank.observability import Basis, PointRank, Search, unit_vectors
+from casid.identifiability.rank.observability import Search
 from casid.identifiability.rank.prime_field import random_prime
+from casid.identifiability.rank.rank_result import PointRank
+from casid.identifiability.rank.row_basis import Basis, unit_vectors
 from casid.identifiability.rank.system import System
 
 Told = tuple[int, tuple[bool, ...]]  # rank of the information, parameter by parameter

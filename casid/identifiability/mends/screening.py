@@ -16,8 +16,10 @@ import numpy as np
 from casid.errors import IdentifiabilityError
 from casid.expressions import nearest
 from casid.identifiability.mends.candidates import Candidate, can_mount, check, with_sensor
-from casid.identifiability.rank.observability import PointRank, Search, unit_vectors
+from casid.identifiability.rank.observability import Search
 from casid.identifiability.rank.prime_field import echelon, random_prime
+from casid.identifiability.rank.rank_result import PointRank
+from casid.identifiability.rank.row_basis import unit_vectors
 from casid.identifiability.rank.system import System
 
 Array = np.ndarray[Any, Any]

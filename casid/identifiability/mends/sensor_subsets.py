@@ -13,8 +13,9 @@ import numpy as np
 from casid.errors import IdentifiabilityError
 from casid.expressions import nearest
 from casid.identifiability.mends.output_spans import OutputSpans, Spans
-from casid.identifiability.rank.observability import Basis, observability, unit_vectors
+from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.prime_field import random_prime
+from casid.identifiability.rank.row_basis import Basis, unit_vectors
 from casid.identifiability.rank.system import System
 
 Array = np.ndarray[Any, Any]

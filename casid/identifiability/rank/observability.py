@@ -13,14 +13,16 @@ import itertools
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from casid.errors import ModelError
 from casid.identifiability.rank.error_bound import failure_probabilities
-from casid.identifiability.rank.prime_field import echelon, matmul, random_prime, to_field
+from casid.identifiability.rank.prime_field import echelon, random_prime, to_field
+from casid.identifiability.rank.rank_result import Observability, PointRank
+from casid.identifiability.rank.row_basis import Basis, leading, padded
 from casid.identifiability.rank.series import Schedule, Series, SpecialPoint
 from casid.identifiability.rank.system import System
 
@@ -38,91 +40,6 @@ PATIENCE = 16
 
 MAX_KINKS = 4
 """Of so many kinks (abs, sign) in one experiment, every choice of sides is looked at."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PointRank:
-    """What the outputs tell at one point: row echelon forms modulo `prime`.
-
-    Attributes
-    ----------
-    values : parameters and constants at the point.
-    information : (r, n_parameters), what all experiments together tell of the parameters.
-    full : by experiment, over [initial states that are not known | parameters].
-    states : by experiment, the states whose columns stand in `full`.
-    orders : by experiment, the highest derivative that was needed.
-    is_partial : time ran out, or the highest order allowed was reached.
-    """
-
-    prime: int
-    parameters: tuple[str, ...]
-    values: Mapping[str, int]
-    information: Array
-    full: tuple[Array, ...]
-    states: tuple[tuple[str, ...], ...]
-    orders: tuple[int, ...]
-    is_partial: bool = False
-
-    @property
-    def rank(self) -> int:
-        """Rank of the joint observability matrix."""
-        seen = sum(
-            _leading(full, len(states)) for full, states in zip(self.full, self.states, strict=True)
-        )
-        return seen + len(self.information)
-
-    def identifiable(self) -> list[bool]:
-        """Per parameter: its unit vector lies in the span of the rows."""
-        return unit_vectors(self.information)
-
-    def observable(self) -> list[list[bool]]:
-        """Per experiment and state of `states`."""
-        return [
-            unit_vectors(full)[: len(states)]
-            for full, states in zip(self.full, self.states, strict=True)
-        ]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Observability:
-    """The rank and what follows from it parameter by parameter and state by state.
-
-    Attributes
-    ----------
-    rank, unknowns : over all experiments; parameters and initial states that are not known.
-    error_bound : 0 where the rank is full, which is a proof; otherwise the probability that a
-        verdict is wrong is at most this; nan where `is_partial`.
-    is_certified : False where initial values or parameters are special and the rank stayed below
-        that of almost every point: then later derivatives might still tell more. False too where
-        there are more than `MAX_KINKS` kinks, whose sides are not all looked at.
-    points : of largest rank.
-    deficiency : dimension of what the parameters can do unseen.
-    bytes : memory of the largest series.
-    """
-
-    systems: tuple[System, ...]
-    parameters: tuple[str, ...]
-    rank: int
-    unknowns: int
-    error_bound: float
-    is_partial: bool
-    is_certified: bool
-    orders: tuple[int, ...]
-    points: tuple[PointRank, ...]
-    identifiable: Mapping[str, bool]
-    observable: tuple[Mapping[str, bool], ...]
-    deficiency: int
-    immersed: tuple[str, ...]
-    has_kinks: bool
-    bytes: int
-
-    @property
-    def is_full(self) -> bool:
-        """True if every parameter and every initial state is told: a proof."""
-        return self.rank == self.unknowns
-
-    def __repr__(self) -> str:
-        return f"<Observability: rank {self.rank} of {self.unknowns}>"
 
 
 def observability(
@@ -365,13 +282,12 @@ class Search:
             reduced.append(_spread(rows, system, index, p))
         states = tuple(_free_states(s) for s in self.systems)
         told = [
-            full[_leading(full, len(x)) :, len(x) :]
-            for full, x in zip(reduced, states, strict=True)
+            full[leading(full, len(x)) :, len(x) :] for full, x in zip(reduced, states, strict=True)
         ]
         information = echelon(np.vstack(told), p)[0] if len(told) > 1 else told[0]
         if len(told) > 1:
             reduced = [
-                echelon(np.vstack([full, _padded(information, len(x))]), p)[0]
+                echelon(np.vstack([full, padded(information, len(x))]), p)[0]
                 for full, x in zip(reduced, states, strict=True)
             ]
         return PointRank(
@@ -409,42 +325,6 @@ class Search:
         raise AssertionError("a series has no end")
 
 
-class Basis:
-    """Reduced row echelon form that grows."""
-
-    def __init__(self, columns: int, p: int) -> None:
-        self.p = p
-        self.rows: Array = np.zeros((0, columns), dtype=np.int64)
-        self.pivots: list[int] = []
-
-    @property
-    def rank(self) -> int:
-        """Number of rows."""
-        return len(self.pivots)
-
-    def add(self, rows: Array) -> int:
-        """Add (m, n) rows; how many of them are new."""
-        p = self.p
-        if self.pivots:
-            rows = (rows - matmul(rows[:, self.pivots], self.rows, p)) % p
-        new, pivots = echelon(rows, p)
-        if pivots:
-            if self.pivots:
-                self.rows = (self.rows - matmul(self.rows[:, pivots], new, p)) % p
-            self.rows = np.vstack([self.rows, new])
-            self.pivots += pivots
-        return len(pivots)
-
-
-def unit_vectors(rows: Array) -> list[bool]:
-    """Per column of a reduced row echelon form: its unit vector lies in the span of the rows."""
-    alone = np.count_nonzero(rows, axis=1) == 1
-    out = np.zeros(rows.shape[1], dtype=bool)
-    if alone.any():
-        out[np.argmax(rows[alone] != 0, axis=1)] = True
-    return [bool(v) for v in out]
-
-
 def _spread(parts: Sequence[Array], system: System, index: Mapping[str, int], p: int) -> Array:
     """Rows over [free initial states | all parameters] in echelon form; branches joined."""
     free = [i for i, x in enumerate(system.states) if x in set(_free_states(system))]
@@ -458,7 +338,7 @@ def _spread(parts: Sequence[Array], system: System, index: Mapping[str, int], p:
     if len(joined) == 1:
         return joined[0]
     # Each side of a kink is met with states of its own: what it tells of the parameters adds.
-    told = [m[_leading(m, len(free)) :] for m in joined]
+    told = [m[leading(m, len(free)) :] for m in joined]
     best = max(joined, key=len)
     return echelon(np.vstack([best, *told]), p)[0]
 
@@ -474,12 +354,3 @@ def _branches(kinks: int, rng: np.random.Generator) -> list[list[int]]:
 def _free_states(system: System) -> tuple[str, ...]:
     known = {*system.known_initial, *system.initial_values}
     return tuple(x for x in system.states if x not in known)
-
-
-def _leading(rows: Array, columns: int) -> int:
-    """Number of echelon rows whose pivot lies in the first columns."""
-    return int(np.count_nonzero(rows[:, :columns].any(axis=1))) if columns else 0
-
-
-def _padded(rows: Array, before: int) -> Array:
-    return np.hstack([np.zeros((len(rows), before), dtype=np.int64), rows])

@@ -1,0 +1,99 @@
+"""What a rank says: at one point, and from all points together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from casid.identifiability.rank.row_basis import leading, unit_vectors
+from casid.identifiability.rank.system import System
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointRank:
+    """What the outputs tell at one point: row echelon forms modulo `prime`.
+
+    Attributes
+    ----------
+    values : parameters and constants at the point.
+    information : (r, n_parameters), what all experiments together tell of the parameters.
+    full : by experiment, over [initial states that are not known | parameters].
+    states : by experiment, the states whose columns stand in `full`.
+    orders : by experiment, the highest derivative that was needed.
+    is_partial : time ran out, or the highest order allowed was reached.
+    """
+
+    prime: int
+    parameters: tuple[str, ...]
+    values: Mapping[str, int]
+    information: Array
+    full: tuple[Array, ...]
+    states: tuple[tuple[str, ...], ...]
+    orders: tuple[int, ...]
+    is_partial: bool = False
+
+    @property
+    def rank(self) -> int:
+        """Rank of the joint observability matrix."""
+        seen = sum(
+            leading(full, len(states)) for full, states in zip(self.full, self.states, strict=True)
+        )
+        return seen + len(self.information)
+
+    def identifiable(self) -> list[bool]:
+        """Per parameter: its unit vector lies in the span of the rows."""
+        return unit_vectors(self.information)
+
+    def observable(self) -> list[list[bool]]:
+        """Per experiment and state of `states`."""
+        return [
+            unit_vectors(full)[: len(states)]
+            for full, states in zip(self.full, self.states, strict=True)
+        ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observability:
+    """The rank and what follows from it parameter by parameter and state by state.
+
+    Attributes
+    ----------
+    rank, unknowns : over all experiments; parameters and initial states that are not known.
+    error_bound : 0 where the rank is full, which is a proof; otherwise the probability that a
+        verdict is wrong is at most this; nan where `is_partial`.
+    is_certified : False where initial values or parameters are special and the rank stayed below
+        that of almost every point: then later derivatives might still tell more. False too where
+        there are more than `MAX_KINKS` kinks, whose sides are not all looked at.
+    points : of largest rank.
+    deficiency : dimension of what the parameters can do unseen.
+    bytes : memory of the largest series.
+    """
+
+    systems: tuple[System, ...]
+    parameters: tuple[str, ...]
+    rank: int
+    unknowns: int
+    error_bound: float
+    is_partial: bool
+    is_certified: bool
+    orders: tuple[int, ...]
+    points: tuple[PointRank, ...]
+    identifiable: Mapping[str, bool]
+    observable: tuple[Mapping[str, bool], ...]
+    deficiency: int
+    immersed: tuple[str, ...]
+    has_kinks: bool
+    bytes: int
+
+    @property
+    def is_full(self) -> bool:
+        """True if every parameter and every initial state is told: a proof."""
+        return self.rank == self.unknowns
+
+    def __repr__(self) -> str:
+        return f"<Observability: rank {self.rank} of {self.unknowns}>"
