@@ -2,7 +2,7 @@
 
     python -m benchmarks.ship_4dof
 
-Runge-Kutta 4, no C compiler, one thread; inputs, checks and outputs included. Exit status 1 when the
+Runge-Kutta 4, no C compiler; inputs, checks and outputs included. Exit status 1 when the
 target is missed. Also shown: the first call, which builds the function, the same with a table of
 arms, and a record of 10 minutes with 2 substeps.
 """

@@ -617,9 +617,10 @@ def require_stable(ship: Ship, load: Load) -> Stability:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """State at the first sample; the propeller already turns as commanded.
+    """State at the first sample.
 
-    u, v [m/s], p, r [rad/s], phi, psi, delta [rad], x, y [m].
+    u, v [m/s], p, r [rad/s], phi, psi, delta [rad], x, y [m], w_p [rad/s]; without w_p the
+    propeller already turns as commanded.
     """
 
     u: float = 1.0
@@ -631,6 +632,7 @@ class Start:
     delta: float = 0.0
     x: float = 0.0
     y: float = 0.0
+    w_p: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -666,6 +668,11 @@ class Motion:
         if name.endswith("_dot") and name[:-4] in STATES[:8]:
             return np.asarray(self.rates[:, STATES.index(name[:-4])])
         raise DataError(f"motion has no {name!r}. It has {', '.join(STATES)}, and x_dot to r_dot.")
+
+    @property
+    def end(self) -> Start:
+        """The last sample's state, to go on from: the next stretch begins at this very sample."""
+        return Start(**{n: float(a) for n, a in zip(STATES, self.states[-1], strict=True)})
 
     def energy(self) -> Array:
         """(N,) kinetic and potential energy [J]."""
@@ -711,7 +718,8 @@ def simulate(
     forces : (N, 4) waves, wind and other forces in surge, sway [N], roll and yaw [N m], about the
         CO, in the ship's axes.
     current : (N, 2) velocity of the water, north and east [m/s].
-    start : straight ahead at 1 m/s by default.
+    start : straight ahead at 1 m/s by default; `end` of a motion to go on with it, as long
+        records are made of stretches.
     Ts : sample time [s].
     substeps : Runge-Kutta steps a sample.
 
@@ -732,7 +740,8 @@ def simulate(
         raise DataError(f"Ts = {Ts:g} s in {substeps} substeps. Give Ts > 0 and at least one.")
     _require_speed(ship, start.u, "at the start")
     steady = require_stable(ship, load)
-    s, turning = start, float(np.clip(speed[0, 0], ship.propeller.lowest, ship.propeller.highest))
+    s, a = start, ship.propeller
+    turning = float(np.clip(speed[0, 0], a.lowest, a.highest)) if s.w_p is None else s.w_p
     x0 = [s.x, s.y, s.phi, s.psi, s.u, s.v, s.p, s.r, s.delta, turning]
     outside = np.hstack([tau, stream])
     after = np.vstack([outside[1:], outside[-1:]])
@@ -877,6 +886,26 @@ class Linear:
     def poles(self) -> NDArray[np.complex128]:
         """(5,) eigenvalues [1/s]."""
         return np.asarray(np.linalg.eigvals(self.A), dtype=np.complex128)
+
+    def accelerometer(self, z_s: float, *, U: float, g: float) -> tuple[Array, float, Array]:
+        """a_s = C x + D_delta delta + D_tau' tau of a unit at the height z_s (8.13)-(8.16).
+
+        Parameters
+        ----------
+        z_s : of the unit, down from the CO [m].
+        U : speed this was linearised at [m/s].
+        g : [m/s^2].
+
+        Returns
+        -------
+        C : (5,), D_delta : number, D_tau : (3,). The accelerometer answers at once to the rudder
+        and to forces; yaw rate and roll rate, which have no such terms, only after integration.
+        """
+        A, B, T = self.A, self.B, np.linalg.solve(self.E, self.T)
+        C = z_s * A[3] - A[2]
+        C[0] += g
+        C[4] -= U
+        return C, float(z_s * B[3] - B[2]), np.asarray(z_s * T[3] - T[2])
 
     def transfer(self, output: int | ArrayLike = 0) -> tuple[Array, Array]:
         """Numerator and denominator, highest power first, from rudder to x[output] or output' x.

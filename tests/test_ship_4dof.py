@@ -385,6 +385,33 @@ def test_the_transfer_function_is_c_over_s_minus_A_times_b():
         assert np.polyval(num, s) / np.polyval(den, s) == pytest.approx(direct, rel=1e-10)
 
 
+def test_the_accelerometer_has_a_direct_term_from_every_force():
+    """From roll torque, relative to p', z_s - [(S + Y_pdot) Abar_z + Y_rdot N_pdot]/[(M_t - Y_vdot)
+    Abar_z - Y_rdot N_vdot] (section 8.2); so a_s is correlated with tau at the same instant.
+    """
+    body = Ship(coefficients=every_coefficient(7))
+    c, z_s, linear = body.coefficients, -0.228, linearised(ship=body, load=LOADED)
+    _, D_delta, D_tau = linear.accelerometer(z_s, U=1.0, g=body.g)
+    mass, S = body.mass_matrix(LOADED), body.moments(LOADED)[3]
+    det = mass[1, 1] * mass[3, 3] - c.Y_rdot * c.N_vdot
+    onset = np.linalg.inv(mass[1:, 1:])[1, 1]  # p' of a unit torque
+    expected = z_s - ((S + c.Y_pdot) * mass[3, 3] + c.Y_rdot * c.N_pdot) / det
+    assert D_tau[1] / onset == pytest.approx(expected, rel=1e-12)
+    assert np.all(np.abs([D_delta, *D_tau]) > 1e-3)
+
+
+def test_the_accelerometer_of_the_linear_model_is_that_of_small_motions():
+    forces = np.zeros((200, 4))
+    forces[:, 2] = 1e-4 * np.sin(0.1 * np.arange(200))
+    m = simulate(zigzag(4.0, angle=1e-4, every=1.0), load=LOADED, forces=forces)
+    linear, z_s = linearised(load=LOADED), -0.228
+    C, D_delta, D_tau = linear.accelerometer(z_s, U=1.0, g=9.82)
+    x = np.stack([m[n] for n in ("phi", "psi", "v", "p", "r")])
+    got = C @ x + D_delta * m["delta"] + D_tau @ forces[:, 1:].T
+    a_s = z_s * m["p_dot"] + 9.82 * np.sin(m["phi"]) - m["v_dot"] - m["u"] * m["r"]
+    np.testing.assert_allclose(got, a_s, rtol=0, atol=1e-3 * np.abs(a_s).max())
+
+
 # -- the initial inward lean ---------------------------------------------------------------------
 
 
@@ -527,6 +554,20 @@ def test_a_steady_current_carries_the_motion_along():
     np.testing.assert_allclose(carried.states[:, 2:], still.states[:, 2:], atol=1e-14)
     np.testing.assert_allclose(carried["x"] - still["x"], 0.2 * still.t, atol=1e-12)
     np.testing.assert_allclose(carried["y"] - still["y"], -0.1 * still.t, atol=1e-12)
+
+
+def test_a_motion_goes_on_from_its_end():
+    """Two stretches that share a sample are the whole, the rudder's ramp included."""
+    command = random_steps(4.0, angle=0.5, hold=0.3, seed=2)
+    forces = np.random.default_rng(3).normal(0.0, 0.1, (200, 4))
+    speed = np.where(np.arange(200) < 100, 100.0, 130.0)
+    whole = simulate(command, w_p=speed, forces=forces, substeps=2)
+    first = simulate(command[:111], w_p=speed[:111], forces=forces[:111], substeps=2)
+    then = simulate(
+        command[110:], w_p=speed[110:], forces=forces[110:], start=first.end, substeps=2
+    )
+    np.testing.assert_array_equal(whole.states[:111], first.states)
+    np.testing.assert_array_equal(whole.states[110:], then.states)
 
 
 def test_the_ship_slows_in_turns():
