@@ -60,8 +60,8 @@ checking identifiability.combinations.null_direction identifiability.equations.e
   identifiability.equations.model_system identifiability.inputs.input_classes
   identifiability.inputs.structure_algorithm identifiability.rank.series
   identifiability.symbolic.symbolic_rank linear.discretise prediction.kalman
-  prediction.polynomial_criterion prediction.polynomial_model problem regression report
-  simulation_error solving.contenders solving.null_space
+  prediction.polynomial_criterion prediction.polynomial_model problem reconciliation regression
+  report simulation_error solving.contenders solving.null_space
 campaigns.monte_carlo_page equation_error identifiability.combinations.family
   identifiability.equations.equation_file identifiability.inputs.elimination
   identifiability.rank.observability identifiability.symbolic.reduced_form instrumental.instruments
