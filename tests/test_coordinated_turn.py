@@ -15,7 +15,12 @@ from scipy.stats import multivariate_normal
 
 from casid.data import Record
 from casid.errors import DataError, ModelError
-from casid.prediction.coordinated_turn import OUTPUTS, coordinated_turn, smooth_track
+from casid.prediction.coordinated_turn import (
+    OUTPUTS,
+    coordinated_turn,
+    rounding_error,
+    smooth_track,
+)
 from casid.prediction.extended_smoother import ExtendedSmoother, StochasticModel
 from casid.prediction.noisy_system import sample_noise
 from tests.shared import shared
@@ -311,10 +316,18 @@ def test_what_cannot_be_smoothed_is_refused_with_a_mend() -> None:
         smoother.fit(y, levels, np.zeros(2), np.eye(2), free=["pull"])
 
 
-def rounding(values: Any) -> Any:
-    """Standard deviation of a number written with three digits, Sheppard's unit / sqrt(12)."""
-    power = np.floor(np.log10(np.maximum(np.abs(values), 1e-3)))
-    return 10.0 ** (power - 2) / np.sqrt(12)
+def test_the_error_of_a_rounded_number_is_that_of_its_last_digit() -> None:
+    rng = np.random.default_rng(8)
+    for exact, unit in (
+        (rng.uniform(1000, 9999, 4000), 10.0),
+        (rng.uniform(-9.99, -1, 4000), 0.01),
+    ):
+        written = np.array([float(f"{v:.3g}") for v in exact])
+        np.testing.assert_allclose(rounding_error(written[:5]), unit / np.sqrt(12))
+        # The variance of a uniform error's square is unit^4 / 180: a relative sd of 0.89 / sqrt(N).
+        mean = np.mean((written - exact) ** 2 / rounding_error(written) ** 2)
+        assert abs(mean - 1) < 4 * np.sqrt(0.8 / 4000)
+    assert rounding_error(np.zeros(1))[0] > 0
 
 
 @pytest.mark.parametrize("name", ["zz_10", "zz_20"])
@@ -334,9 +347,9 @@ def test_the_surge_speed_of_a_real_zigzag_is_within_a_tenth_of_a_metre_per_secon
         name=name,
     )
     known = {
-        "x": rounding(d["x_m"]),
-        "y": rounding(d["y_m"]),
-        "psi": np.deg2rad(rounding(d["psi_deg"])),
+        "x": rounding_error(d["x_m"]),
+        "y": rounding_error(d["y_m"]),
+        "psi": np.deg2rad(rounding_error(d["psi_deg"])),
     }
     # Beside the rounding there is next to no noise: found so if it is left free, and slower.
     track = smooth_track(record, known=known, levels={"position": 0.01, "heading": 1e-6})

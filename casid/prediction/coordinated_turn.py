@@ -287,6 +287,17 @@ def smooth_track(
     return Track(record.name, record.t, smoothed, found, tuple(notes))
 
 
+def rounding_error(values: Array, digits: int = 3) -> Array:
+    """Standard deviation (N,) of numbers written with so many significant digits.
+
+    One unit of the last digit / sqrt(12) (W. F. Sheppard 1898), for `known` of `smooth_track`: give
+    the values in the unit they were written in. Those below a thousandth count as a thousandth:
+    what was rounded to zero is not exact.
+    """
+    power = np.floor(np.log10(np.maximum(np.abs(np.asarray(values, dtype=float)), 1e-3)))
+    return np.asarray(10.0 ** (power - digits + 1) / np.sqrt(12.0))
+
+
 def _start(
     record: Record,
     names: Mapping[str, str],
