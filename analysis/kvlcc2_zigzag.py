@@ -8,6 +8,10 @@ KVLCC2, free-running tests of MARIN (SIMMAN 2008) scaled to full scale, zigzags 
 regression gives 0.17 and 0.08 rad/s, and the diagnosis is to say that inputs are missing. First
 regressions with plain numpy gave 0.333 and 0.309 rad/s with the same inputs.
 
+The intervals are of statistical error under the model. Those of the simulation are narrower than
+what model and published value share: that one is model data of another facility (GM and radius of
+inertia as built there), and residuals are coloured, so it may lie outside.
+
 Everything is estimated on one record and judged on the other, which is the only one there is.
 """
 

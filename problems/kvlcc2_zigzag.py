@@ -63,7 +63,8 @@ NOISE = {
     "u_earth": 7e-3,
     "v_earth": 4e-3,
 }
-"""White noise of the recorded channels, SI: what polynomials over 1.5 s leave of zz_10 and zz_20.
+"""White noise of the recorded channels, SI: what cubics over 1.5 s leave of zz_10 and zz_20, so at
+most this much.
 
 Three digits are kept in the files, which alone makes 0.03 degrees of psi and 3 mm/s of a speed.
 """
