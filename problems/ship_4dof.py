@@ -540,8 +540,24 @@ def sample_step(ship: Ship, load: Load, Ts: float, substeps: int) -> Any:
 
 
 @lru_cache(maxsize=32)
-def _run(ship: Ship, load: Load, Ts: float, substeps: int, N: int) -> Any:
+def _block(ship: Ship, load: Load, Ts: float, substeps: int, N: int) -> Any:
     return sample_step(ship, load, Ts, substeps).mapaccum(N)
+
+
+def _run(step: tuple[Ship, Load, float, int], x0: list[float], inputs: Array) -> Array:
+    """(N, 18) states and rates at every sample; inputs (N, 14) are those of `sample_step`."""
+    N = inputs.shape[0]
+    size = min(N, 3000)  # long records in blocks of one function: it need not be built anew
+    block, made, x = _block(*step, size), np.empty((N, 18)), np.asarray(x0)
+    for i in range(0, N, size):
+        given = inputs[i : i + size]
+        n = given.shape[0]
+        given = np.vstack([given, np.repeat(given[-1:], size - n, axis=0)]).T
+        later, rates = block(x, given[:2], given[2:8], given[8:])
+        states = np.vstack([x, np.asarray(later).T])
+        made[i : i + n, :10], made[i : i + n, 10:] = states[:n], np.asarray(rates).T[:n]
+        x = states[n]
+    return made
 
 
 # -- stability -----------------------------------------------------------------------------------
@@ -745,17 +761,15 @@ def simulate(
     x0 = [s.x, s.y, s.phi, s.psi, s.u, s.v, s.p, s.r, s.delta, turning]
     outside = np.hstack([tau, stream])
     after = np.vstack([outside[1:], outside[-1:]])
-    run = _run(ship, load, float(Ts), int(substeps), N)
-    later, rates = run(x0, np.hstack([command, speed]).T, outside.T, after.T)
-    states = np.vstack([x0, np.asarray(later).T[:-1]])
+    inputs = np.hstack([command, speed, outside, after])
+    made = _run((ship, load, float(Ts), int(substeps)), x0, inputs)
+    states, rates = made[:, :10], made[:, 10:]
     _require_upright(states[:, 2], steady, load, Ts)
     slow = np.flatnonzero(states[:, 4] < ship.slowest)
     if slow.size:
         _require_speed(ship, float(states[slow[0], 4]), f"at t = {slow[0] * Ts:.2f} s")
     stuck = stuck_rudder(states[:, 8], (ship.rudder.lowest, ship.rudder.highest), Ts)
-    return Motion(
-        ship, load, float(Ts), states, np.asarray(rates).T, tau, (stuck,) if stuck else ()
-    )
+    return Motion(ship, load, float(Ts), states, rates, tau, (stuck,) if stuck else ())
 
 
 def stuck_rudder(delta: ArrayLike, limits: tuple[float, float], Ts: float) -> str | None:

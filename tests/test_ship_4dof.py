@@ -570,6 +570,19 @@ def test_a_motion_goes_on_from_its_end():
     np.testing.assert_array_equal(whole.states[110:], then.states)
 
 
+def test_a_long_record_is_no_other_than_its_stretches():
+    """Whatever blocks it is computed in: 3000 samples at a time, the last one filled up."""
+    command = random_steps(140.0, angle=0.3, hold=1.0, seed=4)
+    whole = simulate(command, substeps=1)
+    parts = [simulate(command[:2500], substeps=1)]
+    for start in (2499, 4998):
+        parts.append(simulate(command[start : start + 2500], start=parts[-1].end, substeps=1))
+    joined = np.vstack([parts[0].states, *(part.states[1:] for part in parts[1:])])
+    np.testing.assert_array_equal(whole.states, joined)
+    assert whole.rates.shape == (7000, 8)
+    np.testing.assert_array_equal(whole.rates[4998:], parts[-1].rates)
+
+
 def test_the_ship_slows_in_turns():
     motion = simulate(zigzag(40, angle=math.radians(20), every=10), substeps=4)
     assert 0.7 < motion["u"].min() < 0.95

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from casid.errors import DataError
 from problems import ship
-from problems.ship_4dof import LOAD_CASES, Motion, Ship, simulate, zigzag
+from problems.ship_4dof import LOAD_CASES, Motion, Ship, rotation, simulate, zigzag
 from problems.ship_sensors import (
     UNITS,
     Channel,
@@ -157,8 +157,9 @@ def test_a_unit_pitched_in_its_mount_takes_yaw_for_roll(motion):
     np.testing.assert_allclose(read["gyro"], expected, atol=1e-15)
 
 
-def test_turning_keeps_lengths():
+def test_the_mount_turns_by_yaw_pitch_and_roll_in_this_order():
     R = InertialUnit(roll=0.3, pitch=-0.2, yaw=1.0).turned()
+    np.testing.assert_allclose(R, rotation(0.3, -0.2, 1.0), atol=1e-15)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
     assert np.linalg.det(R) == pytest.approx(1.0)
 
@@ -172,7 +173,7 @@ def test_each_channel_has_errors_of_its_own(motion):
         PERFECT,
         gyro=Channel(noise=0.002),
         accel=Channel(bias=0.01),
-        yaw_gyro=Channel(scale=-1.0),
+        yaw_gyro=Channel(scale=-1.0, bias=0.1),
         rudder=Channel(noise=0.1, bias=0.5),
     )
     true, record = true_signals(motion, unit), measure(motion, unit, seed=1)
@@ -180,7 +181,7 @@ def test_each_channel_has_errors_of_its_own(motion):
     assert e["gyro"].std() == pytest.approx(0.002, rel=4 / math.sqrt(2 * record.N))
     assert abs(e["gyro"].mean()) < 4 * 0.002 / math.sqrt(record.N)
     np.testing.assert_allclose(e["accel"], 0.01, atol=1e-15)
-    np.testing.assert_allclose(record["yaw_gyro"], motion["r"], atol=1e-15)
+    np.testing.assert_allclose(record["yaw_gyro"], motion["r"] + 0.1, atol=1e-15)
     assert e["delta"].mean() == pytest.approx(0.5, abs=4 * 0.1 / math.sqrt(record.N))
     assert abs(np.corrcoef(e["gyro"], e["delta"])[0, 1]) < 4 / math.sqrt(record.N)
     again = measure(motion, unit, seed=1)

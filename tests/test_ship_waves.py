@@ -303,10 +303,11 @@ def test_slow_drift_has_the_difference_frequencies_and_its_mean():
     """Two waves: D (a1^2 + a2^2 + 2 a1 a2 cos((w1 - w2) t + eps1 - eps2)) (Newman)."""
     sea = Sea(np.array([4.0, 4.5]), np.array([0.01, 0.02]), np.array([0.3, 1.0]), 0.0, 2.0)
     t = 0.1 * np.arange(1000)
-    drift = sea.forces(t) - sea.forces(t, drift=False)
-    D = WaveLoads().D_Y * math.sin(2.0)
-    expected = D * (1e-4 + 4e-4 + 4e-4 * np.cos(-0.5 * t - 0.7))
-    np.testing.assert_allclose(drift[:, 1], expected, rtol=1e-9)
+    loads = WaveLoads(D_X=100.0, D_Y=300.0, D_N=40.0)
+    drift = sea.forces(t, loads) - sea.forces(t, loads, drift=False)
+    envelope = 1e-4 + 4e-4 + 4e-4 * np.cos(-0.5 * t - 0.7)
+    for i, D in ((0, 100 * math.cos(2.0)), (1, 300 * math.sin(2.0)), (3, 40 * math.sin(4.0))):
+        np.testing.assert_allclose(drift[:, i], D * envelope, rtol=1e-9)
     np.testing.assert_array_equal(drift[:, 2], 0.0)
 
 
@@ -344,6 +345,16 @@ def test_a_beam_wind_heels_the_ship_to_leeward():
     phi = simulate(np.zeros(2000), forces=forces, substeps=2)["phi"]
     body = Ship()
     assert body.restoring(float(phi[-1])) == pytest.approx(forces[0, 2], rel=1e-3)
+
+
+def test_the_winds_forces_are_those_of_its_relative_speed():
+    """4 m/s towards 120 deg at 1 m/s of way: V_x = -3, V_y = 12^(1/2), |V_r| = 21^(1/2)."""
+    w = Wind(speed=4.0, beta=math.radians(120.0))
+    q, V_x, V_y, V_r = 1.225 / 2, -3.0, math.sqrt(12.0), math.sqrt(21.0)
+    Y = q * w.C_Y * w.A_L * V_y * V_r
+    N = q * w.C_N * w.A_L * w.L * math.sin(2 * math.atan2(V_y, V_x)) * V_r**2
+    expected = [q * w.C_X * w.A_F * V_x * V_r, Y, w.height * Y, N]
+    np.testing.assert_allclose(w.forces(3, 0.1, U=1.0, seed=1), np.tile(expected, (3, 1)))
 
 
 def test_wind_from_astern_at_the_ships_speed_is_not_felt():
