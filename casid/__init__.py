@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from casid.campaigns.monte_carlo import MonteCarlo, montecarlo
     from casid.checking import CheckReport, check
     from casid.data import Experiment, Record
+    from casid.derived import Derived
     from casid.diagnosing import diagnose
     from casid.diagnosis import Diagnosis
     from casid.effects import Effect
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
         least_squares,
         multistage,
     )
+    from casid.instrumental.exogeneity import reference_depends_on
     from casid.instrumental.instruments import Instruments
     from casid.instrumental.moments import Moments
     from casid.instrumental.reference_filter import ReferenceFilter
@@ -68,10 +70,12 @@ if TYPE_CHECKING:
     from casid.linear.discretisation_bias import bias_table
     from casid.linear.linear_model import linearise
     from casid.model import Model, Parameter
+    from casid.prediction.coordinated_turn import smooth_track
     from casid.prediction.unknown_input import compare_unknown_input_options
     from casid.prepare import decimate, detrend, lowpass
     from casid.problem import Problem, load_problem
     from casid.reading import read_record
+    from casid.reconciliation import Reconciliation
     from casid.regression import regress
     from casid.solving.nlp import Nlp, Solver
     from casid.solving.solvers import compare_solvers
@@ -85,11 +89,12 @@ __all__ = [
     "CasidError",
     "CheckReport",
     "DataError",
+    "Derived",
     "Diagnosis",
     "Effect",
     "EquationFile",
-    "Exosystem",
     "Estimate",
+    "Exosystem",
     "Experiment",
     "FitSettings",
     "IdentifiabilityError",
@@ -104,6 +109,7 @@ __all__ = [
     "Parameter",
     "Prior",
     "Problem",
+    "Reconciliation",
     "Record",
     "ReferenceFilter",
     "SolveError",
@@ -141,16 +147,22 @@ __all__ = [
     "profile_likelihood",
     "read_equations",
     "read_record",
+    "reference_depends_on",
     "regress",
     "replica",
     "sensor",
     "sensor_subsets",
+    "smooth_track",
     "validate",
 ]
 
 _HOME = {
     name: home
     for home, names in {
+        "reconciliation": "Reconciliation",
+        "instrumental.exogeneity": "reference_depends_on",
+        "derived": "Derived",
+        "prediction.coordinated_turn": "smooth_track",
         "checking": "CheckReport check",
         "data": "Experiment Record",
         "diagnosing": "diagnose",
