@@ -42,6 +42,7 @@ PAGES = (
     "prediction",
     "solvers",
     "campaigns",
+    "ships",
     "limits",
 )
 
