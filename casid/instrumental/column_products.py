@@ -56,6 +56,18 @@ def column_products(
     return total
 
 
+def column_means(columns: Sequence[Column], signals: Mapping[str, Array], start: int) -> Array:
+    """Mean over t = start .. N - 1 of every column, (len(columns),); `signals` as above."""
+    total: Array = np.zeros(len(columns))
+    for channel, weights in _tables(tuple(columns)).items():
+        x, lags = signals[channel], np.arange(weights.shape[1])
+        entering = np.cumsum(x[start - lags[-1] : start][::-1]) if lags[-1] else np.zeros(0)
+        leaving = np.cumsum(x[len(x) - lags[-1] :][::-1]) if lags[-1] else np.zeros(0)
+        moved = np.concatenate([[0.0], entering - leaving])
+        total += weights @ (moved + x[start:].sum())
+    return total / (len(next(iter(signals.values()))) - start)
+
+
 @functools.lru_cache(maxsize=256)  # campaigns ask for the same columns in every run
 def _tables(columns: tuple[Column, ...]) -> dict[str, Array]:
     """Channel -> weight of each column on each lag, (len(columns), largest lag + 1)."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from casid.data import Experiment
 from casid.errors import DataError, ModelError
-from casid.instrumental.column_products import column_products
+from casid.instrumental.column_products import column_means, column_products
 from casid.instrumental.columns import Column
 from casid.instrumental.instruments import Simulated
 from casid.instrumental.long_run import (
@@ -151,7 +151,8 @@ class MomentEquations:
     Attributes
     ----------
     Phi : (nz, ntheta), Y : (nz,), Z : (nz, nz) mean zeta zeta', second : (ntheta + 1, ntheta + 1)
-        mean of [left, columns] with itself; N : samples in the means.
+        mean of [left, columns] with itself; with instruments every mean of products is a
+        covariance, as the columns' own means are taken off; N : samples in the means.
     """
 
     name: str
@@ -312,6 +313,7 @@ class MomentEquations:
             start = self.start
             za = _combine(self.instruments, a, self.signals, start)
             pb = _combine(self.equation.columns, b, self.signals, start)
+            za, pb = za - za.mean(), pb - pb.mean()
             half = min(max(memory(za), memory(pb)), len(za) // 4)
             ra, rb = cross_covariances(za, za, half), cross_covariances(pb, pb, half)
             spread = float(np.sum(ra * rb) / max(ra[half] * rb[half], 1e-300))
@@ -405,14 +407,21 @@ def moment_equations(
     key = (skip, order)
     kept = simulated.kept.get(key) if prefilter is None else None
     if kept is None:
-        # A constant error, a gyro's bias, then stays without effect.
         is_centred = prefilter is None and simulated.centred_from == skip
         own = {k: v[skip:] if is_centred else v[skip:] - v[skip:].mean() for k, v in own.items()}
-        kept = own, column_products(zeta, zeta, own, order) / N
+        centre = column_means(zeta, own, order)
+        own_products = column_products(zeta, zeta, own, order) / N
+        kept = own, own_products - np.outer(centre, centre), centre
         if prefilter is None:
             simulated.kept[key] = kept
     signals |= kept[0]
     cross = _finite(column_products(zeta, phi, signals, order), signals) / N
+    # A constant error, a gyro's bias, stays without effect only if every column has mean zero. It
+    # is not enough that the signals have: lags that a filter makes all but dependent, A(q) y = B(q)
+    # u, leave a combination in which the means alone are left, and a constant is among the span.
+    means = column_means(phi, signals, order)
+    cross -= np.outer(kept[2], means)
+    second = second - np.outer(means, means)
     return MomentEquations(
         part.name, equation, zeta, False, cross[:, 1:], cross[:, 0], kept[1], second, N, signals
     )
@@ -500,8 +509,9 @@ def moment_covariance(
             )
             block = long_run_covariance(scores, bartlett_lags(scores)) / length
         else:
+            # The instruments have mean zero, so a constant error moves nothing and spreads nothing.
             block = independent_covariances(
-                [errors[i][-length:] for i in index],
+                [errors[i][-length:] - errors[i][-length:].mean() for i in index],
                 [equations[i].instruments for i in index],
                 [{k: v[len(v) - length :] for k, v in equations[i].signals.items()} for i in index],
             )
