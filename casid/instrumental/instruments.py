@@ -46,8 +46,11 @@ class Instruments:
         `casid.instrumental.estimated_filter.estimate_reference_filter`.
     initial : where the first instruments come from: ``"model"``, the loop simulated with the start
         values (its own lags reach much further than those of the reference), or ``"reference"``,
-        lags of the reference as in Algorithm 2.1; these also where the start's loop is unstable.
+        lags of the reference as in Algorithm 2.1; these also where the start's loop is unstable;
+        or ``"channels"``, lags of what `first` names.
     n_delta0 : lags of the reference then.
+    first : channel -> lags of the first instruments for ``initial="channels"``: signals made of the
+        reference alone, such as `casid.instrumental.black_box_reference` simulates (Algorithm 8.1).
     n_delta, n_y, n_u : lags of a_hat, of each simulated output and of each simulated input, from
         lag 0 on (the direct term of the loop needs it); 0 leaves the block out.
     reduce : replace the columns by independent ones of the same span, see `independent`. Weightings
@@ -56,12 +59,13 @@ class Instruments:
 
     reference: str | Mapping[str, str]
     F_delta: Filter | Mapping[str, Filter] = field(default_factory=ReferenceFilter)
-    initial: Literal["model", "reference"] = "model"
+    initial: Literal["model", "reference", "channels"] = "model"
     n_delta0: int = 8
     n_delta: int = 4
     n_y: int = 4
     n_u: int = 4
     reduce: bool = True
+    first: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("n_delta0", "n_delta", "n_y", "n_u"):
@@ -72,6 +76,11 @@ class Instruments:
             raise ModelError("instruments: n_delta0 = 0 leaves nothing to start from; give 4 or so")
         if self.n_delta + self.n_y + self.n_u == 0:
             raise ModelError("instruments: n_delta, n_y and n_u are all 0; give one of them lags")
+        if (self.initial == "channels") != any(n > 0 for n in self.first.values()):
+            raise ModelError(
+                f"instruments: initial={self.initial!r} with first={dict(self.first)!r}; to start "
+                'from channels give both initial="channels" and the lags of each in first='
+            )
 
     def drives(self, direct: Model) -> dict[str, tuple[str, Filter]]:
         """Input of the direct model -> (channel, filter).
@@ -212,7 +221,8 @@ class Loop:
         denominator, numerators, poles = self._at(values)
         signals: dict[str, Array] = {}
         columns: list[Column] = []
-        for u in self.inputs:
+        driven = [u for u in self.inputs if np.any(drives[u])]  # others: F_delta = 0
+        for u in driven:
             w = f"w[{u}]"
             signals[w] = np.asarray(lfilter([1.0], denominator, drives[u]))
             for i in range(settings.n_delta):
@@ -222,7 +232,7 @@ class Loop:
             for i in range(settings.n_y if c in outputs else settings.n_u):
                 taps = tuple(
                     (f"w[{u}]", i + j, float(b))
-                    for u in self.inputs
+                    for u in driven
                     for j, b in enumerate(numerators[c][u])
                     if b != 0.0
                 )
@@ -243,6 +253,26 @@ def from_reference(drives: Mapping[str, Array], lags: int) -> Simulated:
     signals = {f"delta[{name}]": signal for name, signal in drives.items()}
     columns = [c for name in signals for c in lagged(name, range(lags))]
     return Simulated(signals, tuple(columns), 0)
+
+
+def from_channels(channels: Mapping[str, Array], lags: Mapping[str, int], record: str) -> Simulated:
+    """The first instruments of Algorithm 8.1: lags of signals that the reference alone has made.
+
+    Raises
+    ------
+    DataError
+        If the record has no such channel.
+    """
+    lacking = [c for c in lags if c not in channels]
+    if lacking:
+        raise DataError(
+            f"{record}: no channel {lacking[0]!r} for the first instruments; it has "
+            f"{', '.join(channels)}. Simulate it from the reference "
+            "(casid.instrumental.black_box_reference), or take it out of Instruments(first=...)"
+        )
+    used = {name: n for name, n in lags.items() if n > 0}
+    columns = [c for name, n in used.items() for c in lagged(f"first[{name}]", range(n))]
+    return Simulated({f"first[{n}]": np.asarray(channels[n]) for n in used}, tuple(columns), 0)
 
 
 def transient(poles: Array, share: float = 1e-3) -> int:

@@ -45,6 +45,11 @@ class ReferenceFilter:
         """gain / (time_constant s + 1), `time_constant` in seconds."""
         return cls((gain,), (time_constant, 1.0))
 
+    @classmethod
+    def nothing(cls) -> ReferenceFilter:
+        """F_delta = 0: what the reference does to this input is left out of the simulation."""
+        return cls((0.0,))
+
     def __post_init__(self) -> None:
         if not self.denominator or self.denominator[0] == 0.0:
             raise ModelError("F_delta: the leading coefficient of its denominator is zero; drop it")

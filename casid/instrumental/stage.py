@@ -27,6 +27,7 @@ from casid.instrumental.instruments import (
     Loop,
     Simulated,
     UnstableLoop,
+    from_channels,
     from_reference,
     reference_signals,
 )
@@ -44,6 +45,7 @@ from casid.instrumental.moment_equations import (
 from casid.instrumental.moment_nlp import Condensed, Constraint, LinearNlp, PhysicalNlp
 from casid.model import Model
 from casid.solving.nlp import Solution, Solver
+from casid.solving.nlp_solution import not_converged
 from casid.solving.null_space import null_space_least_squares
 
 Array = NDArray[Any]
@@ -65,6 +67,9 @@ class MomentSettings:
         as (0, 4) for (7.58); None: prefilter 1, (7.60).
     iterations : refinements of instruments and prefilter after the first estimate.
     tolerance : relative change of parameters and noise model at which they have settled.
+    stopping : how that change is measured: ``"relative"``, the largest of any parameter and, within
+        ten times the tolerance, of any coefficient of a noise model; or ``"norm"``, (8.93),
+        ||theta_p - last|| + sum over records of ||eta - last||, whatever the units.
     alpha : the function of (2.41) on errors in units of their spread; None: alpha(x) = x.
     covariance : see `casid.instrumental.moment_equations.moment_covariance`.
     constraints : each takes a mapping of parameters to symbols and returns what is to be zero.
@@ -80,6 +85,7 @@ class MomentSettings:
     noise_model: tuple[int, int] | None = None
     iterations: int = 5
     tolerance: float = 1e-4
+    stopping: Literal["relative", "norm"] = "relative"
     alpha: Callable[[Array], Array] | None = None
     covariance: Covariance | None = None
     constraints: Sequence[Constraint] = ()
@@ -106,6 +112,7 @@ class StageFit:
     settled: bool
     remarks: tuple[str, ...] = ()
     history: tuple[Array, ...] = field(default_factory=tuple)  # theta_p of each iteration
+    prefilters: tuple[tuple[Any, ...], ...] = ()  # noise models with which each was estimated
 
 
 class Stage:
@@ -189,11 +196,74 @@ class Stage:
                 solver=self.settings.solver,
                 name=self.name,
             )
-        solution = self._physical.solve(data, values, start.tolist())
+        solution = self._physical.solve(data, values, start.tolist(), throw=False)
+        if not solution.is_converged:
+            solution = self._by_least_squares(data, values, solution)
         if solution.at_lower or solution.at_upper:
             solution = self._from_elsewhere(self._physical, data, values, start, solution)
         theta_p = np.array([solution[f] for f in self.free])
         return theta_p, self.image.split(self.image.theta(theta_p, values)), solution
+
+    def _by_least_squares(
+        self, data: Sequence[Condensed], values: Sequence[Mapping[str, float]], found: Solution
+    ) -> Solution:
+        """The optimum from where a solver stopped short, by orthogonal factors of the residual.
+
+        A solver of general programs sees squares: where coefficients are nearly dependent half of
+        the digits are gone. A scaled gradient is then the largest cosine between the residual and
+        a column of its Jacobian.
+        """
+        if self.settings.constraints or not np.all(np.isfinite(found.x)):
+            raise not_converged(self.name, found)
+        from scipy.optimize import least_squares
+
+        low = np.array([p.lower for p in self.parameters])
+        high = np.array([p.upper for p in self.parameters])
+        metric = _block_diagonal([d.right for d in data])
+        left = np.concatenate([d.left for d in data])
+        rest = sum(d.rest for d in data)
+        x0 = np.clip(np.array([found[f] for f in self.free]), low, high)
+
+        def residual(at: Array) -> Array:
+            return np.asarray(left - metric @ self.image.theta(at, values))
+
+        def jacobian(at: Array) -> Array:
+            return np.asarray(-metric @ self.image.jacobian(at, values))
+
+        result = least_squares(
+            residual,
+            x0,
+            jacobian,
+            bounds=(low, high),
+            x_scale="jac",
+            ftol=1e-14,
+            xtol=1e-14,
+            gtol=1e-14,
+            max_nfev=200,
+        )
+        x, r = np.asarray(result.x), np.asarray(result.fun)
+        J = jacobian(x)
+        span = 1e-6 * np.maximum(np.abs(x), 1e-3)
+        at_low, at_high = x <= low + span, x >= high - span
+        inside = ~(at_low | at_high)
+        length = max(float(np.sqrt(r @ r + rest)), 1e-300)
+        cosines = np.abs(J.T @ r) / np.maximum(np.linalg.norm(J, axis=0), 1e-300) / length
+        solution = replace(
+            found,
+            names=self.free,
+            x=x,
+            value=(float(r @ r) + rest) / 2,
+            status=f"least squares after {found.status}",
+            scaled_gradient=float(np.max(cosines[inside], initial=0.0)),
+            constraint_violation=0.0,
+            at_lower=tuple(f for f, held in zip(self.free, at_low, strict=True) if held),
+            at_upper=tuple(f for f, held in zip(self.free, at_high, strict=True) if held),
+            hessian=J.T @ J,
+            constraint_jacobian=np.zeros((0, len(x))),
+        )
+        if not solution.is_converged:
+            raise not_converged(self.name, solution)
+        return solution
 
     def _from_elsewhere(
         self,
@@ -307,6 +377,10 @@ class Stage:
                 for p in parts
             ]
             first = simulated = [from_reference(r, self.instruments.n_delta0) for r in raw]
+            if self.instruments.initial == "channels":
+                lags = self.instruments.first
+                simulated = [from_channels(p.channels, lags, p.record) for p in parts]
+                first = simulated
             if self.instruments.initial == "model":
                 at = [
                     self._at(v, theta_p, fixed) for v, fixed in zip(values, self.known, strict=True)
@@ -314,6 +388,7 @@ class Stage:
                 simulated = self._simulate(parts, references, at, simulated, remarks, -1)
         prefilters: list[Any] = [None] * len(parts)
         history: list[Array] = []
+        used: list[tuple[Any, ...]] = []
         settled, j = False, 0
         correlations: list[Correlation] = []
         before = (simulated, prefilters)
@@ -348,6 +423,7 @@ class Stage:
                 equations, roots, values, theta_p, on_the_way=j < allowed and s.alpha is None
             )
             history.append(theta_p)
+            used.append(tuple(prefilters))
             if s.alpha is not None:
                 theta_p, thetas, solution, equations, roots = self._robust(
                     equations, roots, values, theta_p, thetas, solution, s.alpha
@@ -357,10 +433,14 @@ class Stage:
             if j >= allowed:
                 settled = settled or allowed == 0 or moved < s.tolerance
                 break
-            change = 0.0
+            change, earlier = 0.0, prefilters
             if s.noise_model is not None:
                 prefilters, change = self._noise_models(parts, thetas, prefilters, remarks, j)
-            if j > 0 and moved < s.tolerance and change < 10 * s.tolerance:
+            is_still = moved < s.tolerance and change < 10 * s.tolerance
+            if s.stopping == "norm":
+                sizes = [eta_distance(a, b) for a, b in zip(prefilters, earlier, strict=True)]
+                is_still = float(np.linalg.norm(theta_p - old)) + sum(sizes) < s.tolerance
+            if j > 0 and is_still:
                 settled = True
                 break
             if self.instruments is not None:
@@ -392,6 +472,7 @@ class Stage:
             settled=settled,
             remarks=tuple(dict.fromkeys(remarks)),
             history=tuple(history),
+            prefilters=tuple(used),
         )
 
     def fit_equations(
@@ -648,6 +729,13 @@ class Stage:
                 )
                 out.append(before)
         return out
+
+
+def eta_distance(new: Any, old: Any) -> float:
+    """||eta - last eta|| of two noise models; None is a prefilter 1."""
+    if new is None or old is None:
+        return 0.0 if new is old else float(np.linalg.norm((new or old).theta))
+    return float(np.linalg.norm(new.theta - old.theta))
 
 
 def _is_constant(array: Array) -> bool:
