@@ -278,9 +278,9 @@ def spread(extent: Extent, nine: Ends, jobs: int) -> Iterator[Target | Mapping[s
         "along the curve (A_x excepted, quadratic in z_f, whose tail decides). Where a run ends is "
         "the optimiser's doing: Ipopt's barrier drifts to its own centre of the bounds and has no "
         "spread left when it is let, a trust region stays near where it came in. Not the starts "
-        "are the trouble, nor does one more run or another start help; a parameter or a height does.\n"
-        "  The thesis discards 5 runs of 10 000 as unrealistic: a run that ends beyond the pole A_2 = 0 "
-        "has all nine parameters at a bound, and a few of 10 000 do"
+        "are the trouble, nor does one more run or another start help; a parameter or a height does"
+        "\n  The thesis discards 5 of 10 000 runs as unrealistic, and not which they were; a "
+        "run that ends beyond the pole A_2 = 0 has all nine at a bound, and a few in 10 000 do"
     )
     for n in NINE:
         mean, sd = TABLE_8_3[n]
