@@ -37,11 +37,11 @@ campaigns.dask_backend campaigns.progress errors identifiability.assessment
   identifiability.rank.program identifiability.records.profile_result instrumental.columns
   instrumental.lag_products instrumental.switching linear.loop_text local_rank spikes uncertainty
 campaigns.manifest estimate expressions identifiability.assessment_text
-  identifiability.rank.prime_field identifiability.rank.terms instrumental.column_products
-  instrumental.gram instrumental.long_run instrumental.reference_filter linear.linear_constraints
-  linear.symbolic linear.transfer_text local_polynomial model options prediction.extended_smoother
-  prediction.polynomial_orders prediction.polynomial_residuals solving.nlp_solution
-  solving.nlp_solver terminal units writing
+  identifiability.rank.prime_field identifiability.rank.terms instrumental.change_detection
+  instrumental.column_products instrumental.gram instrumental.long_run instrumental.reference_filter
+  linear.linear_constraints linear.symbolic linear.transfer_text local_polynomial model options
+  prediction.extended_smoother prediction.polynomial_orders prediction.polynomial_residuals
+  solving.nlp_solution solving.nlp_solver terminal units writing
 campaigns.parts data diagnosis dimensions effects identifiability.combinations.matroid
   identifiability.combinations.rational_degrees identifiability.inputs.generic_zero
   identifiability.rank.error_bound identifiability.rank.immersion identifiability.rank.row_basis
@@ -52,10 +52,10 @@ campaigns.campaign derived identifiability.combinations.interpolation
   identifiability.combinations.subsets identifiability.equations.formula_scope
   identifiability.inputs.signals identifiability.mends.candidates
   identifiability.rank.program_reader identifiability.rank.rank_result
-  identifiability.records.excitation instrumental.exogeneity linear.closed_loop linear.linear_model
-  linear.symbolic_hull plotting prediction.coordinated_turn prediction.excitation
-  prediction.noisy_system prediction.polynomial_data prediction.polynomial_start prepare reading
-  solving.compiled solving.nlp
+  identifiability.records.excitation instrumental.exogeneity instrumental.windowed_moments
+  linear.closed_loop linear.linear_model linear.symbolic_hull plotting prediction.coordinated_turn
+  prediction.excitation prediction.noisy_system prediction.polynomial_data
+  prediction.polynomial_start prepare reading solving.compiled solving.nlp
 checking identifiability.combinations.null_direction identifiability.equations.equation_text
   identifiability.equations.model_system identifiability.inputs.input_classes
   identifiability.inputs.structure_algorithm identifiability.rank.series
@@ -67,12 +67,12 @@ campaigns.monte_carlo_page equation_error identifiability.combinations.family
   identifiability.rank.observability identifiability.symbolic.reduced_form instrumental.instruments
   linear.structural_relations noise prediction.noisy_model prediction.polynomial scores
   solving.scipy_solvers
-identifiability.combinations.closed_form identifiability.inputs.experiments
-  identifiability.inputs.unknown_jets identifiability.mends.output_spans
-  identifiability.mends.replicas identifiability.mends.screening
-  identifiability.symbolic.lie_derivatives instrumental.estimated_filter instrumental.validation
-  linear.affine linear.difference_equation prediction.arma prediction.likelihood search
-  solving.solvers
+identifiability.combinations.along_family identifiability.combinations.closed_form
+  identifiability.inputs.experiments identifiability.inputs.unknown_jets
+  identifiability.mends.output_spans identifiability.mends.replicas identifiability.mends.screening
+  identifiability.symbolic.lie_derivatives instrumental.black_box_reference
+  instrumental.estimated_filter instrumental.validation linear.affine linear.difference_equation
+  prediction.arma prediction.likelihood search solving.solvers
 identifiability.asked identifiability.mends.sensor_subsets identifiability.requirement
   identifiability.symbolic.observability_matrix instrumental.image instrumental.moment_equations
   linear.discretisation_bias
@@ -80,9 +80,11 @@ identifiability.answers identifiability.mends.cheapest identification instrument
 campaigns.monte_carlo holdout identifiability.assess identifiability.records.planned
   instrumental.stage prediction.grey_box
 diagnosing identifiability.records.practical_result identifiability.records.profiles
-  identifiability.records.reference_excitation instrumental.propagation prediction.unknown_input
+  identifiability.records.reference_excitation instrumental.convergence instrumental.propagation
+  prediction.unknown_input
 identifiability.figures identifiability.records.practical instrumental.estimators
-identifiability.page instrumental.resampling instrumental.streamed
+identifiability.page instrumental.iterative_joint instrumental.monitoring instrumental.resampling
+  instrumental.streamed sign_flips
 cli
 __main__
 """
