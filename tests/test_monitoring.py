@@ -348,6 +348,16 @@ def test_a_small_margin_raises_one_alarm_until_it_recovers() -> None:
     assert limits[0].time > 24 * SIZE * TS
 
 
+def test_a_sudden_rise_of_noise_is_no_change_of_mass() -> None:
+    """Five times the noise from one window to the next; 0.02 alarms are expected in 180 windows."""
+    watched = monitor(REFERENCE, derived={})
+    for w in windows_of([(1.0, 60)], seed=14) + windows_of([(1.0, 120)], seed=15, noise=0.25):
+        watched.add(w)
+    scales = np.array([scale for *_, scale in watched.vectors])
+    assert scales[60:].mean() > 5.0 * scales[:60].mean()
+    assert watched.alarms == []
+
+
 def test_what_cannot_be_watched_is_refused_with_a_mend() -> None:
     with pytest.raises(DataError, match="Record longer"):
         monitor(REFERENCE[:4])

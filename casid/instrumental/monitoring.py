@@ -143,6 +143,10 @@ class MonitorSettings:
     forgetting : weight of a window relative to the next one, instead of `span`.
     differential : subtract s_0 of the reference stretch.
     level : of the intervals, two-sided.
+    power_memory : windows over which the power of the equation error is followed, by forgetting.
+        The variance of u_c is taken as proportional to it, or to the window's own power where that
+        is larger: a window's own is too noisy to call it a quiet one, but a sea that grows rough at
+        once must not look like a change. A heuristic.
     method : discretisation of the model.
     """
 
@@ -151,6 +155,7 @@ class MonitorSettings:
     forgetting: float | None = None
     differential: bool = True
     level: float = 0.95
+    power_memory: float = 15.0
     method: str = "bilinear"
 
 
@@ -241,7 +246,7 @@ class Monitor:
         self._recent = SlidingSums(max(detector.widths))
         self._older: Moments | None = None  # since the last change, before `_recent`
         self._n_older = 0
-        self._count, self._time = 0, 0.0
+        self._count, self._time, self._usual = 0, 0.0, 1.0
         self._low: set[str] = set()
         self.status: list[Status] = []
         self.alarms: list[Alarm] = []
@@ -253,7 +258,9 @@ class Monitor:
         self._time += window.N * self._Ts
         Y, Phi = self._moments(window)
         theta = self._coefficients_0
-        scale = self._power(window, theta) / self._reference_power
+        power = self._power(window, theta) / self._reference_power
+        self._usual += (power - self._usual) / max(self.settings.power_memory, 1.0)
+        scale = max(power, self._usual)
         vector = self._theta_0 + self._gain @ (Y - Phi @ theta - self._offset)
         self.vectors.append((self._time, vector, scale))
         change = self.detector.add(vector, scale)
