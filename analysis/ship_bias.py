@@ -102,7 +102,7 @@ EXPECTED: Mapping[Hidden, tuple[str, str] | None] = {
     "nothing": None,
     "damping": ("quadratic_damping", "torque"),
     "speed": ("parameter_jump", ""),
-    "rudder": ("extra_input", "delta"),
+    "rudder": ("extra_input", "rudder"),
 }
 
 

@@ -3,6 +3,11 @@
 The nonlinear simulator with every nonlinear coefficient of the hull at zero but the one in
 question; the restoring arm is a straight line. What `casid.diagnose` names is compared with what
 is there.
+
+The accelerometer is an input of the model, and its noise of 0.002 m/s^2 makes a coloured error of
+0.0012 rad/s, against 0.00008 rad/s that the linear model itself misses by. `diagnose` does not see
+that noise for what it is, and names a delay of the accelerometer where there is none: a target that
+is missed, and kept.
 """
 
 from __future__ import annotations
@@ -105,7 +110,7 @@ def problem_of(hidden: Hidden) -> casid.Problem:
         name="ship without rudder term",
         model=model.with_known(K_delta=0.0, **KNOWN_LOAD),
         channels=channels,
-        recorded={"delta": "rad"},
+        recorded={"rudder": "rad"},
         truth={},
     )
 
@@ -124,6 +129,8 @@ def records(
         motion = simulate(command, ship=SHIPS[hidden], load=load(case), substeps=5)
         record = for_roll(measure(motion, unit, seed=seed + i, name=case))
         record = record.between(before * TS, float(record.t[-1]))
+        if hidden == "rudder":  # beside the model, under a name that it has not used
+            record = record.with_channel("rudder", record["delta"], "rad").without("delta")
         speeds.append(motion["u"][before:])
         made.append(casid.Experiment(record, ship.LOAD_CASES[case], case))
     u = np.concatenate(speeds)
