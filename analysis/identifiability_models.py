@@ -16,7 +16,8 @@ import casadi as ca
 
 from casid.identifiability.combinations.subsets import Exclusion, count_not_identifiable, joined
 from casid.identifiability.equations.model_system import system_of
-from casid.identifiability.rank.rank_result import Observability, observability
+from casid.identifiability.rank.observability import observability
+from casid.identifiability.rank.rank_result import Observability
 from casid.identifiability.rank.system import System
 from problems import pendulum, ship
 from problems.ship import FreeTurn
