@@ -11,7 +11,9 @@ the load has changed or where k + S g may be below 3 N m/rad.
 Shown: false alarms in 24 h of simulated time, the delay of detection, coverage of the intervals,
 and the trade-off between delay and false alarms. The ship is the nonlinear one, the model that
 watches it is linear; what it gets wrong alike before and after is taken out by a reference stretch
-of half an hour with the known load. --quick: 3 h instead of 24 h, 2 runs of each load instead of
+of half an hour with the known load. What it gets wrong in the calibration stays in the parameters:
+K_r and K_vdot are off by more than their errors, which the monitor hardly notices, as a change of
+load is judged by what it changes. --quick: 3 h instead of 24 h, 2 runs of each load instead of
 6. Exit 1 where a target is missed.
 """
 
