@@ -60,8 +60,10 @@ class Part:
     signals: Mapping[str, Array]  # channels of the equation, (N,), SI
     channels: Mapping[str, Array]  # everything recorded, (N,)
     Ts: float
-    # Sums of the signals' own products: write nothing over the samples while the part lives.
+    # Sums of the signals' own products, and their means: write nothing over the samples while the
+    # part lives.
     kept: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
+    kept_means: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def name(self) -> str:
@@ -419,7 +421,12 @@ def moment_equations(
     # A constant error, a gyro's bias, stays without effect only if every column has mean zero. It
     # is not enough that the signals have: lags that a filter makes all but dependent, A(q) y = B(q)
     # u, leave a combination in which the means alone are left, and a constant is among the span.
-    means = column_means(phi, signals, order)
+    first = skip + order
+    means = part.kept_means.get(first) if prefilter is None else None
+    if means is None:
+        means = column_means(phi, signals, order)
+        if prefilter is None:
+            part.kept_means[first] = means
     cross -= np.outer(kept[2], means)
     second = second - np.outer(means, means)
     return MomentEquations(
