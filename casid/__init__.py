@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from casid.prediction.unknown_input import compare_unknown_input_options
     from casid.prepare import decimate, detrend, lowpass
     from casid.problem import Problem, load_problem
-    from casid.reading import read_record
+    from casid.reading.record_file import read_record
     from casid.reconciliation import Reconciliation
     from casid.regression import regress
     from casid.solving.nlp import Nlp, Solver
@@ -197,7 +197,7 @@ _HOME = {
         "solving.nlp": "Nlp Solver",
         "prepare": "decimate detrend lowpass",
         "problem": "Problem load_problem",
-        "reading": "read_record",
+        "reading.record_file": "read_record",
         "instrumental.reference_filter": "ReferenceFilter",
         "regression": "regress",
         "instrumental.resampling": "bootstrap profile",

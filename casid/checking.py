@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.data import BoolArray, FloatArray, Record
-from casid.reading import UNIFORM, Columns, ColumnSpec, survey
+from casid.reading.clocks import UNIFORM
+from casid.reading.columns import Columns, ColumnSpec
+from casid.reading.surveying import survey
 
 Severity = Literal["error", "warning", "note"]
 SCHEMA = "casid.check/1"
@@ -189,7 +191,7 @@ def check(
     ----------
     data : Record, or path of a file (which may carry a window, `run.csv@12:194`)
     columns, time, window, resample, Ts
-        As `casid.reading.read_record`; for files only.
+        As `casid.read_record`; for files only.
 
     Returns
     -------

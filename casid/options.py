@@ -85,7 +85,7 @@ class Source:
 
 def source_of(text: str, common: tuple[float, float] | None = None) -> Source:
     """Read `case=path@start:stop`, the window by default the common one."""
-    from casid.reading import parse_case
+    from casid.reading.sources import parse_case
 
     case, path, window = parse_case(text)
     return Source(case, path, window or common)
@@ -186,7 +186,7 @@ class Request:
 
         `problem` is the one that knows the values of --set.
         """
-        from casid.reading import parse_window
+        from casid.reading.sources import parse_window
 
         window = parse_window(self.window) if self.window else None
         sources = [source_of(text, window) for text in self.data]
@@ -357,7 +357,7 @@ def with_time(problem: Problem, mapping: dict[str, Mapping]) -> tuple[Problem, d
 
 def time_column(mapping: Mapping) -> Any:
     """The time column of a mapping, as a problem takes it."""
-    from casid.reading import ColumnSpec
+    from casid.reading.columns import ColumnSpec
 
     return mapping.column if mapping.unit is None else ColumnSpec(mapping.column, mapping.unit)
 

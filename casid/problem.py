@@ -16,7 +16,8 @@ from casid.data import Experiment, Record
 from casid.derived import Derived, derive
 from casid.errors import DataError, ModelError
 from casid.model import Model
-from casid.reading import ColumnSpec, read_record
+from casid.reading.columns import ColumnSpec
+from casid.reading.record_file import read_record
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,7 +192,7 @@ class Problem:
         self, path: str | Path, specs: dict[str, ColumnSpec], mapping: Mapping[str, str]
     ) -> dict[str, ColumnSpec]:
         """Drop channels recorded beside the model's where the file does not have them."""
-        from casid.reading import column_names
+        from casid.reading.record_file import column_names
 
         there = set(column_names(path))
         signals = {*self.model.inputs, *self.model.outputs}

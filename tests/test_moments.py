@@ -22,7 +22,8 @@ from casid.errors import DataError
 from casid.instrumental.columns import Column, lagged
 from casid.instrumental.moments import Accumulator, Moments, moments, of_file, of_record, weighted
 from casid.prepare import anti_alias, equiripple
-from casid.reading import iter_chunks, read_record
+from casid.reading.chunks import iter_chunks
+from casid.reading.record_file import read_record
 from casid.writing import write_text
 from tests.shared import ROOT
 

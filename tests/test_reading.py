@@ -10,18 +10,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from casid.errors import DataError, UnitError
-from casid.reading import (
-    ColumnSpec,
-    column_names,
-    iter_chunks,
-    parse_case,
-    parse_source,
-    parse_window,
-    read_record,
-    resample,
-    time_faults,
-    unit_from_name,
-)
+from casid.reading.chunks import iter_chunks
+from casid.reading.clocks import time_faults
+from casid.reading.columns import ColumnSpec, unit_from_name
+from casid.reading.record_file import column_names, read_record
+from casid.reading.resampling import resample
+from casid.reading.sources import parse_case, parse_source, parse_window
 from tests.shared import shared
 
 

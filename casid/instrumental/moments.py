@@ -22,7 +22,7 @@ from casid.instrumental.lag_products import BLOCK, Core, Window, short_stretch, 
 if TYPE_CHECKING:
     from casid.data import Record
     from casid.prepare import FirFilter
-    from casid.reading import Columns, ColumnSpec
+    from casid.reading.columns import Columns, ColumnSpec
 
 __all__ = ["CONSTANT", "Accumulator", "Moments", "moments", "of_file", "of_record", "weighted"]
 
@@ -400,18 +400,18 @@ def of_file(
 
     Parameters
     ----------
-    columns : mapping of channel to column of the file, as `casid.reading.iter_chunks`
+    columns : mapping of channel to column of the file, as `casid.reading.chunks.iter_chunks`
         With units converted to SI.
-    time : the column of the time stamps, as `casid.reading.iter_chunks`
+    time : the column of the time stamps, as `casid.reading.chunks.iter_chunks`
     lags, prefilter, rational, settle, constant
         As `Accumulator`.
 
     Raises
     ------
     DataError
-        As `casid.reading.iter_chunks`, and as `of_record`.
+        As `casid.reading.chunks.iter_chunks`, and as `of_record`.
     """
-    from casid.reading import iter_chunks
+    from casid.reading.chunks import iter_chunks
 
     path = Path(path)
     total = Accumulator(
