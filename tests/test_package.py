@@ -142,12 +142,19 @@ def test_no_imports_run_in_a_circle() -> None:
 
 
 def test_problems_import_casid_and_files_beside_them_alone() -> None:
-    """A problem file is what a user writes: the library's own problems have no more means."""
+    """A problem file is what a user writes: the library's own problems have no more means.
+
+    That they are a package as well is for studies and the type checker: an import from it stands
+    beside one by bare name, which is what a file loaded by its path runs.
+    """
     allowed = {"casid", "numpy", "casadi", "__future__", *sys.stdlib_module_names}
     for path in (ROOT / "problems").glob("*.py"):
         beside = {p.stem for p in path.parent.glob("*.py")}
-        roots = {module.partition(".")[0] for module, _ in imports_of(path)}
+        imports = [(*module.partition(".")[::2], now) for module, now in imports_of(path)]
+        packaged = {part for root, part, now in imports if root == "problems" and not now}
+        roots = {root for root, part, _ in imports if part not in packaged}
         assert roots <= allowed | beside, f"{path.name}: {roots - allowed - beside}"
+        assert packaged <= {root for root, _, _ in imports}, f"{path.name}: by one name alone"
 
 
 def modules_after(statement: str) -> set[str]:
