@@ -1,0 +1,1 @@
+"""Rational transfer functions and matrices of them, as values that are computed with exactly."""

@@ -1,0 +1,135 @@
+"""State-space realisation of transfer functions, and their McMillan degree."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from casid.errors import ModelError
+from casid.transfer import polynomial as poly
+from casid.transfer.matrix import RationalMatrix
+from casid.transfer.minors import pole_polynomial
+from casid.transfer.rational import Rational
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
+Matrices = tuple[Array, Array, Array, Array]
+
+
+def state_space(function: Rational | RationalMatrix) -> Any:
+    """A `control.StateSpace`, minimal where there is one output or one input.
+
+    One output: observer form over the row's least common denominator. One input: its transpose.
+    Several of both: the smaller of rows in observer form and columns in controller form, which
+    need not be minimal (`mcmillan_degree` has the least order).
+
+    Raises
+    ------
+    ModelError
+        If an entry is improper, or parameters have no value.
+    """
+    import control
+
+    matrix = RationalMatrix(((function,),)) if isinstance(function, Rational) else function
+    A, B, C, D = matrices(matrix)
+    variable, Ts = matrix.time
+    dt: Any = {"s": 0, "": None}.get(variable, Ts or True)
+    return control.StateSpace(
+        A,
+        B,
+        C,
+        D,
+        dt,
+        inputs=list(matrix.inputs),
+        outputs=list(matrix.outputs),
+        remove_useless_states=False,
+    )
+
+
+def matrices(matrix: RationalMatrix) -> Matrices:
+    """(A, B, C, D) of `state_space` as arrays."""
+    _refuse(matrix)
+    rows = matrix.rows
+    columns = tuple(zip(*rows, strict=True))
+    by_row, by_column = _order(rows), _order(columns)
+    if by_row <= by_column:
+        return _observer_form(rows)
+    A, B, C, D = _observer_form(columns)
+    return A.T, C.T, B.T, D.T
+
+
+def mcmillan_degree(function: Rational | RationalMatrix) -> int:
+    """The least number of states, exactly; poles at infinity counted for improper functions."""
+    matrix = RationalMatrix(((function,),)) if isinstance(function, Rational) else function
+    # The degree does not change under q = 1/x + a, and a proper matrix has its poles at finite x
+    # once a is no pole.
+    if matrix.is_proper:
+        return poly.degree(pole_polynomial(matrix.rows))
+    a = next(
+        k
+        for k in range(2, 1000)
+        if all(poly.evaluate(g.denominator, k) != 0 for row in matrix.rows for g in row)
+    )
+    moved = tuple(tuple(_moved(g, a) for g in row) for row in matrix.rows)
+    return poly.degree(pole_polynomial(moved))
+
+
+def _moved(g: Rational, a: int) -> Rational:
+    from fractions import Fraction
+
+    above: poly.Polynomial = (Fraction(a), Fraction(1))  # q = (a x + 1) / x
+    below: poly.Polynomial = (Fraction(1), Fraction(0))
+    top, bottom = (poly.compose_ratio(p, above, below) for p in (g.numerator, g.denominator))
+    excess = poly.degree(g.denominator) - poly.degree(g.numerator)
+    for _ in range(abs(excess)):
+        top, bottom = (
+            (poly.multiply(top, below), bottom)
+            if excess > 0
+            else (top, poly.multiply(bottom, below))
+        )
+    return Rational(top, bottom, "q")
+
+
+def _refuse(matrix: RationalMatrix) -> None:
+    for y, row in zip(matrix.outputs, matrix.rows, strict=True):
+        for u, g in zip(matrix.inputs, row, strict=True):
+            if g.parameters:
+                raise ModelError(
+                    f"{y} / {u} = {g}: a realisation needs a value for {', '.join(g.parameters)}"
+                )
+            if not g.is_proper:
+                raise ModelError(
+                    f"{y} / {u} = {g} is improper, so it has no state-space realisation; delay it "
+                    f"by {-g.relative_degree} samples, or filter it by as many poles"
+                )
+
+
+def _order(rows: Any) -> int:
+    return sum(poly.degree(poly.common_multiple(g.denominator for g in row)) for row in rows)
+
+
+def _observer_form(rows: Any) -> Matrices:
+    m, n = len(rows), len(rows[0])
+    blocks = []
+    for row in rows:
+        below = poly.common_multiple(g.denominator for g in row)
+        order = poly.degree(below)
+        A, B = np.zeros((order, order)), np.zeros((order, n))
+        A[:, :1] = -np.array([float(c) for c in below[1:]]).reshape(order, 1)
+        A[:-1, 1:] = np.eye(max(order - 1, 0))
+        for k, g in enumerate(row):
+            fill = poly.divide(below, g.denominator)[0]
+            rest = poly.add(poly.multiply(g.numerator, fill), poly.scale(below, -g.direct))
+            B[order - len(rest) :, k] = [float(c) for c in rest]
+        blocks.append((A, B))
+    N = sum(len(A) for A, _ in blocks)
+    A, B, C = np.zeros((N, N)), np.zeros((N, n)), np.zeros((m, N))
+    start = 0
+    for i, (a, b) in enumerate(blocks):
+        stop = start + len(a)
+        A[start:stop, start:stop], B[start:stop] = a, b
+        if stop > start:
+            C[i, start] = 1.0
+        start = stop
+    D = np.array([[float(g.direct) for g in row] for row in rows]).reshape(m, n)
+    return A, B, C, D
