@@ -261,10 +261,10 @@ class Rational:
         return self.inverse().__mul__(other)
 
     def __radd__(self, other: Any) -> Rational:
-        return self.__add__(-_as_rational(other))
+        return self.__add__(other)
 
     def __rmul__(self, other: Any) -> Rational:
-        return self.__mul__(_as_rational(other).inverse())
+        return self.__mul__(other)
 
     def __pow__(self, n: int) -> Rational:
         out = Rational(poly.ONE)
