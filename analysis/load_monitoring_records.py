@@ -23,9 +23,10 @@ from casid.instrumental.columns import Column
 from casid.instrumental.estimators import Prior
 from casid.instrumental.gram import Moments
 from casid.instrumental.moment_equations import MomentEquations, Part
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.moments import moments
 from casid.instrumental.propagation import propagate
-from casid.instrumental.stage import MomentSettings, Stage
+from casid.instrumental.stage import Stage
 from casid.instrumental.windowed_moments import Simulated, WindowedMoments, on_simulated
 from casid.linear.difference_equation import difference_equation
 from casid.prediction.polynomial import oe

@@ -63,7 +63,7 @@ from analysis.targets import Target, at_most, conclude, near
 from casid.campaigns.campaign import campaign
 from casid.data import Experiment
 from casid.instrumental.estimators import MomentEstimate, multistage
-from casid.instrumental.stage import MomentSettings
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.validation import validate
 from casid.prepare import align
 from problems import pendulum_rig as rig

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from casid.instrumental.estimators import MomentEstimate, Prior, Reusable, StageSpec
 from casid.instrumental.instruments import Instruments
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.propagation import jacobian_of
-from casid.instrumental.stage import MomentSettings
 from problems import pendulum_rig as rig
 
 Array = NDArray[np.float64]

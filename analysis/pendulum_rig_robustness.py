@@ -24,7 +24,7 @@ from analysis.pendulum_rig_records import AMPLITUDE, Draws
 from analysis.pendulum_rig_tables import Output
 from analysis.targets import Target, at_most, near
 from casid.instrumental.estimators import multistage
-from casid.instrumental.stage import MomentSettings
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.validation import validate
 from problems import pendulum_rig as rig
 

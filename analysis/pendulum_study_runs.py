@@ -28,10 +28,11 @@ from casid.instrumental.column_products import column_products
 from casid.instrumental.estimators import Reusable, StageSpec
 from casid.instrumental.instruments import Instruments
 from casid.instrumental.moment_equations import Part, moment_covariance, parts_of
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.propagation import Propagated, propagate
 from casid.instrumental.reference_filter import ReferenceFilter
 from casid.instrumental.resampling import profile
-from casid.instrumental.stage import MomentSettings, Stage, StageFit
+from casid.instrumental.stage import Stage, StageFit
 from problems.pendulum import TABLE_7_2, indirect_model
 
 Array = NDArray[Any]

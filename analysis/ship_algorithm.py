@@ -47,8 +47,8 @@ from casid.identifiability.combinations.along_family import AlongFamily, along_f
 from casid.identifiability.combinations.family import Family
 from casid.instrumental.estimators import MomentEstimate, least_squares
 from casid.instrumental.iterative_joint import IterativeJoint, family_values, iterative_joint
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.resampling import profile
-from casid.instrumental.stage import MomentSettings
 from casid.model import Model
 from casid.solving.nlp import Solver
 from problems.ship import NINE, TABLE_8_2, nine_parameters, problem

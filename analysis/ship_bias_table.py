@@ -18,7 +18,7 @@ from analysis.ship_bias_records import IMPERFECTIONS, Imperfection, Rudder, answ
 from casid.errors import IdentifiabilityError, SolveError
 from casid.instrumental.black_box_reference import black_box_instruments, black_box_references
 from casid.instrumental.estimators import Reusable, StageSpec
-from casid.instrumental.stage import MomentSettings
+from casid.instrumental.moment_settings import MomentSettings
 from problems import ship
 from problems.ship import TABLE_8_2
 

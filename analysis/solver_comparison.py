@@ -35,8 +35,9 @@ from analysis.targets import Target, conclude
 from casid.instrumental.estimators import StageSpec, instrumental_variables, multistage
 from casid.instrumental.instruments import Instruments
 from casid.instrumental.moment_nlp import Condensed, LinearNlp, PhysicalNlp
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.reference_filter import ReferenceFilter
-from casid.instrumental.stage import MomentSettings, StageFit
+from casid.instrumental.stage import StageFit
 from casid.simulation_error import SimulationError
 from casid.solving.nlp import Nlp
 from casid.solving.solvers import SolverComparison, compare_solvers

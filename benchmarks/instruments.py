@@ -45,8 +45,9 @@ def main() -> int:
     from analysis.pendulum_records import Study, low_pass
     from casid.instrumental.instruments import Instruments, Loop, reference_signals
     from casid.instrumental.moment_equations import parts_of
+    from casid.instrumental.moment_settings import MomentSettings
     from casid.instrumental.reference_filter import ReferenceFilter
-    from casid.instrumental.stage import MomentSettings, Stage
+    from casid.instrumental.stage import Stage
     from problems.pendulum import indirect_model
 
     experiments = Study(0.3).experiments(0)[:1]

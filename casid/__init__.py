@@ -59,10 +59,10 @@ if TYPE_CHECKING:
     )
     from casid.instrumental.exogeneity import reference_depends_on
     from casid.instrumental.instruments import Instruments
+    from casid.instrumental.moment_settings import MomentSettings
     from casid.instrumental.moments import Moments
     from casid.instrumental.reference_filter import ReferenceFilter
     from casid.instrumental.resampling import bootstrap, profile
-    from casid.instrumental.stage import MomentSettings
     from casid.instrumental.streamed import estimate_from_moments
     from casid.instrumental.validation import validate
     from casid.linear.affine import affine_hull
@@ -202,7 +202,7 @@ _HOME = {
         "regression": "regress",
         "instrumental.resampling": "bootstrap profile",
         "solving.solvers": "compare_solvers",
-        "instrumental.stage": "MomentSettings",
+        "instrumental.moment_settings": "MomentSettings",
         "instrumental.streamed": "estimate_from_moments",
         "prediction.unknown_input": "compare_unknown_input_options",
         "instrumental.validation": "validate",

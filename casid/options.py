@@ -317,8 +317,8 @@ class InstrumentRequest:
         """Joint instrumental variables on all records: a `casid.MomentEstimate`."""
         from casid.instrumental.estimators import instrumental_variables
         from casid.instrumental.instruments import Instruments
+        from casid.instrumental.moment_settings import MomentSettings
         from casid.instrumental.reference_filter import ReferenceFilter
-        from casid.instrumental.stage import MomentSettings
         from casid.solving.nlp import Solver
 
         problem, free = self.freed(problem)

@@ -14,8 +14,8 @@ from casid.instrumental.black_box_reference import (
 )
 from casid.instrumental.estimators import instrumental_variables
 from casid.instrumental.instruments import Instruments, Loop, from_channels
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.reference_filter import ReferenceFilter, SampledFilter
-from casid.instrumental.stage import MomentSettings
 from problems.ship import TABLE_8_2, indirect_model, problem
 
 V = TABLE_8_2

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 import casid
 from casid.instrumental.estimators import instrumental_variables
 from casid.instrumental.instruments import Instruments
-from casid.instrumental.stage import MomentSettings
+from casid.instrumental.moment_settings import MomentSettings
 from casid.solving.nlp import Nlp
 from problems.pendulum import TABLE_7_2, indirect_model
 

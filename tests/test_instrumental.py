@@ -24,9 +24,9 @@ from casid.instrumental.estimators import (
     multistage,
 )
 from casid.instrumental.instruments import Instruments
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.reference_filter import ReferenceFilter
 from casid.instrumental.resampling import bootstrap, profile
-from casid.instrumental.stage import MomentSettings
 from casid.instrumental.validation import validate
 from problems.pendulum import TABLE_7_2, indirect_model
 

@@ -12,7 +12,7 @@ import casid
 from casid.instrumental.estimators import instrumental_variables
 from casid.instrumental.instruments import Instruments
 from casid.instrumental.moment_equations import huber
-from casid.instrumental.stage import MomentSettings
+from casid.instrumental.moment_settings import MomentSettings
 
 TS = 0.05
 TRUTH = {"k1": 40.0, "k2": 25.0, "d": 1.5}

@@ -36,7 +36,7 @@ from analysis.targets import Target
 from casid.campaigns.campaign import run_seed
 from casid.instrumental.estimators import multistage
 from casid.instrumental.instruments import Instruments
-from casid.instrumental.stage import MomentSettings
+from casid.instrumental.moment_settings import MomentSettings
 from problems.pendulum import TABLE_7_2, indirect_model
 
 N = 30_000

@@ -9,8 +9,8 @@ import casid
 from analysis.pendulum_records import Study
 from casid.instrumental.columns import lagged
 from casid.instrumental.estimators import least_squares
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.moments import Moments, moments, of_record
-from casid.instrumental.stage import MomentSettings
 from casid.instrumental.streamed import estimate_from_moments
 from problems.pendulum import TABLE_7_2, indirect_model
 

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.instrumental.stage import StageFit, eta_distance
+from casid.instrumental.prefilters import eta_distance
+from casid.instrumental.stage import StageFit
 
 Array = NDArray[Any]
 

@@ -23,8 +23,9 @@ from casid.identifiability.requirement import require_identifiable
 from casid.identification import versions
 from casid.instrumental.instruments import Instruments, Loop
 from casid.instrumental.moment_equations import Part, parts_of
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.propagation import Propagated, free_slope, propagate
-from casid.instrumental.stage import MomentSettings, Stage, StageFit
+from casid.instrumental.stage import Stage, StageFit
 from casid.local_rank import describe_null, local_rank
 from casid.model import Model
 from casid.problem import Problem

@@ -22,8 +22,8 @@ from casid.instrumental.black_box_reference import (
 from casid.instrumental.convergence import Convergence
 from casid.instrumental.estimators import MomentEstimate, Prior, instrumental_variables
 from casid.instrumental.instruments import Instruments
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.reference_filter import Filter
-from casid.instrumental.stage import MomentSettings
 from casid.model import Model
 from casid.problem import Problem
 

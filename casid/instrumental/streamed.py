@@ -16,9 +16,10 @@ from casid.errors import DataError, ModelError
 from casid.instrumental.columns import Column
 from casid.instrumental.estimators import MomentEstimate, Prior, as_estimate
 from casid.instrumental.moment_equations import MomentEquations, Part
+from casid.instrumental.moment_settings import MomentSettings
 from casid.instrumental.moments import Moments
 from casid.instrumental.propagation import propagate
-from casid.instrumental.stage import MomentSettings, Stage
+from casid.instrumental.stage import Stage
 from casid.linear.difference_equation import difference_equation
 from casid.model import Model
 from casid.problem import Problem
