@@ -1,0 +1,369 @@
+"""Linear systems with known and unknown inputs.
+
+    dx/dt = A x + B u_K + E u_U,    y = C x + D u_K + F u_U                                 (1)
+
+in continuous time, x[t+1] for dx/dt in discrete time: (3.69) of Linder (2017).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.data import Record
+from casid.errors import DataError, ModelError
+from casid.expressions import nearest
+from casid.linear.linear_model import LinearModel, linearise
+from casid.model import Model
+from casid.prediction.noisy_system import sample_system
+from casid.units import same_dimension
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnknownInputSystem:
+    """System (1).
+
+    Parameters
+    ----------
+    A (nx, nx), B (nx, nk), E (nx, nu), C (ny, nx), D (ny, nk), F (ny, nu)
+    Ts : sample time [s] of a discrete-time system, 0 in continuous time.
+    states, known, unknown, outputs : names, by default x1.., k1.., u1.., y1..
+    units : name of a signal -> its SI unit, as far as they are known.
+    holds : known input -> "zoh" or "foh", what it does between samples; default "foh".
+
+    Raises
+    ------
+    ModelError
+        For shapes that do not fit, entries that are not finite, names that are not distinct, or
+        no unknown input.
+    """
+
+    A: Array
+    B: Array
+    E: Array
+    C: Array
+    D: Array
+    F: Array
+    Ts: float = 0.0
+    states: tuple[str, ...] = ()
+    known: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    holds: Mapping[str, str] = field(default_factory=dict)
+    name: str = "system"
+
+    def __post_init__(self) -> None:
+        for letter in "ABECDF":
+            value = np.atleast_2d(np.array(getattr(self, letter), dtype=float))
+            object.__setattr__(self, letter, value)
+        n, ny = len(self.A), len(self.C)
+        nk, nu = self.B.shape[1], self.E.shape[1]
+        shapes = {"A": (n, n), "B": (n, nk), "E": (n, nu)}
+        shapes |= {"C": (ny, n), "D": (ny, nk), "F": (ny, nu)}
+        for letter, shape in shapes.items():
+            value = getattr(self, letter)
+            if value.shape != shape:
+                raise ModelError(
+                    f"{self.name}: {letter} is {value.shape}, but {n} states, {nk} known and {nu} "
+                    f"unknown inputs and {ny} outputs need {shape}; give zeros where nothing acts"
+                )
+            if not np.all(np.isfinite(value)):
+                raise ModelError(
+                    f"{self.name}: {letter} holds entries that are not finite; check the values "
+                    "it was computed from"
+                )
+        if nu == 0:
+            raise ModelError(
+                f"{self.name} has no unknown input; name one with unknown='...', or use an "
+                "ordinary observer (casid.prediction.kalman)"
+            )
+        if not (np.isfinite(self.Ts) and self.Ts >= 0):
+            raise ModelError(
+                f"{self.name}: Ts = {self.Ts!r}; give the sample time in seconds, 0 for continuous"
+            )
+        for role, letter, count in (
+            ("states", "x", n),
+            ("known", "k", nk),
+            ("unknown", "u", nu),
+            ("outputs", "y", ny),
+        ):
+            given = tuple(getattr(self, role)) or tuple(f"{letter}{i + 1}" for i in range(count))
+            if len(given) != count or len(set(given)) != count:
+                raise ModelError(
+                    f"{self.name}: {role} are {', '.join(given)}; give {count} different names"
+                )
+            object.__setattr__(self, role, given)
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def nu(self) -> int:
+        """Number of unknown inputs."""
+        return int(self.E.shape[1])
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.C)
+
+    @property
+    def is_discrete(self) -> bool:
+        """True for a sampled system."""
+        return self.Ts > 0
+
+    def is_unstable(self, pole: complex) -> bool:
+        """Whether a pole or zero does not lie in the open stability region."""
+        return bool(abs(pole) >= 1 - 1e-9 if self.is_discrete else pole.real >= -1e-9)
+
+    def sampled(self, Ts: float) -> UnknownInputSystem:
+        """The system at its samples, exact where unknown inputs are held over each sample.
+
+        Known inputs are held or joined by straight lines, as `holds` has it (default straight).
+        For straight lines the state of the result is x - shift u_K (see `sample_system`), which
+        makes no difference to outputs and unknown inputs.
+
+        Raises
+        ------
+        ModelError
+            If the system is discrete already, or Ts is not positive.
+        """
+        if self.is_discrete:
+            raise ModelError(
+                f"{self.name} is sampled already, with Ts = {self.Ts:g} s; resample the record to "
+                "that time, or give the continuous system"
+            )
+        if not (np.isfinite(Ts) and Ts > 0):
+            raise ModelError(f"{self.name}: Ts = {Ts!r}; give a positive sample time in seconds")
+        hold = [self.holds.get(k, "foh") for k in self.known] + ["zoh"] * self.nu
+        A, B, C, D, _ = sample_system(
+            self.A, np.hstack([self.B, self.E]), self.C, np.hstack([self.D, self.F]), Ts, hold
+        )
+        nk = len(self.known)
+        return replace(
+            self, A=A, B=B[:, :nk], E=B[:, nk:], C=C, D=D[:, :nk], F=D[:, nk:], Ts=float(Ts)
+        )
+
+    def signals(self, record: Record) -> tuple[Array, Array]:
+        """Outputs (N, ny) and known inputs (N, nk) of a record, NaN where samples are missing.
+
+        Raises
+        ------
+        DataError
+            For a channel that is lacking or has another dimension than the model's signal, a known
+            input with missing samples, or another sample time.
+        """
+        if self.is_discrete and abs(record.Ts - self.Ts) > 1e-6 * self.Ts:
+            raise DataError(
+                f"{record.name}: Ts = {record.Ts:g} s, but {self.name} is sampled with "
+                f"{self.Ts:g} s; resample the record, or sample the model with that time"
+            )
+        for name in (*self.outputs, *self.known):
+            if name not in record:
+                raise DataError(
+                    f"{record.name}: no channel {name!r}, which {self.name} needs as "
+                    f"{'an output' if name in self.outputs else 'a known input'}"
+                    f"{nearest(name, record.names)}; rename it with record.rename"
+                )
+            unit = self.units.get(name)
+            if unit is not None and not same_dimension(unit, record.units[name]):
+                raise DataError(
+                    f"{record.name}: {name} is in {record.units[name]}, {self.name} has it in "
+                    f"{unit}; check the channel, or the model's unit"
+                )
+        for name in self.known:
+            if record.is_missing(name).any():
+                raise DataError(
+                    f"{record.name}: known input {name} has missing samples; fill them with "
+                    f"record.filled({name!r}), or cut them with record.between"
+                )
+        y = [np.where(record.is_missing(n), np.nan, record[n]) for n in self.outputs]
+        u = [record[n] for n in self.known]
+        return np.column_stack(y), np.column_stack(u) if u else np.zeros((record.N, 0))
+
+    def to_control(self) -> Any:
+        """A ``control.StateSpace`` from [known, unknown] to the outputs, with names."""
+        import control
+
+        return control.StateSpace(
+            self.A,
+            np.hstack([self.B, self.E]),
+            self.C,
+            np.hstack([self.D, self.F]),
+            self.Ts,
+            states=list(self.states),
+            inputs=[*self.known, *self.unknown],
+            outputs=list(self.outputs),
+            name=self.name,
+        )
+
+    def __repr__(self) -> str:
+        clock = f"Ts = {self.Ts:g} s" if self.is_discrete else "continuous"
+        return (
+            f"<UnknownInputSystem {self.name}: {self.nx} states, known "
+            f"{', '.join(self.known) or 'nothing'}, unknown {', '.join(self.unknown)}, outputs "
+            f"{', '.join(self.outputs)}, {clock}>"
+        )
+
+
+def unknown_input_system(
+    system: Any,
+    unknown: Sequence[str] | str | None = None,
+    *,
+    values: Mapping[str, float] | None = None,
+    outputs: Sequence[str] | None = None,
+) -> UnknownInputSystem:
+    """System (1) from a casid Model or LinearModel, or a python-control system.
+
+    Parameters
+    ----------
+    system : a `Model` (linear, or linearised about zero), a `LinearModel`, a
+        ``control.StateSpace`` with named inputs, or an `UnknownInputSystem`, which is returned.
+    unknown : names of the unknown inputs; those of a `Model` that are declared so by default.
+    values : parameter -> value, for parameters of a Model that are not known.
+    outputs : those that are measured; all by default.
+
+    Raises
+    ------
+    ModelError
+        If a name is wrong, no input is unknown, an unknown parameter has no value, or the model
+        rests elsewhere than at zero.
+    """
+    if isinstance(system, UnknownInputSystem):
+        return system
+    chosen = None if unknown is None else (unknown,) if isinstance(unknown, str) else tuple(unknown)
+    if isinstance(system, Model):
+        units, holds = _units(system), {n: i.hold for n, i in system.inputs.items()}
+        if chosen is None:
+            chosen = tuple(n for n, i in system.inputs.items() if i.kind == "unknown")
+        return _from_linear(linearise(system), chosen, values, outputs, units, holds)
+    if isinstance(system, LinearModel):
+        return _from_linear(system, chosen, values, outputs, {}, {})
+    return _from_control(system, chosen, outputs)
+
+
+def _units(model: Model) -> dict[str, str]:
+    units = {n: s.unit for n, s in model.states.items()}
+    units |= {n: i.unit for n, i in model.inputs.items()}
+    return units | {n: unit for n, (_, unit) in model.outputs.items()}
+
+
+def _from_linear(
+    linear: LinearModel,
+    unknown: tuple[str, ...] | None,
+    values: Mapping[str, float] | None,
+    outputs: Sequence[str] | None,
+    units: Mapping[str, str],
+    holds: Mapping[str, str],
+) -> UnknownInputSystem:
+    import casadi as ca
+
+    A, B, C, D = linear.matrices(values)
+    rest = ca.Function("rest", [linear.p], [ca.vertcat(*linear.equilibrium.values())])
+    at = np.array(rest(linear.vector(values))).ravel()
+    away = [n for n, v in zip(linear.equilibrium, at, strict=True) if v != 0]
+    if away:
+        raise ModelError(
+            f"{linear.name}: {', '.join(away)} are not zero at rest; subtract the value there from "
+            "the channel, and leave the constant out of the model"
+        )
+    return _split(
+        (A, B, C, D),
+        linear.states,
+        linear.inputs,
+        linear.outputs,
+        unknown,
+        outputs,
+        0.0,
+        linear.name,
+        units,
+        holds,
+    )
+
+
+def _from_control(
+    system: Any, unknown: tuple[str, ...] | None, outputs: Sequence[str] | None
+) -> UnknownInputSystem:
+    import control
+
+    if isinstance(system, control.TransferFunction):
+        raise ModelError(
+            "a transfer function names no states; give a realisation, control.ss(system), with "
+            "inputs=[...] and outputs=[...]"
+        )
+    if not isinstance(system, control.StateSpace):
+        raise ModelError(
+            f"a {type(system).__name__} is no linear system; give a casid Model, a LinearModel or "
+            "a control.StateSpace with named inputs"
+        )
+    if system.dt is True:
+        raise ModelError(
+            f"{system.name}: discrete without a sample time; give dt in seconds, "
+            "control.StateSpace(A, B, C, D, 0.01)"
+        )
+    return _split(
+        (system.A, system.B, system.C, system.D),
+        tuple(system.state_labels),
+        tuple(system.input_labels),
+        tuple(system.output_labels),
+        unknown,
+        outputs,
+        float(system.dt or 0.0),
+        str(system.name),
+        {},
+        {},
+    )
+
+
+def _split(
+    matrices: tuple[Array, Array, Array, Array],
+    states: Sequence[str],
+    inputs: Sequence[str],
+    measured: Sequence[str],
+    unknown: tuple[str, ...] | None,
+    outputs: Sequence[str] | None,
+    Ts: float,
+    name: str,
+    units: Mapping[str, str],
+    holds: Mapping[str, str],
+) -> UnknownInputSystem:
+    """Columns of the inputs sorted into known and unknown ones, rows of the outputs chosen."""
+    if not unknown:
+        raise ModelError(
+            f"{name}: which input is unknown? Give unknown='...', one of {', '.join(inputs)}"
+        )
+    for wanted, there, what in ((unknown, inputs, "input"), (outputs or (), measured, "output")):
+        for one in wanted:
+            if one not in there:
+                raise ModelError(f"{name} has no {what} {one!r}{nearest(one, there)}")
+    A, B, C, D = matrices
+    known = tuple(i for i in inputs if i not in unknown)
+    k, u = ([list(inputs).index(i) for i in group] for group in (known, unknown))
+    kept = tuple(measured) if outputs is None else tuple(outputs)
+    rows = [list(measured).index(o) for o in kept]
+    C, D = C[rows], D[rows]
+    return UnknownInputSystem(
+        A,
+        B[:, k],
+        B[:, u],
+        C,
+        D[:, k],
+        D[:, u],
+        Ts,
+        tuple(states),
+        known,
+        unknown,
+        kept,
+        {n: v for n, v in units.items()},
+        {n: v for n, v in holds.items() if n in known},
+        name,
+    )
