@@ -48,7 +48,8 @@ def families(
     systems : experiments without unknown inputs; the names of their constants stand in the
         formulas.
     fixing : minimal fixing sets of the same systems, at least one of them listed.
-    time_limit : seconds for the points; None are found where it does not suffice.
+    time_limit : seconds of processor time for the points, so that a busy machine finds the same;
+        no family is found where it does not suffice.
 
     Returns
     -------
@@ -64,10 +65,10 @@ def families(
     columns = [names.index(n) for n in free]
     moving = {n for group in fixing.groups for n in group}
     rng = np.random.default_rng(seed)
-    deadline = time.monotonic() + time_limit
+    deadline = time.process_time() + time_limit
 
     def null_at(values: Mapping[str, int], p: int) -> Array:
-        if time.monotonic() > deadline:
+        if time.process_time() > deadline:
             raise OutOfTime
         point = search.at(p, rng, values=values)
         null = null_space(point.information, p)
@@ -87,7 +88,7 @@ def families(
             null_at, names, free, [*variables, *states], initial_states=states, seed=seed
         )
     except OutOfTime:
-        return (), (), f"no closed form of the families was found within {time_limit:g} s"
+        return (), (), f"no closed form of the families was found within {time_limit:g} s of computing"
     except (IdentifiabilityError, ZeroDivisionError) as error:
         return (), (), f"no closed form of the families was found: {error}"
     directions = tuple(_simplest(d, fixing) for d in found)
