@@ -24,27 +24,51 @@ Conventions beyond the thesis:
 
 Printed terms that are repaired: the rudder's drag is C1 |delta|, N_phi|uv| stands once, and the
 yaw damping is N_|u|r |u| r. Terms of f are added, so a coefficient that damps is negative.
+
+The parts: what the ship is, `ship_hull` and `ship_arm`; her equations, `ship_equations`; whether
+she stands upright, `ship_stability`; what the rudder does, `ship_rudder`; the simulation,
+`ship_motion`; linear models, `ship_linear`. All their names are here too.
+
+`problem` is the same ship to be identified, from three records of an inertial unit and a log: the
+model, in `ship_manoeuvring`, is written by itself, and has every term of (A.36). Sixteen of its
+coefficients are sought. The others are taken as known, since records of rudder steps tell them
+badly or not at all: heels of 2 deg say nothing of what is cubic in phi or multiplies phi, and
+X_|u|u and C_3 are told as a ratio alone, so that the propeller is known from a bollard pull.
+
+    casid identify problems/ship_4dof.py
+    casid identifiability problems/ship_4dof.py
+    casid diagnose problems/ship_4dof.py --set N_rr=0
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import asdict
 from typing import TYPE_CHECKING
+
+import numpy as np
+
+import casid
 
 if TYPE_CHECKING or __package__:
     from problems.ship_arm import PolynomialArm, TabulatedArm
     from problems.ship_equations import dynamics, hydrodynamics, rotation, sample_step
     from problems.ship_hull import LOAD_CASES, Actuator, Coefficients, Load, Ship
     from problems.ship_linear import Linear, linearised, tangent
+    from problems.ship_manoeuvring import manoeuvring_model
     from problems.ship_motion import STATES, Motion, Start, simulate
     from problems.ship_rudder import random_steps, stuck_rudder, zigzag
+    from problems.ship_sensors import InertialUnit, measure
     from problems.ship_stability import Stability, require_stable, stability
 else:  # loaded by its path
     from ship_arm import PolynomialArm, TabulatedArm
     from ship_equations import dynamics, hydrodynamics, rotation, sample_step
     from ship_hull import LOAD_CASES, Actuator, Coefficients, Load, Ship
     from ship_linear import Linear, linearised, tangent
+    from ship_manoeuvring import manoeuvring_model
     from ship_motion import STATES, Motion, Start, simulate
     from ship_rudder import random_steps, stuck_rudder, zigzag
+    from ship_sensors import InertialUnit, measure
     from ship_stability import Stability, require_stable, stability
 
 __all__ = [
@@ -73,3 +97,93 @@ __all__ = [
     "tangent",
     "zigzag",
 ]
+
+
+SOUGHT = {
+    "X_uu": (-2.5, -10.0, 0.0),
+    "C1": (0.4, 0.0, 5.0),
+    "Y_vdot": (-60.0, -300.0, 0.0),
+    "Y_uv": (-50.0, -300.0, 0.0),
+    "Y_vv": (-70.0, -500.0, 0.0),
+    "Y_vr": (-20.0, -300.0, 100.0),
+    "C2": (2.5, 0.1, 20.0),
+    "k": (8.0, 6.5, 50.0),
+    "A_x": (0.18, 0.05, 1.0),
+    "K_vdot": (0.3, -2.0, 2.0),
+    "K_ur": (-0.2, -5.0, 5.0),
+    "K_p": (-0.2, -2.0, 0.0),
+    "A_z": (0.6, 0.1, 3.0),
+    "N_ur": (-1.0, -10.0, 0.0),
+    "N_rr": (-1.0, -20.0, 0.0),
+    "N_rv": (-2.0, -40.0, 10.0),
+}
+"""What is sought: start, lower and upper bound, SI units."""
+
+RUNS = (("nominal", 10.0, 70.0), ("nominal", 35.0, 150.0), ("calibration", 20.0, 100.0))
+"""Load case, largest rudder angle [deg] and propeller [rad/s] of each record of the example."""
+
+LOG_NOISE = 0.005
+"""Standard deviation of the speed that is logged [m/s]."""
+
+
+def true_values() -> dict[str, float]:
+    """What the default ship has, by the names of the model, without load."""
+    ship = Ship()
+    names = ("M", "zbar_g", "x_g", "y_g", "z_f", "g", "A_x", "A_z")
+    assert isinstance(ship.arm, PolynomialArm)
+    arm = zip(("k", "k_3", "k_5"), ship.arm.odd, strict=True)
+    torque = {name: ship.M * ship.g * c for name, c in arm}
+    return (
+        asdict(ship.coefficients)
+        | {name: getattr(ship, name) for name in names}
+        | torque
+        | {"zbar_s": InertialUnit().zbar_s}
+        | asdict(Load())
+    )
+
+
+def experiments(*, duration: float = 30.0, seed: int = 1) -> list[casid.Experiment]:
+    """The records of `RUNS` at 20 Hz, from the simulator: rudder steps held for 1.5 s on average.
+
+    Parameters
+    ----------
+    duration : of each record [s].
+    seed : of the sensors' noise; the rudder does the same for every seed.
+    """
+    made: list[casid.Experiment] = []
+    for i, (case, angle, w_p) in enumerate(RUNS):
+        load, Ts = LOAD_CASES[case], 0.05
+        rudder = random_steps(duration, angle=math.radians(angle), hold=1.5, seed=10 + i, Ts=Ts)
+        # begun at the speed that thrust and resistance balance at
+        motion = simulate(rudder, load=load, w_p=w_p, start=Start(u=w_p / 100.0), Ts=Ts)
+        noise, log = np.random.SeedSequence((seed, i)).generate_state(2)
+        record = measure(motion, seed=int(noise), name=f"{case} {w_p:g} rad_s")
+        error = LOG_NOISE * np.random.default_rng(int(log)).standard_normal(record.N)
+        record = record.with_channel("speed", motion["u"] + error, "m/s")
+        record = record.with_channel("w_p", motion["w_p"], "rad/s")
+        known = {"m": load.m} if load.m == 0.0 else {"m": load.m, "zbar_m": load.zbar_m}
+        made.append(casid.Experiment(record, known, case))
+    return made
+
+
+def draw(seed: int) -> list[casid.Experiment]:
+    """The same records, noise drawn from `seed`."""
+    return experiments(seed=seed)
+
+
+_values = true_values()
+
+problem = casid.Problem(
+    name="ship_4dof",
+    model=manoeuvring_model(_values, SOUGHT),
+    load_cases={case: {"m": load.m, "zbar_m": load.zbar_m} for case, load in LOAD_CASES.items()},
+    noise={"gyro": 0.002, "accel": 0.02, "yaw_gyro": 0.002, "speed": LOG_NOISE},
+    time="t",
+    example=experiments,
+    simulate=draw,
+    truth={name: _values[name] for name in SOUGHT},
+    description="Surge, sway, roll and yaw of a model ship, from an inertial unit and a log.",
+    references=(
+        "J. Linder, Indirect System Identification for Unknown Input Problems, 2017, app. A",
+    ),
+)
