@@ -68,15 +68,29 @@ class Rows:
             left.remove(chosen)
             self._eliminate(chosen)
 
-    def substitute(self, reader: Node, node: Node, G: Row, F: Row, factor: Element = None) -> None:
+    def substitute(self, reader: Node, node: Node, G: Row, F: Row) -> None:
         """w_node = G w + F e put into the row of `reader`."""
         own = self.G[reader].pop(node, None)
         if own is None:
             return
         self.readers[node].discard(reader)
-        scale = own if factor is None else own * factor
-        self._add(self.G[reader], G, scale, reader)
-        self._add(self.F[reader], F, scale, None)
+        self._add(self.G[reader], G, own, reader)
+        self._add(self.F[reader], F, own, None)
+
+    def replace(self, node: Node, G: Row, F: Row) -> None:
+        """Another equation for `node`."""
+        for k in self.G[node]:
+            self.readers[k].discard(node)
+        self.G[node], self.F[node] = dict(G), dict(F)
+        for k in G:
+            self.readers.setdefault(k, set()).add(node)
+
+    def drop(self, nodes: Iterable[Node]) -> None:
+        """Forget the equations of nodes that no other equation holds any more."""
+        for n in nodes:
+            for k in self.G.pop(n):
+                self.readers[k].discard(n)
+            self.F.pop(n)
 
     def finished(self, equations: NodeEquations) -> NodeEquations:
         """Rows normalised, as a value."""
