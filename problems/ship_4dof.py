@@ -56,8 +56,8 @@ if TYPE_CHECKING or __package__:
     from problems.ship_hull import LOAD_CASES, Actuator, Coefficients, Load, Ship
     from problems.ship_linear import Linear, linearised, tangent
     from problems.ship_manoeuvring import manoeuvring_model
-    from problems.ship_motion import STATES, Motion, Start, simulate
-    from problems.ship_rudder import random_steps, stuck_rudder, zigzag
+    from problems.ship_motion import STATES, Motion, Start, by_heading, simulate
+    from problems.ship_rudder import HeadingAutopilot, random_steps, stuck_rudder, zigzag
     from problems.ship_sensors import InertialUnit, measure
     from problems.ship_stability import Stability, require_stable, stability
 else:  # loaded by its path
@@ -66,14 +66,15 @@ else:  # loaded by its path
     from ship_hull import LOAD_CASES, Actuator, Coefficients, Load, Ship
     from ship_linear import Linear, linearised, tangent
     from ship_manoeuvring import manoeuvring_model
-    from ship_motion import STATES, Motion, Start, simulate
-    from ship_rudder import random_steps, stuck_rudder, zigzag
+    from ship_motion import STATES, Motion, Start, by_heading, simulate
+    from ship_rudder import HeadingAutopilot, random_steps, stuck_rudder, zigzag
     from ship_sensors import InertialUnit, measure
     from ship_stability import Stability, require_stable, stability
 
 __all__ = [
     "Actuator",
     "Coefficients",
+    "HeadingAutopilot",
     "LOAD_CASES",
     "Linear",
     "Load",
@@ -84,6 +85,7 @@ __all__ = [
     "Stability",
     "Start",
     "TabulatedArm",
+    "by_heading",
     "dynamics",
     "hydrodynamics",
     "linearised",

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING or __package__:
     from problems.ship_hull import Coefficients, Load, Ship, coriolis_rows
+    from problems.ship_rudder import HeadingAutopilot
 else:  # loaded by its path
     from ship_hull import Coefficients, Load, Ship, coriolis_rows
+    from ship_rudder import HeadingAutopilot
 
 Array = NDArray[np.float64]
 
@@ -109,22 +111,45 @@ def dynamics(ship: Ship, load: Load) -> Any:
     )
 
 
+def turned(harmonics: Any, psi: Any) -> list[Any]:
+    """Forces at heading psi from their Fourier series, four numbers a term (see `by_heading`)."""
+    four = [harmonics[i] for i in range(4)]
+    for h in range(1, (harmonics.numel() // 4 + 1) // 2):
+        cos, sin = ca.cos(h * psi), ca.sin(h * psi)
+        first = 8 * h - 4
+        four = [
+            f + cos * harmonics[first + i] + sin * harmonics[first + 4 + i]
+            for i, f in enumerate(four)
+        ]
+    return four
+
+
 @lru_cache(maxsize=64)
-def sample_step(ship: Ship, load: Load, Ts: float, substeps: int) -> Any:
+def sample_step(
+    ship: Ship,
+    load: Load,
+    Ts: float,
+    substeps: int,
+    autopilot: HeadingAutopilot | None = None,
+    terms: int = 1,
+) -> Any:
     """CasADi function of one sample: Runge-Kutta 4 in `substeps` steps.
 
-    Its inputs are the state (10: x of `dynamics`, then rudder and propeller), the commands (2), and
-    forces and current, six numbers, at the sample and at the next. Its values are the next
-    state and x' (8) at the sample.
+    Its inputs are the state (10: x of `dynamics`, then rudder and propeller), the commands (3:
+    rudder, propeller, course), and forces and current, 4 `terms` + 2 numbers, at the sample and at
+    the next. Its values are the next state and x' (8) at the sample. An autopilot's angle is
+    computed at the sample and added to the rudder's command.
     """
     f = dynamics(ship, load)
-    state, command = ca.SX.sym("state", 10), ca.SX.sym("command", 2)
-    here, there = ca.SX.sym("here", 6), ca.SX.sym("there", 6)
+    state, command = ca.SX.sym("state", 10), ca.SX.sym("command", 3)
+    here, there = ca.SX.sym("here", 4 * terms + 2), ca.SX.sym("there", 4 * terms + 2)
     x, actuators = state[:8], state[8:]
-    limits = (ship.rudder, ship.propeller)
+    asked = [command[0], command[1]]
+    if autopilot is not None:
+        asked[0] = asked[0] + autopilot(x[3] - command[2], x[7])
     moved = []
-    for i, a in enumerate(limits):
-        wanted = ca.fmin(ca.fmax(command[i], a.lowest), a.highest)
+    for i, a in enumerate((ship.rudder, ship.propeller)):
+        wanted = ca.fmin(ca.fmax(asked[i], a.lowest), a.highest)
         reach = a.rate * Ts
         moved.append(ca.fmin(ca.fmax(wanted - actuators[i], -reach), reach))
     inputs = ca.vertcat(actuators, here)
@@ -132,7 +157,7 @@ def sample_step(ship: Ship, load: Load, Ts: float, substeps: int) -> Any:
     h = Ts / substeps
 
     def rates(at: Any, z: Any) -> Any:
-        return f(at, z[:2], z[2:6], z[6:])
+        return f(at, z[:2], ca.vertcat(*turned(z[2:-2], at[3])), z[-2:])
 
     first: Any = None
     for i in range(substeps):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -15,12 +16,12 @@ from casid.errors import DataError
 if TYPE_CHECKING or __package__:
     from problems.ship_equations import sample_step
     from problems.ship_hull import LOAD_CASES, Load, Ship
-    from problems.ship_rudder import stuck_rudder
+    from problems.ship_rudder import HeadingAutopilot, stuck_rudder
     from problems.ship_stability import require_stable, require_upright, require_way
 else:  # loaded by its path
     from ship_equations import sample_step
     from ship_hull import LOAD_CASES, Load, Ship
-    from ship_rudder import stuck_rudder
+    from ship_rudder import HeadingAutopilot, stuck_rudder
     from ship_stability import require_stable, require_upright, require_way
 
 Array = NDArray[np.float64]
@@ -116,6 +117,8 @@ def simulate(
     forces: ArrayLike | None = None,
     current: ArrayLike | None = None,
     start: Start | None = None,
+    autopilot: HeadingAutopilot | None = None,
+    course: ArrayLike = 0.0,
     Ts: float = 0.02,
     substeps: int = 10,
 ) -> Motion:
@@ -123,14 +126,16 @@ def simulate(
 
     Parameters
     ----------
-    delta : (N,) rudder command [rad].
+    delta : (N,) rudder command [rad]; with an autopilot, added to what that asks for.
     ship, load : the ship of Table 8.2 without load by default.
     w_p : (N,) or number, propeller command [rad/s].
     forces : (N, 4) waves, wind and other forces in surge, sway [N], roll and yaw [N m], about the
-        CO, in the ship's axes.
+        CO, in the ship's axes; or (N, 4, terms) where they depend on the heading, by `by_heading`.
     current : (N, 2) velocity of the water, north and east [m/s].
     start : straight ahead at 1 m/s by default; `end` of a motion to go on with it, as long
         records are made of stretches.
+    autopilot : holds the course, every Ts; none by default.
+    course : (N,) or number, heading that the autopilot is to hold [rad].
     Ts : sample time [s].
     substeps : Runge-Kutta steps a sample.
 
@@ -145,7 +150,10 @@ def simulate(
     command = _columns("delta", delta, None, 1)
     N = command.shape[0]
     speed = _columns("w_p", np.full(N, w_p) if np.ndim(w_p) == 0 else w_p, N, 1)
-    tau = np.zeros((N, 4)) if forces is None else _columns("forces", forces, N, 4)
+    heading = _columns("course", np.full(N, course) if np.ndim(course) == 0 else course, N, 1)
+    if autopilot is None and heading.any():
+        raise DataError("a course, and no autopilot to hold it. Give autopilot=HeadingAutopilot().")
+    tau = np.zeros((N, 4)) if forces is None else _forces(forces, N)
     stream = np.zeros((N, 2)) if current is None else _columns("current", current, N, 2)
     if not (Ts > 0.0 and substeps >= 1):
         raise DataError(f"Ts = {Ts:g} s in {substeps} substeps. Give Ts > 0 and at least one.")
@@ -156,36 +164,91 @@ def simulate(
     x0 = [s.x, s.y, s.phi, s.psi, s.u, s.v, s.p, s.r, s.delta, turning]
     outside = np.hstack([tau, stream])
     after = np.vstack([outside[1:], outside[-1:]])
-    inputs = np.hstack([command, speed, outside, after])
-    made = _run((ship, load, float(Ts), int(substeps)), x0, inputs)
+    inputs = np.hstack([command, speed, heading, outside, after])
+    terms = tau.shape[1] // 4
+    made = _run((ship, load, float(Ts), int(substeps), autopilot, terms), x0, inputs)
     states, rates = made[:, :10], made[:, 10:]
     require_upright(states[:, 2], steady, load, Ts)
     slow = np.flatnonzero(states[:, 4] < ship.slowest)
     if slow.size:
         require_way(ship, float(states[slow[0], 4]), f"at t = {slow[0] * Ts:.2f} s")
     stuck = stuck_rudder(states[:, 8], (ship.rudder.lowest, ship.rudder.highest), Ts)
-    return Motion(ship, load, float(Ts), states, rates, tau, (stuck,) if stuck else ())
+    acting = at_heading(tau.reshape(N, terms, 4).swapaxes(1, 2), states[:, 3])
+    return Motion(ship, load, float(Ts), states, rates, acting, (stuck,) if stuck else ())
+
+
+def by_heading(
+    forces: Callable[[float], Array], *, course: float = 0.0, harmonics: int = 2
+) -> Array:
+    """Forces for every heading, as `simulate` takes them.
+
+    Parameters
+    ----------
+    forces : gives (N, 4) forces in the ship's axes for a deviation from the course [rad], such as
+        `lambda turn: sea.forces(t, turn=turn)`. They must be smooth in it, N samples of one sea.
+    course : heading at which the deviation is zero [rad].
+    harmonics : of the Fourier series. Two are exact for `ship_waves.WaveLoads`.
+
+    Returns
+    -------
+    (N, 4, 2 harmonics + 1) mean, then cosine and sine part of each harmonic of the heading.
+    """
+    n = 2 * harmonics + 1
+    psi = 2.0 * np.pi * np.arange(n) / n
+    at = np.stack([np.asarray(forces(float(a - course)), dtype=np.float64) for a in psi], axis=2)
+    basis = _harmonics(psi, n)
+    return np.asarray(at @ (basis * np.where(np.arange(n) == 0, 1.0, 2.0) / n))
+
+
+def at_heading(harmonics: Array, psi: Array) -> Array:
+    """(N, 4) of (N, 4, terms) forces at the headings psi (N,) [rad]."""
+    terms = harmonics.shape[2]
+    return np.asarray(np.einsum("nit,nt->ni", harmonics, _harmonics(psi, terms)))
+
+
+def _harmonics(psi: Array, terms: int) -> Array:
+    """(N, terms) 1, cos psi, sin psi, cos 2 psi, ..."""
+    columns = [np.ones_like(psi)]
+    for h in range(1, (terms + 1) // 2):
+        columns += [np.cos(h * psi), np.sin(h * psi)]
+    return np.stack(columns, axis=1)
+
+
+_Step = tuple[Ship, Load, float, int, HeadingAutopilot | None, int]  # of `sample_step`
 
 
 @lru_cache(maxsize=32)
-def _block(ship: Ship, load: Load, Ts: float, substeps: int, N: int) -> Any:
-    return sample_step(ship, load, Ts, substeps).mapaccum(N)
+def _block(step: _Step, N: int) -> Any:
+    return sample_step(*step).mapaccum(N)
 
 
-def _run(step: tuple[Ship, Load, float, int], x0: list[float], inputs: Array) -> Array:
-    """(N, 18) states and rates at every sample; inputs (N, 14) are those of `sample_step`."""
-    N = inputs.shape[0]
+def _run(step: _Step, x0: list[float], inputs: Array) -> Array:
+    """(N, 18) states and rates at every sample; the columns of inputs are those of the step."""
+    N, outside = inputs.shape[0], (inputs.shape[1] - 3) // 2
     size = min(N, 3000)  # long records in blocks of one function: it need not be built anew
-    block, made, x = _block(*step, size), np.empty((N, 18)), np.asarray(x0)
+    block, made, x = _block(step, size), np.empty((N, 18)), np.asarray(x0)
     for i in range(0, N, size):
         given = inputs[i : i + size]
         n = given.shape[0]
         given = np.vstack([given, np.repeat(given[-1:], size - n, axis=0)]).T
-        later, rates = block(x, given[:2], given[2:8], given[8:])
+        later, rates = block(x, given[:3], given[3 : 3 + outside], given[3 + outside :])
         states = np.vstack([x, np.asarray(later).T])
         made[i : i + n, :10], made[i : i + n, 10:] = states[:n], np.asarray(rates).T[:n]
         x = states[n]
     return made
+
+
+def _forces(values: ArrayLike, N: int) -> Array:
+    """(N, 4 terms), term by term."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim != 3:
+        return _columns("forces", values, N, 4)
+    if array.shape[1] != 4 or array.shape[2] % 2 == 0:
+        raise DataError(
+            f"forces have shape {array.shape}. Give ({N}, 4), or what by_heading() makes of them."
+        )
+    flat = array.swapaxes(1, 2).reshape(array.shape[0], -1)
+    return _columns("forces", flat, N, flat.shape[1])
 
 
 def _columns(what: str, values: ArrayLike, N: int | None, width: int) -> Array:

@@ -1,13 +1,49 @@
-"""What the rudder is told: zigzags and random steps, and a look at whether it did."""
+"""What the rudder is told, zigzags, random steps, an autopilot, and a look at whether it did."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from casid.errors import DataError
+
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class HeadingAutopilot:
+    """Holds a course: delta = K_p (psi - course) + K_d r, as positive rudder turns to port.
+
+    The error is the shorter way round. Against a steady torque there stays an error of the rudder
+    that it takes, divided by K_p.
+
+    Attributes
+    ----------
+    K_p : rudder per heading error [rad/rad].
+    K_d : rudder per yaw rate [s].
+    limit : largest angle that is asked for [rad]; the rudder's own limits, and its rate, hold too.
+    """
+
+    K_p: float = 1.0
+    K_d: float = 0.5
+    limit: float = math.radians(35.0)
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.K_p < math.inf and 0.0 <= self.K_d < math.inf and self.limit > 0.0):
+            raise DataError(
+                f"autopilot: K_p = {self.K_p!r}, K_d = {self.K_d!r} s, limit = {self.limit!r} rad. "
+                "Give K_p > 0, K_d >= 0 and a limit > 0; other signs steer away from the course."
+            )
+
+    def __call__(self, error: Any, r: Any) -> Any:
+        """Rudder asked for [rad], from psi - course [rad] and yaw rate [rad/s], as expressions."""
+        error = ca.atan2(ca.sin(error), ca.cos(error))
+        return ca.fmin(ca.fmax(self.K_p * error + self.K_d * r, -self.limit), self.limit)
 
 
 def stuck_rudder(delta: ArrayLike, limits: tuple[float, float], Ts: float) -> str | None:

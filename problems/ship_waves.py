@@ -488,7 +488,14 @@ class Sea:
         kappa = self.w**2 / G
         return np.asarray(self.analytic(t, kappa * np.exp(-kappa * depth)).imag)
 
-    def forces(self, t: Array, loads: WaveLoads | None = None, *, drift: bool = True) -> Array:
+    def forces(
+        self,
+        t: Array,
+        loads: WaveLoads | None = None,
+        *,
+        drift: bool = True,
+        turn: float = 0.0,
+    ) -> Array:
         """(N, 4) force in surge and sway [N], torque in roll and yaw [N m]; see `WaveLoads`.
 
         Parameters
@@ -496,9 +503,11 @@ class Sea:
         t : (N,) uniform times [s].
         loads : transfer coefficients.
         drift : with second-order slow drift.
+        turn : by which the ship's heading is off her course, to starboard [rad]. The waves then
+            act from another side; they are met as often as on the course, which `beta` is from.
         """
-        q = loads or WaveLoads()
-        cos, sin, twice = math.cos(self.beta), math.sin(self.beta), math.sin(2.0 * self.beta)
+        q, beta = loads or WaveLoads(), self.beta - turn
+        cos, sin, twice = math.cos(beta), math.sin(beta), math.sin(2.0 * beta)
         first = -np.array([q.c_X * cos, q.c_Y * sin, q.c_K * sin, q.c_N * twice])
         made = np.outer(self.slope(t, q.depth), first)
         if drift:
@@ -597,13 +606,17 @@ class Wind:
     height: float = 0.1
     rho: float = 1.225
 
-    def forces(self, N: int, Ts: float, *, U: float, seed: int) -> Array:
-        """(N, 4) force in surge and sway [N], torque in roll and yaw [N m]."""
+    def forces(self, N: int, Ts: float, *, U: float, seed: int, turn: float = 0.0) -> Array:
+        """(N, 4) force in surge and sway [N], torque in roll and yaw [N m].
+
+        `turn` is by how much the heading is off the course, to starboard [rad].
+        """
         rng = np.random.default_rng(seed)
         V = self.speed + gauss_markov(
             N, Ts, deviation=self.gust, time_constant=self.time_constant, rng=rng
         )
-        V_x, V_y = V * math.cos(self.beta) - U, V * math.sin(self.beta)
+        beta = self.beta - turn
+        V_x, V_y = V * math.cos(beta) - U, V * math.sin(beta)
         V_r, q = np.hypot(V_x, V_y), self.rho / 2.0
         Y = q * self.C_Y * self.A_L * V_y * V_r
         return np.stack(
