@@ -28,7 +28,7 @@ from casid.instrumental.columns import Column
 Array = NDArray[Any]
 
 LONGEST_SEGMENT = 8192
-"""Samples of a segment where the record is long enough for at least 15 overlapping ones."""
+"""Samples of a segment where the record is long enough for at least 7 overlapping ones."""
 
 
 def cross_covariances(a: Array, b: Array, lags: int) -> Array:
@@ -79,8 +79,15 @@ def positive_part(matrix: Array) -> Array:
 
 
 def segments(N: int) -> int:
-    """Samples of one segment for a record of N: a power of two, 15 half overlapping or more."""
-    return int(min(LONGEST_SEGMENT, max(16, 2 ** int(np.log2(max(N / 8, 16))))))
+    """Samples of one segment for a record of N: 7 half overlapping ones, or more.
+
+    Few and long: (2) sums over all frequencies, so few segments cost hardly any variance, while
+    short ones smear the notch of an error A(q) e over the peak that its instruments have there, and
+    S comes out too large. Two or three times a power of two.
+    """
+    most = min(LONGEST_SEGMENT, max(N / 4, 16))
+    power = 2 ** int(np.log2(most))
+    return int(3 * power // 2 if 3 * power // 2 <= most else power)
 
 
 def independent_covariances(
