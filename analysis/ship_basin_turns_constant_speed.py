@@ -68,8 +68,8 @@ def constant_speed(out: Output, *, quick: bool) -> Iterator[Target]:
             made["smoothed u r for r"] = at_smoothed_speed(sets, seed=100 * seed)
         for kind, experiments in made.items():
             e = fit(EIGHT, low_passed(experiments)).estimate
-            row = [a for n in LOAD for a in (e[n] - TRUTH[n], e.std_error(n))]
-            found.setdefault(kind, []).append(row)
+            own = [a for n in LOAD for a in (e[n] - TRUTH[n], e.std_error(n))]
+            found.setdefault(kind, []).append(own)
     rows = [
         _row(kind, n, np.array(values)[:, 2 * i : 2 * i + 2])
         for kind, values in found.items()
@@ -99,7 +99,7 @@ def _row(kind: str, name: str, table: Array) -> dict[str, str | float | int]:
 
 
 def _verdicts(rows: Sequence[Mapping[str, str | float | int]]) -> Iterator[Target]:
-    """The torque K_r (u - U) r is a function of the rudder: an error of either sign, by the draw."""
+    """The torque K_r (u - U) r is a function of the rudder: the sign of the error is the draw's."""
     from scipy.stats import f
 
     table = {(str(r["speed"]), str(r["parameter"])): r for r in rows}
