@@ -180,7 +180,8 @@ def _add_modules(figure: go.Figure, network: Network, places: dict[Node, Place])
         start, end = _shortened(places[source], places[to], (source, to) in network.modules)
         _arrow(figure, start, end)
         if are_labelled:
-            x, y = (start[0] + end[0]) / 2, (start[1] + end[1]) / 2
+            # Nearer to the source, so that the labels of two modules back and forth part.
+            x, y = (0.62 * a + 0.38 * b for a, b in zip(start, end, strict=True))
             figure.add_annotation(
                 x=x,
                 y=y,

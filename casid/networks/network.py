@@ -177,7 +177,7 @@ def dynamic_network(
     read = {
         _checked_edge(edge, name): _module(edge, g, Ts, values, name) for edge, g in modules.items()
     }
-    known = _names(nodes, read, excitations, disturbances, name)
+    known = _names(nodes, read, name)
     kept = {edge: g for edge, g in read.items() if not g.is_zero}
     sensors = _subset(known, known if measured is None else measured, "measured", name)
     noise = {k: float(v) for k, v in (sensor_noise or {}).items()}
@@ -242,15 +242,10 @@ def _module(edge: Edge, value: Any, Ts: float | None, values: Any, name: str) ->
 
 
 def _names(
-    nodes: Iterable[Node] | None,
-    modules: Mapping[Edge, Rational],
-    deltas: Any,
-    taus: Any,
-    name: str,
+    nodes: Iterable[Node] | None, modules: Mapping[Edge, Rational], name: str
 ) -> tuple[Node, ...]:
-    ends = dict.fromkeys(n for edge in modules for n in edge)
     if nodes is None:
-        found = dict.fromkeys([*ends, *deltas, *(taus or ())])
+        found = dict.fromkeys(n for edge in modules for n in edge)
         try:
             return tuple(sorted(found))
         except TypeError:  # names of several kinds have no order
