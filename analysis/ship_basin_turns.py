@@ -14,14 +14,19 @@ turns and 0.2 rad in short sets of 20 s with one.
 - The surge speed behind the rudder, and what taking it as constant does to m and zbar_m.
 - The lean to the inside at the entry of a turn and to the outside at its exit.
 
+At 0.2 rad linear theory is no measure of the stationary heel: cross flow and lost speed leave less
+than half of it. It is the limit of small rudders, which is a target, and gives
+the ratio of loads.
+
 Targets are derived from linear theory, from the simulator's terms or from the thesis; those of the
 load's ratio, the correlation of the speed and the size of the lean were set after a first look.
-Two claims of the thesis are not reproduced, and stay as misses. Spikes of ten times the average:
-the terms of the simulator make about three, more where the rudder is sudden. A commanded angle in
-the place of the rudder's own makes larger ones at the true parameters, but a fit bends its
-parameters until they are gone. A roll rate that
-hardly knows the load: in linear theory its amplitude grows with the load like that of a_s, on this
-hull and on that of Table 8.2.
+Two claims of the thesis are not reproduced, and stay as misses:
+
+- Spikes of ten times the average. The terms of the simulator make about three, more where the
+  rudder is sudden. A commanded angle in the place of the rudder's own makes larger ones at the true
+  parameters, but a fit bends its parameters until they are gone.
+- A roll rate that hardly knows the load. In linear theory its amplitude grows with the load like
+  a_s does, on this hull and on that of Table 8.2, and so it does in U- and S-turns.
 """
 
 from __future__ import annotations
