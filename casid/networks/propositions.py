@@ -201,22 +201,28 @@ def _inputs(network: Network, target: Node, inputs: Iterable[Node] | None) -> tu
     return tuple(n for n in network.nodes if n in chosen)
 
 
-def _kept_by_immersion(network: Network, target: Node, source: Node, K: tuple[Node, ...]) -> bool:
+def _kept_by_immersion(
+    network: Network, target: Node, source: Node, K: tuple[Node, ...]
+) -> bool | None:
     return _is_kept(network, (target, source), lambda equations: immerse(equations, (target, *K)))
 
 
-def _kept_by_observation(network: Network, sets: NodeSets, source: Node) -> bool:
+def _kept_by_observation(network: Network, sets: NodeSets, source: Node) -> bool | None:
     return _is_kept(
         network, (sets.target, source), lambda equations: indirect_equations(equations, sets)
     )
 
 
-def _is_kept(network: Network, module: Edge, eliminate: Any) -> bool:
+def _is_kept(network: Network, module: Edge, eliminate: Any) -> bool | None:
     rng = np.random.default_rng(32)
     for _ in range(_POINTS):
         q, values = random_point(network, rng)
         equations: NodeEquations = node_equations(network, at=q, values=values)
-        if eliminate(equations).module(*module) != equations.module(*module):
+        try:
+            after = eliminate(equations)
+        except ModelError:  # a loop gain of one at every q: there is no such model
+            return None
+        if after.module(*module) != equations.module(*module):
             return False
     return True
 
