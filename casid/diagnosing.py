@@ -11,7 +11,7 @@ import numpy as np
 from casid.data import Experiment, Record
 from casid.diagnosis import Alternative, Cause, Diagnosis, Ranked, Verdict
 from casid.errors import SolveError
-from casid.estimate import Estimate, Estimated
+from casid.estimate import Estimate, Estimated, RecordView
 from casid.holdout import (
     Split,
     held_out_error,
@@ -30,6 +30,7 @@ from casid.search import Adopted, Candidate, Progress, Search, Weighted
 from casid.simulation_error import Fit
 from casid.solving.nlp import Solver
 from casid.spikes import Spikes, find_spikes
+from casid.wrong_signs import WrongSign, negated_split, wrong_sign
 
 Array = np.ndarray[Any, Any]
 
@@ -69,6 +70,9 @@ def diagnose(
     max_causes : the search stops there.
     progress : called with a line of text at every step.
 
+    A channel that was probably recorded with the wrong sign is named first, as `sensor_scale`, and
+    negated for everything after; the baseline is the model with the record as it is.
+
     Returns
     -------
     Diagnosis
@@ -94,6 +98,12 @@ def diagnose(
     )
     say("fit the model as it is")
     require_identifiable(problem.model, split.fitted)
+    turned = wrong_sign(problem.model, split.fitted, settings)
+    as_recorded: Fit | None = None
+    if turned is not None:
+        say(f"negate {turned.channel}, which probably has the wrong sign")
+        as_recorded = _fit_as_recorded(problem, split, settings, turned)
+        split = negated_split(split, turned.channel)
     base_fit = fit_model(problem.model, split.fitted, settings, throw=False)
     spikes, split = _without_spikes(base_fit, split, false_alarm_rate)
     if spikes:
@@ -121,6 +131,8 @@ def diagnose(
                 f"({base_fit.solution.status}): {base_fit.solution.mend}"
             )
         adopted, at, extended_fit = _search(search, at, base_fit, split, settings)
+    if turned is not None and as_recorded is not None:
+        extended_fit, base_fit = extended_fit or base_fit, as_recorded
     return _report(
         problem,
         split,
@@ -133,7 +145,25 @@ def diagnose(
         spikes,
         why_undecided,
         false_alarm_rate,
+        turned,
     )
+
+
+def _fit_as_recorded(
+    problem: Problem, split: Split, settings: FitSettings, turned: WrongSign
+) -> Fit:
+    """The best that is found in short order with the sign as it was recorded."""
+    solver = settings.solver or Solver()
+    short = replace(
+        settings,
+        starts=1,
+        substeps=settings.substeps or 1,
+        solver=replace(solver, max_iterations=min(solver.max_iterations, 25)),
+    )
+    try:
+        return fit_model(problem.model, split.fitted, short, check_rank=False, throw=False)
+    except SolveError as error:
+        raise SolveError(f"{turned} As recorded: {error}") from error
 
 
 # -- the search -----------------------------------------------------------------------------------
@@ -332,16 +362,19 @@ def _report(
     spikes: list[Spikes],
     why_undecided: str,
     alpha: float,
+    turned: WrongSign | None,
 ) -> Diagnosis:
-    base_held = validation(base_fit, split)
+    recorded = split if turned is None else negated_split(split, turned.channel)
+    base_held = validation(base_fit, recorded)
     baseline = estimate_of(problem, base_fit, base_held)
     extended = None
     if extended_fit is not None:
         extended = estimate_of(problem, extended_fit, validation(extended_fit, split))
     best_fit = extended_fit or base_fit
     limits = _limits(best_fit)
-    fitted = {"baseline_rmse": _rmse(base_fit, best_fit, split, limits, held=False)}
-    held = {"baseline_rmse": _rmse(base_fit, best_fit, split, limits, held=True)}
+    seen_by, clipped = (best_fit, limits) if turned is None else (base_fit, {})
+    fitted = {"baseline_rmse": _rmse(base_fit, seen_by, recorded, clipped, held=False)}
+    held = {"baseline_rmse": _rmse(base_fit, seen_by, recorded, clipped, held=True)}
     if extended_fit is not None or spikes:
         fitted["extended_rmse"] = _rmse(best_fit, best_fit, split, limits, held=False)
         held["extended_rmse"] = _rmse(best_fit, best_fit, split, limits, held=True)
@@ -352,6 +385,8 @@ def _report(
         held = {}
 
     causes = _causes(search, adopted, spikes, extended or baseline, best_fit)
+    if turned is not None:
+        causes = _with_the_sign(turned, causes, base_fit, best_fit)
     verdict: Verdict = "adequate"
     why_undecided = why_undecided or _unlike(fitted, held)
     if causes:
@@ -372,10 +407,10 @@ def _report(
         ranking=_ranking(search, adopted, causes),
         baseline=baseline,
         extended=extended,
-        records=record_views(base_fit, extended_fit, split),
+        records=_views(base_fit, extended_fit, split, recorded, turned),
         fitted=fitted,
         held_out=held,
-        advice=_advice(verdict, causes, search, why_undecided),
+        advice=_advice(verdict, causes, search, why_undecided) if turned is None else turned.mend,
         noise=_noise_text(search, at),
         false_alarm_rate=alpha,
         notes=tuple(notes),
@@ -396,6 +431,40 @@ def _report(
         },
         versions=versions(),
         sources=SOURCES,
+    )
+
+
+def _with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fit) -> list[Cause]:
+    """The wrong sign in front of what was found with it mended."""
+    lost = max(before.solution.value - after.solution.value, 0.0)
+    share = lost / max(before.solution.value, 1e-300)
+    alternatives = tuple(
+        Alternative("sensor_scale", c, p, "negated, it fits as well: look at both sensors' axes")
+        for c, p in turned.rivals.items()
+    )
+    first = Cause(
+        kind="sensor_scale",
+        where=turned.channel,
+        p_value=turned.p_value,
+        parameters=(Estimated("scale", -1.0, "1", note="the sign alone was tried"),),
+        alternatives=alternatives,
+        share=share,
+        sentence=f"the channel {turned.channel} probably has the wrong sign, a scale of -1",
+    )
+    return [first, *(replace(c, share=(1 - share) * c.share) for c in causes)]
+
+
+def _views(
+    base: Fit, extended: Fit | None, split: Split, recorded: Split, turned: WrongSign | None
+) -> tuple[RecordView, ...]:
+    """Signals for figures; with a wrong sign mended, the baseline is turned like the record."""
+    if turned is None or extended is None:
+        return record_views(base, extended, split)
+    before, after = record_views(base, None, recorded), record_views(extended, None, split)
+    signs = np.array([-1.0 if n == turned.channel else 1.0 for n in before[0].outputs])
+    return tuple(
+        replace(a, baseline=b.baseline * signs, extended=a.baseline)
+        for b, a in zip(before, after, strict=True)
     )
 
 

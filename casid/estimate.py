@@ -123,6 +123,7 @@ class Estimate:
     records: tuple[RecordView, ...] = ()  # measured and simulated signals, for figures
     fit_is: str = "Free simulation against the measured outputs"  # what rmse and nrmse_fit measure
     evidence: Mapping[str, str] = field(default_factory=dict)  # what else bears on trust: sentences
+    suspects: tuple[str, ...] = ()  # of the record: a channel with the wrong sign, and its mend
 
     def __getitem__(self, name: str) -> float:
         """The value of a parameter or initial state."""
@@ -196,6 +197,7 @@ class Estimate:
             },
             "identifiability": self.identifiability.to_json(),
             "warnings": list(self.warnings),
+            "suspects": list(self.suspects),
             "provenance": list(self.provenance),
             "versions": dict(self.versions),
         }
@@ -214,6 +216,7 @@ class Estimate:
         records = ", ".join(self.rmse)
         lines = [
             f"Estimate of {self.problem} from {records}, {self.method}",
+            *(f"  SUSPECT       {s}" for s in self.suspects),
             f"  status        {self.status} in {self.iterations} iterations; largest scaled "
             f"gradient {self.scaled_gradient:.0e}; {self.starts_agreeing} of {self.starts_tried} "
             "starts agree",

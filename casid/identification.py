@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from casid.data import Experiment, Record
-from casid.errors import DataError, ModelError
+from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimate import Estimate, Estimated, Identifiability
 from casid.identifiability.requirement import require_identifiable
 from casid.local_rank import describe_null, local_rank
@@ -144,7 +144,8 @@ def identify(
     Returns
     -------
     Estimate
-        Values in SI units, with standard errors robust to coloured residuals.
+        Values in SI units, with standard errors robust to coloured residuals. Where the fit is
+        poor, `suspects` names a channel that was probably recorded with the wrong sign.
 
     Raises
     ------
@@ -156,6 +157,7 @@ def identify(
         The simulation diverges at the start, or the solver finds no optimum.
     """
     from casid.holdout import record_views, split_records, validation
+    from casid.wrong_signs import is_poor, wrong_sign
 
     say = progress or (lambda _: None)
     if isinstance(problem, Model):
@@ -167,12 +169,24 @@ def identify(
     if not settings.constraints:
         told = require_identifiable(problem.model, split.fitted, own=settings.own)
     say(f"fit {', '.join(e.name for e in split.fitted)}")
-    fit = fit_model(problem.model, split.fitted, settings, start=start)
+    asked = not settings.constraints and settings.segments == 1
+    try:
+        fit = fit_model(problem.model, split.fitted, settings, start=start)
+    except (IdentifiabilityError, SolveError) as error:
+        turned = wrong_sign(problem.model, split.fitted, settings) if asked else None
+        if turned is None:
+            raise
+        raise type(error)(f"{turned}. As recorded: {error}") from error
+    turned = None
+    if asked and is_poor(fit):
+        say("the fit is poor: negate each channel in turn")
+        turned = wrong_sign(problem.model, split.fitted, settings)
     held = validation(fit, split)
     estimate = estimate_of(problem, fit, held)
     return replace(
         estimate,
         records=record_views(fit, None, split),
+        suspects=() if turned is None else (str(turned),),
         identifiability=replace(estimate.identifiability, structural=told),
     )
 

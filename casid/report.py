@@ -99,7 +99,7 @@ def estimate_page(estimate: Estimate, records: Sequence[RecordView] = ()) -> str
     if records:
         figures["simulation"] = simulation_figure(records)
     page = _Page(figures)
-    page.section("", _estimate_banner(e), _notice((), e.warnings))
+    page.section("", _estimate_banner(e), _notice((), (*e.suspects, *e.warnings)))
     page.section(
         "Parameters",
         _parameter_table({"estimate": e}),

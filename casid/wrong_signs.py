@@ -1,0 +1,237 @@
+"""A channel recorded the wrong way round, found by what the simulation misses with it negated.
+
+A sign flip is a scale of -1 of one channel. Equations whose coefficients may have either sign fit
+both; physical parameters with bounds, and those that several load cases share, fit one. So where a
+fit is poor, every channel is negated in turn and the parameters are estimated anew. A flip is
+suspected if the simulation then misses by less than half the power, and by no chance: the squared
+errors of the two fits are compared by Diebold and Mariano's (1995) test, with a correction for the
+number of channels (Bonferroni). Half the power is a heuristic: a channel that matters, taken the
+wrong way round, costs far more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from casid.data import Experiment, Record
+from casid.errors import CasidError
+from casid.holdout import Split
+from casid.identification import FitSettings, fit_model, nrmse_fit, rms
+from casid.model import Model
+from casid.simulation_error import Fit
+from casid.solving.nlp import Solver
+from casid.uncertainty import bartlett_lags, long_run_covariance, whiteness
+
+Array = np.ndarray[Any, Any]
+
+POOR = 80.0
+"""Fit in per cent below which signs are doubted, where the residual is no white noise."""
+
+CLEARLY = 0.5
+"""Share of the misfit's power that may be left for a flip to be suspected."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrongSign:
+    """A channel that was probably recorded with the wrong sign.
+
+    Attributes
+    ----------
+    channel : of the model; the first of those that cannot be told apart, outputs before inputs.
+    unit : its SI unit.
+    p_value : that it fits better by chance, corrected for the number of channels tried.
+    before, after : rms simulation error by output, as recorded (NaN without any fit) and negated.
+    rivals : channel -> p-value against the named one, of those that negated fit as well.
+    start : values of the fit with the channel negated.
+    """
+
+    channel: str
+    unit: str
+    p_value: float
+    before: dict[str, float]
+    after: dict[str, float]
+    rivals: dict[str, float]
+    start: dict[str, float]
+
+    @property
+    def mend(self) -> str:
+        """What to do about it."""
+        c = self.channel
+        return (
+            f"Compare the sensor's axes with the model's (an axis that points up where the model's "
+            f"points down), and negate it: in Python record.with_channel({c!r}, -record[{c!r}], "
+            f"record.units[{c!r}]); in the problem file derived={{{c!r}: casid.Derived("
+            f"{self.unit!r}, {{'{c}_recorded': {self.unit!r}}}, "
+            f"lambda record: -record['{c}_recorded'])}}, the file's column mapped to {c}_recorded"
+        )
+
+    def __str__(self) -> str:
+        gains = ", ".join(
+            f"{output} from {self.before[output]:.3g} to {after:.3g}"
+            for output, after in self.after.items()
+        )
+        others = f" (or {', '.join(self.rivals)}, which fits as well)" if self.rivals else ""
+        return (
+            f"the channel {self.channel} probably has the wrong sign, a scale of -1{others}: "
+            f"negated, it brings the rms error of {gains}. {self.mend}"
+        )
+
+
+def is_poor(fit: Fit) -> bool:
+    """True if signs should be doubted: no optimum, or much is missed that is no white noise."""
+    if not fit.solution.is_converged:
+        return True
+    at_bound = any(
+        v.name in {*fit.solution.at_lower, *fit.solution.at_upper}
+        for v in fit.criterion.variables
+        if v.source in fit.criterion.model.parameters
+    )
+    for e, d in enumerate(fit.criterion.data):
+        residual = fit.criterion.simulated(fit.x, e).residual
+        fits = nrmse_fit(np.where(d.used, d.y, np.nan), np.where(d.used, residual, np.nan))
+        for i, per_cent in enumerate(fits.tolist()):
+            used = d.used[:, i]
+            if (at_bound or per_cent < POOR) and used.sum() > 40:
+                if whiteness(residual[used, i]) > 3:
+                    return True
+    return False
+
+
+def wrong_sign(
+    model: Model,
+    experiments: Sequence[Experiment],
+    settings: FitSettings,
+    *,
+    alpha: float = 0.01,
+) -> WrongSign | None:
+    """The channel to be suspected, if any: negated in turn, where the fit as recorded is poor.
+
+    Looks at the liveliest stretch of each record alone, 2000 samples, from one start: where nothing
+    is wrong that is one short fit.
+
+    Parameters
+    ----------
+    experiments : as recorded, with their load cases.
+    alpha : of the test, for all channels together.
+    """
+    inputs = [n for n, u in model.inputs.items() if u.kind == "measured"]
+    channels = [n for n in (*model.outputs, *inputs) if all(n in e.record for e in experiments)]
+    short = [_lively(e, tuple(model.outputs)) for e in experiments]
+    solver = settings.solver or Solver()
+    quick = replace(
+        settings,
+        starts=1,
+        substeps=settings.substeps or 1,
+        solver=replace(solver, max_iterations=min(solver.max_iterations, 25)),
+    )
+    recorded = _fitted(model, short, quick)
+    if recorded is not None and not is_poor(recorded):
+        return None
+    found = {c: _fitted(model, negated(short, c), quick) for c in channels}
+    squares = {c: _squares(f) for c, f in found.items() if f is not None}
+    if not squares:
+        return None
+    # Of those that fit alike the first is named: outputs before inputs.
+    best = min(squares, key=lambda c: float(squares[c].sum()) * (1 + 1e-4 * channels.index(c)))
+    error = squares[best]
+    # Where nothing fits as recorded, a flip has to be better than some other.
+    others = [s for s in squares.values() if error.sum() < CLEARLY * s.sum()]
+    reference = _squares(recorded) if recorded is not None else min(others, key=_sum, default=error)
+    p = min(1.0, len(channels) * better_by_chance(reference - error))
+    if error.sum() >= CLEARLY * reference.sum() or p >= alpha:
+        return None
+    rivals = {}
+    for c, s in squares.items():
+        same = min(1.0, 2.0 * better_by_chance(s - error))
+        if c != best and s.sum() < CLEARLY * reference.sum() and same > alpha:
+            rivals[c] = same
+    missing = dict.fromkeys(model.outputs, float("nan"))
+    fit = found[best]
+    assert fit is not None
+    return WrongSign(
+        channel=best,
+        unit=model.outputs[best][1] if best in model.outputs else model.inputs[best].unit,
+        p_value=p,
+        before=missing if recorded is None else _rms(recorded),
+        after=_rms(fit),
+        rivals=rivals,
+        start=fit.values,
+    )
+
+
+def _fitted(model: Model, experiments: Sequence[Experiment], settings: FitSettings) -> Fit | None:
+    try:
+        fit = fit_model(model, experiments, settings, check_rank=False, throw=False)
+    except CasidError:
+        return None
+    return fit if np.isfinite(fit.solution.value) else None
+
+
+def _lively(experiment: Experiment, outputs: tuple[str, ...], samples: int = 2000) -> Experiment:
+    """The stretch of a record in which its outputs move the most."""
+    r = experiment.record
+    if r.N <= samples:
+        return experiment
+    moves = sum((r[n] - r[n].mean()) ** 2 / max(float(np.var(r[n])), 1e-300) for n in outputs)
+    total = np.concatenate([[0.0], np.cumsum(moves)])
+    first = int(np.argmax(total[samples:] - total[:-samples]))
+    part = r.between(r.t0 + (first - 0.5) * r.Ts, r.t0 + (first + samples - 0.5) * r.Ts)
+    return Experiment(replace(part, name=r.name), experiment.known, experiment.name)
+
+
+def _sum(values: Array) -> float:
+    return float(values.sum())
+
+
+def negated(experiments: Sequence[Experiment], channel: str) -> list[Experiment]:
+    """The experiments with one channel negated."""
+    return [Experiment(_negated(e.record, channel), e.known, e.name) for e in experiments]
+
+
+def negated_split(split: Split, channel: str) -> Split:
+    """What is fitted and what is held out, with one channel negated."""
+    return Split(
+        negated(split.fitted, channel),
+        negated(split.whole, channel),
+        split.held,
+        negated(split.apart, channel),
+    )
+
+
+def _negated(record: Record, channel: str) -> Record:
+    turned = record.with_channel(channel, -record[channel], record.units[channel])
+    mask = record.is_missing(channel)
+    return turned.mark_missing(channel, mask) if mask.any() else turned
+
+
+def _squares(fit: Fit) -> Array:
+    """(sum of N,) squared weighted errors of all outputs, experiments stacked."""
+    c = fit.criterion
+    parts = [
+        np.sum(np.where(d.used, c.simulated(fit.x, e).residual * c.weights, 0.0) ** 2, axis=1)
+        for e, d in enumerate(c.data)
+    ]
+    return np.concatenate(parts)
+
+
+def better_by_chance(difference: Array) -> float:
+    """One-sided p-value that squared errors fell, (N,), by chance (Diebold and Mariano 1995)."""
+    column = (difference - difference.mean())[:, None]
+    variance = float(long_run_covariance(column, bartlett_lags(column))[0, 0])
+    total = float(difference.sum())
+    if variance <= 0:
+        return 0.0 if total > 0 else 1.0
+    return 0.5 * math.erfc(total / math.sqrt(2.0 * variance))
+
+
+def _rms(fit: Fit) -> dict[str, float]:
+    errors = [
+        np.where(d.used, fit.criterion.simulated(fit.x, e).residual, np.nan)
+        for e, d in enumerate(fit.criterion.data)
+    ]
+    return dict(zip(fit.criterion.outputs, rms(np.concatenate(errors)).tolist(), strict=True))
