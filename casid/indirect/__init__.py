@@ -1,0 +1,1 @@
+"""The indirect model as transfer functions: unknown inputs replaced by measurements of them."""
