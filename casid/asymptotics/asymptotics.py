@@ -49,7 +49,7 @@ class Asymptotics:
 
     def __getitem__(self, name: str) -> Any:
         """The limit of a coefficient."""
-        return self.limit[self._place(name)]
+        return _plain(self.limit[self._place(name)])
 
     def bias(self, name: str) -> Any:
         """Limit minus truth; 0 exactly where letters cancel."""
@@ -62,7 +62,7 @@ class Asymptotics:
 
     def variance(self, name: str) -> Any:
         """N times the variance of a coefficient."""
-        return self.covariance[(self._place(name),) * 2]
+        return _plain(self.covariance[(self._place(name),) * 2])
 
     def std_error(self, name: str, N: float) -> float:
         """Standard error at N samples, the coefficient's unit."""
@@ -147,6 +147,10 @@ class Asymptotics:
         lines = [self.method, *columns(head, rows)]
         lines += [f"  residual variance {shown(self.residual_variance)}"]
         return "\n".join([*lines, *(f"  note: {n}" for n in self.notes)])
+
+
+def _plain(value: Any) -> Any:
+    return float(value) if isinstance(value, np.floating) else value
 
 
 def _factored(value: Any) -> Any:

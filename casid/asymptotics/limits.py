@@ -21,14 +21,21 @@ from casid.asymptotics.exact_field import null_vector, solve
 from casid.asymptotics.filters import as_filter, require_stable
 from casid.asymptotics.linear_expressions import as_expression
 from casid.asymptotics.linear_signals import LinearSignals
-from casid.asymptotics.regression import FirstStage, Regression, Term, split_term, term_text
+from casid.asymptotics.regression import (
+    FirstStage,
+    Regression,
+    Term,
+    split_term,
+    term_text,
+    terms_text,
+)
 from casid.asymptotics.second_moments import Atom, SecondMoments, second_moments
 from casid.errors import IdentifiabilityError, ModelError
 
 Array = NDArray[Any]
 
 
-def asymptotics(
+def regression_limit(
     system: LinearSignals,
     regression: Regression,
     truth: Mapping[str, Any] | None = None,
@@ -77,10 +84,10 @@ def asymptotics(
 def method_text(regression: Regression) -> str:
     """What estimates, in words."""
     way = "LS" if regression.instruments is None else "IV"
-    on = ", ".join(term_text(t) for t in regression.regressors.values())
+    on = terms_text(list(regression.regressors.values()))
     text = f"{way} of {term_text(regression.output)} on {on}"
     if regression.instruments is not None:
-        text += f" with {', '.join(term_text(t) for t in regression.instruments)}"
+        text += f" with {terms_text(regression.instruments)}"
     return text + (", prefiltered" if regression.prefilter is not None else "")
 
 

@@ -62,20 +62,40 @@ class PredictionCriterion:
         half = points // 2 + 1
         weight = np.full(half, 2.0)
         weight[[0, -1]] = 1.0
-        scaled = self.signals[:half] * np.sqrt(self.variances)
-        used = np.flatnonzero(np.any(scaled != 0, axis=(0, 1)))
+        factors = self._factors()[:half] * np.sqrt(weight)[:, None, None]
         z = circle(points)[:half]
-        p = _Parts(self.layout, theta, z)
+        n, columns = factors.shape[1:]
+        data = [z.real, z.imag]
+        data += [part[:, i, k] for k in range(columns) for i in range(n) for part in
+                 (factors.real, factors.imag)]  # fmt: skip
+        one = self._at_one_point(n, columns)
+        every = one.map("every", "serial", half, [0], [])
+        return ca.sum2(every(theta, ca.DM(np.array(data)))) / (2 * points)
+
+    def _factors(self) -> Array:
+        """(M, 1 + nu, k) whose products with their conjugate transposes are the spectra."""
+        scaled = self.signals * np.sqrt(self.variances)
+        if scaled.shape[2] <= scaled.shape[1]:
+            return np.asarray(scaled)
+        values, vectors = np.linalg.eigh(scaled @ np.conj(np.swapaxes(scaled, 1, 2)))
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+
+    def _at_one_point(self, n: int, columns: int) -> Any:
+        """The weighted |eps|^2 at one frequency: (theta, [re z, im z, factors]) -> number."""
+        theta, row = ca.SX.sym("theta", self.layout.n), ca.SX.sym("row", 2 + 2 * n * columns)
+        p = _Parts(self.layout, theta, _Complex(row[0], row[1]))
         front = p.D.over(p.C)
         modules = [b.over(f) for b, f in zip(p.B, p.F, strict=True)]
         total: Expr = 0
-        for k in used:
-            inside = p.A.times(_Complex.of(scaled[:, 0, k]))
-            for i, module in enumerate(modules):
-                inside = inside.minus(module.times(_Complex.of(scaled[:, 1 + i, k])))
+        for k in range(columns):
+            own = row[2 + 2 * n * k : 2 + 2 * n * (k + 1)]
+            signals = [_Complex(own[2 * i], own[2 * i + 1]) for i in range(n)]
+            inside = p.A.times(signals[0])
+            for module, signal in zip(modules, signals[1:], strict=True):
+                inside = inside.minus(module.times(signal))
             eps = front.times(inside)
-            total += ca.dot(ca.DM(weight), eps.re**2 + eps.im**2)
-        return total / (2 * points)
+            total += eps.re**2 + eps.im**2
+        return ca.Function("one", [theta, row], [total])
 
     def errors(self, theta: Array) -> tuple[Array, Array]:
         """Responses of eps (M, 1, ne) and of -d eps/d theta (M, n, ne) at theta."""
@@ -111,14 +131,10 @@ def _delayed(signal: Array, lag: int, z: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Complex:
-    """A column of complex CasADi numbers."""
+    """A complex CasADi number."""
 
     re: Expr
     im: Expr
-
-    @classmethod
-    def of(cls, values: Array) -> _Complex:
-        return cls(ca.DM(values.real), ca.DM(values.imag))
 
     def times(self, o: _Complex) -> _Complex:
         return _Complex(self.re * o.re - self.im * o.im, self.re * o.im + self.im * o.re)
@@ -134,20 +150,24 @@ class _Complex:
 
 
 class _Parts:
-    """The polynomials of theta at the points z."""
+    """The polynomials of theta at one point z of the unit circle."""
 
-    def __init__(self, layout: Layout, theta: Expr, z: Array) -> None:
+    def __init__(self, layout: Layout, theta: Expr, z: _Complex) -> None:
+        back = _Complex(z.re, -z.im)  # 1 / z
+        longest = max([layout.longest_lag, layout.nc, layout.nd, *layout.nf, 1])
+        powers = [_Complex(ca.SX(1), ca.SX(0)), back]
+        while len(powers) <= longest:
+            powers.append(powers[-1].times(back))
         place = 0
 
         def take(n: int, first: int, monic: bool) -> _Complex:
             nonlocal place
-            own = theta[place : place + n]
+            own = ca.vertsplit(theta[place : place + n]) if n else []
             place += n
-            base = _Complex.of(np.full(len(z), 1.0 if monic else 0.0, dtype=complex))
-            if not n:
-                return base
-            powers = z[:, None] ** -np.arange(first, first + n)
-            return _Complex(base.re + ca.DM(powers.real) @ own, base.im + ca.DM(powers.imag) @ own)
+            made = _Complex(ca.SX(1 if monic else 0), ca.SX(0))
+            for value, power in zip(own, powers[first : first + n], strict=True):
+                made = _Complex(made.re + value * power.re, made.im + value * power.im)
+            return made
 
         self.A = take(layout.na, 1, True)
         self.B = [take(n, k, False) for n, k in zip(layout.nb, layout.nk, strict=True)]

@@ -33,7 +33,7 @@ _DIED_OUT = 1e-10
 def prediction_error_limit(
     system: LinearSignals,
     output: str,
-    inputs: Sequence[str],
+    inputs: Sequence[str] | Mapping[str, str],
     orders: Orders,
     truth: Mapping[str, float] | None = None,
     *,
@@ -46,7 +46,8 @@ def prediction_error_limit(
     Parameters
     ----------
     system : numbers, static or dynamic.
-    output, inputs : signals of the system.
+    output, inputs : signals of the system; inputs may be a mapping from the name that the
+        coefficients carry to the signal, {"u": "measured u"}.
     orders : as in `casid.prediction.polynomial.prediction_error`; coefficients are named a1,
         b1[u], c1, d1, f1[u].
     truth : coefficient -> true value.
@@ -70,15 +71,17 @@ def prediction_error_limit(
             f"a prediction-error limit needs numbers; give system.at({{..}}) for "
             f"{', '.join(map(str, system.symbols))}"
         )
-    layout = Layout.of(orders, list(inputs))
+    sources = dict(inputs) if isinstance(inputs, Mapping) else {name: name for name in inputs}
+    layout = Layout.of(orders, list(sources))
     true = {name: float(value) for name, value in (truth or {}).items()}
     for name in (*true, *(start or {})):
         if name not in layout.names:
             raise ModelError(
                 f"{name} is no coefficient of this structure; it has {', '.join(layout.names)}"
             )
-    atoms = [(name, 0, False) for name in (output, *inputs)]
-    names = [output, *inputs]
+    signals = (output, *sources.values())
+    atoms = [(name, 0, False) for name in signals]
+    names = list(dict.fromkeys(signals))
     variances = np.array(list(system.variances.values()), dtype=float)
     kurtosis = np.array([system.excess_kurtosis.get(n, 0.0) for n in system.externals])
     starts = _starts(layout, {**true, **(start or {})})
@@ -110,7 +113,7 @@ def prediction_error_limit(
     Q = product_covariance(psi, tiled, variances, kurtosis)
     notes = [f"{higher} of the starts ended in a higher minimum"] if higher else []
     return Asymptotics(
-        method or f"{layout.structure} of {output} on {', '.join(inputs) or 'nothing'}",
+        method or f"{layout.structure} of {output} on {', '.join(sources.values()) or 'nothing'}",
         layout.names,
         theta,
         inverse @ Q @ inverse.T,

@@ -106,3 +106,20 @@ def term_text(term: Term) -> str:
     """A term as a reader writes it: "-y(t-1)"."""
     sign, name, lag = split_term(term)
     return f"{'-' if sign < 0 else ''}{name}{f'(t-{lag})' if lag else ''}"
+
+
+def terms_text(terms: Sequence[Term]) -> str:
+    """Several terms, lags of one signal together: "r(t-1..t-5), d"."""
+    groups: dict[str, list[int]] = {}
+    for term in terms:
+        sign, name, lag = split_term(term)
+        groups.setdefault(("-" if sign < 0 else "") + name, []).append(lag)
+    shown = []
+    for name, lags_of in groups.items():
+        first, last = min(lags_of), max(lags_of)
+        is_run = len(lags_of) > 2 and sorted(lags_of) == list(range(first, last + 1))
+        if is_run:
+            shown.append(f"{name}({f't-{first}' if first else 't'}..t-{last})")
+        else:
+            shown += [term_text((name, lag)) for lag in lags_of]
+    return ", ".join(shown)

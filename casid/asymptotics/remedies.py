@@ -14,9 +14,16 @@ from typing import Any
 from casid.asymptotics.asymptotics import Asymptotics
 from casid.asymptotics.comparison import Comparison, RemedyRow
 from casid.asymptotics.input_measurement import InputMeasurement
-from casid.asymptotics.limits import asymptotics
+from casid.asymptotics.limits import regression_limit
 from casid.asymptotics.linear_signals import LinearSignals
-from casid.asymptotics.regression import FirstStage, Regression, Term, split_term, term_text
+from casid.asymptotics.regression import (
+    FirstStage,
+    Regression,
+    Term,
+    split_term,
+    term_text,
+    terms_text,
+)
 from casid.errors import CasidError, IdentifiabilityError, ModelError
 
 Estimator = Callable[[LinearSignals], Asymptotics]
@@ -185,7 +192,7 @@ class _Task:
         lists = explain if explain is not None else ([self.known] if self.known else [])
         for terms in lists:
             added = {f"b[{term_text(t)}]": t for t in terms}
-            name = f"explain by {', '.join(term_text(t) for t in terms)}"
+            name = f"explain by {terms_text(terms)}"
             made.append(
                 Remedy(name, "approximate", self.regression({**self.without_unknown(), **added}))
             )
@@ -230,7 +237,7 @@ class _Task:
         def estimate(system: LinearSignals) -> Asymptotics:
             regression = self.regression(regressors, self.known)
             true = {n: self.truth[n] for n in regressors if n in self.truth}
-            return asymptotics(system, regression, true)
+            return regression_limit(system, regression, true)
 
         return estimate
 
@@ -240,7 +247,7 @@ def _row(task: _Task, remedy: Remedy) -> RemedyRow:
         if isinstance(remedy.estimator, Regression):
             names = remedy.estimator.regressors
             true = {n: task.truth[n] for n in names if n in task.truth}
-            found = asymptotics(task.system, remedy.estimator, true, method=remedy.name)
+            found = regression_limit(task.system, remedy.estimator, true, method=remedy.name)
         else:
             found = remedy.estimator(task.system)
     except IdentifiabilityError as refused:
