@@ -176,6 +176,22 @@ def test_continuous_time_has_a_free_gain_too() -> None:
     assert "free gain" in f.how
 
 
+@pytest.mark.parametrize("x", [q, s])
+def test_measurements_that_come_late_leave_an_inverse_that_looks_ahead_but_is_stable(
+    x: Rational,
+) -> None:
+    """Both rows have an unstable zero and a relative degree, 1 and 2; together no finite zero."""
+    pole = (x + Fraction(1, 2)) * (x + Fraction(1, 3))
+    G = transfer_matrix([[(x - 2) / pole], [(x - 3) / (pole * (x + Fraction(1, 4)))]])
+    f = left_inverse(G)
+    assert not f.is_proper
+    assert f.excess <= 2
+    assert f.is_stable
+    assert f.unstable_zeros == ()
+    assert (f.f @ G)[0, 0].equals(1)
+    assert f.approximations((0.0, 0.1))[0].kind == "delayed"
+
+
 def test_the_refusal_names_the_zero_its_frequency_and_what_was_offered() -> None:
     """G = q^-2 (q - 1.25)/(q - .5) at Ts = 0.1 s: looks ahead, and a zero outside the circle."""
     z = Rational.shift(0.1)

@@ -6,6 +6,9 @@ With a realisation x+ = A x + E u, y = C x + F u, F of full column rank, K F = I
 
 is a left inverse for every H; one with stable poles exists where there are no unstable zeros. H is
 designed in floating point and rounded; everything else is exact, so that f G = I exactly.
+
+Where F has not, because measurements come late, every row is advanced by its own relative degree
+first: f is then stable, and looks ahead by no more than that.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.indirect.blocks import is_stable
+from casid.indirect.blocks import frequency_grid, is_stable
 from casid.transfer import polynomial as poly
 from casid.transfer.matrix import RationalMatrix
 from casid.transfer.polynomial import Polynomial
@@ -27,14 +30,38 @@ Exact = list[list[Fraction]]
 
 
 def free_gain_inverse(G: RationalMatrix) -> RationalMatrix | None:
-    """A proper, stable f with f G = I, or None where this way finds none.
+    """A stable f with f G = I, proper if it can be, or None where this way finds none.
 
     Parameters
     ----------
-    G : (m, n), m > n, proper, without parameters.
+    G : (m, n), m > n, without parameters.
     """
-    if not G.is_proper or G.parameters:
+    if G.parameters:
         return None
+    if G.is_proper:
+        found = _inverse_of_proper(G)
+        if found is not None:
+            return found
+    step = _advance(G)
+    late = [min((g.relative_degree for g in row if not g.is_zero), default=0) for row in G.rows]
+    rows = tuple(tuple(g * step**k for g in row) for row, k in zip(G.rows, late, strict=True))
+    found = _inverse_of_proper(RationalMatrix(rows, G.outputs, G.inputs))
+    if found is None:
+        return None
+    ahead = tuple(tuple(g * step**k for g, k in zip(row, late, strict=True)) for row in found.rows)
+    return RationalMatrix(ahead, G.inputs, G.outputs)
+
+
+def _advance(G: RationalMatrix) -> Rational:
+    """q, or s/a + 1 with a among the poles' and zeros' frequencies."""
+    variable, Ts = G.time
+    if variable != "s":
+        return Rational.shift(Ts)
+    w = frequency_grid([G])
+    return Rational.derivative() / Fraction(f"{np.sqrt(w[0] * w[-1]):.3g}") + 1
+
+
+def _inverse_of_proper(G: RationalMatrix) -> RationalMatrix | None:
     A, E, C, F = exact_realisation(G)
     basis = _echelon_of_transpose(F)
     if basis is None:
