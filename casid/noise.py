@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.optimize import nnls
+from scipy.special import gammaincinv
 
 from casid.model import Model
 from casid.simulate import rk4_sample
@@ -102,10 +103,34 @@ class NoiseModel:
     source_sd: Mapping[str, float]  # measured input or balance -> white noise per sample
     responses: Sequence[Response]  # one an experiment
     weights: Array
+    alike: Sequence[tuple[str, ...]] = ()  # sources of one shape; the first carries the variance
 
     def quiet(self, input_sd: Mapping[str, float]) -> NoiseModel:
         """The same without disturbances: sensors and measured inputs only."""
         return replace(self, source_sd={name: input_sd.get(name, 0.0) for name in self.source_sd})
+
+    def of_inputs(self, largest: Mapping[str, float]) -> dict[str, float]:
+        """What part of `source_sd` the measured inputs can account for.
+
+        Parameters
+        ----------
+        largest : measured input -> upper bound on its white noise. Inputs that act alike share the
+            variance found, each by the part it could have at its bound; what is left is a
+            disturbance.
+        """
+        out = {}
+        for group in self.alike:
+            inputs = [name for name in group if name in largest]
+            gains = {name: sum(self._gain(name, r) for r in self.responses) for name in group}
+            found = sum(self.source_sd[name] ** 2 * gains[name] for name in group)
+            could = sum(largest[name] ** 2 * gains[name] for name in inputs)
+            share = np.sqrt(min(found / could, 1.0)) if could > 0 else 0.0
+            out.update({name: float(share * largest[name]) for name in inputs})
+        return out
+
+    @staticmethod
+    def _gain(name: str, r: Response) -> float:
+        return float(r.gain2[:, :, r.sources.index(name)].mean())
 
     def spectrum(self, experiment: int) -> Array:
         """S (F, ny) per sample, output units squared, on the response's frequencies."""
@@ -119,6 +144,26 @@ class NoiseModel:
         return np.asarray(
             np.sqrt(np.trapezoid(s, self.responses[experiment].omega, axis=0) / np.pi)
         )
+
+    def excess(self, quiet: NoiseModel, samples: Sequence[int]) -> tuple[float, float]:
+        """Mean square of this noise over that of `quiet`, and the latter's relative spread.
+
+        The largest over the outputs, all records together; a mean of exponential periodograms has
+        the variance sum S^2 / (sum S)^2.
+
+        Parameters
+        ----------
+        samples : of each record.
+        """
+        total, other, square = (np.zeros(len(self.output_sd)) for _ in range(3))
+        for e, n in enumerate(samples):
+            omega, s, per = self.responses[e].omega, quiet.spectrum(e), n / (2 * np.pi)
+            total += per * np.trapezoid(self.spectrum(e), omega, axis=0)
+            other += per * np.trapezoid(s, omega, axis=0)
+            square += per * np.trapezoid(s**2, omega, axis=0)
+        i = int(np.argmax(total / np.maximum(other, 1e-300)))
+        floor = max(float(other[i]), 1e-300)
+        return float(total[i]) / floor, float(np.sqrt(square[i])) / floor
 
     def whiten(self, columns: Array, experiment: int) -> Array:
         """Columns (N, ny, m), times `weights`, filtered by S^(-1/2) to white noise of unit size."""
@@ -149,7 +194,8 @@ def estimate_noise(
     """Estimate (1) from the residuals at `x` by Fisher scoring of Whittle's likelihood.
 
     Sources whose responses have the same shape (an input and a balance it enters) cannot be told
-    apart: the variance is given to the first, measured inputs before balances.
+    apart: the variance is given to the first, measured inputs before balances, and the model tells
+    which are alike. A source whose noise is known is counted on its own.
 
     Parameters
     ----------
@@ -161,9 +207,12 @@ def estimate_noise(
     responses = [noise_response(criterion, x, e) for e in range(len(criterion.data))]
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
-    sources = list(responses[0].sources)
-    if merge:
-        sources = _distinct(responses, sources)
+    every = list(responses[0].sources)
+    apart = [name for name in every if name in known]
+    alike: list[tuple[str, ...]] = [(name,) for name in apart]
+    rest = [name for name in every if name not in known]
+    alike += _alike(responses, every, rest) if merge else [(name,) for name in rest]
+    sources = [group[0] for group in alike]
     rows: list[Array] = []
     targets: list[Array] = []
     counts: list[Array] = []
@@ -206,23 +255,30 @@ def estimate_noise(
         source_sd={name: found.get(name, 0.0) for name in responses[0].sources},
         responses=responses,
         weights=criterion.weights,
+        alike=tuple(alike),
     )
 
 
-def _distinct(responses: Sequence[Response], sources: list[str]) -> list[str]:
-    """Sources whose |G|^2 is not a multiple of an earlier one's."""
-    keep: list[str] = []
+def _alike(
+    responses: Sequence[Response], sources: list[str], asked: Sequence[str]
+) -> list[tuple[str, ...]]:
+    """Sources among `asked` in groups whose |G|^2 are multiples of one another; none that is 0."""
+    groups: list[list[str]] = []
     stacked = np.concatenate([r.gain2.reshape(-1, len(sources)) for r in responses])
     logs = 0.5 * np.log(np.maximum(stacked, 1e-300))
-    for j, name in enumerate(sources):
-        same = False
-        for other in keep:
-            gap = logs[:, j] - logs[:, sources.index(other)]
-            strong = stacked[:, j] > 1e-6 * stacked[:, j].max(initial=0.0)
-            same = same or (strong.any() and float(np.std(gap[strong])) < 0.1)
-        if not same and stacked[:, j].max(initial=0.0) > 0:
-            keep.append(name)
-    return keep
+    for name in asked:
+        j = sources.index(name)
+        strong = stacked[:, j] > 1e-6 * stacked[:, j].max(initial=0.0)
+        if not strong.any() or stacked[:, j].max() <= 0:
+            continue
+        for group in groups:
+            gap = logs[strong, j] - logs[strong, sources.index(group[0])]
+            if float(np.std(gap)) < 0.25:
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    return [tuple(group) for group in groups]
 
 
 def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array]]:
@@ -244,19 +300,29 @@ def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array
     return out
 
 
-def input_noise_floor(signals: Signals, inputs: Sequence[str]) -> dict[str, float]:
-    """Upper bound on each input's white noise: its quietest part of the spectrum near Nyquist.
+def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict[str, float]:
+    """Estimated bound on each input's white noise: the quietest spectrum near Nyquist.
 
-    A heuristic: the mean of the periodogram over the five quietest twentieths of the upper half
-    band.
+    The upper half band of every record is cut into twenty parts. The quietest quarter of all parts
+    is averaged, and divided by what that would be, of 1, for white noise alone: the parts of a
+    tapered periodogram are Gamma distributed, and the quietest lie below the mean.
     """
-    out = {}
-    for i, name in enumerate(inputs):
-        values = signals.u[:, i]
+    return {name: white_floor([d.u[:, i] for d in signals]) for i, name in enumerate(inputs)}
+
+
+def white_floor(records: Sequence[Array]) -> float:
+    """The same for one channel, (N,) a record."""
+    parts: list[float] = []
+    shape = np.inf
+    for values in records:
         # A taper, else the ends' jump leaks to Nyquist.
         window = np.hanning(len(values))
         spectrum = np.abs(rfft((values - values.mean()) * window)) ** 2 / np.sum(window**2)
-        half = spectrum[len(spectrum) // 2 :]
-        parts = [p.mean() for p in np.array_split(half, 20) if len(p)]
-        out[name] = float(np.sqrt(np.mean(sorted(parts)[:5])))
-    return out
+        pieces = [p for p in np.array_split(spectrum[len(spectrum) // 2 :], 20) if len(p)]
+        parts += [float(p.mean()) for p in pieces]
+        # Hann's bins are correlated by 2/3 and 1/6 in amplitude with the next and the second.
+        shape = min(shape, float(np.mean([len(p) for p in pieces])) / (1 + 2 * (4 / 9 + 1 / 36)))
+    kept, shape = max(len(parts) // 4, 1), max(shape, 0.5)
+    ranks = (np.arange(1, kept + 1) - 0.375) / (len(parts) + 0.25)  # Blom's
+    expected = float(np.mean(gammaincinv(shape, ranks))) / shape
+    return float(np.sqrt(np.mean(sorted(parts)[:kept]) / expected))

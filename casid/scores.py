@@ -8,8 +8,15 @@ baseline's own sensitivities T, and e the whitened residual,
 is a Lagrange multiplier score that does not feel small errors of the baseline's estimate. The
 corrections c remove what noise on a measured input gives to sensitivity and residual alike:
 E[psi' e] = -E[(d psi w)' (G w)], estimated by simulating with antithetic noise added to the inputs.
-The scores' covariance is robust to what whitening left (Newey and West 1987); the threshold for
-the whole family comes from Gaussian draws with that covariance (Romano and Wolf 2005).
+(1) is linear in the baseline's error, and the noise of an input biases the baseline itself: a least
+squares estimate may be wrong by several standard errors, in directions of which the record tells
+little. So it is first moved to the root of
+
+    T' e + c_T = 0                                                                             (2)
+
+whose left side has mean zero at the truth. The scores' covariance is robust to what whitening left
+(Newey and West 1987); the threshold for the whole family comes from Gaussian draws with that
+covariance (Romano and Wolf 2005).
 """
 
 from __future__ import annotations
@@ -74,7 +81,7 @@ def score_test(
 
     Parameters
     ----------
-    fit : minimum of the whitened simulation error of the model without the effects.
+    fit : whitened simulation error of the model without the effects, near its minimum.
     input_sd : standard deviation of the white noise of each measured input.
     """
     base = fit.criterion
@@ -87,8 +94,7 @@ def score_test(
     tangent = [position[n] for n in base.names]
     candidate = [position[n] for n in names]
     tangent_parts, psi_parts, e_parts = [], [], []
-    bias_t = np.zeros(len(tangent))
-    bias_psi = np.zeros(len(effects))
+    drawn: list[tuple[Array, Array, Array]] = []
     rng = np.random.default_rng(seed)
     inputs = list(wide.model.inputs)
     for k in range(len(wide.data)):
@@ -98,13 +104,7 @@ def score_test(
         psi_parts.append(psi)
         sd = np.array([input_sd.get(n, 0.0) for n in inputs])
         if np.any(sd > 0):
-            w = sd * rng.standard_normal(wide.data[k].u.shape)
-            up, down = (
-                _columns(wide, x, k, tangent, candidate, clipped, sign * w) for sign in (1.0, -1.0)
-            )
-            delta = up[0] - down[0]
-            bias_t -= 0.25 * (up[1] - down[1]).T @ delta
-            bias_psi -= 0.25 * (up[2] - down[2]).T @ delta
+            drawn.append(_antithetic(wide, x, k, tangent, candidate, clipped, sd, rng))
     ny = len(wide.outputs)
     e, t_all, psi = (np.concatenate(p) for p in (e_parts, tangent_parts, psi_parts))
     size = np.sqrt(np.maximum(np.einsum("ij,ij->j", psi, psi), 1e-300))
@@ -116,12 +116,19 @@ def score_test(
     gamma = (vt[keep].T / s[keep]) @ (u[:, keep].T @ unit_psi)
     rest = unit_psi - (t_all / t_size) @ gamma
     left = np.einsum("ij,ij->j", rest, rest)
-    z = rest.T @ e + bias_psi / size - gamma.T @ (bias_t / t_size)
+    z = rest.T @ e
     # Score of the baseline itself, zero at its minimum except for the bias just corrected.
     per_sample = np.add.reduceat(rest * e[:, None], np.arange(0, len(e), ny), axis=0)
     visible = left > INVISIBLE
     lags = bartlett_lags(per_sample[:, visible]) if visible.any() else 0
     covariance = long_run_covariance(per_sample, lags)
+    if drawn:
+        moved, turned, changed = (np.concatenate([d[i] for d in drawn]) for i in range(3))
+        given = (changed / size - (turned / t_size) @ gamma) * moved[:, None]
+        z -= given.sum(axis=0)
+        # One draw is as far from its mean as chance has it: that is uncertainty, too.
+        given = np.add.reduceat(given, np.arange(0, len(e), ny), axis=0)
+        covariance = covariance + long_run_covariance(given - given.mean(axis=0), lags)
     sd_z = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     ratio = np.where(visible, z / sd_z, 0.0)
     freedom = max(1.5 * len(per_sample) / (lags + 1), 4.0)
@@ -147,6 +154,44 @@ def score_test(
         for j, eff in enumerate([*smooth, *clipped])
     )
     return ScoreTable(scores, cosines, lags)
+
+
+LONGEST = 25.0
+"""Length of one step towards (2), in standard errors: further away nothing is linear."""
+
+
+def step_without_bias(
+    criterion: SimulationError, x: Array, input_sd: Mapping[str, float], *, seed: int = 0
+) -> tuple[Array, float]:
+    """One Gauss-Newton step from `x` towards the root of (2), and its length in standard errors.
+
+    The matrix is T'T less what noise on the inputs gives to it. Where noise gives nearly all, the
+    step is held short rather than turned round.
+    """
+    n = len(x)
+    gradient, matrix, noise = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
+    sd = np.array([input_sd.get(name, 0.0) for name in criterion.model.inputs])
+    rng = np.random.default_rng(seed)
+    for k in range(len(criterion.data)):
+        r, t, _ = _columns(criterion, x, k, range(n), [], [], None)
+        gradient += t.T @ r
+        matrix += t.T @ t
+        if np.any(sd > 0):
+            moved, turned, _ = _antithetic(criterion, x, k, range(n), [], [], sd, rng)
+            gradient -= turned.T @ moved
+            noise += turned.T @ turned
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    seen = values > 1e-12 * values[-1]
+    root = vectors[:, seen] / np.sqrt(values[seen]) / size[:, None]  # root' (T'T) root = 1
+    share, axes = np.linalg.eigh(np.eye(int(seen.sum())) - root.T @ noise @ root)
+    step = axes @ ((axes.T @ (root.T @ gradient)) / np.maximum(share, 0.2))
+    length = float(np.linalg.norm(step))
+    step *= min(1.0, LONGEST / max(length, 1e-300))
+    lower, upper = (
+        np.array([getattr(v, side) for v in criterion.variables]) for side in ("lower", "upper")
+    )
+    return np.clip(x + root @ step, lower, upper), length
 
 
 def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
@@ -191,6 +236,22 @@ def _widened(fit: Fit, model: Model) -> SimulationError:
     for d, own in zip(wide.data, base.data, strict=True):
         d.used[:] &= own.used
     return wide
+
+
+def _antithetic(
+    wide: SimulationError,
+    x: Array,
+    k: int,
+    tangent: Sequence[int],
+    candidate: Sequence[int],
+    clipped: Sequence[Effect],
+    sd: Array,
+    rng: np.random.Generator,
+) -> tuple[Array, Array, Array]:
+    """What one draw of noise on the inputs adds to `_columns`, its even part left out."""
+    w = sd * rng.standard_normal(wide.data[k].u.shape)
+    up, down = (_columns(wide, x, k, tangent, candidate, clipped, sign * w) for sign in (1.0, -1.0))
+    return 0.5 * (up[0] - down[0]), 0.5 * (up[1] - down[1]), 0.5 * (up[2] - down[2])
 
 
 def _columns(

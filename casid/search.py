@@ -24,7 +24,7 @@ from casid.effects import JUMP_TIMES, Effect, Sizes, catalogue, parameter_jump
 from casid.errors import SolveError
 from casid.model import Model
 from casid.noise import NoiseModel, estimate_noise, input_noise_floor
-from casid.scores import INVISIBLE, Score, ScoreTable, scan, score_test
+from casid.scores import INVISIBLE, Score, ScoreTable, scan, score_test, step_without_bias
 from casid.simulation_error import Fit, SimulationError, minimize_simulation_error
 from casid.solving.nlp import Solver
 from casid.uncertainty import bartlett_lags, long_run_covariance, sandwich
@@ -34,7 +34,10 @@ Progress = Callable[[str], None]
 
 
 HIDDEN = 1.1
-"""Residual over the sensors' noise beyond which misfit is taken to hide in the noise model."""
+"""Residual over the sensors' noise beyond which misfit is taken to hide in the noise model.
+
+More where the record is so short, or the resonance so sharp, that chance gives as much.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +50,7 @@ class Weighted:
     full: NoiseModel  # with whatever passes for a disturbance
     input_sd: Mapping[str, float]
     is_hidden: bool  # much is unexplained by sensors and measured inputs
+    unbiased: Fit | None = None  # where the noise of the inputs has no part in the estimate
 
     @property
     def criterion(self) -> SimulationError:
@@ -135,24 +139,52 @@ class Search:
         """
         found = self._estimate(fit)
         if found.is_hidden:
-            noise = found.full.quiet(found.input_sd)
-            criterion = self._criterion(model, noise, fit.values, fit.criterion)
-            return replace(found, fit=self._minimum(criterion), noise=noise)
+            at = self._without_bias(found)
+            if at is None or at.is_hidden:
+                noise = found.full.quiet(found.input_sd)
+                criterion = self._criterion(model, noise, fit.values, fit.criterion)
+                return replace(found, fit=self._minimum(criterion), noise=noise)
+            found = at
         for _ in range(rounds):
             criterion = self._criterion(model, found.full, found.fit.values, fit.criterion)
             found = self._estimate(self._minimum(criterion))
-        criterion = self._criterion(model, found.full, found.fit.values, fit.criterion)
-        return replace(found, fit=self._minimum(criterion), noise=found.full, is_hidden=False)
+        at = self._without_bias(found) or found
+        criterion = self._criterion(model, at.full, found.fit.values, fit.criterion)
+        return replace(
+            at,
+            fit=self._minimum(criterion),
+            noise=at.full,
+            is_hidden=False,
+            unbiased=None if at is found else at.fit,
+        )
+
+    def _without_bias(self, found: Weighted, steps: int = 40) -> Weighted | None:
+        """The root of (2) in `casid.scores`, with the noise found there; None if none is near.
+
+        Where much is unexplained, the noise meanwhile is that of sensors and inputs alone.
+        """
+        if not any(found.input_sd.values()):
+            return None
+        at = found
+        for _ in range(steps):
+            noise = at.full.quiet(at.input_sd) if at.is_hidden else at.full
+            criterion = self._criterion(at.model, noise, at.fit.values, found.criterion)
+            for mine, other in zip(criterion.data, found.criterion.data, strict=True):
+                mine.used[:] = other.used
+            x, length = step_without_bias(criterion, criterion.start, at.input_sd, seed=self.seed)
+            moved = replace(at.fit, criterion=criterion, solution=replace(at.fit.solution, x=x))
+            at = self._estimate(moved)
+            if length < 0.05:
+                return at
+        return None
 
     def _estimate(self, fit: Fit) -> Weighted:
         full = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
         input_sd = self._input_sd(full, fit.criterion)
         quiet = full.quiet(input_sd)
-        ratio = max(
-            float(np.max(full.floor(e) / np.maximum(quiet.floor(e), 1e-300)))
-            for e in range(len(self.experiments))
-        )
-        return Weighted(fit.criterion.model, fit, full, full, input_sd, ratio > HIDDEN)
+        ratio, spread = full.excess(quiet, [d.N for d in fit.criterion.data])
+        is_hidden = ratio > max(HIDDEN**2, 1 + 2 * spread)
+        return Weighted(fit.criterion.model, fit, full, full, input_sd, is_hidden)
 
     def _minimum(self, criterion: SimulationError) -> Fit:
         return minimize_simulation_error(
@@ -177,20 +209,11 @@ class Search:
         )
 
     def _input_sd(self, noise: NoiseModel, criterion: SimulationError) -> dict[str, float]:
-        """Input noise: what the residual shows, but no more than the channel's own floor."""
-        out: dict[str, float] = {}
+        """Input noise: what the residual shows, but no more than the channels' own floors."""
         measured = [n for n, u in criterion.model.inputs.items() if u.kind == "measured"]
-        inputs = list(criterion.model.inputs)
-        floors: dict[str, float] = {}
-        for d in criterion.data:
-            for name, value in input_noise_floor(d, inputs).items():
-                floors[name] = min(value, floors.get(name, np.inf))
-        for name in measured:
-            known = self.known_noise.get(name)
-            out[name] = (
-                known if known is not None else min(noise.source_sd.get(name, 0.0), floors[name])
-            )
-        return out
+        floors = input_noise_floor(criterion.data, list(criterion.model.inputs))
+        largest = {n: self.known_noise.get(n, floors[n]) for n in measured}
+        return {**dict.fromkeys(measured, 0.0), **noise.of_inputs(largest)}
 
     def compensated(self, at: Weighted, criterion: SimulationError, x: Array) -> float:
         """J of (1) at `x`: the whitened criterion less what input noise alone gives to it."""
@@ -437,7 +460,7 @@ class Search:
             for e in effects
             if e.kind != "parameter_jump" or not (e.where in own or self._is_known_event(at, e))
         ]
-        return score_test(at.fit, effects, input_sd=at.input_sd, seed=self.seed)
+        return score_test(at.unbiased or at.fit, effects, input_sd=at.input_sd, seed=self.seed)
 
     def _is_known_event(self, at: Weighted, effect: Effect) -> bool:
         """True if a jump is already adopted at about the same instant: one event, named once."""

@@ -93,6 +93,6 @@ def test_the_quiet_part_of_an_inputs_spectrum_bounds_its_noise():
     hidden = truth.cart_pendulum(seed=41)
     experiment = casid.Experiment(record_of(hidden), {}, "r")
     model = pendulum.problem.model
-    bound = input_noise_floor(signals_of(model, experiment), list(model.inputs))
+    bound = input_noise_floor([signals_of(model, experiment)], list(model.inputs))
     # The quietest 5 of 20 bands of 150 bins (sd of a power 8 %, tapered 10 %) lie below the mean.
     assert 0.85 * INPUT < bound["accel"] < 1.1 * INPUT

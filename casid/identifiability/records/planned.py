@@ -277,7 +277,7 @@ def _seen(
     for e in measured:
         d = criterion.data[e]
         as_input = replace(d, u=d.y[:, [column]])
-        floors.append(input_noise_floor(as_input, ["y"])["y"])
+        floors.append(input_noise_floor([as_input], ["y"])["y"])
     return float(np.sqrt(np.mean(np.square(floors)))), "about, from its quietest frequencies"
 
 
