@@ -33,7 +33,8 @@ def suspected(imperfection: str, *, seconds: float, seed: int) -> dict[str, str]
     recorded = [a.experiment(wrong) for a in answers(seed, Rudder(), seconds=seconds)]
     found = {}
     for channel in ("", *CHANNELS):
-        best = sign_flips(ship.problem, flipped(recorded, channel) if channel else recorded)[0]
+        given = flipped(recorded, channel) if channel else recorded
+        best = sign_flips(ship.problem, given, reference="delta")[0]
         found[channel] = best.channel if best.is_suspected else ""
     return found
 

@@ -5,18 +5,35 @@ its misfit as it is, so no residual shows it where the parameters may have eithe
 it is physics: bounds, and parameters that several coefficients share. So every channel is flipped
 in turn, the physical parameters are estimated within their bounds from either, and a flip that the
 equations fit clearly better is suspected.
+
+Two measures of fit. Without a reference it is the equation error of least squares: where noise on
+the regressors makes most of that, both signs miss by as much. With an external reference it is
+
+    J = sum over records of N m' S^-1 m,   m = mean zeta (left - columns' theta)              (1)
+
+of instruments zeta made of the reference alone (`casid.instrumental.black_box_reference`), with S
+the covariance of N^(1/2) m from the unconstrained fit, which knows no signs. Noise drops out of m,
+and J is chi^2 where the signs are right (Hansen, Econometrica 50 (1982) 1029-1054).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
 from casid.data import Experiment
 from casid.errors import CasidError
+from casid.instrumental.black_box_reference import black_box_instruments, black_box_references
 from casid.instrumental.estimators import least_squares
+from casid.instrumental.instruments import Instruments
+from casid.instrumental.moment_equations import parts_of
+from casid.instrumental.moment_settings import MomentSettings
+from casid.instrumental.stage import Stage
 from casid.model import Model
 from casid.problem import Problem
 
@@ -28,9 +45,9 @@ class SignFlip:
     Attributes
     ----------
     channel : of the records.
-    ratio : rms equation error with the channel flipped, relative to that as recorded; geometric
-        mean over records. Infinite where no estimate is found with it flipped. Where there is none
-        as recorded, relative to the worst of the flips.
+    ratio : misfit with the channel flipped, relative to that as recorded: rms equation error,
+        geometric mean over records, or the root of (1). Infinite where no estimate is found with
+        it flipped. Where there is none as recorded, relative to the worst of the flips.
     is_suspected : the flip is clearly better.
     """
 
@@ -53,7 +70,11 @@ class SignFlip:
 
 
 def sign_flips(
-    problem: Problem | Model, experiments: Sequence[Experiment], *, clearly: float = 0.95
+    problem: Problem | Model,
+    experiments: Sequence[Experiment],
+    *,
+    reference: str | None = None,
+    clearly: float = 0.95,
 ) -> tuple[SignFlip, ...]:
     """Flip every channel of the model in turn, the one that is most suspected first.
 
@@ -61,22 +82,34 @@ def sign_flips(
     ----------
     problem : whose model has no unknown inputs, with bounds that mean something.
     experiments : with their load cases.
-    clearly : ratio of the misfits under which a flip is suspected (a heuristic). Only the best of
-        the flips is: where one sign is wrong, others may help a little.
+    reference : recorded channel that drives the system and does not depend on the noise. With it
+        the signs are found through noise of any size: a flip is suspected where (1) rejects the
+        signs as recorded at 0.1 %, and falls by more than `FALLS`.
+    clearly : without a reference, ratio of the misfits under which a flip is suspected (a
+        heuristic). Only the best of the flips is: one wrong sign, and others may help a little.
 
     Raises
     ------
     CasidError
-        As `least_squares`, if there is no estimate with any of the flips, nor as recorded.
+        As `least_squares` or `black_box_references`, if there is no estimate with any of the
+        flips, nor as recorded.
     """
     model = problem.model if isinstance(problem, Problem) else problem
+    misfit: Callable[[Sequence[Experiment]], Fitted] = partial(_by_squares, model)
+    if reference is not None:
+        others = [c for c in _channels(model) if c != reference]
+        black = black_box_references(experiments, reference, others)
+        experiments = black.experiments
+        chosen = black_box_instruments(model, black, n_y=LAGS, n_u=LAGS)
+        misfit = partial(_by_instruments, model, chosen)
     failed: CasidError | None = None
+    recorded = Fitted(np.inf, 0)
     try:
-        recorded = _misfit(model, experiments)
+        recorded = misfit(experiments)
     except CasidError as error:
-        recorded, failed = np.inf, error
-    found: dict[str, float] = {}
-    for channel in (*model.outputs, *(n for n, u in model.inputs.items() if u.kind != "generated")):
+        failed = error
+    found: dict[str, Fitted] = {}
+    for channel in _channels(model):
         flipped = [
             replace(
                 e,
@@ -85,24 +118,74 @@ def sign_flips(
             for e in experiments
         ]
         try:
-            found[channel] = _misfit(model, flipped)
+            found[channel] = misfit(flipped)
         except CasidError:
-            found[channel] = np.inf
+            found[channel] = Fitted(np.inf, 0)
     if failed is not None:
-        if not np.isfinite(list(found.values())).any():
+        finite = [f for f in found.values() if np.isfinite(f.value)]
+        if not finite:
             raise failed
-        recorded = max(f for f in found.values() if np.isfinite(f))
-    ratios = {c: f / recorded for c, f in found.items()}
-    best = min(ratios, key=lambda c: ratios[c])
-    rows = [SignFlip(c, r, c == best and r < clearly) for c, r in ratios.items()]
+        recorded = max(finite)
+    best = min(found, key=lambda c: found[c])
+    if reference is None:
+        is_wrong = found[best].value < clearly * recorded.value
+    else:
+        is_wrong = failed is not None or recorded.rejects(found[best])
+    root = 1.0 if reference is None else 0.5
+    rows = [
+        SignFlip(c, (f.value / recorded.value) ** root, c == best and is_wrong)
+        for c, f in found.items()
+    ]
     return tuple(sorted(rows, key=lambda f: f.ratio))
 
 
-def _misfit(model: Model, experiments: Sequence[Experiment]) -> float:
+LAGS = 4
+"""Of every simulated signal among the instruments."""
+
+FALLS = 20.0
+"""Fall of (1) for which a sign is suspected, in units of what the better fit leaves a degree."""
+
+
+class Fitted(NamedTuple):
+    """A misfit, and its degrees of freedom."""
+
+    value: float
+    degrees: int
+
+    def rejects(self, better: Fitted) -> bool:
+        """True if the moments reject these signs, and `better` is clearly better."""
+        scale = max(better.value / max(better.degrees, 1), 1.0)
+        p = float(chdtrc(max(self.degrees, 1), self.value))
+        return p < 1e-3 and self.value - better.value > FALLS * scale
+
+
+def _channels(model: Model) -> list[str]:
+    return [*model.outputs, *(n for n, u in model.inputs.items() if u.kind != "generated")]
+
+
+def _by_instruments(model: Model, chosen: Instruments, experiments: Sequence[Experiment]) -> Fitted:
+    """(1) at its minimum within the bounds.
+
+    However weak the instruments are: a direction that they do not see has no part in (1).
+    """
+    settings = MomentSettings(weighting="optimal", iterations=1)
+    parts = parts_of(model, experiments, method=settings.method, outputs=settings.outputs)
+    free = [p.name for p in model.parameters.values() if not p.is_known]
+    fit = Stage(model, parts, free, settings, chosen).fit(
+        parts, [p.values for p in parts], check=False
+    )
+    left = [
+        root @ (e.Y - e.Phi @ theta)
+        for root, e, theta in zip(fit.roots, fit.equations, fit.thetas, strict=True)
+    ]
+    return Fitted(float(sum(m @ m for m in left)), sum(map(len, left)) - len(free))
+
+
+def _by_squares(model: Model, experiments: Sequence[Experiment]) -> Fitted:
     """Geometric mean over equations of their rms error, each relative to its left side."""
     (stage,) = least_squares(model, experiments).stages
     logs = [
         np.log(e.error_power(theta) / max(float(e.second[0, 0]), 1e-300)) / 2
         for e, theta in zip(stage.equations, stage.thetas, strict=True)
     ]
-    return float(np.exp(np.mean(logs)))
+    return Fitted(float(np.exp(np.mean(logs))), 0)
