@@ -28,6 +28,7 @@ from casid.instrumental.propagation import Propagated, free_slope, propagate
 from casid.instrumental.stage import Stage, StageFit
 from casid.local_rank import describe_null, local_rank
 from casid.model import Model
+from casid.noise import white_floor
 from casid.problem import Problem
 from casid.uncertainty import Sampled, whiteness
 
@@ -228,7 +229,8 @@ def least_squares(
 
     Fast and of small variance, but biased where outputs or inputs carry noise, or a loop is closed:
     a start for the others, and a measure of what instruments are worth. Parameters and errors as
-    `instrumental_variables`.
+    `instrumental_variables`; where the records are not excited, which instruments refuse, the
+    estimate has a warning.
     """
     return _estimate(problem, experiments, [StageSpec(free or ())], None, None, settings, {})
 
@@ -461,7 +463,13 @@ def as_estimate(
         smallest = min(smallest, found.smallest)
         if not found.is_full:
             unseen.append(describe_null(found))
-        warnings += list(st.remarks)
+            # A zero at its bound has no relative size, and instruments would have refused.
+            free = {f for f in st.free if f not in (*solution.at_lower, *solution.at_upper)}
+            if all(e.is_least_squares for e in st.equations) and any(
+                free & set(direction) for direction in found.null
+            ):
+                warnings.append(unseen[-1])
+        warnings += [*st.remarks, *_mostly_noise(st)]
         if not solution.is_converged:
             warnings.append(f"{solution.solver} stopped with {solution.status}: {solution.mend}")
     for p in model.parameters.values():
@@ -534,6 +542,38 @@ def as_estimate(
         fit_is="One step of the difference equation (to simulate it: casid.validate)",
         evidence=_evidence(fits, propagated),
     )
+
+
+NOISY = 0.5
+"""Share of noise in a regressor from which least squares warns.
+
+White noise has all its power in its floor, and a signal of steps a third, so this tells them apart.
+"""
+
+
+def _mostly_noise(st: StageFit) -> list[str]:
+    """Regressors that are no louder than the quietest spectrum of their channels.
+
+    Least squares draws their coefficients towards zero, whatever the length of the record.
+    """
+    worst: dict[str, tuple[float, str]] = {}
+    for e in st.equations:
+        if not (e.is_least_squares and e.signals):
+            continue
+        for i, column in enumerate(e.equation.columns, start=1):
+            channels = {channel for channel, _, _ in column.taps}
+            floors = {c: white_floor([np.asarray(e.signals[c])]) for c in channels}
+            noise = sum((weight * floors[channel]) ** 2 for channel, _, weight in column.taps)
+            mean = column.samples(e.signals, e.start).mean()
+            share = noise / max(float(e.second[i, i]) - mean**2, 1e-300)
+            if noise > 0 and share > worst.get(column.name, (NOISY, ""))[0]:
+                worst[column.name] = (min(share, 1.0), e.name)
+    return [
+        f"{name} is {100 * share:.0f} % noise in {record}, its channel's quietest frequencies say, "
+        "and least squares takes it for a signal: use casid.instrumental_variables, or a record in "
+        "which the system is excited more"
+        for name, (share, record) in worst.items()
+    ]
 
 
 def _evidence(fits: Sequence[StageFit], p: Propagated) -> dict[str, str]:
