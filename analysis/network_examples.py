@@ -206,8 +206,8 @@ def fits(
     rows = []
     for name, (_, mean, spread) in chosen.items():
         got, sd = float(np.mean(found[name])), float(np.std(found[name], ddof=1))
-        # Both are means of realisations; the other one is of 200.
-        error = sd * np.sqrt(1 / runs + 1 / 200)
+        # Both are means of realisations; the other one, like its spread, is of 200.
+        error = spread * np.sqrt(1 / runs + 1 / 200)
         rows.append({"predictor": name, "fit": got, "sd": sd, "runs": runs})
         yield Target(
             f"fit over {runs} realisations, {name}",
