@@ -19,15 +19,18 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
+from analysis.pendulum_rig_tables import Output
+from analysis.ship_bias_figures import imperfections, speed
+from analysis.ship_bias_figures import sea as sea_figure
 from analysis.ship_bias_hidden import Hidden, diagnosed
 from analysis.ship_bias_mistakes import straight_course, suspected
 from analysis.ship_bias_records import IMPERFECTIONS, SHIP, Imperfection, Rudder, answers, weakest
-from analysis.ship_bias_speed import against_speed, at_sea
+from analysis.ship_bias_speed import AtSpeed, against_speed, at_sea
 from analysis.ship_bias_table import Row, mean_in_instruments, rows
 from analysis.targets import Target, conclude
 
@@ -42,7 +45,7 @@ BIASED = {
 """Imperfections that bias least squares, and in what of (m, zbar_m) it is asked for."""
 
 
-def excitation(is_quick: bool) -> Iterator[Target]:
+def excitation(is_quick: bool, out: Output) -> Iterator[Target]:
     """How nearly dependent the regressors are, with the thesis' added mass in sway and ours."""
     table = replace(SHIP, coefficients=replace(SHIP.coefficients, Y_vdot=-100.0))
     found = {}
@@ -56,7 +59,7 @@ def excitation(is_quick: bool) -> Iterator[Target]:
     )
 
 
-def table(is_quick: bool) -> Iterator[Target]:
+def table(is_quick: bool, out: Output) -> Iterator[Target]:
     """The table of imperfections."""
     plans = ((Rudder(), 4 if is_quick else 12), (Rudder(mean=0.1), 3 if is_quick else 6))
     for rudder, draws in plans:
@@ -65,6 +68,9 @@ def table(is_quick: bool) -> Iterator[Target]:
         for row in rows(list(IMPERFECTIONS), rudder, draws, seconds=300.0):
             print(f"    {row}", flush=True)
             made[row.imperfection, row.method] = row
+        label = f"imperfections_mean_{rudder.mean:g}"
+        out.table(label, [row.numbers() for row in made.values()])
+        out.figure(label, imperfections(list(made.values()), rudder.mean))
         for name in IMPERFECTIONS:
             squares, instruments = made[name, "LS"], made[name, "IV"]
             z = np.abs(instruments.bias) * np.sqrt(len(instruments.kept))
@@ -106,7 +112,7 @@ EXPECTED: Mapping[Hidden, tuple[str, str] | None] = {
 }
 
 
-def hidden_effects(is_quick: bool) -> Iterator[Target]:
+def hidden_effects(is_quick: bool, out: Output) -> Iterator[Target]:
     """What is named."""
     for hidden, wanted in EXPECTED.items():
         if is_quick and hidden != "damping":
@@ -129,7 +135,7 @@ def hidden_effects(is_quick: bool) -> Iterator[Target]:
             )
 
 
-def sea_states(is_quick: bool) -> Iterator[Target]:
+def sea_states(is_quick: bool, out: Output) -> Iterator[Target]:
     """Standard deviation and bias of m against significant wave height."""
     found = [
         at_sea(Hs, 3 if is_quick else 6, seconds=300.0)
@@ -137,6 +143,8 @@ def sea_states(is_quick: bool) -> Iterator[Target]:
     ]
     for sea in found:
         print(f"  {sea}", flush=True)
+    out.table("sea_states", [row for sea in found for row in sea.rows()])
+    out.figure("sea_states", sea_figure(found))
     spread = [float(np.nanstd(s.by_instruments[:, 0], ddof=1)) for s in found]
     calm, rough = found[0], next(s for s in found if s.Hs == 0.3)
     yield Target(
@@ -162,10 +170,12 @@ def sea_states(is_quick: bool) -> Iterator[Target]:
     )
 
 
-def speeds(is_quick: bool) -> Iterator[Target]:
+def speeds(is_quick: bool, out: Output) -> Iterator[Target]:
     """The coefficients against speed."""
+    found: list[AtSpeed] = []
     for U in (0.6, 1.4) if is_quick else (0.6, 0.8, 1.0, 1.2, 1.4):
-        for row in against_speed(U, seconds=300.0, seed=1):
+        found += against_speed(U, seconds=300.0, seed=1)
+        for row in found[-3:]:
             print(f"  {row}")
             yield Target(
                 f"{row.name} at {U:g} m/s",
@@ -173,9 +183,11 @@ def speeds(is_quick: bool) -> Iterator[Target]:
                 "within 3.5",
                 abs(row.z) < 3.5,
             )
+    out.table("speeds", [asdict(row) for row in found])
+    out.figure("speeds", speed(found))
 
 
-def mistakes(is_quick: bool) -> Iterator[Target]:
+def mistakes(is_quick: bool, out: Output) -> Iterator[Target]:
     """Signs and a straight course."""
     for name in ("none", "all of these"):
         found = suspected(name, seconds=120.0, seed=0)
@@ -197,9 +209,15 @@ def mistakes(is_quick: bool) -> Iterator[Target]:
             "refuse, and say why",
             "Error" in said["instruments"],
         )
+        yield Target(
+            f"straight course, rudder +-{jitter:g} rad: least squares",
+            "warns" if "noise" in said["warnings"] else "does not warn",
+            "warns of noise",
+            "noise" in said["warnings"],
+        )
 
 
-SECTIONS: Mapping[str, Callable[[bool], Iterator[Target]]] = {
+SECTIONS: Mapping[str, Callable[[bool, Output], Iterator[Target]]] = {
     "Excitation": excitation,
     "1. One imperfection at a time": table,
     "2. Hidden effects": hidden_effects,
@@ -213,12 +231,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the study; 1 if a target is missed."""
     parser = argparse.ArgumentParser(prog="python -m analysis.ship_bias")
     parser.add_argument("--quick", action="store_true", help="few draws")
-    parser.add_argument("--out", type=Path, help="folder for ship_bias.json")
+    parser.add_argument("--out", type=Path, help="folder for ship_bias.json, tables and figures")
     options = parser.parse_args(arguments)
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+    out = Output(options.out)
     targets: list[Target] = []
     for title, section in SECTIONS.items():
         print(title)
-        for target in section(options.quick):
+        for target in section(options.quick, out):
             print(f"  {target}", flush=True)
             targets.append(target)
     return conclude(targets, options.out / "ship_bias.json" if options.out else None)

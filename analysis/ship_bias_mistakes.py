@@ -9,7 +9,7 @@ import casid
 from analysis.ship_bias_records import IMPERFECTIONS, Rudder, answers
 from analysis.ship_bias_table import LAGS, SOUGHT, Estimator, with_background
 from casid.instrumental.black_box_reference import black_box_instruments, black_box_references
-from casid.instrumental.estimators import instrumental_variables
+from casid.instrumental.estimators import instrumental_variables, least_squares
 from casid.sign_flips import sign_flips
 from problems import ship
 
@@ -55,8 +55,7 @@ def straight_course(*, seconds: float, seed: int, jitter: float = 0.0) -> dict[s
         )
     except casid.CasidError as error:
         said["instruments"] = f"{type(error).__name__}: {error}"
-    by_squares = Estimator.make().least_squares(records)
-    said["least squares"] = ", ".join(
-        f"{n} = {v:.3g}" for n, v in zip(SOUGHT, by_squares, strict=True)
-    )
+    by_squares = least_squares(Estimator.make().model, records)
+    said["least squares"] = ", ".join(f"{n} = {by_squares[n]:.3g}" for n in SOUGHT)
+    said["warnings"] = "; ".join(by_squares.estimate.warnings)
     return said

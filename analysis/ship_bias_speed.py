@@ -71,6 +71,15 @@ class AtSea:
     by_instruments: Array
     roll_torque: float  # rms [N m]
 
+    def rows(self) -> list[dict[str, str | float]]:
+        """A row for each method and draw."""
+        methods = {"LS": self.by_squares, "IV": self.by_instruments}
+        return [
+            {"Hs": self.Hs, "method": method, "error of m": float(m), "error of zbar_m": float(z)}
+            for method, errors in methods.items()
+            for m, z in errors
+        ]
+
     def __str__(self) -> str:
         text = f"Hs = {self.Hs:.2f} m ({self.roll_torque:.4f} N m rms)"
         for method, errors in (("LS", self.by_squares), ("IV", self.by_instruments)):

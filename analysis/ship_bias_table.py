@@ -116,6 +116,16 @@ class Row:
         """Draws without an estimate."""
         return len(self.errors) - len(self.kept)
 
+    def numbers(self) -> dict[str, str | float]:
+        """The row as it is written down, nan where there are no two estimates."""
+        told: dict[str, str | float] = {"imperfection": self.imperfection, "method": self.method}
+        for i, name in enumerate(SOUGHT):
+            enough = len(self.kept) > 1
+            told[f"bias of {name}"] = float(self.bias[i]) if enough else np.nan
+            told[f"its standard error, {name}"] = float(self.monte_carlo[i]) if enough else np.nan
+            told[f"std of {name}"] = float(self.deviation[i]) if enough else np.nan
+        return told | {"draws": len(self.errors), "refused": self.refused}
+
     def __str__(self) -> str:
         if len(self.kept) < 2:
             return f"{self.imperfection:<32}{self.method:<4} no estimate in {self.refused} draws"
