@@ -152,8 +152,8 @@ def test_names_are_told_apart_and_near_ones_suggested() -> None:
         system.with_signals({"y": "w"})
     with pytest.raises(ModelError, match="truth of c: no coefficient of this regression, .* has b"):
         regression_limit(system, Regression("y", {"b": "u_K"}), {"c": 1})
+    stage = FirstStage("y", ["w"])
     with pytest.raises(ModelError, match="generated signal u_K is a signal of the system; rename"):
-        stage = FirstStage("y", ["w"])
         regression_limit(system, Regression("y", {"b": "u_K"}, generated={"u_K": stage}))
 
 

@@ -16,7 +16,18 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from analysis.static_examples_formulas import (
-    FORMS, ClosedForm, a1, a2, alpha, bK, bU, l1, l2, le, lO, lu, s,
+    FORMS,
+    ClosedForm,
+    a1,
+    a2,
+    alpha,
+    bK,
+    bU,
+    l1,
+    le,
+    lO,
+    lu,
+    s,
 )  # fmt: skip
 from casid.asymptotics.asymptotics import Asymptotics
 from casid.asymptotics.limits import regression_limit
