@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         read_equations,
     )
     from casid.identifiability.inputs.input_classes import Exosystem
+    from casid.identifiability.invariants import invariants
     from casid.identifiability.mends.candidates import (
         Candidate,
         known_initial_state,
@@ -131,6 +132,7 @@ __all__ = [
     "estimate_from_moments",
     "identify",
     "instrumental_variables",
+    "invariants",
     "known_initial_state",
     "known_parameter",
     "least_squares",
@@ -177,6 +179,7 @@ _HOME = {
         "identifiability.assess": "assess_identifiability",
         "identifiability.assessment": "Assessment",
         "identifiability.inputs.input_classes": "Exosystem",
+        "identifiability.invariants": "invariants",
         "identifiability.mends.candidates": "Candidate known_initial_state known_parameter replica "
         "sensor",
         "identifiability.equations.equation_file": "EquationFile parse_system read_equations",

@@ -72,6 +72,38 @@ def require_identifiable(
     raise IdentifiabilityError(_refusal(model, experiments, symbols, result))
 
 
+def unseen_families(model: Model, experiments: Sequence[Experiment]) -> tuple[Family, ...]:
+    """Curves of unknown parameters that no data from these experiments can tell apart.
+
+    Returns
+    -------
+    one for each parameter that would have to be known; empty where all are identifiable.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If the rank, or how parameters move, is not found in time.
+    """
+    result = observability(_systems(model, experiments, None, (), False), time_limit=TIME_LIMIT)
+    if result.is_partial:
+        raise IdentifiabilityError(
+            f"{model.name}: the rank was not decided within {TIME_LIMIT:g} s; give some of the "
+            "parameters known values"
+        )
+    if result.deficiency == 0:
+        return ()
+    point = result.points[0]
+    fixing = fixing_sets(point.information, result.parameters, point.prime, limit=100)
+    symbols = _systems(model, experiments, None, (), False, generic=True)
+    found, _, note = families(symbols, fixing, time_limit=10 * TIME_LIMIT)
+    if len(found) != fixing.size:
+        raise IdentifiabilityError(
+            f"{model.name}: {note or 'not every family was found'}; give one of each of these a "
+            f"known value: {'; '.join(', '.join(g) for g in fixing.groups)}"
+        )
+    return found
+
+
 def _systems(
     model: Model,
     experiments: Sequence[Experiment],
@@ -84,7 +116,7 @@ def _systems(
     chosen = model.copy()
     for p in free or ():
         chosen.parameters[p] = replace(model.parameter_named(p), value=None)
-    named = [replace(e, name=_word(e.name)) for e in experiments]
+    named = [replace(e, name=word(e.name)) for e in experiments]
     read = translated(chosen, named, generic=generic, resting=False)
     systems = []
     for found, e in zip(read.systems, experiments, strict=True):
@@ -94,7 +126,7 @@ def _systems(
     return tuple(systems)
 
 
-def _word(name: str) -> str:
+def word(name: str) -> str:
     """An experiment's name as a part of the name of a constant."""
     return re.sub(r"\W+", "_", name).strip("_") or "record"
 
@@ -136,5 +168,6 @@ def _sentence(group: tuple[str, ...], fixing: FixingSets, found: Sequence[Family
     many = "one" if size == 1 else str(size)
     return (
         f"{named} cannot be told apart{instead}: give {many} of them a known value, or ask "
-        "casid.assess_identifiability for a sensor or experiment that mends it."
+        "casid.assess_identifiability for a sensor or experiment that mends it; casid.invariants "
+        "reports what is told all the same."
     )
