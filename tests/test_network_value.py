@@ -12,9 +12,12 @@ import sympy
 
 import casid
 from casid.errors import ModelError
-from casid.networks.drawing import network_figure, network_text, roles
+from casid.networks.drawing import network_figure, roles, text_drawing
 from casid.networks.dynamics import is_stable, network_states, refuse_unstable
+from casid.networks.elimination import immerse
+from casid.networks.indirect_equations import indirect_equations
 from casid.networks.network import Signal, dynamic_network
+from casid.networks.node_sets import node_sets
 from casid.networks.well_posed import algebraic_loops
 from casid.transfer.rational import Rational
 from problems import network8
@@ -149,6 +152,39 @@ def test_algebraic_loops_are_told_in_order_of_the_signal():
     assert [set(loop) for loop in algebraic_loops(network)] == [{1, 2, 3}]
     (loop,) = algebraic_loops(network)
     assert all((loop[(i + 1) % 3], loop[i]) in network.modules for i in range(3))
+    assert "algebraic loops: w" in str(network)
+    assert "no algebraic loop" in str(network8.network)
+
+
+def test_elimination_by_measurement_makes_algebraic_loops_of_its_own():
+    """Section 4.3.1: G25 / G45 of (4.31) has a direct term, and so may a way back to w4."""
+    modules = dict(network8.network.modules)
+    sets = node_sets(network8.network, 2)
+    assert algebraic_loops(indirect_equations(network8.network, sets)) == []
+    direct_back = dynamic_network(modules | {(4, 2): 0.3}, measured=network8.MEASURED)
+    assert algebraic_loops(direct_back) == []
+    found = algebraic_loops(indirect_equations(direct_back, node_sets(direct_back, 2)))
+    assert [set(loop) for loop in found] == [{2, 4}]
+    with pytest.raises(ModelError, match="eliminate without at= and omega="):
+        algebraic_loops(indirect_equations(direct_back, sets, at=3))
+
+
+def test_a_network_in_continuous_time_is_eliminated_and_judged_as_one():
+    s = Rational.derivative()
+    network = dynamic_network(
+        {(1, 2): 1 / (s + 1), (2, 1): 2 / (s + 3), (1, 3): 1 / (s + 2), (3, 2): 4 / (s + 5)},
+        measured=[1, 2],
+    )
+    assert network.variable == "s"
+    assert "slowest pole s = " in str(network)
+    kept = immerse(network, [1, 2]).module(1, 2)
+    assert kept.equals(1 / (s + 1) + 4 / ((s + 2) * (s + 5)))
+    omega = np.array([0.3, 2.0])
+    complex_ones = immerse(network, [1, 2], omega=omega).module(1, 2)
+    np.testing.assert_allclose(complex_ones, kept.response(1j * omega), rtol=1e-12)
+    feedback = dynamic_network({(1, 2): 4 / (s + 1), (2, 1): 1 / (s + 3)})
+    with pytest.raises(ModelError, match="right half plane.*lower a loop gain"):
+        refuse_unstable(feedback)
 
 
 def test_an_unstable_network_is_told_and_refused_where_moments_are_needed():
@@ -223,5 +259,5 @@ def test_the_drawing_marks_target_observed_unobserved_and_confounding_nodes():
     notes = [a.text for a in figure.layout.annotations if a.text]
     assert set(notes) == {f"G{i}{k}" for i, k in network8.network.modules} | {"delta_6"}
     assert len([a for a in figure.layout.annotations if a.showarrow]) == 13
-    text = network_text(network8.network, 2)
+    text = text_drawing(network8.network, 2)
     assert "w5    unobserved      from w2, w8; to w2, w4" in text

@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
-
 from casid.errors import ModelError
 from casid.networks.elimination import immerse
-from casid.networks.equations import NodeEquations, random_point
+from casid.networks.equations import NodeEquations
 from casid.networks.graph import path_past, path_text
 from casid.networks.network import Network, Node, labels, node_label
+from casid.networks.residues import random_equations
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +77,8 @@ def confounders_in(
 def confounders(network: Network, output: Node, inputs: Iterable[Node]) -> tuple[Confounder, ...]:
     """The confounders of an output and its predictor inputs, all other nodes immersed.
 
-    Whether a signal arrives is decided exactly at a random rational q, so that what cancels is not
-    counted; how it arrives is told as paths past the kept nodes.
+    Whether a signal arrives is decided exactly (`casid.networks.residues`), so that what cancels is
+    not counted; how it arrives is told as paths past the kept nodes.
 
     Raises
     ------
@@ -92,8 +91,7 @@ def confounders(network: Network, output: Node, inputs: Iterable[Node]) -> tuple
             f"{node_label(output)} cannot be its own predictor input; take it out of the inputs"
         )
     kept = (output, *chosen)
-    q, values = random_point(network, np.random.default_rng(31))
-    equations = immerse(network, kept, at=q, values=values)
+    equations = immerse(random_equations(network, 31), kept)
     return tuple(
         Confounder(
             c.node,

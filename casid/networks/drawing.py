@@ -93,7 +93,6 @@ def network_figure(
     sorted_nodes = roles(network, target, inputs)
     places = _layout(network)
     figure = go.Figure()
-    _add_modules(figure, network, places)
     confounding = [c.node for c in sorted_nodes.confounders]
     _add_markers(
         figure, network, places, confounding, "confounding disturbance", size=46, color="#d1495b"
@@ -103,6 +102,7 @@ def network_figure(
         _add_markers(figure, network, places, chosen, role, size=36, color=colour)
     figure.update_layout(
         title=title or network.name,
+        annotations=_notes(network, places),
         plot_bgcolor="white",
         xaxis={"visible": False},
         yaxis={"visible": False, "scaleanchor": "x"},
@@ -111,7 +111,7 @@ def network_figure(
     return figure
 
 
-def network_text(
+def text_drawing(
     network: Network, target: Node | None = None, inputs: Iterable[Node] | None = None
 ) -> str:
     """The same as text: every node with its role, and the modules into and out of it."""
@@ -174,45 +174,51 @@ def _hover(network: Network, n: Node) -> str:
     return f"{node_label(n)} = {' + '.join(parts) or '0'}"
 
 
-def _add_modules(figure: go.Figure, network: Network, places: dict[Node, Place]) -> None:
+def _notes(network: Network, places: dict[Node, Place]) -> list[dict[str, Any]]:
+    """Arrows and labels of modules, and names of excitations."""
     are_labelled = len(network.modules) <= _LABELLED
+    arrows, names = [], []
     for to, source in network.modules:
         start, end = _shortened(places[source], places[to], (source, to) in network.modules)
-        _arrow(figure, start, end)
+        arrows.append(_arrow(start, end))
         if are_labelled:
             # Nearer to the source, so that the labels of two modules back and forth part.
             x, y = (0.62 * a + 0.38 * b for a, b in zip(start, end, strict=True))
-            figure.add_annotation(
-                x=x,
-                y=y,
-                text=edge_label((to, source)),
-                showarrow=False,
-                font={"size": 11},
-                bgcolor="rgba(255,255,255,0.8)",
-            )
-    for n in network.excitations:
-        figure.add_annotation(
-            x=places[n][0], y=places[n][1] + 0.15, text=f"delta_{n}", showarrow=False
-        )
+            names.append(_name(x, y, edge_label((to, source)), 11))
+    names += [
+        _name(places[n][0], places[n][1] + 0.15, f"delta_{n}", 12) for n in network.excitations
+    ]
+    return arrows + names
 
 
-def _arrow(figure: go.Figure, start: Place, end: Place) -> None:
-    common: dict[str, Any] = dict.fromkeys(("xref", "axref"), "x") | dict.fromkeys(
-        ("yref", "ayref"), "y"
-    )
-    figure.add_annotation(
-        x=end[0],
-        y=end[1],
-        ax=start[0],
-        ay=start[1],
-        **common,
-        text="",
-        showarrow=True,
-        arrowhead=2,
-        arrowsize=1.2,
-        arrowwidth=1.2,
-        arrowcolor="#777777",
-    )
+def _name(x: float, y: float, text: str, size: int) -> dict[str, Any]:
+    return {
+        "x": x,
+        "y": y,
+        "text": text,
+        "showarrow": False,
+        "font": {"size": size},
+        "bgcolor": "rgba(255,255,255,0.8)",
+    }
+
+
+def _arrow(start: Place, end: Place) -> dict[str, Any]:
+    return {
+        "x": end[0],
+        "y": end[1],
+        "ax": start[0],
+        "ay": start[1],
+        "xref": "x",
+        "yref": "y",
+        "axref": "x",
+        "ayref": "y",
+        "text": "",
+        "showarrow": True,
+        "arrowhead": 2,
+        "arrowsize": 1.2,
+        "arrowwidth": 1.2,
+        "arrowcolor": "#777777",
+    }
 
 
 def _shortened(a: Place, b: Place, has_return: bool) -> tuple[Place, Place]:

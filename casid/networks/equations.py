@@ -28,7 +28,7 @@ class Field:
 
     Attributes
     ----------
-    name : "symbolic", "exact" or "frequencies".
+    name : "symbolic", "exact", "frequencies" or "residues".
     one : its unit.
     is_zero : whether an element vanishes; over frequencies nothing computed counts as zero.
     read : a `Rational` as an element.
@@ -110,7 +110,11 @@ def node_equations(
     ModelError
         If a parameter lacks its number, or the point is a pole of a module.
     """
-    field = _field(network, at, omega, values)
+    return equations_over(network, _field(network, at, omega, values))
+
+
+def equations_over(network: Network, field: Field) -> NodeEquations:
+    """The equations of a network over a field of one's own."""
     G: dict[Node, Row] = {n: {} for n in network.nodes}
     for (to, source), g in network.modules.items():
         try:

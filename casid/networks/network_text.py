@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from casid.networks.graph import path_text
 from casid.networks.network import Network, edge_label, labels, node_label
 
 if TYPE_CHECKING:
     from casid.networks.equations import NodeEquations
 
 _LONGEST = 400  # characters beyond which an entry is left out
+_LOOPS = 5  # algebraic loops that are told
 
 
 def page(network: Network) -> str:
@@ -22,7 +24,7 @@ def page(network: Network) -> str:
         lines.append(f"  {node_label(n)} = {' + '.join(terms) or '0'}")
     lines += [f"  {edge_label(edge)} = {g}" for edge, g in network.modules.items()]
     lines.append(f"  measured: {labels(network.measured)}; not: {labels(network.unmeasured)}")
-    lines.append(f"  {_stability(network)}")
+    lines += [f"  {line}" for line in (_loops(network), _stability(network)) if line]
     return "\n".join(lines)
 
 
@@ -38,6 +40,17 @@ def equations_text(equations: NodeEquations) -> str:
                 terms.append(name(k) if entry == "1" else f"({entry}) {name(k)}")
         lines.append(f"  {node_label(n)} = {' + '.join(terms) or '0'}")
     return "\n".join([*lines, "  e = delta + tau"])
+
+
+def _loops(network: Network) -> str:
+    from casid.networks.well_posed import algebraic_loops
+
+    if network.parameters:
+        return ""
+    loops = algebraic_loops(network, most=_LOOPS + 1)
+    told = "; ".join(path_text((*loop, loop[0])) for loop in loops[:_LOOPS])
+    more = " and more" if len(loops) > _LOOPS else ""
+    return f"algebraic loops: {told}{more}" if loops else "no algebraic loop"
 
 
 def _stability(network: Network) -> str:

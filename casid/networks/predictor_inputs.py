@@ -3,7 +3,8 @@
 A set of inputs keeps G_ji by immersion when it holds i, blocks every other path from i to j, and
 every loop through j (Dankers, Van den Hof, Bombois & Heuberger 2016, Proposition 3). The smallest
 sets are found by branching on what is violated: a set that leaves a path open can only be mended by
-a measured node on that path, so every minimal set is met, in order of size.
+a measured node on that path, so every minimal set is met. Sets that may become the smallest come
+first, by the number of open paths that share no measured node.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ from dataclasses import dataclass
 
 from casid.errors import ModelError
 from casid.networks.confounding import Confounder, confounders
-from casid.networks.graph import path_text
+from casid.networks.graph import network_readers, path_text
 from casid.networks.network import Edge, Network, Node, edge_label, labels, node_label
 from casid.networks.propositions import open_path
+from casid.networks.separators import disjoint_open_paths
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,13 +109,25 @@ def predictor_inputs(
     """
     eyes = network.measured if sensors is None else network.with_sensors(sensors).measured
     _refuse(network, target, source, eyes)
+    blind = _past_all_sensors(network, target, source, eyes)
+    if blind is not None:
+        return InputSearch((target, source), (), (blind,), True)
     place = {n: i for i, n in enumerate(network.nodes)}
-    heap: list[tuple[int, tuple[int, ...]]] = [(1, (place[source],))]
-    seen = {heap[0][1]}
+    readers = network_readers(network)
+    others = frozenset(eyes) - {target, source}
+
+    def least(chosen: tuple[int, ...]) -> float:
+        """The size that a set which holds `chosen` and suffices has at least."""
+        inputs = {network.nodes[i] for i in chosen}
+        return len(chosen) + disjoint_open_paths(readers, target, source, inputs, others)
+
+    start = (place[source],)
+    heap: list[tuple[float, int, tuple[int, ...]]] = [(least(start), 1, start)]
+    seen: set[tuple[int, ...]] = {start}
     found: list[InputSet] = []
     refused: list[RefusedSet] = []
     while heap and len(found) < most and len(found) + len(refused) < tries:
-        _, chosen = heapq.heappop(heap)
+        _, _, chosen = heapq.heappop(heap)
         inputs = tuple(network.nodes[i] for i in chosen)
         if any(set(f.inputs) <= set(inputs) for f in found):
             continue
@@ -126,8 +140,18 @@ def predictor_inputs(
             grown = tuple(sorted((*chosen, place[n])))
             if grown not in seen:
                 seen.add(grown)
-                heapq.heappush(heap, (len(grown), grown))
+                heapq.heappush(heap, (least(grown), len(grown), grown))
+    refused.sort(key=lambda r: len(r.inputs))
     return InputSearch((target, source), tuple(found), tuple(refused), not heap)
+
+
+def _past_all_sensors(
+    network: Network, target: Node, source: Node, eyes: tuple[Node, ...]
+) -> RefusedSet | None:
+    """All sensors as inputs, where even they leave a path or loop open."""
+    every = tuple(n for n in eyes if n != target)
+    verdict = _judged(network, target, source, every, eyes, False)
+    return verdict if isinstance(verdict, RefusedSet) else None
 
 
 def _judged(

@@ -1,7 +1,7 @@
 """When a module survives elimination: Propositions 3.1 and 4.1 as checks that name what fails.
 
 Both are sufficient. Beside the conditions each verdict has the conclusion itself, decided exactly
-at random rational q.
+at random points (`casid.networks.residues`).
 """
 
 from __future__ import annotations
@@ -10,18 +10,16 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from casid.errors import ModelError
 from casid.networks.elimination import immerse
-from casid.networks.equations import NodeEquations, node_equations, random_point
 from casid.networks.graph import path_past, path_text
 from casid.networks.indirect_equations import indirect_equations
 from casid.networks.left_inverse import left_inverse
 from casid.networks.network import Edge, Network, Node, edge_label, labels, node_label
 from casid.networks.node_sets import NodeSets
+from casid.networks.residues import random_equations
 
-_POINTS = 2  # random rational q at which a conclusion is decided
+_SEEDS = (32, 33)  # of the random points at which a conclusion is decided
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +82,7 @@ class Verdict:
         return "\n".join(
             [f"{self.proposition} for {edge_label(self.module)}: {_told(self.holds)}"]
             + [f"  {c}" for c in self.conditions]
-            + [f"  {edge_label(self.module)} {end} (exact, at random rational q)"]
+            + [f"  {edge_label(self.module)} {end} (exact, at random q)"]
         )
 
 
@@ -214,23 +212,21 @@ def _kept_by_observation(network: Network, sets: NodeSets, source: Node) -> bool
 
 
 def _is_kept(network: Network, module: Edge, eliminate: Any) -> bool | None:
-    rng = np.random.default_rng(32)
-    for _ in range(_POINTS):
-        q, values = random_point(network, rng)
-        equations: NodeEquations = node_equations(network, at=q, values=values)
+    to, source = module
+    for seed in _SEEDS:
+        equations = random_equations(network, seed)
         try:
             after = eliminate(equations)
         except ModelError:  # a loop gain of one at every q: there is no such model
             return None
-        if after.module(*module) != equations.module(*module):
+        if after.G[to].get(source) != equations.G[to].get(source):
             return False
     return True
 
 
 def _unrecovered(network: Network, sets: NodeSets) -> str:
-    q, values = random_point(network, np.random.default_rng(33))
     try:
-        left_inverse(node_equations(network, at=q, values=values), sets.sU, (*sets.D, *sets.I))
+        left_inverse(random_equations(network, _SEEDS[0]), sets.sU, (*sets.D, *sets.I))
     except ModelError as reason:
         return str(reason)
     return ""

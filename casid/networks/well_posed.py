@@ -6,7 +6,7 @@ of direct terms on that set, so only nodes that share an algebraic loop are look
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -19,19 +19,32 @@ from casid.networks.network import Edge, Network, Node, edge_label, labels
 if TYPE_CHECKING:
     import networkx
 
+    from casid.networks.equations import NodeEquations
+
 _ALL_MINORS = 14  # nodes of one algebraic loop up to which every minor is computed
 _SAMPLED = 2000  # subsets looked at in a larger one
 
 
-def algebraic_loops(network: Network, most: int = 100) -> list[tuple[Node, ...]]:
+def algebraic_loops(network: Network | NodeEquations, most: int = 100) -> list[tuple[Node, ...]]:
     """Loops of modules with direct terms, each as its nodes in order of the signal; at most `most`.
 
-    A symbol that stands for a whole module is taken to have a direct term.
+    Parameters
+    ----------
+    network : a network, or symbolic equations after an elimination: elimination by measurement
+        makes loops of its own, and where they are algebraic, direct prediction-error estimates may
+        be biased (Linder 2017, section 4.3.1). Improper modules count. A symbol that stands for a
+        whole module is taken to have a direct term.
+
+    Raises
+    ------
+    ModelError
+        If the equations are numbers, in which direct terms cannot be seen.
     """
     import networkx as nx
 
+    edges = direct_terms(network) if isinstance(network, Network) else _direct_edges(network)
     found = []
-    for cycle in nx.simple_cycles(_direct_graph(direct_terms(network))):
+    for cycle in nx.simple_cycles(_direct_graph(edges)):
         found.append(tuple(cycle))
         if len(found) == most:
             break
@@ -41,6 +54,19 @@ def algebraic_loops(network: Network, most: int = 100) -> list[tuple[Node, ...]]
 def direct_terms(network: Network) -> dict[Edge, Any]:
     """lim G_jk at infinity of every module that has a direct term."""
     return {edge: g.direct for edge, g in network.modules.items() if not g.is_strictly_proper}
+
+
+def _direct_edges(equations: NodeEquations) -> list[Edge]:
+    if equations.field.name != "symbolic":
+        raise ModelError(
+            f"direct terms cannot be seen in {equations!r}; eliminate without at= and omega="
+        )
+    return [
+        (to, source)
+        for to in equations.nodes
+        for source in equations.G[to]
+        if not equations.module(to, source).is_strictly_proper
+    ]
 
 
 def refuse_ill_posed(network: Network) -> None:
@@ -84,7 +110,7 @@ def _told(network: Network, nodes: tuple[Node, ...]) -> str:
     )
 
 
-def _direct_graph(terms: Mapping[Edge, Any]) -> networkx.DiGraph[Any]:
+def _direct_graph(terms: Iterable[Edge]) -> networkx.DiGraph[Any]:
     import networkx as nx
 
     graph: networkx.DiGraph[Any] = nx.DiGraph()
