@@ -13,6 +13,7 @@ Linder (2017), on the eight-node network of Example 3.2:
    lost; which of (3.41) and (4.31) fits better is not asserted, since with the printed modules they
    are practically tied.
 5. The errors-in-variables Kalman filter (6.13)-(6.21).
+6. Feedforward (6.22)-(6.24): an inverse estimated directly, against a model that is inverted.
 
 Targets are derived from theory, or are the numbers that were computed for the same network by
 other means; exit 1 where one is missed.
@@ -30,6 +31,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from analysis.network_examples_feedforward import compared
 from analysis.network_examples_figures import predictions, rings, signals
 from analysis.pendulum_rig_tables import Output
 from analysis.targets import Target, at_most, conclude, near
@@ -274,6 +276,7 @@ def study(out: Output, *, quick: bool, runs: int) -> Iterator[Target]:
     yield from recursion(out, quick=quick)
     yield from predictors(out, runs)
     yield from filtering(quick=quick)
+    yield from compared()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
