@@ -112,5 +112,6 @@ def invariant_zeros(A: Array, E: Array, C: Array, F: Array, relative: float = TO
     left = np.vstack([off @ E, F])
     U = -pseudo_inverse(left, scale) @ np.vstack([off @ A @ V, C @ V])
     values, vectors = np.linalg.eig(V.T @ (A @ V + E @ U))
+    values = np.where(np.abs(values) < 1e-8 * size(A), 0.0, values)  # a double zero at 0 is split
     states = V @ vectors
     return Zeros(values, states / np.linalg.norm(states, axis=0), np.zeros((nu, 0)))
