@@ -102,7 +102,8 @@ def directly(plant: Plant, instruments: Sequence[Term] | None) -> Rational:
             instruments=instruments,
         ),
     )
-    return found["g"] * q / (q - found["f"])
+    inverse: Rational = found["g"] * q / (q - found["f"])
+    return inverse
 
 
 def finite(plant: Plant, lags_used: int) -> Rational:
