@@ -33,7 +33,7 @@ she stands upright, `ship_stability`; what the rudder does, `ship_rudder`; the s
 model, in `ship_manoeuvring`, is written by itself, and has every term of (A.36). Sixteen of its
 coefficients are sought. The others are taken as known, since records of rudder steps tell them
 badly or not at all: heels of 2 deg say nothing of what is cubic in phi or multiplies phi, and
-X_|u|u and C_3 are told as a ratio alone, so that the propeller is known from a bollard pull.
+the propeller is taken to be known from a bollard pull.
 
     casid identify problems/ship_4dof.py
     casid identifiability problems/ship_4dof.py
