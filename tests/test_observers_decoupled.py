@@ -134,6 +134,39 @@ def test_the_observer_exists_iff_the_rank_test_3_71_holds(seed: int, zero: float
     assert np.linalg.matrix_rank(P, tol=1e-8) < n + 1  # (3.71) fails there
 
 
+@given(
+    seed=SEEDS,
+    rank_F=st.integers(0, 2),
+    ny=st.integers(2, 3),
+    powers=st.tuples(*[st.integers(-8, 8)] * 3),
+)
+@settings(max_examples=40, deadline=None)
+def test_units_do_not_decide_whether_an_observer_exists(
+    seed: int, rank_F: int, ny: int, powers: tuple[int, int, int]
+) -> None:
+    """An unknown input in other units, an output, time: zeros and verdict stay (time scales them).
+
+    Two inputs and two outputs, where zeros there are, or three, where there are none.
+    """
+    s = random_system(seed, rank_F=rank_F, ny=ny, Ts=0.0)
+    in_, out, clock = (10.0**p for p in powers)
+    clock = clock ** (1 / 4)
+    E, F = s.E * [in_, 1.0], s.F * [in_, 1.0]
+    rows = np.array([[out], *[[1.0]] * (ny - 1)])
+    t = UnknownInputSystem(
+        clock * s.A, clock * s.B, clock * E, rows * s.C, rows * s.D, rows * F, 0.0
+    )
+    one, other = existence(s), existence(t)
+    assert other.model.is_exact == one.model.is_exact
+    assert len(other.zeros.values) == len(one.zeros.values)
+    np.testing.assert_allclose(
+        np.sort_complex(other.zeros.values / clock),
+        np.sort_complex(one.zeros.values),
+        atol=1e-5 * (1 + np.max(np.abs(one.zeros.values), initial=0.0)),
+    )
+    assert other.exists == one.exists
+
+
 def test_the_refusal_names_the_unstable_zero_and_where_it_is() -> None:
     """y = (s - 2)/((s + 1)(s + 3)) u: zero at +2; a second output without it mends it."""
     A, E = np.array([[0.0, 1.0], [-3.0, -4.0]]), np.array([[0.0], [1.0]])

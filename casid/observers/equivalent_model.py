@@ -23,6 +23,7 @@ from casid.errors import ModelError
 from casid.observers.subspaces import (
     TOLERANCE,
     Zeros,
+    input_scale,
     invariant_zeros,
     pseudo_inverse,
     rank,
@@ -44,7 +45,7 @@ class EquivalentModel:
     C_til (ny, nu) : what the unknown input does to the derivative of ybar.
     leftover (nx, nu) : E Pu (I - pinv(Ctil) Ctil), what of the unknown input (1) leaves out: zero
         where (1) is exact, up to rounding.
-    leftover_size : its largest singular value, of which that of E is one.
+    leftover_size : its largest singular value relative to that of E, inputs scaled to size one.
     """
 
     system: UnknownInputSystem
@@ -80,31 +81,35 @@ def equivalent_model(
     Returns
     -------
     EquivalentModel
-        Exact if its `is_exact` says so; `existence` says what to do where it is not.
+        In (3.70) inputs count in units of their columns of [E; F], which changes nothing where F
+        has full column rank or vanishes, and for one input. Exact if its `is_exact` says so;
+        `existence` says what to do where it is not.
     """
     s = system
-    F_p = pseudo_inverse(s.F, tolerance * size(s.F))
-    P_y, P_u = np.eye(s.ny) - s.F @ F_p, np.eye(s.nu) - F_p @ s.F
+    scale = input_scale(s.E, s.F)  # of the inputs: a force in N beside one in kN
+    E, F = s.E / scale, s.F / scale
+    F_p = pseudo_inverse(F, tolerance * size(F))
+    P_y, P_u = np.eye(s.ny) - F @ F_p, np.eye(s.nu) - F_p @ F
     C, D = P_y @ s.C, P_y @ s.D
-    E_u = s.E @ P_u
+    E_u = E @ P_u
     C_til = C @ E_u
-    into = pseudo_inverse(C_til, tolerance * size(s.C) * size(s.E))
+    into = pseudo_inverse(C_til, tolerance * size(s.C) * size(E))
     B_bar = E_u @ into
     keep = np.eye(s.nx) - B_bar @ C
     leftover = E_u @ (np.eye(s.nu) - into @ C_til)
     return EquivalentModel(
         system=s,
-        A=keep @ (s.A - s.E @ F_p @ s.C),
-        B1=keep @ (s.B - s.E @ F_p @ s.D),
+        A=keep @ (s.A - E @ F_p @ s.C),
+        B1=keep @ (s.B - E @ F_p @ s.D),
         B2=-B_bar @ D,
-        G1=keep @ s.E @ F_p,
+        G1=keep @ E @ F_p,
         G2=B_bar @ P_y,
         C=C,
         D=D,
         P_y=P_y,
-        C_til=C_til,
-        leftover=leftover,
-        leftover_size=size(leftover) / max(size(s.E), 1e-300),
+        C_til=C_til * scale,
+        leftover=leftover * scale,
+        leftover_size=size(leftover) / max(size(E), 1e-300),
     )
 
 
@@ -159,7 +164,8 @@ def existence(system: UnknownInputSystem, *, tolerance: float = TOLERANCE) -> Ex
     """
     s = system
     model = equivalent_model(s, tolerance=tolerance)
-    kept = row_space(np.vstack([s.E, s.F]), tolerance * max(size(s.E), size(s.F), 1e-300)).T
+    scale = input_scale(s.E, s.F)
+    kept = row_space(np.vstack([s.E, s.F]) / scale, tolerance).T / scale[:, None]
     zeros = invariant_zeros(s.A, s.E @ kept, s.C, s.F @ kept, tolerance)
     unstable = np.array([z for z in zeros.values if s.is_unstable(z)], dtype=complex)
     hidden = unobservable_subspace(model.A, model.C, tolerance)
@@ -249,7 +255,8 @@ def _unstable_zero(s: UnknownInputSystem, zeros: Zeros) -> str:
 
 def _not_felt(model: EquivalentModel, also_unstable: bool) -> str:
     s = model.system
-    _, _, Vt = np.linalg.svd(model.leftover)
+    felt = input_scale(s.E, s.F)
+    _, _, Vt = np.linalg.svd(model.leftover / felt)
     step = "the next sample" if s.is_discrete else "the first derivative"
     moved = np.linalg.norm(model.leftover, axis=1)
     more = ", and it has unstable zeros besides" if also_unstable else ""

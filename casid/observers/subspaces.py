@@ -58,14 +58,38 @@ def rank(M: Array, tolerance: float) -> int:
 
 def unobservable_subspace(A: Array, C: Array, relative: float = TOLERANCE) -> Array:
     """Orthonormal basis (nx, k) of the largest A-invariant subspace in the null space of C."""
-    V = null_space(C, relative * max(size(C), 1e-300))
+    A, T = _balanced(A)
+    C = _unit_rows(C @ T)
+    A = A / max(size(A), 1e-300)
+    V = null_space(C, relative)
     while V.shape[1]:
         leaves = A @ V - V @ (V.T @ A @ V)
-        W = null_space(leaves, relative * max(size(A), 1e-300))
+        W = null_space(leaves, relative)
         if W.shape[1] == V.shape[1]:
             break
         V = V @ W
-    return V
+    return np.asarray(np.linalg.qr(T @ V)[0]) if V.shape[1] else V
+
+
+def input_scale(E: Array, F: Array) -> Array:
+    """(nu,) sizes of the unknown inputs' columns: their units must not decide what is zero."""
+    norm = np.hypot(np.linalg.norm(E, axis=0), np.linalg.norm(F, axis=0))
+    return np.asarray(np.where(norm > 0, norm, 1.0))
+
+
+def _balanced(A: Array) -> tuple[Array, Array]:
+    """T^-1 A T with rows and columns of like size, T diagonal: units of the states taken out."""
+    from scipy.linalg import matrix_balance
+
+    if not A.size:
+        return A, np.eye(len(A))
+    balanced, T = matrix_balance(A, permute=False)
+    return np.asarray(balanced), np.asarray(T)
+
+
+def _unit_rows(M: Array) -> Array:
+    norm = np.linalg.norm(M, axis=1, keepdims=True)
+    return np.asarray(M / np.where(norm > 0, norm, 1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,25 +117,32 @@ def invariant_zeros(A: Array, E: Array, C: Array, F: Array, relative: float = TO
     section 7.3: the zeros are the eigenvalues of A + E U on it, where u = U x keeps x there.
     """
     n, nu = E.shape
-    scale = relative * max(size(A), size(C), size(E), size(F), 1e-300)
+    speed = max(size(A), 1e-300)
+    A, T = _balanced(A / speed)
+    rows = _unit_rows(np.hstack([C @ T, F]))
+    E, C, F = np.linalg.solve(T, E) / speed, rows[:, :n], rows[:, n:]
+    for _ in range(3):  # rows and columns of size one, as well as both can be
+        scale = input_scale(E, F)
+        E, F = E / scale, F / scale
+        rows = _unit_rows(np.hstack([C, F]))
+        C, F = rows[:, :n], rows[:, n:]
     V = np.eye(n)
     while True:
         off = np.eye(n) - V @ V.T
         M = np.block([[off @ A @ V, off @ E], [C @ V, F]])
-        null = null_space(M, scale)
+        null = null_space(M, relative)
         kept = row_space(null[: V.shape[1]].T, relative).T
         if kept.shape[1] == V.shape[1]:
             break
         V = V @ kept
-    off = np.eye(n) - V @ V.T
-    hidden = null_space(np.vstack([off @ E, F]), scale)
+    left = np.vstack([(np.eye(n) - V @ V.T) @ E, F])
+    hidden = null_space(left, relative)
     if hidden.shape[1]:
         return Zeros(np.zeros(0), np.zeros((n, 0)), hidden)
     if V.shape[1] == 0:
         return Zeros(np.zeros(0), np.zeros((n, 0)), np.zeros((nu, 0)))
-    left = np.vstack([off @ E, F])
-    U = -pseudo_inverse(left, scale) @ np.vstack([off @ A @ V, C @ V])
+    U = -pseudo_inverse(left, relative) @ np.vstack([(np.eye(n) - V @ V.T) @ A @ V, C @ V])
     values, vectors = np.linalg.eig(V.T @ (A @ V + E @ U))
-    values = np.where(np.abs(values) < 1e-8 * size(A), 0.0, values)  # a double zero at 0 is split
-    states = V @ vectors
+    values = np.where(np.abs(values) < 1e-8, 0.0, values * speed)  # a double zero at 0 is split
+    states = T @ V @ vectors
     return Zeros(values, states / np.linalg.norm(states, axis=0), np.zeros((nu, 0)))
