@@ -13,6 +13,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from casid.errors import DataError
+
 if TYPE_CHECKING or __package__:
     from problems.ship_arm import PolynomialArm, TabulatedArm
 else:  # loaded by its path
@@ -123,6 +125,13 @@ class Load:
     m: float = 0.0
     zbar_m: float = 0.0
     y_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(a) for a in (self.m, self.zbar_m, self.y_m)):
+            raise DataError(
+                f"load: m = {self.m!r} kg, zbar_m = {self.zbar_m!r} m, y_m = {self.y_m!r} m. "
+                "Give finite numbers."
+            )
 
 
 LOAD_CASES = {

@@ -77,7 +77,8 @@ def require_stable(ship: Ship, load: Load) -> Stability:
     z_m, own = ship.z_m(load), ship.M * (ship.arm.slope + ship.z_g)
     most = -own / z_m if z_m < 0.0 and load.y_m == 0.0 and own > 0.0 else None
     angles = ", ".join(f"{math.degrees(a):.1f}" for a in found.rests)
-    fate = f"it lolls to {angles} deg" if found.rests else "it capsizes: no heel has a righting arm"
+    none = f"no heel up to {math.degrees(ship.arm.reach):.0f} deg is one of rest"
+    fate = f"it lolls to {angles} deg" if found.rests else f"it capsizes: {none}"
     raise SolveError(
         f"ship: with {load.m:g} kg at zbar_m = {load.zbar_m:g} m, y_m = {load.y_m:g} m "
         f"GM = {1e3 * found.GM:.1f} mm and {fate}. Carry it lower or nearer the centre line"

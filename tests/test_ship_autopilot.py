@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from casid.errors import DataError
-from problems.ship_4dof import HeadingAutopilot, Ship, Start, by_heading, linearised, simulate
+from problems.ship_4dof import HeadingAutopilot, Load, Ship, Start, by_heading, linearised, simulate
 from problems.ship_waves import Jonswap, Wind, sample_sea
 
 
@@ -63,6 +63,8 @@ def test_what_steers_away_is_refused():
         simulate(np.zeros(10), course=0.1)
     with pytest.raises(DataError, match=r"\(10, 4, 2\).*by_heading"):
         simulate(np.zeros(10), forces=np.zeros((10, 4, 2)))
+    with pytest.raises(DataError, match="m = nan kg.*Give finite numbers"):
+        Load(math.nan)
 
 
 def test_forces_by_heading_are_those_of_each_heading():
