@@ -388,12 +388,15 @@ def test_a_rank_deficient_measurement_names_the_inputs_that_cannot_be_recovered(
     """Two unknown inputs reach one sensor, or two sensors by proportional modules."""
     modules = {(1, 2): 1 / q, (1, 3): 1 / (q - 0.5), (4, 2): 1 / q, (4, 3): 2 / q}
     network = dynamic_network(modules, measured=[1, 4])
-    with pytest.raises(ModelError, match=r"w3 cannot be recovered from w4.* rank 1 of 2.*Measure"):
+    with pytest.raises(ModelError, match=r"w2, w3 cannot be recovered from w4:.*1 of 2.*Measure"):
         indirect_equations(network, node_sets(network, 1))
     modules |= {(5, 2): 3 / q, (5, 3): 6 / q}
     network = dynamic_network(modules, measured=[1, 4, 5])
-    with pytest.raises(ModelError, match=r"w3 cannot be recovered from w4, w5"):
+    with pytest.raises(ModelError, match=r"w2, w3 cannot be recovered from w4, w5"):
         indirect_equations(network, node_sets(network, 1))
+    more = dynamic_network(modules | {(1, 6): 1 / q, (5, 3): 6 / (q - 0.1)}, measured=[1, 4, 5])
+    with pytest.raises(ModelError, match=r"w6 cannot be recovered from w4, w5"):  # w2, w3 can
+        indirect_equations(more, node_sets(more, 1))
     mended = dynamic_network(modules | {(5, 3): 6 / (q - 0.1)}, measured=[1, 4, 5])
     assert set(indirect_equations(mended, node_sets(mended, 1)).G[1]) == {4, 5}
 

@@ -93,6 +93,14 @@ def test_the_problem_file_simulates_the_same_record_for_the_same_seed():
     assert (ROOT / "problems" / "network8.py").exists()
 
 
+def test_a_hub_of_many_close_poles_keeps_its_digits():
+    """Twenty modules into one node, poles 0.9 to 0.919: a companion matrix would lose them all."""
+    poles = [0.9 + 0.001 * k for k in range(20)]
+    modules = {(0, k + 1): 0.001 / (q - p) for k, p in enumerate(poles)}
+    found = [r.value.real for r in network_states(dynamic_network(modules)).poles()]
+    np.testing.assert_allclose(sorted(found), poles, rtol=1e-12)
+
+
 # -- well-posedness ----------------------------------------------------------------------------
 
 
@@ -234,6 +242,8 @@ def test_what_is_no_network_is_refused_with_the_mend(modules, options, match):
 def test_a_negative_variance_and_a_missing_module_are_refused():
     with pytest.raises(ModelError, match="variance of an external signal is -1.0; give >= 0"):
         Signal(-1.0)
+    with pytest.raises(ModelError, match="value is given for G18, which no module has; .*G12"):
+        network8.symbolic().substitute({"G18": 1})
     with pytest.raises(ModelError, match="there is no module G18 to take out"):
         network8.network.without((1, 8))
     with pytest.raises(ModelError, match="need a value for G12.* network.substitute"):

@@ -24,7 +24,7 @@ def left_inverse(
         If G lacks full column rank: the unknown nodes that cannot be recovered are named.
     """
     rows, pivots = _reduced(equations, unknown, measured)
-    lost = [u for u in unknown if u not in pivots]
+    lost = _undetermined(equations, unknown, rows, pivots)
     if lost:
         raise ModelError(
             f"{labels(lost)} cannot be recovered from {labels(measured)}: the modules from "
@@ -38,6 +38,22 @@ def left_inverse(
         for k, m in enumerate(measured)
         if usable(equations.field, rows[i][n + k])
     }
+
+
+def _undetermined(
+    equations: NodeEquations,
+    unknown: Sequence[Node],
+    rows: list[list[Element]],
+    pivots: dict[Node, Node],
+) -> list[Node]:
+    """Unknown nodes of which no combination of measured ones tells the value by itself."""
+    lost = {u: k for k, u in enumerate(unknown) if u not in pivots}
+    mixed = {
+        u
+        for i, u in enumerate(pivots)
+        if any(usable(equations.field, rows[i][k]) for k in lost.values())
+    }
+    return [u for u in unknown if u in lost or u in mixed]
 
 
 def recoverable(

@@ -83,7 +83,14 @@ class Network:
         return tuple(sorted({n for g in self.modules.values() for n in g.parameters}))
 
     def substitute(self, values: Mapping[str, Any]) -> Network:
-        """The network with parameters replaced by numbers, checked anew."""
+        """The network with parameters replaced by numbers, checked anew.
+
+        Raises
+        ------
+        ModelError
+            If no module has a parameter of that name.
+        """
+        _refuse_unknown_values(self.modules.values(), values, self.name)
         return dynamic_network(
             {edge: g.substitute(values) for edge, g in self.modules.items()},
             nodes=self.nodes,
@@ -174,9 +181,10 @@ def dynamic_network(
         If a module is a self loop or joins an unknown node, variables or sample times differ, a
         module is improper, or the network is ill-posed (the minor is named).
     """
-    read = {
-        _checked_edge(edge, name): _module(edge, g, Ts, values, name) for edge, g in modules.items()
-    }
+    read = {_checked_edge(edge, name): _module(edge, g, Ts, name) for edge, g in modules.items()}
+    if values:
+        _refuse_unknown_values(read.values(), values, name)
+        read = {edge: g.substitute(values) for edge, g in read.items()}
     known = _names(nodes, read, name)
     kept = {edge: g for edge, g in read.items() if not g.is_zero}
     sensors = _subset(known, known if measured is None else measured, "measured", name)
@@ -228,9 +236,9 @@ def _checked_edge(edge: Any, name: str) -> Edge:
     return edge
 
 
-def _module(edge: Edge, value: Any, Ts: float | None, values: Any, name: str) -> Rational:
+def _module(edge: Edge, value: Any, Ts: float | None, name: str) -> Rational:
     try:
-        g = rational(value, Ts=Ts, values=values)
+        g = rational(value, Ts=Ts)
     except ModelError as reason:
         raise ModelError(f"{name}: module {edge_label(edge)}: {reason}") from reason
     if not g.is_proper:
@@ -239,6 +247,18 @@ def _module(edge: Edge, value: Any, Ts: float | None, values: Any, name: str) ->
             "posed; delay or filter it"
         )
     return g
+
+
+def _refuse_unknown_values(
+    modules: Iterable[Rational], values: Mapping[str, Any], name: str
+) -> None:
+    names = {n for g in modules for n in g.parameters}
+    strange = sorted(set(values) - names)
+    if strange:
+        raise ModelError(
+            f"{name}: a value is given for {', '.join(strange)}, which no module has; their "
+            f"parameters are {', '.join(sorted(names)) or 'none'}"
+        )
 
 
 def _names(

@@ -139,9 +139,9 @@ def _sympy_coefficient(value: Any) -> Coefficient:
     value = sympy.nsimplify(value, rational=True) if value.has(sympy.Float) else value
     if value.is_Rational:
         return Fraction(int(value.p), int(value.q))
-    if value.is_number and not value.is_algebraic and not value.is_real:
-        raise ModelError(f"{value} is no real coefficient of a transfer function")
-    if value.is_number:
+    if value.is_number and not value.is_real:
+        raise ModelError(f"{value} is no real coefficient of a transfer function; look for a 1/0")
+    if value.is_number:  # irrational: as its nearest float
         return _decimal(float(value))
     return value
 

@@ -19,9 +19,9 @@ Matrices = tuple[Array, Array, Array, Array]
 def state_space(function: Rational | RationalMatrix) -> Any:
     """A `control.StateSpace`, minimal where there is one output or one input.
 
-    One output: observer form over the row's least common denominator. One input: its transpose.
-    Several of both: the smaller of rows in observer form and columns in controller form, which
-    need not be minimal (`mcmillan_degree` has the least order).
+    One output: observer form over the least common denominator of entries that share poles, block
+    by block. One input: its transpose. Several of both: the smaller of rows in observer form and
+    columns in controller form, which need not be minimal (`mcmillan_degree` has the least order).
 
     Raises
     ------
@@ -110,26 +110,47 @@ def _order(rows: Any) -> int:
 
 def _observer_form(rows: Any) -> Matrices:
     m, n = len(rows), len(rows[0])
-    blocks = []
-    for row in rows:
-        below = poly.common_multiple(g.denominator for g in row)
-        order = poly.degree(below)
-        A, B = np.zeros((order, order)), np.zeros((order, n))
-        A[:, :1] = -np.array([float(c) for c in below[1:]]).reshape(order, 1)
-        A[:-1, 1:] = np.eye(max(order - 1, 0))
-        for k, g in enumerate(row):
-            fill = poly.divide(below, g.denominator)[0]
-            rest = poly.add(poly.multiply(g.numerator, fill), poly.scale(below, -g.direct))
-            B[order - len(rest) :, k] = [float(c) for c in rest]
-        blocks.append((A, B))
-    N = sum(len(A) for A, _ in blocks)
+    blocks = [(i, *_block(row, group, n)) for i, row in enumerate(rows) for group in _groups(row)]
+    N = sum(len(a) for _, a, _ in blocks)
     A, B, C = np.zeros((N, N)), np.zeros((N, n)), np.zeros((m, N))
     start = 0
-    for i, (a, b) in enumerate(blocks):
+    for i, a, b in blocks:
         stop = start + len(a)
         A[start:stop, start:stop], B[start:stop] = a, b
-        if stop > start:
-            C[i, start] = 1.0
+        C[i, start] = 1.0
         start = stop
     D = np.array([[float(g.direct) for g in row] for row in rows]).reshape(m, n)
     return A, B, C, D
+
+
+def _groups(row: Any) -> list[list[int]]:
+    """Entries with states, those that share a pole together.
+
+    What shares none is realised apart: one companion matrix of many poles would lose digits.
+    """
+    groups: list[list[int]] = []
+    for k, g in enumerate(row):
+        if poly.degree(g.denominator) < 1:
+            continue
+        near = [group for group in groups if any(_share_a_pole(g, row[other]) for other in group)]
+        groups = [group for group in groups if group not in near]
+        groups.append([*(other for group in near for other in group), k])
+    return groups
+
+
+def _share_a_pole(g: Rational, h: Rational) -> bool:
+    return poly.degree(poly.common_divisor(g.denominator, h.denominator)) > 0
+
+
+def _block(row: Any, group: list[int], n: int) -> tuple[Array, Array]:
+    """A and B of one group of a row in observer form."""
+    below = poly.common_multiple(row[k].denominator for k in group)
+    order = poly.degree(below)
+    A, B = np.zeros((order, order)), np.zeros((order, n))
+    A[:, 0] = [-float(c) for c in below[1:]]
+    A[:-1, 1:] = np.eye(order - 1)
+    for k in group:
+        fill = poly.divide(below, row[k].denominator)[0]
+        rest = poly.add(poly.multiply(row[k].numerator, fill), poly.scale(below, -row[k].direct))
+        B[order - len(rest) :, k] = [float(c) for c in rest]
+    return A, B
