@@ -115,28 +115,28 @@ def simulate(
     rng = np.random.default_rng(seed)
     push = force(2 * N * substeps + 1, h / 2, size=size, rng=rng)
 
-    def rates(x: float, u: float, z: float, w: float, F: float) -> tuple[float, ...]:
+    def rates(motion: tuple[float, ...], F: float) -> tuple[float, ...]:
+        x, u, z, w = motion
         spring = k_2 * z + d_2 * w + k_3 * z**3
         a_1 = (-k_1 * x - d_1 * u + spring + F) / m_1
         return u, a_1, w, -spring / m_2 - a_1
 
-    state = (0.0, 0.0, 0.0, 0.0)
+    state: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
     a_1, a_2 = np.empty(N), np.empty(N)
     at = 0
     for i in range(N):
-        now = rates(*state, float(push[at]))
+        now = rates(state, float(push[at]))
         a_1[i], a_2[i] = now[1], now[1] + now[3]
         for _ in range(substeps):
             F0, F1, F2 = (float(push[at + k]) for k in range(3))
-            s1 = rates(*state, F0)
-            s2 = rates(*(x + h / 2 * r for x, r in zip(state, s1, strict=True)), F1)
-            s3 = rates(*(x + h / 2 * r for x, r in zip(state, s2, strict=True)), F1)
-            s4 = rates(*(x + h * r for x, r in zip(state, s3, strict=True)), F2)
-            x, u, z, w = (
+            s1 = rates(state, F0)
+            s2 = rates(tuple(x + h / 2 * r for x, r in zip(state, s1, strict=True)), F1)
+            s3 = rates(tuple(x + h / 2 * r for x, r in zip(state, s2, strict=True)), F1)
+            s4 = rates(tuple(x + h * r for x, r in zip(state, s3, strict=True)), F2)
+            state = tuple(
                 x + h / 6 * (r1 + 2 * r2 + 2 * r3 + r4)
                 for x, r1, r2, r3, r4 in zip(state, s1, s2, s3, s4, strict=True)
             )
-            state = (x, u, z, w)
             at += 2
     record = casid.Record(
         {

@@ -69,7 +69,7 @@ def total(*parts: list[Fraction]) -> list[Fraction]:
 
 
 @given(seed=SEEDS, nI=st.integers(1, 2), nD=st.integers(1, 2))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_the_indirect_model_is_the_direct_one_exactly_at_a_random_rational_q(
     seed: int, nI: int, nD: int
 ) -> None:

@@ -69,7 +69,7 @@ def smooth_force(N: int, rng: np.random.Generator) -> Array:
 def test_the_smoother_s_standard_deviations_cover_the_input_as_often_as_they_say() -> None:
     """Independent records; the number covered at one time is binomial, with 99.9 % limits."""
     s = oscillator()
-    M, N, sd, rate = 200, 60, 0.05, 2.0
+    M, N, sd, rate = 120, 60, 0.05, 2.0
     rng = np.random.default_rng(4)
     inside = np.zeros(N)
     for _ in range(M):
@@ -87,6 +87,24 @@ def test_the_smoother_s_standard_deviations_cover_the_input_as_often_as_they_say
     low, high = binom.ppf([0.0005, 0.9995], M, 0.6827)
     for t in (0, 10, 30, 50, N - 1):
         assert low <= inside[t] <= high
+
+
+def test_known_inputs_do_not_change_the_estimate() -> None:
+    """Superposition: the same force and noise with and without a push, the same estimate."""
+    s = oscillator()
+    w = smooth_force(200, np.random.default_rng(1))
+    found = []
+    for push in (0.0, 10.0):
+        rng = np.random.default_rng(2)
+        record = run(s, push * np.ones((200, 1)), w, np.zeros(2), 0.01, rng)
+        told = {"noise": {"pos": 0.01}, "rate": {"force": 2.0}}
+        both = reconstruct_input(s, record, **told), noncausal_inverse(s).run(record, band=8.0)
+        found.append([e["force"] for e in both])
+    scale = np.max(np.abs(found[0][0]))
+    # The start of the bounded motion differs from rest by what a diffuse prior lets through.
+    np.testing.assert_allclose(found[0][0], found[1][0], atol=0.02 * scale)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one[60:140], other[60:140], atol=1e-3 * scale)
 
 
 def test_noise_and_rate_are_found_where_they_are_not_given() -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from casid.errors import ModelError
 from casid.observers.subspaces import (
     TOLERANCE,
+    input_scale,
     null_space,
     pseudo_inverse,
     row_space,
@@ -26,9 +27,10 @@ Array = NDArray[Any]
 
 def output_window(s: UnknownInputSystem, sd: Array) -> tuple[int, Array, Array, Array]:
     """The shortest window that determines u[t]: its delay L, O, K and N."""
-    column, power = [s.F], s.E  # the impulse response, for J
+    units = input_scale(s.E, s.F)
+    column, power = [s.F / units], s.E / units  # the impulse response, for J
     O = s.C  # noqa: E741
-    scale = TOLERANCE * max(size(s.F), size(s.C) * size(s.E), 1e-300)
+    scale = TOLERANCE * max(size(column[0]), size(s.C) * size(power), 1e-300)
     for delay in range(s.nx + 1):
         J = _block_toeplitz(column)
         weight = np.tile(1 / sd, delay + 1)[:, None]
@@ -36,7 +38,7 @@ def output_window(s: UnknownInputSystem, sd: Array) -> tuple[int, Array, Array, 
         wanted = np.eye(s.nu, J.shape[1])
         K = wanted @ K0
         if np.max(np.abs(K @ J - wanted)) < 1e-7:
-            return delay, O, K, null_space(J.T, scale).T
+            return delay, O, K / units[:, None], null_space(J.T, scale).T
         column.append(s.C @ power)
         power = s.A @ power
         O = np.vstack([s.C, O @ s.A])  # noqa: E741
