@@ -98,7 +98,7 @@ def diagnose(
     )
     say("fit the model as it is")
     require_identifiable(problem.model, split.fitted)
-    turned = wrong_sign(problem.model, split.fitted, settings)
+    turned = wrong_sign(problem.model, split.fitted, settings, alpha=false_alarm_rate)
     as_recorded: Fit | None = None
     if turned is not None:
         say(f"negate {turned.channel}, which probably has the wrong sign")

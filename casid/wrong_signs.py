@@ -107,7 +107,7 @@ def wrong_sign(
     experiments: Sequence[Experiment],
     settings: FitSettings,
     *,
-    alpha: float = 0.01,
+    alpha: float = 0.05,
 ) -> WrongSign | None:
     """The channel to be suspected, if any: negated in turn, where the fit as recorded is poor.
 

@@ -67,7 +67,7 @@ def test_the_mend_of_the_message_ends_the_suspicion() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_right_signs_are_not_suspected(seed: int) -> None:
-    """At alpha = 0.01 and half the power: none of 12 records, three problems, one with drag."""
+    """At alpha = 0.05 and half the power: none of 12 records, three problems, one with drag."""
     dragged = pendulum.simulate(duration=20.0, d_2=0.4, seed=seed)
     assert suspected(pendulum.problem, pendulum_record(seed)) is None
     assert suspected(pendulum.problem, [casid.Experiment(dragged, {}, "drag")]) is None
