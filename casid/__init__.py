@@ -10,6 +10,9 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from casid.asymptotics.limits import regression_limit
+    from casid.asymptotics.linear_signals import LinearSignals
+    from casid.asymptotics.remedies import compare_remedies
     from casid.campaigns.monte_carlo import MonteCarlo, montecarlo
     from casid.checking import CheckReport, check
     from casid.data import Experiment, Record
@@ -50,6 +53,9 @@ if TYPE_CHECKING:
     from casid.identifiability.records.profiles import profile_likelihood
     from casid.identifiability.symbolic.observability_matrix import observability_matrix
     from casid.identification import FitSettings, identify
+    from casid.indirect.direct_model import direct_model
+    from casid.indirect.feedforward import feedforward
+    from casid.indirect.indirect_model import indirect_model
     from casid.instrumental.estimators import (
         MomentEstimate,
         Prior,
@@ -71,6 +77,12 @@ if TYPE_CHECKING:
     from casid.linear.discretisation_bias import bias_table
     from casid.linear.linear_model import linearise
     from casid.model import Model, Parameter
+    from casid.networks.network import Network, dynamic_network
+    from casid.networks.node_sets import node_sets
+    from casid.networks.prediction.predictors import compare_predictors
+    from casid.networks.simulation import simulate_network
+    from casid.observers.decoupled_observer import decoupled_observer
+    from casid.observers.input_smoother import reconstruct_input
     from casid.prediction.coordinated_turn import smooth_track
     from casid.prediction.unknown_input import compare_unknown_input_options
     from casid.prepare import decimate, detrend, lowpass
@@ -80,6 +92,8 @@ if TYPE_CHECKING:
     from casid.regression import regress
     from casid.solving.nlp import Nlp, Solver
     from casid.solving.solvers import compare_solvers
+    from casid.transfer.rational import Rational
+    from casid.transfer.reading import rational
 
 __version__ = "0.1.0"
 
@@ -100,16 +114,19 @@ __all__ = [
     "FitSettings",
     "IdentifiabilityError",
     "Instruments",
+    "LinearSignals",
     "Model",
     "ModelError",
     "MomentEstimate",
     "MomentSettings",
     "Moments",
     "MonteCarlo",
+    "Network",
     "Nlp",
     "Parameter",
     "Prior",
     "Problem",
+    "Rational",
     "Reconciliation",
     "Record",
     "ReferenceFilter",
@@ -124,13 +141,20 @@ __all__ = [
     "bootstrap",
     "check",
     "closed_loop_view",
+    "compare_predictors",
+    "compare_remedies",
     "compare_solvers",
     "compare_unknown_input_options",
     "decimate",
+    "decoupled_observer",
     "detrend",
     "diagnose",
+    "direct_model",
+    "dynamic_network",
     "estimate_from_moments",
+    "feedforward",
     "identify",
+    "indirect_model",
     "instrumental_variables",
     "invariants",
     "known_initial_state",
@@ -141,19 +165,24 @@ __all__ = [
     "lowpass",
     "montecarlo",
     "multistage",
+    "node_sets",
     "observability",
     "observability_matrix",
     "parse_system",
     "practical_identifiability",
     "profile",
     "profile_likelihood",
+    "rational",
     "read_equations",
     "read_record",
+    "reconstruct_input",
     "reference_depends_on",
     "regress",
+    "regression_limit",
     "replica",
     "sensor",
     "sensor_subsets",
+    "simulate_network",
     "smooth_track",
     "validate",
 ]
@@ -209,6 +238,20 @@ _HOME = {
         "instrumental.streamed": "estimate_from_moments",
         "prediction.unknown_input": "compare_unknown_input_options",
         "instrumental.validation": "validate",
+        "transfer.rational": "Rational",
+        "transfer.reading": "rational",
+        "networks.network": "Network dynamic_network",
+        "networks.node_sets": "node_sets",
+        "networks.prediction.predictors": "compare_predictors",
+        "networks.simulation": "simulate_network",
+        "asymptotics.linear_signals": "LinearSignals",
+        "asymptotics.remedies": "compare_remedies",
+        "asymptotics.limits": "regression_limit",
+        "observers.decoupled_observer": "decoupled_observer",
+        "observers.input_smoother": "reconstruct_input",
+        "indirect.direct_model": "direct_model",
+        "indirect.indirect_model": "indirect_model",
+        "indirect.feedforward": "feedforward",
     }.items()
     for name in names.split()
 }
