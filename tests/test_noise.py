@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.noise import estimate_noise, input_noise_floor, noise_response
+from casid.noise import NoiseModel, Response, estimate_noise, input_noise_floor, noise_response
 from casid.simulation_error import SimulationError, minimize_simulation_error, signals_of
 from problems import pendulum
 from tests import truth
@@ -96,3 +96,34 @@ def test_the_quiet_part_of_an_inputs_spectrum_bounds_its_noise():
     bound = input_noise_floor([signals_of(model, experiment)], list(model.inputs))
     # The quietest 5 of 20 bands of 150 bins (sd of a power 8 %, tapered 10 %) lie below the mean.
     assert 0.85 * INPUT < bound["accel"] < 1.1 * INPUT
+
+
+def test_inputs_that_act_alike_share_what_is_found_and_the_rest_is_a_disturbance():
+    """Gains of 1, 2 and 1 with bounds of 3 and 2: together 9 + 16 of the variance at most."""
+    gain2 = np.ones((5, 1, 3)) * np.array([1.0, 4.0, 1.0])
+    response = Response(np.linspace(0, np.pi, 5), gain2, ("a", "b", "force"))
+
+    def noise(variance: float) -> NoiseModel:
+        sd = {"a": variance**0.5, "b": 0.0, "force": 0.0}
+        return NoiseModel(np.ones(1), sd, [response], np.ones(1), (("a", "b", "force"),))
+
+    bounds = {"a": 3.0, "b": 2.0}
+    assert noise(25.0 / 4).of_inputs(bounds) == pytest.approx({"a": 1.5, "b": 1.0})
+    assert noise(100.0).of_inputs(bounds) == pytest.approx(bounds)
+    assert noise(0.0).of_inputs(bounds) == {"a": 0.0, "b": 0.0}
+
+
+def test_the_bound_on_an_inputs_noise_is_that_of_white_noise_however_short_the_record():
+    """Uncorrected, the quietest quarter of forty parts would lie a fifth below."""
+    rng, model = np.random.default_rng(3), pendulum.problem.model
+    units = {"gyro": "rad/s", "accel": "m/s^2"}
+    found = []
+    for _ in range(20):
+        made = []
+        for name in ("one", "two"):
+            channels = dict(zip(units, rng.standard_normal((2, 1400)), strict=True))
+            record = casid.Record(channels, units, Ts=0.02)
+            made.append(signals_of(model, casid.Experiment(record, {}, name)))
+        found.append(input_noise_floor(made, list(model.inputs))["accel"])
+    # sd of one bound is near 4 %, of the mean of twenty 1 %
+    assert np.mean(found) == pytest.approx(1.0, abs=0.04)
