@@ -185,6 +185,27 @@ def test_a_static_system_is_a_dynamic_one_without_memory() -> None:
         np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-12)
 
 
+@pytest.mark.parametrize("delay", [5, 70, 130, 1000])
+def test_a_delay_stays_as_long_as_it_is(delay: int) -> None:
+    """A grid of M frequencies cannot tell a delay d from d + M: it has to be finer than that."""
+    systems = [LinearSignals.of({"y": {"w": ([0] * delay + [2.0], [1])}}, {"w": 1.0})]
+    if delay < 100:
+        chain = np.eye(delay, k=-1), 2 * np.eye(delay)[:, :1], np.eye(delay)[-1:], [[0.0]]
+        systems.append(LinearSignals.of_state_space(chain, {"w": 1.0}, signals=["y"]))
+    for system in systems:
+        for at in {delay, delay % 64, delay % 128}:
+            found = regression_limit(system, Regression("y", {"b": ("w", at)}))
+            assert found["b"] == pytest.approx(2.0 if at == delay else 0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("a", [-0.999, -0.9998])
+def test_a_slow_pole_is_answered_as_exactly_as_a_fast_one(a: float) -> None:
+    system = LinearSignals.of({"y": {"e": ([1], [1, a])}}, {"e": 3.0})
+    found = regression_limit(system, Regression("y", {"a1": ("-y", 1)}))
+    assert found["a1"] == pytest.approx(a, rel=1e-11)
+    assert found.variance("a1") == pytest.approx(1 - a**2, rel=1e-7)
+
+
 def test_filters_may_be_control_objects_rationals_or_pairs() -> None:
     import control
 

@@ -135,6 +135,23 @@ def gauss_newton_step(y: Array, before: Array, b: Array, f: Array) -> tuple[Arra
     return b + db, f + df, float(max(np.abs(db).max(), np.abs(df).max()))
 
 
+def test_a_prefilter_that_whitens_is_as_good_as_the_noise_model_that_says_so() -> None:
+    """OE with L = D varies as BJ with D free: the noise model costs the module nothing."""
+    system = LinearSignals.of(
+        {
+            "u": {"w": ([1], [1, -0.6])},
+            "y": {"u": ([0, 1.0], [1, -0.7]), "e": ([1], [1, -0.8])},
+        },
+        {"w": 1.0, "e": 0.3},
+    )
+    whitened = prediction_error_limit(
+        system, "y", ["u"], Orders(nb=1, nf=1), prefilter=([1, -0.8], [1])
+    )
+    modelled = prediction_error_limit(system, "y", ["u"], Orders(nb=1, nf=1, nd=1))
+    both = modelled.covariance[np.ix_([0, 2], [0, 2])]
+    np.testing.assert_allclose(whitened.covariance, both, rtol=1e-7)
+
+
 @pytest.mark.parametrize("roots", [[0.9, -0.5], [0.8 + 0.5j, 0.8 - 0.5j, 0.1], [0.3]])
 def test_reflection_coefficients_are_another_name_for_a_stable_polynomial(
     roots: list[complex],

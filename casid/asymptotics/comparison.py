@@ -11,7 +11,7 @@ from casid.asymptotics.asymptotics import Asymptotics
 from casid.errors import ModelError
 
 NO_BIAS = 1e-9
-"""Of the standard deviation of one sample: a bias below is rounding."""
+"""Of the standard deviation of one sample and of the value itself: a bias below is rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +31,8 @@ class RemedyRow:
         """Limit minus truth as a number, rounding taken for zero."""
         result = self._found()
         bias = float(result.bias(parameter))
-        return 0.0 if abs(bias) <= NO_BIAS * math.sqrt(result.variance(parameter)) else bias
+        size = math.sqrt(result.variance(parameter)) + abs(float(result.truth[parameter]))
+        return 0.0 if abs(bias) <= NO_BIAS * size else bias
 
     def rmse(self, parameter: str, N: float) -> float:
         """Root mean square error at N samples."""

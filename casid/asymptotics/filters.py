@@ -47,6 +47,11 @@ class Filter:
         return np.asarray(np.roots(self.a))
 
     @property
+    def reach(self) -> int:
+        """Samples that its polynomials reach back."""
+        return max(len(self.a), len(self.b)) - 1
+
+    @property
     def radius(self) -> float:
         """Largest modulus of a pole, 0 without one."""
         return float(np.max(np.abs(self.poles), initial=0.0))

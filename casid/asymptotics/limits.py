@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from casid.asymptotics.asymptotics import Asymptotics
 from casid.asymptotics.exact_field import null_vector, solve
-from casid.asymptotics.filters import as_filter, require_stable
 from casid.asymptotics.linear_expressions import as_expression
 from casid.asymptotics.linear_signals import LinearSignals
 from casid.asymptotics.regression import (
@@ -29,7 +28,12 @@ from casid.asymptotics.regression import (
     term_text,
     terms_text,
 )
-from casid.asymptotics.second_moments import Atom, SecondMoments, second_moments
+from casid.asymptotics.second_moments import (
+    Atom,
+    SecondMoments,
+    checked_prefilter,
+    second_moments,
+)
 from casid.errors import IdentifiabilityError, ModelError
 
 Array = NDArray[Any]
@@ -117,9 +121,7 @@ class _Equations:
         self.regression = regression
         prefilter = regression.prefilter
         if prefilter is not None:
-            prefilter = as_filter(prefilter, "prefilter")
-            require_stable(prefilter, "prefilter")
-            _same_Ts(prefilter.Ts, system.Ts)
+            prefilter = checked_prefilter(prefilter, system)
         self._filtered = prefilter is not None
         self.generated = dict(regression.generated)
         for name in self.generated:
@@ -289,13 +291,6 @@ class _Equations:
         rows_B.append(np.tile(residual, (d, 1)))
         blocks.append(inverse)
         return np.concatenate(rows_A), np.concatenate(rows_B), np.concatenate(blocks, axis=1)
-
-
-def _same_Ts(given: float | None, own: float | None) -> None:
-    if given is not None and own is not None and not np.isclose(given, own, rtol=1e-9, atol=0):
-        raise ModelError(
-            f"prefilter has sample time {given:g} s, the system {own:g} s; resample it"
-        )
 
 
 def _rounded(value: Any) -> str:

@@ -46,6 +46,7 @@ class LinearSignals:
     _own: tuple[str, ...] = ()  # signals that `_response` gives
     _response: Response | None = None  # z (M,) -> (M, own, externals)
     _defined: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    _reach: int = 0  # samples of delay that `_response` may hold
 
     # -- making ------------------------------------------------------------------------------
 
@@ -107,6 +108,7 @@ class LinearSignals:
         *,
         Ts: float = 1.0,
         excess_kurtosis: Mapping[str, float] | None = None,
+        longest_delay: int = 250,
     ) -> LinearSignals:
         """Signals from their frequency response, as a network offers it.
 
@@ -116,6 +118,8 @@ class LinearSignals:
         response : function of z (M,) on the unit circle -> (M, signals, externals), stable and
             causal; externals in the order of `variances`.
         variances, Ts, excess_kurtosis : as in `of`; numbers.
+        longest_delay : samples of pure delay in the response, at most. A longer one would be
+            folded into a shorter one by the grid of frequencies.
 
         Raises
         ------
@@ -136,7 +140,7 @@ class LinearSignals:
                 f"the response at one point has shape {shape}, not (1, signals, externals) = "
                 f"{wanted}; name {', '.join(names)} and variances of the externals accordingly"
             )
-        return replace(empty, _own=tuple(names), _response=response)
+        return replace(empty, _own=tuple(names), _response=response, _reach=int(longest_delay))
 
     @classmethod
     def of_state_space(
@@ -167,7 +171,12 @@ class LinearSignals:
         given = matrices(system, tuple(variances), signals, Ts)
         response = state_space_response(given)
         return cls.of_response(
-            given.signals, response, variances, Ts=given.Ts, excess_kurtosis=excess_kurtosis
+            given.signals,
+            response,
+            variances,
+            Ts=given.Ts,
+            excess_kurtosis=excess_kurtosis,
+            longest_delay=len(given.A) + 1,
         )
 
     def with_signals(self, signals: Mapping[str, Definition]) -> LinearSignals:
@@ -249,6 +258,12 @@ class LinearSignals:
         entries = [v for row in self._defined.values() for v in row.values()]
         found = {s for v in (*entries, *self.variances.values()) for s in _free(v)}
         return tuple(sorted(found, key=str))
+
+    @property
+    def reach(self) -> int:
+        """Samples that the polynomials of all filters together reach back, a bound on delays."""
+        filters = (v for row in self._defined.values() for v in row.values())
+        return self._reach + sum(v.reach for v in filters if isinstance(v, Filter))
 
     def gains(self, names: Sequence[str]) -> Array:
         """Gains (signals, externals) of a static system: floats, or sympy expressions as objects.

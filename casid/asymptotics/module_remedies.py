@@ -39,7 +39,8 @@ def compare_module_remedies(
     Parameters
     ----------
     inputs : all inputs of the true relation, unknown ones among them.
-    orders : of all inputs; where an input is neglected its module is left out.
+    orders : of all inputs; where an input is neglected its module is left out. Where C and D
+        would cancel (the noise is simpler), both orders are lowered, and a note says so.
     truth : coefficient -> true value, by the names of the structure: "b1[u_U]", "f1[u_U]". A
         noise model is part of the structure; its coefficients need no truth.
     approximations, measured, eliminated, N, accuracy : as in `compare_remedies`.
@@ -80,15 +81,34 @@ def compare_module_remedies(
         own = _restricted(orders, tuple(sources))
         there = Layout.of(own, list(sources)).names
         true = {n: v for n, v in truth.items() if n in there}
+        rows.append(_row(f"{name}, PEM", kind, system, output, sources, own, true, solver))
+    return Comparison(tuple(rows), tuple(truth), tuple(asked), N, dict(accuracy or {}))
+
+
+def _row(
+    name: str,
+    kind: str,
+    system: LinearSignals,
+    output: str,
+    sources: Mapping[str, str],
+    orders: Orders,
+    truth: Mapping[str, float],
+    solver: Solver | None,
+) -> RemedyRow:
+    """One remedy; a noise model that is larger than the noise is made smaller."""
+    note: tuple[str, ...] = ()
+    while True:
         try:
             found = prediction_error_limit(
-                system, output, sources, own, true, solver=solver, method=f"{name}, PEM"
+                system, output, sources, orders, truth, solver=solver, method=name
             )
         except (IdentifiabilityError, SolveError) as refused:
-            rows.append(RemedyRow(f"{name}, PEM", kind, None, str(refused)))
+            if not (isinstance(refused, IdentifiabilityError) and orders.nc and orders.nd):
+                return RemedyRow(name, kind, None, str(refused))
+            orders = replace(orders, nc=orders.nc - 1, nd=orders.nd - 1)
+            note = (f"the noise is simpler than asked for: nc = {orders.nc}, nd = {orders.nd}",)
         else:
-            rows.append(RemedyRow(f"{name}, PEM", kind, found))
-    return Comparison(tuple(rows), tuple(truth), tuple(asked), N, dict(accuracy or {}))
+            return RemedyRow(name, kind, replace(found, notes=found.notes + note))
 
 
 def _restricted(orders: Orders, inputs: Sequence[str]) -> Orders:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from casid.asymptotics.second_moments import circle
 from casid.prediction.polynomial_orders import Layout
+from casid.solving.nlp import Evaluation
 
 Array = NDArray[Any]
 Expr = Any
@@ -42,37 +43,96 @@ def step_down(coefficients: Array) -> Array:
     return np.array(found[::-1])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class PredictionCriterion:
     """(1) on a grid.
 
-    Attributes
+    Parameters
     ----------
     signals : (M, 1 + nu, ne) response of y and the inputs from the externals on the full circle.
     variances : (ne,).
     """
 
-    layout: Layout
-    signals: Array
-    variances: Array
+    n_constraints = 0
 
-    def variance(self, theta: Expr) -> Expr:
-        """V as a CasADi expression of theta (n,)."""
-        points = len(self.signals)
-        half = points // 2 + 1
-        weight = np.full(half, 2.0)
-        weight[[0, -1]] = 1.0
-        factors = self._factors()[:half] * np.sqrt(weight)[:, None, None]
-        z = circle(points)[:half]
-        n, columns = factors.shape[1:]
-        data = [z.real, z.imag]
-        data += [part[:, i, k] for k in range(columns) for i in range(n) for part in
-                 (factors.real, factors.imag)]  # fmt: skip
-        one = self._at_one_point(n, columns)
-        every = one.map("every", "serial", half, [0], [])
-        return ca.sum2(every(theta, ca.DM(np.array(data)))) / (2 * points)
+    def __init__(self, layout: Layout, signals: Array, variances: Array) -> None:
+        self.layout, self.signals, self.variances = layout, signals, variances
+        self.z = circle(len(signals))
+        half = len(signals) // 2 + 1
+        self._weight = np.full(half, 2.0 / len(signals))
+        self._weight[[0, -1]] /= 2  # what stands once on the circle
+        self._half, self._factors = self.z[:half], self._spectral_factors()[:half]
+        self.unit = max(float(np.sum(self._weight @ np.abs(self._factors[:, 0]) ** 2)), 1e-300)
+        x = ca.SX.sym("x", layout.n)
+        theta = ca.vertcat(*self._from_reflections(ca.vertsplit(x) if layout.n else []))
+        self._theta = ca.Function("theta", [x], [theta, ca.jacobian(theta, x)])
 
-    def _factors(self) -> Array:
+    # -- coordinates -------------------------------------------------------------------------
+
+    def blocks(self) -> list[tuple[int, int, bool]]:
+        """First index, length, and whether it is kept stable, of each polynomial in theta."""
+        own = self.layout
+        sizes = [(own.na, False), *((n, False) for n in own.nb)]
+        sizes += [(own.nc, True), (own.nd, False), *((n, True) for n in own.nf)]
+        made, place = [], 0
+        for n, stable in sizes:
+            made.append((place, n, stable))
+            place += n
+        return made
+
+    def _from_reflections(self, x: list[Any]) -> list[Any]:
+        made: list[Any] = []
+        for first, n, stable in self.blocks():
+            own = x[first : first + n]
+            made += step_up(own) if stable else own
+        return made
+
+    def theta_of(self, x: Array) -> Array:
+        """Coefficients (n,) from reflection coefficients in the place of C and F."""
+        return np.array(self._theta(x)[0]).ravel()
+
+    def x_of(self, theta: Array) -> Array:
+        """Reflection coefficients in the place of those of C and F."""
+        x = theta.copy()
+        for first, n, stable in self.blocks():
+            if stable and n:
+                x[first : first + n] = step_down(theta[first : first + n])
+        return x
+
+    # -- values ------------------------------------------------------------------------------
+
+    def evaluate(self, x: Array) -> Evaluation:
+        """V / E y^2, gradient and Gauss-Newton matrix in reflection coefficients x (n,)."""
+        values, slopes = self._theta(x)
+        J = np.array(slopes)
+        V, gradient, matrix = self.at(np.array(values).ravel())
+        return Evaluation(V / self.unit, J.T @ gradient / self.unit, J.T @ matrix @ J / self.unit)
+
+    def at(self, theta: Array) -> tuple[float, Array, Array]:
+        """V, its gradient (n,) and E psi psi' (n, n) at theta."""
+        eps, psi = _errors(self.layout, theta, self._factors, self._half)
+        rows = np.concatenate([psi, eps], axis=1) * np.sqrt(self._weight)[:, None, None]
+        n = self.layout.n
+        flat = np.moveaxis(rows, 1, 0).reshape(n + 1, -1)
+        total = np.real(flat @ np.conj(flat.T))
+        return 0.5 * float(total[n, n]), -total[:n, n], total[:n, :n]
+
+    def errors(self, theta: Array) -> tuple[Array, Array]:
+        """Responses of eps (M, 1, ne) and of -d eps/d theta (M, n, ne) at theta."""
+        return _errors(self.layout, theta, self.signals, self.z)
+
+    def curvature(self, theta: Array) -> Array:
+        """V'' = E psi psi' - E psi' eps (n, n) at theta, exact."""
+        n, columns = self._factors.shape[1:]
+        data = [self._half.real, self._half.imag, self._weight]
+        for k in range(columns):
+            for i in range(n):
+                data += [self._factors[:, i, k].real, self._factors[:, i, k].imag]
+        every = self._curvature_at_one_point(n, columns).map(len(self._half))
+        parts = np.array(every(np.tile(theta[:, None], len(self._half)), np.array(data)))
+        size = self.layout.n
+        return np.asarray(parts.reshape(size, len(self._half), size).sum(axis=1))
+
+    def _spectral_factors(self) -> Array:
         """(M, 1 + nu, k) whose products with their conjugate transposes are the spectra."""
         scaled = self.signals * np.sqrt(self.variances)
         if scaled.shape[2] <= scaled.shape[1]:
@@ -80,45 +140,44 @@ class PredictionCriterion:
         values, vectors = np.linalg.eigh(scaled @ np.conj(np.swapaxes(scaled, 1, 2)))
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
 
-    def _at_one_point(self, n: int, columns: int) -> Any:
-        """The weighted |eps|^2 at one frequency: (theta, [re z, im z, factors]) -> number."""
-        theta, row = ca.SX.sym("theta", self.layout.n), ca.SX.sym("row", 2 + 2 * n * columns)
+    def _curvature_at_one_point(self, n: int, columns: int) -> Any:
+        """Hessian of half the weighted |eps|^2 at one frequency, of theta and a row of data."""
+        theta, row = ca.SX.sym("theta", self.layout.n), ca.SX.sym("row", 3 + 2 * n * columns)
         p = _Parts(self.layout, theta, _Complex(row[0], row[1]))
         front = p.D.over(p.C)
         modules = [b.over(f) for b, f in zip(p.B, p.F, strict=True)]
         total: Expr = 0
         for k in range(columns):
-            own = row[2 + 2 * n * k : 2 + 2 * n * (k + 1)]
+            own = row[3 + 2 * n * k : 3 + 2 * n * (k + 1)]
             signals = [_Complex(own[2 * i], own[2 * i + 1]) for i in range(n)]
             inside = p.A.times(signals[0])
             for module, signal in zip(modules, signals[1:], strict=True):
                 inside = inside.minus(module.times(signal))
             eps = front.times(inside)
-            total += eps.re**2 + eps.im**2
-        return ca.Function("one", [theta, row], [total])
+            total += 0.5 * row[2] * (eps.re**2 + eps.im**2)
+        hessian, _ = ca.hessian(total, theta)
+        return ca.Function("hessian", [theta, row], [ca.densify(hessian)])
 
-    def errors(self, theta: Array) -> tuple[Array, Array]:
-        """Responses of eps (M, 1, ne) and of -d eps/d theta (M, n, ne) at theta."""
-        z = circle(len(self.signals))
-        p = self.layout.split(theta)
-        A, C, D = (_value(c, z) for c in (p.A, p.C, p.D))
-        B, F = [_value(c, z) for c in p.B], [_value(c, z) for c in p.F]
-        y, inputs = self.signals[:, 0], np.moveaxis(self.signals[:, 1:], 1, 0)
-        modules = [
-            (b / f)[:, None] * u for b, f, u in zip(B, F, inputs, strict=True)
-        ]  # each (M, ne)
-        inside = A[:, None] * y - sum(modules, np.zeros_like(y))
-        front = (D / C)[:, None]
-        eps = front * inside
-        # Each slope is a signal, delayed by the coefficient's lag.
-        rows = [-_delayed(front * y, k, z) for k in range(1, self.layout.na + 1)]
-        for u, f, nb, nk in zip(inputs, F, self.layout.nb, self.layout.nk, strict=True):
-            rows += [_delayed(front * u / f[:, None], k, z) for k in range(nk, nk + nb)]
-        rows += [_delayed(eps / C[:, None], k, z) for k in range(1, self.layout.nc + 1)]
-        rows += [-_delayed(inside / C[:, None], k, z) for k in range(1, self.layout.nd + 1)]
-        for m, f, nf in zip(modules, F, self.layout.nf, strict=True):
-            rows += [-_delayed(front * m / f[:, None], k, z) for k in range(1, nf + 1)]
-        return eps[:, None, :], np.stack(rows, axis=1)
+
+def _errors(layout: Layout, theta: Array, signals: Array, z: Array) -> tuple[Array, Array]:
+    """Responses of eps (M, 1, k) and of -d eps/d theta (M, n, k)."""
+    p = layout.split(theta)
+    A, C, D = (_value(c, z) for c in (p.A, p.C, p.D))
+    B, F = [_value(c, z) for c in p.B], [_value(c, z) for c in p.F]
+    y, inputs = signals[:, 0], np.moveaxis(signals[:, 1:], 1, 0)
+    modules = [(b / f)[:, None] * u for b, f, u in zip(B, F, inputs, strict=True)]
+    inside = A[:, None] * y - sum(modules, np.zeros_like(y))
+    front = (D / C)[:, None]
+    eps = front * inside
+    # Each slope is a signal, delayed by the coefficient's lag.
+    rows = [-_delayed(front * y, k, z) for k in range(1, layout.na + 1)]
+    for u, f, nb, nk in zip(inputs, F, layout.nb, layout.nk, strict=True):
+        rows += [_delayed(front * u / f[:, None], k, z) for k in range(nk, nk + nb)]
+    rows += [_delayed(eps / C[:, None], k, z) for k in range(1, layout.nc + 1)]
+    rows += [-_delayed(inside / C[:, None], k, z) for k in range(1, layout.nd + 1)]
+    for m, f, nf in zip(modules, F, layout.nf, strict=True):
+        rows += [-_delayed(front * m / f[:, None], k, z) for k in range(1, nf + 1)]
+    return eps[:, None, :], np.stack(rows, axis=1)
 
 
 def _value(coefficients: Array, z: Array) -> Array:

@@ -10,15 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from casid.asymptotics.asymptotics import Asymptotics
 from casid.asymptotics.exact_field import solve
 from casid.asymptotics.linear_signals import LinearSignals
-from casid.asymptotics.prediction_criterion import PredictionCriterion, step_down, step_up
-from casid.asymptotics.second_moments import product_covariance, settled_response
+from casid.asymptotics.prediction_criterion import PredictionCriterion
+from casid.asymptotics.second_moments import checked_prefilter, product_covariance, settled_response
 from casid.errors import ModelError, SolveError
 from casid.prediction.polynomial_orders import Layout, Orders
 from casid.solving.nlp import Nlp, Solver
@@ -27,7 +26,9 @@ Array = NDArray[Any]
 FARTHEST = 0.9999  # of a reflection coefficient
 RANDOM_STARTS = 4
 _SAME = 1e-7  # relative difference of two minima that are one
-_DIED_OUT = 1e-10
+_DIED_OUT = 1e-8
+_NEAR = 1e-3  # scaled gradient from which Newton steps are taken
+_POLISHING = 12
 
 
 def prediction_error_limit(
@@ -38,6 +39,7 @@ def prediction_error_limit(
     truth: Mapping[str, float] | None = None,
     *,
     start: Mapping[str, float] | None = None,
+    prefilter: Any = None,
     solver: Solver | None = None,
     method: str | None = None,
 ) -> Asymptotics:
@@ -52,6 +54,7 @@ def prediction_error_limit(
         b1[u], c1, d1, f1[u].
     truth : coefficient -> true value.
     start : coefficient -> value the search begins from as well.
+    prefilter : L(q) of output and inputs alike, as a filter of `LinearSignals.of`.
 
     Returns
     -------
@@ -80,16 +83,21 @@ def prediction_error_limit(
                 f"{name} is no coefficient of this structure; it has {', '.join(layout.names)}"
             )
     signals = (output, *sources.values())
-    atoms = [(name, 0, False) for name in signals]
+    atoms = [(name, 0, True) for name in signals]
     names = list(dict.fromkeys(signals))
     variances = np.array(list(system.variances.values()), dtype=float)
+    own = None if prefilter is None else checked_prefilter(prefilter, system)
     kurtosis = np.array([system.excess_kurtosis.get(n, 0.0) for n in system.externals])
-    starts = _starts(layout, {**true, **(start or {})})
+    starts: list[Array] = []
     higher = 0
     points = 256
+    reach = layout.longest_lag + layout.nc + layout.nd + sum(layout.nf)
+    while points < 4 * (system.reach + reach + 1):
+        points *= 2
     while True:
-        G = settled_response(system, atoms, names, points=points)
+        G = settled_response(system, atoms, names, own, points)
         criterion = PredictionCriterion(layout, G, variances)
+        starts = starts or _starts(criterion, {**true, **(start or {})})
         theta, higher_now = _minimum(criterion, starts, solver)
         higher = max(higher, higher_now)
         eps, psi = criterion.errors(theta)
@@ -103,7 +111,7 @@ def prediction_error_limit(
                 "is too near the unit circle. Lower its order"
             )
         starts = [theta]
-    curvature = _curvature(criterion, theta)
+    curvature = criterion.curvature(theta)
     what = f"orders {orders}: the minimum is no point; along it"
     eye = np.eye(layout.n)
     inverse = solve(
@@ -123,29 +131,19 @@ def prediction_error_limit(
     )
 
 
-def _blocks(layout: Layout) -> list[tuple[int, int, bool]]:
-    """First index, length, and whether it is kept stable, of each polynomial in theta."""
-    sizes = [(layout.na, False), *((n, False) for n in layout.nb)]
-    sizes += [(layout.nc, True), (layout.nd, False), *((n, True) for n in layout.nf)]
-    made, place = [], 0
-    for n, stable in sizes:
-        made.append((place, n, stable))
-        place += n
-    return made
-
-
-def _starts(layout: Layout, given: Mapping[str, float]) -> list[Array]:
+def _starts(criterion: PredictionCriterion, given: Mapping[str, float]) -> list[Array]:
+    layout = criterion.layout
     rng = np.random.default_rng(0)
     made: list[Array] = [np.zeros(layout.n)]
     if given:
         made.insert(0, np.array([given.get(n, 0.0) for n in layout.names]))
     if not layout.is_linear:
         for _ in range(RANDOM_STARTS):
-            theta = np.zeros(layout.n)
-            for first, n, stable in _blocks(layout):
+            x = np.zeros(layout.n)
+            for first, n, stable in criterion.blocks():
                 if stable:
-                    theta[first : first + n] = step_up(list(rng.uniform(-0.9, 0.9, n)))
-            made.append(theta)
+                    x[first : first + n] = rng.uniform(-0.9, 0.9, n)
+            made.append(criterion.theta_of(x))
     return made
 
 
@@ -155,46 +153,41 @@ def _minimum(
     """The lowest minimum over the starts, and how many ended higher."""
     layout = criterion.layout
     nlp = Nlp("prediction-error limit")
-    symbols: list[Any] = []
-    kept = np.zeros(layout.n, dtype=bool)
-    for first, n, stable in _blocks(layout):
-        kept[first : first + n] = stable
-        edge = FARTHEST if stable else np.inf
-        own = [
-            nlp.variable(layout.names[first + i], 0.0, lower=-edge, upper=edge) for i in range(n)
-        ]
-        symbols += step_up(own) if stable else own
-    unit = max(
-        float(np.real(np.mean((abs(criterion.signals[:, 0]) ** 2) @ criterion.variances))), 1e-300
-    )
-    nlp.minimize(criterion.variance(ca.vertcat(*symbols)) / unit)
-    compiled = nlp.compile(solver)
+    edges = np.full(layout.n, np.inf)
+    for first, n, stable in criterion.blocks():
+        edges[first : first + n] = FARTHEST if stable else np.inf
+    for name, edge in zip(layout.names, edges, strict=True):
+        nlp.variable(name, 0.0, lower=-edge, upper=edge)
+    nlp.minimize(criterion)
     found = []
     for theta in starts:
-        x = theta.copy()
-        for first, n, stable in _blocks(layout):
-            if stable and n:
-                inside = step_down(theta[first : first + n])
-                x[first : first + n] = np.clip(inside, -0.99 * FARTHEST, 0.99 * FARTHEST)
-        solution = compiled.solve({}, x, throw=False)
-        if solution.is_converged and not (solution.at_lower or solution.at_upper):
-            found.append((solution.value, solution.x))
+        x = np.clip(criterion.x_of(theta), -0.99 * edges, 0.99 * edges)
+        solution = nlp.solve(solver, list(x), throw=False)
+        if solution.scaled_gradient < _NEAR and not (solution.at_lower or solution.at_upper):
+            found.append(_polished(criterion, criterion.theta_of(solution.x)))
     if not found:
         raise SolveError(
             f"{layout.structure}: no start led to a minimum with C and F stable; lower the orders, "
             "or give start={..} near the limit"
         )
-    values = np.array([v for v, _ in found])
-    best = found[int(np.argmin(values))][1].copy()
-    for first, n, stable in _blocks(layout):
-        if stable and n:
-            best[first : first + n] = step_up(list(best[first : first + n]))
-    higher = int(np.sum(values > values.min() * (1 + _SAME) + 1e-14))
-    return best, higher
+    values = np.array([criterion.at(theta)[0] for theta in found])
+    higher = int(np.sum(values > values.min() * (1 + _SAME) + 1e-14 * criterion.unit))
+    return found[int(np.argmin(values))], higher
 
 
-def _curvature(criterion: PredictionCriterion, theta: Array) -> Array:
-    """V'' = E[psi psi'] - E[psi' eps] at theta, (n, n)."""
-    x = ca.MX.sym("theta", len(theta))
-    hessian, _ = ca.hessian(criterion.variance(x), x)
-    return np.array(ca.Function("V2", [x], [hessian])(theta))
+def _polished(criterion: PredictionCriterion, theta: Array) -> Array:
+    """Newton steps with the exact curvature, while they are short and lead downhill."""
+    for _ in range(_POLISHING):
+        value, gradient, _ = criterion.at(theta)
+        curvature = criterion.curvature(theta)
+        size = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+        scaled = curvature / np.outer(size, size)
+        if np.linalg.eigvalsh(scaled).min() < 1e-9:
+            return theta
+        step = -np.linalg.solve(scaled, gradient / size) / size
+        if criterion.at(theta + step)[0] > value * (1 + 1e-12):
+            return theta
+        theta = theta + step
+        if np.all(np.abs(step) <= 1e-12 * (1 + np.abs(theta))):
+            return theta
+    return theta

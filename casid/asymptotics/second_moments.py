@@ -7,8 +7,9 @@ f_k = a_k(t) b_k(t) has covariance Q / N with
 
 over all lags tau (Isserlis 1918, for Gaussian externals); each external with excess kurtosis
 kappa adds kappa lambda^2 m_k m_l, m_k = sum_t h_a(t) h_b(t) with the impulse responses from it.
-In frequency, sum_tau r_1 r_2 is the mean of S_1 conj(S_2) over the circle, exact up to
-rounding once the impulse responses have died out within half the points.
+In frequency, sum_tau r_1 r_2 is the mean of S_1 conj(S_2) over the circle. On M points
+it errs by what is left of the responses after M samples, about the square of what is left after
+M/2: rounding, once they have died out to 1e-8 there.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.asymptotics.exact_field import ExactField
-from casid.asymptotics.filters import Filter
+from casid.asymptotics.filters import Filter, as_filter, require_stable
 from casid.asymptotics.linear_signals import LinearSignals
 from casid.errors import ModelError
 
@@ -31,7 +32,7 @@ Atom = tuple[str, int, bool]
 
 FIRST_POINTS = 64
 MOST_POINTS = 2**18
-_DIED_OUT = 1e-11  # of the largest value of a signal's impulse responses
+_DIED_OUT = 1e-8  # of the largest value of a signal's impulse responses, within half the grid
 _ROUNDING = 1e-15  # of the largest value of all: where terms cancel, this is left
 
 
@@ -131,6 +132,24 @@ def second_moments(
     return SecondMoments(tuple(atoms), G, weights, np.array(kurtosis), second, None)
 
 
+def checked_prefilter(prefilter: Any, system: LinearSignals) -> Filter:
+    """A prefilter as a filter, stable and of the system's sample time.
+
+    Raises
+    ------
+    ModelError
+        If it is neither.
+    """
+    made = as_filter(prefilter, "prefilter")
+    require_stable(made, "prefilter")
+    own = system.Ts
+    if made.Ts is not None and own is not None and not np.isclose(made.Ts, own, rtol=1e-9, atol=0):
+        raise ModelError(
+            f"prefilter has sample time {made.Ts:g} s, the system {own:g} s; resample it"
+        )
+    return made
+
+
 def circle(points: int) -> Array:
     """So many points of the unit circle, from z = 1."""
     return np.asarray(np.exp(2j * np.pi * np.arange(points) / points))
@@ -150,30 +169,44 @@ def settled_response(
     ModelError
         If `MOST_POINTS` are not enough: some filter hardly forgets, or is not stable.
     """
+    # A delay beyond the grid would be folded into it unseen: begin with more points than that.
+    reach = system.reach + max((k for _, k, _ in atoms), default=0)
+    reach += prefilter.reach if prefilter is not None else 0
+    while points < 4 * (reach + 1):
+        points *= 2
     while True:
-        z = circle(points)
-        per_name = system.response(z, names)
-        impulse = np.abs(np.fft.ifft(per_name, axis=0))
-        late = impulse[points // 4 :].max(axis=(0, 2))
-        G = np.empty((points, len(atoms), per_name.shape[2]), dtype=complex)
-        filtered = prefilter(z) if prefilter is not None else np.ones(points)
-        for i, (name, lag, is_filtered) in enumerate(atoms):
-            factor = z ** (-lag) * (filtered if is_filtered else 1.0)
-            G[:, i, :] = factor[:, None] * per_name[:, names.index(name), :]
-        after = np.abs(np.fft.ifft(G, axis=0))
-        lasts = after[points // 2 :].max(axis=(0, 2)) > _negligible(after)
-        if not lasts.any() and np.all(late <= _negligible(impulse)):
+        G = _on_grid(system, atoms, names, prefilter, points)
+        impulse = np.abs(np.fft.ifft(G, axis=0))
+        lasting = impulse[points // 2 :].max(axis=(0, 2)) > _negligible(impulse)
+        if not lasting.any():
             return G
         if points >= MOST_POINTS:
-            slow = [
-                n for n, is_late in zip(names, late > _negligible(impulse), strict=True) if is_late
-            ]
+            slow = dict.fromkeys(n for (n, _, _), is_slow in zip(atoms, lasting, strict=True)
+                                 if is_slow)  # fmt: skip
             raise ModelError(
-                f"the responses of {', '.join(slow) or 'the prefilter'} have not died out after "
-                f"{points // 4} samples: a pole is too near the unit circle, or the response is "
-                "not stable and causal. Sample more slowly, or give the stable closed loop"
+                f"the responses of {', '.join(slow)} have not died out after {points // 2} "
+                "samples: a pole is too near the unit circle, or the response is not stable and "
+                "causal. Sample more slowly, or give the stable closed loop"
             )
         points *= 2
+
+
+def _on_grid(
+    system: LinearSignals,
+    atoms: Sequence[Atom],
+    names: Sequence[str],
+    prefilter: Filter | None,
+    points: int,
+) -> Array:
+    """Response (M, n, ne) of the atoms on M points."""
+    z = circle(points)
+    per_name = system.response(z, names)
+    filtered = prefilter(z) if prefilter is not None else np.ones(points)
+    G = np.empty((points, len(atoms), per_name.shape[2]), dtype=complex)
+    for i, (name, lag, is_filtered) in enumerate(atoms):
+        factor = z ** (-lag) * (filtered if is_filtered else 1.0)
+        G[:, i, :] = factor[:, None] * per_name[:, names.index(name), :]
+    return G
 
 
 def _negligible(impulse: Array) -> Array:

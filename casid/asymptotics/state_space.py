@@ -13,7 +13,7 @@ from casid.asymptotics.filters import LAST_STABLE
 from casid.errors import ModelError
 
 Array = NDArray[Any]
-_BLOCK = 4096  # frequencies solved at once
+_NUMBERS = 1_600_000  # numbers in the matrices that are solved at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,11 +85,12 @@ def matrices(
 def state_space_response(given: Matrices) -> Callable[[Array], Array]:
     """z (M,) -> C (zI - A)^-1 B + D, (M, ny, ne)."""
     eye = np.eye(len(given.A))
+    block = max(1, _NUMBERS // max(1, given.A.size))
 
     def response(z: Array) -> Array:
         parts = []
-        for first in range(0, len(z), _BLOCK):
-            shifted = z[first : first + _BLOCK, None, None] * eye - given.A
+        for first in range(0, len(z), block):
+            shifted = z[first : first + block, None, None] * eye - given.A
             right = np.broadcast_to(given.B, (len(shifted), *given.B.shape))
             parts.append(given.C @ np.linalg.solve(shifted, right) + given.D)
         return np.concatenate(parts)
