@@ -20,7 +20,7 @@ from casid.instrumental.estimators import MomentEstimate
 from casid.instrumental.long_run import memory
 from casid.instrumental.moment_equations import moment_covariance
 from casid.instrumental.moment_nlp import Condensed, PhysicalNlp
-from casid.instrumental.propagation import free_slope
+from casid.instrumental.propagation import are_short, combined_covariance, free_slope
 from casid.instrumental.stage import StageFit
 
 Array = NDArray[Any]
@@ -173,7 +173,10 @@ def _score_equations(st: StageFit, k: int, covariance: Array) -> Condensed:
     e, root = st.equations[k], st.roots[k]
     own = [f for f in st.free if f not in st.parts[k].known]
     T = (root @ e.Phi @ free_slope(st, k, own)).T @ root
-    values, vectors = np.linalg.eigh(T @ covariance @ T.T)
+    spread = T @ covariance @ T.T
+    if are_short([e]):  # combined before their spectra are taken, as `propagate` does
+        spread = combined_covariance([e], [st.thetas[k]], [st.parts[k].record], T)
+    values, vectors = np.linalg.eigh(spread)
     keep = values > 1e-12 * values[-1]
     noise = (vectors[:, keep] / np.sqrt(values[keep])).T
     return Condensed.of(e, noise @ T)
