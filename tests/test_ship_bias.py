@@ -5,11 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from analysis import ship_bias_figures
 from analysis.ship_bias_mistakes import flipped, straight_course
 from analysis.ship_bias_records import IMPERFECTIONS, Imperfection, Rudder, answers, regressors
-from analysis.ship_bias_table import BACKGROUND, Estimator, mean_in_instruments, rows
+from analysis.ship_bias_speed import AtSea, AtSpeed
+from analysis.ship_bias_table import (
+    BACKGROUND,
+    Estimator,
+    Row,
+    mean_in_instruments,
+    rows,
+    with_background,
+)
 from casid.instrumental.column_products import column_means
 from casid.instrumental.columns import Column
+from casid.instrumental.estimators import least_squares
 from casid.sign_flips import sign_flips
 from problems import ship
 from problems.ship import TABLE_8_2
@@ -108,3 +118,42 @@ def test_a_straight_course_is_refused_with_a_mend():
     )
     trembling = straight_course(seconds=20.0, seed=0, jitter=0.005)["instruments"]
     assert "Use a reference that drives the system" in trembling
+
+
+def test_least_squares_warns_on_a_straight_course_and_not_where_the_rudder_moves():
+    """Differences of white noise are white: nine tenths and more of such regressors are noise."""
+    said = straight_course(seconds=20.0, seed=0)["warnings"]
+    assert "accel[t] - accel[t-2]" in said
+    assert "% noise in" in said
+    assert "use casid.instrumental_variables" in said
+    assert "K_delta does not move any output" in said
+    moving = [a.experiment(BACKGROUND) for a in answers(0, seconds=60.0)]
+    assert not least_squares(Estimator.make().model, moving).estimate.warnings
+
+
+def test_a_wrong_sign_is_found_through_all_noises_by_instruments():
+    """Noise drops out of the moments: they are chi^2 with the right signs, and far off with others.
+
+    Least squares misses by as much with either sign there.
+    """
+    wrong = with_background(IMPERFECTIONS["all of these"])
+    recorded = [a.experiment(wrong) for a in answers(0, seconds=60.0)]
+    found = sign_flips(ship.problem, flipped(recorded, "accel"), reference="delta")
+    assert [f.channel for f in found if f.is_suspected] == ["accel"]
+    assert not any(f.is_suspected for f in sign_flips(ship.problem, recorded, reference="delta"))
+
+
+def test_the_figures_say_what_they_show():
+    errors = np.array([[0.01, 0.0], [0.02, 0.001], [0.03, 0.002]])
+    table = [Row("none", method, errors, errors) for method in ("LS", "IV")]
+    sea = [AtSea(Hs, errors, errors, 0.0) for Hs in (0.0, 0.3)]
+    speeds = [AtSpeed(n, U, 1.0, 0.1, 1.0, 1.0) for n in ("k", "d", "K_r") for U in (0.6, 1.4)]
+    for figure in (
+        ship_bias_figures.imperfections(table, 0.0),
+        ship_bias_figures.sea(sea),
+        ship_bias_figures.speed(speeds),
+    ):
+        assert "95 %" in figure.layout.meta["caption"]
+    drawn = ship_bias_figures.imperfections(table, 0.0).data[0]
+    assert drawn.x[0] == pytest.approx(0.02)
+    assert drawn.error_x.array[0] == pytest.approx(1.96 * 0.01 / np.sqrt(3))
