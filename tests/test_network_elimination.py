@@ -22,6 +22,7 @@ from casid.networks.indirect_equations import (
 from casid.networks.left_inverse import left_inverse, recoverable
 from casid.networks.network import dynamic_network
 from casid.networks.node_sets import node_sets
+from casid.networks.ring_figure import ring_figure
 from casid.networks.rings import eliminate_recursively
 from casid.transfer.rational import Rational
 from problems import network8
@@ -362,6 +363,16 @@ def test_rings_are_eliminated_until_no_unobserved_node_is_left_and_the_model_gro
     assert set(found.rings[-1].inputs) == {"a1", "a2", "a3", "a4"}
     # tau of unknown nodes is in none of it
     assert not {n for n in found.rings[-1].externals if n.startswith("u")}
+
+
+def test_the_figure_of_rings_shows_how_the_model_grows():
+    found = eliminate_recursively(chain(3), "j")
+    drawn = {trace.name: list(trace.y) for trace in ring_figure(found).data}
+    assert drawn["nodes involved"] == [1, 2, 3, 4]
+    assert drawn["unobserved nodes"] == [1, 1, 1, 0]
+    assert drawn["McMillan degree"] == [r.degree for r in found.rings]
+    symbolic = ring_figure(eliminate_recursively(SYMBOLIC, 2))
+    assert "McMillan degree" not in {trace.name for trace in symbolic.data}
 
 
 def test_recursion_ends_by_immersing_what_no_measurement_is_left_for():

@@ -130,20 +130,21 @@ def test_well_posedness_by_loops_is_that_of_all_principal_minors(seed):
     from itertools import combinations
 
     rng = np.random.default_rng(seed)
-    D = np.where(rng.random((5, 5)) < 0.4, rng.choice([-1, 1, 2, 0.5], (5, 5)), 0.0)
+    L, density = (5, 0.4) if seed % 2 else (7, 0.25)
+    D = np.where(rng.random((L, L)) < density, rng.choice([-1, 1, 2, 0.5], (L, L)), 0.0)
     np.fill_diagonal(D, 0.0)
     minors = [
-        np.linalg.det((np.eye(5) - D)[np.ix_(s, s)])
-        for size in range(1, 6)
-        for s in combinations(range(5), size)
+        np.linalg.det((np.eye(L) - D)[np.ix_(s, s)])
+        for size in range(1, L + 1)
+        for s in combinations(range(L), size)
     ]
     is_posed = min(abs(m) for m in minors) > 1e-9
-    modules = {(i, k): D[i, k] for i in range(5) for k in range(5) if D[i, k]}
+    modules = {(i, k): D[i, k] for i in range(L) for k in range(L) if D[i, k]}
     if is_posed:
-        dynamic_network(modules, nodes=range(5))
+        dynamic_network(modules, nodes=range(L))
     else:
         with pytest.raises(ModelError, match="ill-posed"):
-            dynamic_network(modules, nodes=range(5))
+            dynamic_network(modules, nodes=range(L))
 
 
 def test_two_hundred_nodes_in_one_loop_with_one_delay_are_well_posed_at_once():
@@ -151,6 +152,15 @@ def test_two_hundred_nodes_in_one_loop_with_one_delay_are_well_posed_at_once():
     with pytest.raises(ModelError, match="ill-posed.*put a delay"):
         dynamic_network(ring)
     dynamic_network(ring | {(0, 199): 1 / q})
+    with pytest.raises(ModelError, match="of the nodes w100, w101 is zero"):
+        dynamic_network(ring | {(0, 199): 0.5, (100, 101): 1.0})
+
+
+def test_a_dense_network_of_direct_terms_is_refused_for_its_small_loops_at_least():
+    dense = {(i, k): 0.01 for i in range(40) for k in range(40) if i != k}
+    dynamic_network(dense)
+    with pytest.raises(ModelError, match="of the nodes w3, w5 is zero"):
+        dynamic_network(dense | {(3, 5): 4.0, (5, 3): 0.25})
 
 
 def test_algebraic_loops_are_told_in_order_of_the_signal():
