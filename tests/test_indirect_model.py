@@ -237,6 +237,31 @@ def test_a_mirrored_zero_has_the_right_amplitude_and_a_delay_the_right_shape() -
     assert both.f.is_stable
 
 
+def test_a_zero_on_the_edge_leaks_where_nothing_can_be_known() -> None:
+    """G = (q - 1)/(q - .5) passes no constant on: its inverse would integrate noise for ever."""
+    z = Rational.shift(0.01)
+    G = transfer_matrix([[(z - 1) / (z - Fraction(1, 2))]])
+    f = left_inverse(G)
+    assert not f.is_usable
+    assert "q = 1 " in f.obstacles[0]
+    (leaky,) = f.approximations()  # nor does it help to run it backward
+    assert leaky.kind == "leaky"
+    assert leaky.f.is_stable
+    w = np.geomspace(0.1, 300.0, 40)
+    achieved = (leaky.f @ G).frequency_response(w)[:, 0, 0]
+    np.testing.assert_allclose(achieved, leaky.B.frequency_response(w), atol=1e-9)
+    assert leaky.error_at(np.array([0.0]))[0] == pytest.approx(1.0)
+    low, high = leaky.good_band() or (0.0, 0.0)
+    assert 0 < low <= leaky.band[0] * 1.05
+    assert high == pytest.approx(leaky.band[1])
+    with pytest.raises(ModelError, match="leaky: error up to .* below 10 % from"):
+        f.require_usable()
+    # An accelerometer on a mass: two zeros at s = 0.
+    two = left_inverse(transfer_matrix([[s**2 / (s**2 + s + 4)]])).approximations((1.0, 5.0))[0]
+    assert two.kind == "leaky"
+    assert two.f.is_stable
+
+
 def test_in_continuous_time_an_improper_inverse_is_filtered_a_decade_above_the_band() -> None:
     G = transfer_matrix([[(1 - s) / (s + 2) ** 3]])
     f = left_inverse(G)
@@ -434,3 +459,27 @@ def test_names_are_checked() -> None:
     d = direct_model(G_OK=1, names={"known": ["push"], "outputs": ["speed"]})
     assert indirect_model(d).inputs == ("push",)
     assert "speed" in repr(d)
+
+
+def test_what_else_is_asked_wrongly_is_refused_with_its_mend() -> None:
+    g = 1 / (q - Fraction(1, 2))
+    known, eiv = direct_model(G_OK=g), direct_model(G_OD=g, G_DD=1)
+    one = transfer_matrix([[1]])
+    with pytest.raises(ModelError, match="for known inputs alone; close the loop of the indirect"):
+        closed_loop(eiv, one, one)
+    with pytest.raises(ModelError, match=r"F_y is \(1, 2\).*give \(1, 1\)"):
+        closed_loop(known, transfer_matrix([[1, 1]]), one)
+    letter = sympy.Symbol("a")
+    with pytest.raises(ModelError, match="no value is given for a; give them with substitute"):
+        left_inverse(transfer_matrix([[letter]])).approximations()
+    late = left_inverse(transfer_matrix([[1 / q]]))
+    with pytest.raises(ModelError, match="give .low, high. in rad/s with 0 <= low < high"):
+        late.approximations((1.0, 0.5))
+    with pytest.raises(ModelError, match="3 measurements are named, G_I has 2 rows; name each"):
+        choose_output([[1], [1]], measurements=["a", "b", "c"])
+    with pytest.raises(ModelError, match="G_K has 1 rows, G_I 2; give one a measurement"):
+        choose_output([[1], [1]], [[1]])
+    with pytest.raises(ModelError, match="all of them are wanted as outputs"):
+        choose_output([[1], [1]], wanted=["y1", "y2"])
+    with pytest.raises(ModelError, match="a filter in s cannot run on samples; sample it first"):
+        run_noncausally(transfer_matrix([[1 / (s + 1)]]), np.zeros(9))

@@ -20,7 +20,8 @@ from casid.linear.linear_model import linearise
 from casid.observers.decoupled_observer import decoupled_observer
 from casid.observers.equivalent_model import existence
 from casid.observers.input_smoother import reconstruct_input
-from casid.observers.unknown_input_system import UnknownInputSystem, unknown_input_system
+from casid.observers.read_system import unknown_input_system
+from casid.observers.unknown_input_system import UnknownInputSystem
 from casid.transfer.matrix import RationalMatrix, transfer_matrix
 from casid.transfer.rational import Rational
 from problems import sensor_to_sensor as building

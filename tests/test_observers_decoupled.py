@@ -19,7 +19,8 @@ from casid.observers.equivalent_model import (
     existence,
     unrecoverable_inputs,
 )
-from casid.observers.unknown_input_system import UnknownInputSystem, unknown_input_system
+from casid.observers.read_system import unknown_input_system
+from casid.observers.unknown_input_system import UnknownInputSystem
 
 Array = np.ndarray[Any, Any]
 SEEDS = st.integers(0, 10**6)

@@ -3,9 +3,12 @@
 With f G = I, an approximation f_a = B f has f_a G = B I, B a scalar filter. Whatever G is, its
 error at a frequency is |B - 1|.
 
-- delayed: B = q^-d, d the samples that f looks ahead; B = 1/(s/w + 1)^d in continuous time
-- mirrored: B all-pass with the zeros of f's unstable poles (q - p)/(1 - p q), and 1 at frequency 0:
-  the amplitude is right, the phase is not
+- delayed: B = q^-d, d the samples that f looks ahead; B = 1/(s/w + 1)^d in continuous time. A delay
+  alone does no harm where every other signal can be delayed as well
+- mirrored: for a pole p of f that is unstable, B has the all-pass factor (q - p)/(1 - p q), made 1
+  at frequency 0: the amplitude is right, the phase is not
+- leaky: for a pole p on the edge of stability, the factor (q - p)/(q - r p), r just below one:
+  right away from the frequency of p, where G passes nothing on and nothing can be known
 - noncausal: B = 1, run over a whole record, unstable poles backward in time; wrong near its ends
 """
 
@@ -35,7 +38,7 @@ class ApproximateInverse:
 
     Attributes
     ----------
-    kind : "delayed", "mirrored", "delayed and mirrored" or "noncausal".
+    kind : "delayed", "mirrored", "leaky", several of these, or "noncausal".
     f : (n, m) the filter to run forward in time; of "noncausal" the inverse itself, for
         `run_noncausally`.
     B : the scalar filter left.
@@ -53,19 +56,28 @@ class ApproximateInverse:
         """(F,) |B - 1| at frequencies [rad/s]."""
         return np.asarray(np.abs(self.B.frequency_response(omega) - 1))
 
-    def good_band(self, tolerance: float = 0.1) -> tuple[float, float]:
-        """(0, w): the frequencies from zero on where the error stays below the tolerance."""
+    def good_band(self, tolerance: float = 0.1) -> tuple[float, float] | None:
+        """(low, high) [rad/s] up to the band's end, the widest where the error is below tolerance.
+
+        None where it is nowhere.
+        """
         w = np.linspace(0.0, self.band[1], 2001)
-        bad = np.flatnonzero(self.error_at(w) > tolerance)
-        return 0.0, float(w[bad[0] - 1] if bad.size and bad[0] else 0.0 if bad.size else w[-1])
+        edges = np.diff(np.concatenate([[0], self.error_at(w) <= tolerance, [0]]).astype(int))
+        first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
+        if not len(first):
+            return None
+        k = int(np.argmax(last - first))
+        return float(w[first[k]]), float(w[last[k]])
 
     def __str__(self) -> str:
         low, high = self.band
         if self.kind == "noncausal":
             return "noncausal, over a whole record: exact but near its ends"
+        good = self.good_band()
+        where = "nowhere below 10 %" if good is None else f"below 10 % {_span(*good)}"
         return (
-            f"{self.kind}: error up to {100 * self.error:.3g} % from {low:.3g} to {high:.3g} rad/s"
-            f", below 10 % up to {self.good_band()[1]:.3g} rad/s"
+            f"{self.kind}: error up to {100 * self.error:.3g} % from {low:.3g} to {high:.3g} rad/s,"
+            f" {where}"
         )
 
 
@@ -77,7 +89,8 @@ def approximations(
     Parameters
     ----------
     band : (low, high) [rad/s] over which errors are taken; by default up to a tenth of the
-        sampling frequency, or the geometric middle of G's poles and zeros.
+        sampling frequency, or the geometric middle of G's poles and zeros; from a twentieth of that
+        on where an inverse would integrate.
 
     Raises
     ------
@@ -93,24 +106,35 @@ def approximations(
     if inverse.is_usable:
         return ()
     variable, Ts = f.time
-    low, high = band if band is not None else _band(inverse)
+    bad = _multiplicities(f)
+    edge = [r for r in bad if _is_marginal(r)]
+    low, high = band if band is not None else _band(inverse, bool(edge))
     if not 0 <= low < high:
         raise ModelError(f"band = {band}; give (low, high) in rad/s with 0 <= low < high")
-    found = []
-    bad = _multiplicities(f)
-    on_edge = [r for r in bad if _is_marginal(r)]
-    wait = _delay(inverse.excess, variable, Ts, high)
-    if not on_edge:
-        mirror = Rational.shift() ** 0
-        for r in bad:
-            if r.value.imag >= -1e-12:
-                mirror = mirror * _all_pass(r)
-        at_rest = mirror.at(Fraction(0 if variable == "s" else 1))
-        B = wait * mirror * (1 / Fraction(at_rest))
-        words = [w for w, is_so in (("delayed", not f.is_proper), ("mirrored", bool(bad))) if is_so]
-        found.append(_approximation(" and ".join(words), _scaled(f, B, bad), B, (low, high)))
+    mirrored, leaky = Rational.shift() ** 0, Rational.shift() ** 0
+    for r in bad:
+        if r.value.imag < -1e-12:
+            continue  # its conjugate has both
+        if r in edge:
+            leaky = leaky * _leak(r, max(low, high / 20) / 10)
+        else:
+            mirrored = mirrored * _all_pass(r)
+    at_rest = Fraction(mirrored.at(Fraction(0 if variable == "s" else 1)))
+    B = _delay(inverse.excess, variable, Ts, high) * mirrored * leaky * (1 / at_rest)
+    kinds = (
+        ("delayed", not f.is_proper),
+        ("mirrored", len(edge) < len(bad)),
+        ("leaky", bool(edge)),
+    )
+    name = " and ".join(word for word, is_so in kinds if is_so)
+    found = [_approximation(name, _scaled(f, B, bad), B, (low, high))]
+    if not edge:
         found.append(_approximation("noncausal", f, Rational.shift() ** 0, (low, high)))
     return tuple(found)
+
+
+def _span(low: float, high: float) -> str:
+    return f"up to {high:.3g} rad/s" if low == 0 else f"from {low:.3g} to {high:.3g} rad/s"
 
 
 def run_noncausally(f: RationalMatrix, signals: Any) -> tuple[Array, Array]:
@@ -175,12 +199,14 @@ def _approximation(
     return ApproximateInverse(kind, f, B, band, error)
 
 
-def _band(inverse: LeftInverse) -> tuple[float, float]:
+def _band(inverse: LeftInverse, integrates: bool) -> tuple[float, float]:
     variable, Ts = inverse.f.time
     if variable != "s":
-        return 0.0, 0.2 * np.pi / (Ts or 1.0)
-    w = frequency_grid([inverse.G])
-    return 0.0, float(np.sqrt(w[0] * w[-1]))
+        high = 0.2 * np.pi / (Ts or 1.0)
+    else:
+        w = frequency_grid([inverse.G])
+        high = float(np.sqrt(w[0] * w[-1]))
+    return (high / 20 if integrates else 0.0), high
 
 
 def _delay(excess: int, variable: str, Ts: float | None, high: float) -> Rational:
@@ -193,7 +219,7 @@ def _delay(excess: int, variable: str, Ts: float | None, high: float) -> Rationa
 
 
 def _is_marginal(r: Root) -> bool:
-    return abs(r.value.real) < 1e-9 if r.variable == "s" else abs(abs(r.value) - 1) < 1e-9
+    return abs(r.value.real) < 1e-7 if r.variable == "s" else abs(abs(r.value) - 1) < 1e-7
 
 
 def _all_pass(r: Root) -> Rational:
@@ -207,6 +233,26 @@ def _all_pass(r: Root) -> Rational:
     if r.variable == "s":
         return (x * x - two * x + square) / (x * x + two * x + square)
     return (x * x - two * x + square) / (square * x * x - two * x + 1)
+
+
+def _leak(r: Root, corner: float) -> Rational:
+    """(q - p)/(q - r p), 1 far away; (s - p)/(s - p + w); for a complex p with its conjugate."""
+    if r.variable == "s":
+        x, p = Rational.derivative(), complex(0.0, r.value.imag)
+        moved = complex(-corner, p.imag)
+    else:
+        x, p = Rational.shift(r.Ts), r.value / abs(r.value)
+        moved = p * max(1 - corner * (r.Ts or 1.0), 0.0)
+
+    def factor(at: complex) -> Rational:
+        if abs(p.imag) < 1e-9:
+            return x - Fraction(repr(at.real))
+        return x * x - Fraction(repr(2 * at.real)) * x + Fraction(repr(abs(at) ** 2))
+
+    gain = Fraction(1)
+    if r.variable != "s":  # one at the frequency opposite to p
+        gain = Fraction(repr((1 + abs(moved)) / 2)) ** (1 if abs(p.imag) < 1e-9 else 2)
+    return factor(p) / factor(moved) * gain
 
 
 def _scaled(f: RationalMatrix, B: Rational, bad: Sequence[Root]) -> RationalMatrix:

@@ -89,4 +89,4 @@ def _is_stable(g: Rational) -> bool:
 def lies_outside(root: Root) -> bool:
     """Whether a root in floats is not stable; on the edge, to rounding, it is not."""
     v = root.value
-    return v.real >= -1e-9 * abs(v) if root.variable == "s" else abs(v) >= 1 - 1e-9
+    return v.real >= -1e-7 * abs(v) if root.variable == "s" else abs(v) >= 1 - 1e-7

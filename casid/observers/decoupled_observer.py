@@ -21,8 +21,9 @@ from casid.data import Record
 from casid.errors import DataError, ModelError
 from casid.expressions import nearest
 from casid.observers.equivalent_model import Existence, pole_text, require_existence
+from casid.observers.read_system import unknown_input_system
 from casid.observers.subspaces import TOLERANCE, row_space, size
-from casid.observers.unknown_input_system import UnknownInputSystem, unknown_input_system
+from casid.observers.unknown_input_system import UnknownInputSystem
 from casid.prediction.kalman import recursion, steady_state
 from casid.prediction.noisy_system import NoisySystem, sample_system
 

@@ -21,8 +21,9 @@ from casid.errors import ModelError
 from casid.expressions import nearest
 from casid.observers.equivalent_model import unrecoverable_inputs
 from casid.observers.input_estimate import InputEstimate, noise_guess
+from casid.observers.read_system import unknown_input_system
 from casid.observers.split_dynamics import split_dynamics
-from casid.observers.unknown_input_system import UnknownInputSystem, unknown_input_system
+from casid.observers.unknown_input_system import UnknownInputSystem
 from casid.prediction.extended_smoother import ExtendedSmoother, StochasticModel
 from casid.prediction.noisy_system import exponential, sample_noise
 

@@ -29,9 +29,10 @@ from casid.expressions import nearest
 from casid.observers.equivalent_model import direction_text, pole_text, unrecoverable_inputs
 from casid.observers.input_estimate import InputEstimate, noise_guess
 from casid.observers.output_window import observer_gain, output_window
+from casid.observers.read_system import unknown_input_system
 from casid.observers.split_dynamics import SplitDynamics, split_dynamics
 from casid.observers.subspaces import unobservable_subspace
-from casid.observers.unknown_input_system import UnknownInputSystem, unknown_input_system
+from casid.observers.unknown_input_system import UnknownInputSystem
 
 Array = NDArray[Any]
 
