@@ -42,6 +42,8 @@ PAGES = (
     "prediction",
     "solvers",
     "campaigns",
+    "unknown_inputs",
+    "networks",
     "ships",
     "limits",
 )
