@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 
 from analysis import ship_basin_figures as figures
-from analysis.pendulum_rig_tables import Output
+from analysis.output import Output
 from analysis.ship_algorithm import SETTINGS
 from analysis.ship_basin_records import (
     CASES,
@@ -285,7 +285,7 @@ def settings(desk: Desk, extent: Extent, out: Output) -> Iterator[Target]:
     yield at_most("2 lags: spread beside that of the thesis' 16", ratio, 1.3, "times")
     filters = compared(desk, "prefilters", PREFILTERS, extent.prefilters, out)
     for name in list(PREFILTERS)[1:]:
-        ratio = np.median(np.array(filters[name]) / filters["1"])
+        ratio = float(np.median(np.array(filters[name]) / filters["1"]))
         yield Target(
             f"prefilter from {name}: spread beside that of prefilter 1",
             f"{ratio:.2f} times",

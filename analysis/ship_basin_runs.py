@@ -162,7 +162,7 @@ class Found:
     def column(self, label: str, name: str) -> Array:
         """(n,) values of the draws that were not refused."""
         column = np.asarray(self.done.column(f"{label} {name}"), dtype=float)
-        return column[np.isfinite(column)]
+        return np.asarray(column[np.isfinite(column)])
 
     def refused(self, label: str) -> float:
         """Share of the draws without an estimate."""
