@@ -21,6 +21,7 @@ from casid.observers.equivalent_model import (
 )
 from casid.observers.read_system import unknown_input_system
 from casid.observers.unknown_input_system import UnknownInputSystem
+from problems import pendulum
 
 Array = np.ndarray[Any, Any]
 SEEDS = st.integers(0, 10**6)
@@ -309,6 +310,19 @@ def test_a_sampled_observer_is_exact_where_the_unknown_input_is_held() -> None:
         s, rng.standard_normal((200, 1)), rng.standard_normal((200, 1)), np.ones(2)
     )
     np.testing.assert_allclose(observer.run(record).x[100:], x[100:], atol=1e-12)
+
+
+def test_the_pendulum_s_angle_is_observed_though_the_cart_s_acceleration_is_not() -> None:
+    """Example 3.12's kind: the accelerometer feels a_y at once, and takes its place. Nonlinear
+    motion, straight lines between samples: 1e-3 of the largest angle."""
+    reference = pendulum.telegraph(2000, 0.01, amplitude=0.3, rng=np.random.default_rng(1))
+    record = pendulum.simulate(ref=reference, noise=0.0)
+    values = {name: pendulum.TABLE_7_2[name] for name in ("k", "d", "I_x")}
+    phi = pendulum.motion(reference, 0.01, 5, m=0.0, d_2=0.0, **values)[0]
+    observer = decoupled_observer(pendulum.linear_model(), poles=[-3.0, -4.0], values=values)
+    error = observer.run(record, x0={"phi": 0.1})["phi"] - phi
+    assert np.max(np.abs(error[:10])) > 0.09
+    assert np.max(np.abs(error[600:])) < 1e-3 * np.max(np.abs(phi))
 
 
 def test_the_gain_of_least_variance_has_the_variance_it_states_and_none_is_smaller() -> None:

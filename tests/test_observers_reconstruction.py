@@ -17,6 +17,7 @@ from casid.observers.input_smoother import reconstruct_input
 from casid.observers.noncausal_inverse import noncausal_inverse
 from casid.observers.split_dynamics import split_dynamics
 from casid.observers.unknown_input_system import UnknownInputSystem
+from problems import pendulum
 
 Array = np.ndarray[Any, Any]
 
@@ -271,6 +272,25 @@ def test_a_band_limited_estimate_says_where_the_input_stands_out_of_the_noise() 
     assert added.is_missing("force").sum() == (~e.valid).sum()
 
 
+@pytest.mark.parametrize("C", [[[-3.0, 1.0]], [[3.0, 1.0]]])
+def test_standard_deviations_hold_from_the_first_valid_sample_to_the_last(
+    C: list[list[float]],
+) -> None:
+    """Large unknown starts; an rms of M errors deviates by 1/sqrt(2 M), transients by a tenth."""
+    s = oscillator(C)
+    inverse = noncausal_inverse(s)
+    M, N, rng = 60, 500, np.random.default_rng(0)
+    scores = np.empty((M, 3))
+    for i in range(M):
+        w = smooth_force(N, rng)
+        record = run(s, np.zeros((N, 1)), w, 3 * rng.standard_normal(2), 0.01, rng)
+        e = inverse.run(record, noise={"pos": 0.01})
+        z = ((e["force"] - w[:, 0]) / e.std_error("force"))[e.valid]
+        scores[i] = z[0], z[len(z) // 2], z[-1]
+    rms = np.sqrt(np.mean(scores**2, axis=0))
+    np.testing.assert_allclose(rms, 1.0, atol=3.5 / np.sqrt(2 * M) + 0.1)
+
+
 def test_without_unstable_zeros_the_inverse_has_the_observer_s_states() -> None:
     """Both are exact without noise; the inverse's free gain H is an observer's gain."""
     s = oscillator([[1.0, 0.0], [-3.0, 1.0]], np.zeros((2, 1)))
@@ -303,6 +323,24 @@ def test_a_split_recursion_is_a_solution_whatever_its_eigenvalues() -> None:
     x = split_dynamics(A).run(v)
     np.testing.assert_allclose(x[1:], x[:-1] @ A.T + v[:-1], atol=1e-9 * np.max(np.abs(x)))
     assert np.max(np.abs(x)) < 1e3
+
+
+def test_the_cart_s_acceleration_is_told_by_the_pendulum_s_two_sensors() -> None:
+    """A telegraph through a lag is no random walk: the band is checked for its size alone."""
+    reference = pendulum.telegraph(3000, 0.01, amplitude=0.3, rng=np.random.default_rng(1))
+    record = pendulum.simulate(ref=reference, noise=0.01)
+    values = {name: pendulum.TABLE_7_2[name] for name in ("k", "d", "I_x")}
+    truth = pendulum.motion(reference, 0.01, 5, m=0.0, d_2=0.0, **values)[2]
+    noise = {"gyro": 0.01, "accel": 0.01}
+    smoothed = reconstruct_input(pendulum.linear_model(), record, values=values, noise=noise)
+    inverse = noncausal_inverse(pendulum.linear_model(), Ts=0.01, values=values, noise=noise)
+    inverted = inverse.run(record, noise=noise, band=20.0)
+    for e in (smoothed, inverted):
+        error = (e["a_y"] - truth)[e.valid]
+        assert np.std(error) < 0.06 * np.std(truth)
+        sd = float(np.median(e.std_error("a_y")[e.valid]))
+        assert 0.5 < np.std(error) / sd < 2.0
+        assert e.units["a_y"] == "m/s^2"
 
 
 # -- bad input, figures ----------------------------------------------------------------------------
