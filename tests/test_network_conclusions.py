@@ -272,6 +272,15 @@ def test_the_search_on_the_eight_nodes_asks_for_the_sensor_that_would_help():
     assert [c.node for c in helped.sets[0].confounders] == [6]
 
 
+def test_noisy_sensors_among_the_inputs_are_told():
+    network = dynamic_network(
+        {(1, 2): 1 / q, (1, 3): 1 / q, (3, 2): 1 / q}, sensor_noise={2: 0.0, 3: 0.5}
+    )
+    (found,) = predictor_inputs(network, 1, 2).sets
+    assert (found.inputs, found.noisy) == ((2, 3), (3,))
+    assert "noisy sensors on w3" in str(found)
+
+
 def test_sets_free_of_confounders_are_found_and_checked():
     search = predictor_inputs(
         network8.table_network(tuple(range(1, 9))), 2, 1, without_confounders=True

@@ -23,18 +23,28 @@ from casid.networks.separators import disjoint_open_paths
 
 @dataclass(frozen=True, slots=True)
 class InputSet:
-    """Predictor inputs that suffice, and the disturbances that confound them."""
+    """Predictor inputs that suffice, and what stands in the way of least squares on them.
+
+    Attributes
+    ----------
+    inputs : the set.
+    confounders : disturbances common to the output and an input.
+    noisy : inputs whose sensor is noisy: an errors-in-variables problem (3.51).
+    """
 
     inputs: tuple[Node, ...]
     confounders: tuple[Confounder, ...]
+    noisy: tuple[Node, ...] = ()
 
     @property
     def is_free_of_confounders(self) -> bool:
-        """Whether least squares on these inputs is not biased by a common disturbance."""
+        """Whether no disturbance is common to the output and an input."""
         return not self.confounders
 
     def __str__(self) -> str:
         told = "; ".join(map(str, self.confounders)) or "no confounder"
+        if self.noisy:
+            told += f"; noisy sensors on {labels(self.noisy)}"
         return f"{labels(self.inputs)}: {told}"
 
 
@@ -171,7 +181,8 @@ def _judged(
         c = common[0]
         trail = (*c.to_output[:-1], *(n for p in c.to_inputs[:1] for n in p[:-1]))
         return _refused(inputs, str(c), trail, eyes)
-    return InputSet(inputs, common)
+    noisy = tuple(n for n in inputs if network.sensor_noise.get(n, 0.0) > 0)
+    return InputSet(inputs, common, noisy)
 
 
 def _refused(
