@@ -33,7 +33,7 @@ import sympy
 
 from analysis.network_examples_feedforward import compared
 from analysis.network_examples_figures import predictions, rings, signals
-from analysis.pendulum_rig_tables import Output
+from analysis.output import Output
 from analysis.targets import Target, at_most, conclude, near
 from casid.networks.confounding import confounders
 from casid.networks.drawing import network_figure

@@ -31,6 +31,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.output import Output
 from analysis.pendulum_rig_estimators import (
     FREE,
     INSTRUMENTS,
@@ -57,7 +58,6 @@ from analysis.pendulum_rig_tables import (
     PUBLISHED,
     PUBLISHED_FITS,
     PUBLISHED_VALUES,
-    Output,
 )
 from analysis.targets import Target, at_most, conclude, near
 from casid.campaigns.campaign import campaign

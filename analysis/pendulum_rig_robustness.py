@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 import casid
+from analysis.output import Output
 from analysis.pendulum_rig_estimators import (
     FREE,
     INSTRUMENTS,
@@ -21,7 +22,6 @@ from analysis.pendulum_rig_estimators import (
     staged,
 )
 from analysis.pendulum_rig_records import AMPLITUDE, Draws
-from analysis.pendulum_rig_tables import Output
 from analysis.targets import Target, at_most, near
 from casid.instrumental.estimators import multistage
 from casid.instrumental.moment_settings import MomentSettings

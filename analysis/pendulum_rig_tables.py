@@ -1,12 +1,8 @@
-"""What the thesis published of its laboratory pendulum, and where the study's own numbers go."""
+"""What the thesis published of its laboratory pendulum."""
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
 
 PUBLISHED: Mapping[str, Mapping[str, float]] = {
     "multi-stage (7.58)": {"I_x": 0.602, "m": 5.81, "z_m": 5.52, "m z_m": 10.5, "m z_m^2": 17.6},
@@ -35,24 +31,3 @@ PUBLISHED_FITS = {
     ("loaded", "gyro"): 73.8,
     ("loaded", "accel"): 74.3,
 }
-
-
-@dataclass
-class Output:
-    """Where tables and figures go; nothing is written without a folder."""
-
-    folder: Path | None
-
-    def table(self, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Write rows as CSV."""
-        if self.folder is None:
-            return
-        with (self.folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
-
-    def figure(self, name: str, figure: Any) -> None:
-        """Write a Plotly figure as a page."""
-        if self.folder is not None:
-            figure.write_html(self.folder / f"{name}.html", include_plotlyjs="directory")

@@ -33,7 +33,7 @@ from pathlib import Path
 import numpy as np
 
 import casid
-from analysis.pendulum_rig_tables import Output
+from analysis.output import Output
 from analysis.ship_algorithm_records import (
     FOUR,
     THREE,

@@ -39,7 +39,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.pendulum_rig_tables import Output
+from analysis.output import Output
 from analysis.ship_algorithm_records import SIDEWAYS, THREE, load
 from analysis.ship_basin_turns_ablation import residuals
 from analysis.ship_basin_turns_constant_speed import speed

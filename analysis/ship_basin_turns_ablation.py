@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import casid
-from analysis.pendulum_rig_tables import Output
+from analysis.output import Output
 from analysis.ship_algorithm import EIGHT, TRUTH, fit
 from analysis.ship_algorithm_records import NONE, SIDEWAYS, Disturbance, low_passed
 from analysis.ship_basin_turns_figures import residual_figure

@@ -12,7 +12,7 @@ from dataclasses import asdict
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.pendulum_rig_tables import Output
+from analysis.output import Output
 from analysis.ship_algorithm import EIGHT, LOAD, TRUTH, fit
 from analysis.ship_algorithm_records import low_passed
 from analysis.ship_basin_turns_figures import speed_figure

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.pendulum_rig_tables import Output
+from analysis.output import Output
 from analysis.ship_bias_figures import imperfections, speed
 from analysis.ship_bias_figures import sea as sea_figure
 from analysis.ship_bias_hidden import Hidden, diagnosed

@@ -25,7 +25,7 @@ import numpy as np
 import sympy as sp
 from scipy.optimize import brentq
 
-from analysis.pendulum_rig_tables import Output
+from analysis.output import Output
 from analysis.static_examples_figures import UNIT, figure_3_5, pair
 from analysis.static_examples_formulas import FORMS, TRUTH, ClosedForm
 from analysis.static_examples_runs import beside_theory, draws

@@ -1,0 +1,30 @@
+"""Where the tables and figures of a study go."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass
+class Output:
+    """Where tables and figures go; nothing is written without a folder."""
+
+    folder: Path | None
+
+    def table(self, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Write rows as CSV."""
+        if self.folder is None:
+            return
+        with (self.folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+
+    def figure(self, name: str, figure: Any) -> None:
+        """Write a Plotly figure as a page."""
+        if self.folder is not None:
+            figure.write_html(self.folder / f"{name}.html", include_plotlyjs="directory")
