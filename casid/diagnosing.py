@@ -304,11 +304,16 @@ def _undecidable(search: Search, fit: Fit, at: Weighted) -> str:
 
 
 def _recorded(problem: Problem, experiments: Sequence[Experiment]) -> dict[str, str]:
-    """Channels recorded beside the model's that every record has and that move."""
+    """Channels recorded beside the model's that every record has and that move.
+
+    One that is named like something of the model's own (an eliminated input, a state) is what the
+    model has already.
+    """
     used = {*problem.model.inputs, *problem.model.outputs}
     out = {}
     for name, unit in problem.recorded.items():
-        if name in used or not all(name in e.record.channels for e in experiments):
+        is_own = name in used or problem.model.free_name(name) != name
+        if is_own or not all(name in e.record.channels for e in experiments):
             continue
         complete = all(not np.any(e.record.is_missing(name)) for e in experiments)
         if complete and any(np.ptp(e.record[name]) > 0 for e in experiments):

@@ -6,6 +6,7 @@ strength is the rms misfit that the best linear refit leaves, in units of the ou
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 
@@ -323,3 +324,16 @@ def test_a_user_sees_verdict_cause_and_gain_in_the_text():
     assert "quadratic_damping in torque" in text
     assert "noise floor" in text
     assert repr(d) == "<Diagnosis pendulum: deficient, quadratic_damping(torque)>"
+
+
+def test_a_recorded_channel_named_like_the_eliminated_input_is_no_candidate():
+    """a_y is in the model already, behind the accelerometer that took its place."""
+    from casid.diagnosing import _recorded
+
+    rng = np.random.default_rng(1)
+    channels = {n: rng.standard_normal(50) for n in ("gyro", "accel", "a_y", "yaw_rate")}
+    record = casid.Record(channels, dict.fromkeys(channels, "1"), Ts=0.01)
+    problem = dataclasses.replace(
+        pendulum.problem, recorded={"a_y": "m/s^2", "yaw_rate": "rad/s", "gyro": "rad/s"}
+    )
+    assert _recorded(problem, [casid.Experiment(record)]) == {"yaw_rate": "rad/s"}
