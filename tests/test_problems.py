@@ -12,7 +12,7 @@ from casid.errors import ModelError
 from problems import emps, pendulum, roll_decay
 from tests.shared import ROOT, shared
 
-NAMES = ("pendulum", "roll_decay", "emps", "ship")
+NAMES = ("pendulum", "roll_decay", "emps", "ship", "ship_4dof", "sensor_to_sensor")
 
 
 @pytest.mark.parametrize("name", NAMES)
