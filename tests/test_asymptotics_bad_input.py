@@ -111,6 +111,9 @@ def test_a_deficient_input_measurement_names_what_it_loses() -> None:
             system, "y", {"b1": "u1", "b2": "u2", "b3": "u3"}, ["u1", "u2", "u3"],
             {"b1": 1, "b2": 1, "b3": 1}, measured=both,
         )  # fmt: skip
+    twice = InputMeasurement(["s1", "s2"], ["u1", "u2"], [[1.0, 3.0], [2.0, 6.0 + 1e-14]])
+    with pytest.raises(IdentifiabilityError, match="rank 1 for the 2 inputs u1, u2: u1, u2 cannot"):
+        twice.recover(system)
     with pytest.raises(ModelError, match=r"gain has shape \(1, 2\) for 2 sensors and 3 inputs"):
         InputMeasurement(["s1", "s2"], ["u1", "u2", "u3"], [[1, 1]]).recover(system)
 

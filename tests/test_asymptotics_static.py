@@ -319,6 +319,32 @@ def test_monte_carlo_has_the_limit_and_the_covariance(
     assert np.all(np.abs(found - P) < 3.5 * spread + 4.0 / N * np.sqrt(np.outer(*[np.diag(P)] * 2)))
 
 
+ESTIMATED_STAGES = {
+    "first stage complete": FirstStage("y_U", ["delta1", "delta2"]),
+    "first stage lacks delta2": FirstStage("y_U", ["delta1 + delta2"]),
+}
+
+
+@pytest.mark.parametrize("case", ESTIMATED_STAGES)
+def test_two_stages_that_are_biased_vary_as_both_stages_together_say(
+    case: str, simulated: Callable[[float], dict[str, Array]]
+) -> None:
+    """beta = 0.4: tau_u moves u_K as well, so that the second residual is correlated with what the
+    first stage is made of; both stages' errors and their correlation count."""
+    regression = Regression(
+        "y_O", {"bK": "u_K", "bU": "predicted"}, generated={"predicted": ESTIMATED_STAGES[case]}
+    )
+    theory = regression_limit(SYSTEM.at(SAMPLE), regression)
+    some = {k: v for k, v in SAMPLE.items() if k not in ("l2", "le")}
+    by_formula = regression_limit(SYSTEM.at(some), regression).at({"l2": 0.6, "le": 0.4})
+    np.testing.assert_allclose(by_formula.covariance, theory.covariance, rtol=1e-9)
+    theta = estimated(regression, simulated(0.4))
+    P = np.diag(theory.covariance)
+    assert np.all(np.abs(theta.mean(axis=0) - theory.limit) < 3.5 * np.sqrt(P / N / RUNS) + 2 / N)
+    ratio = N * theta.var(axis=0, ddof=1) / P
+    assert np.all(np.abs(ratio - 1) < 3.5 * math.sqrt(2 / RUNS) + 4 / N)
+
+
 @pytest.mark.parametrize(
     ("kind", "excess"), [("binary", -2.0), ("uniform", -1.2), ("laplace", 3.0)]
 )
@@ -333,15 +359,18 @@ def test_what_a_biased_estimate_varies_depends_on_the_kurtosis_of_the_externals(
         "uniform": lambda: rng.uniform(-math.sqrt(3), math.sqrt(3), (runs, n)),
         "laplace": lambda: rng.laplace(0, math.sqrt(0.5), (runs, n)),
     }[kind]()
+    x = math.sqrt(2.5) * x
     w, e = rng.standard_normal((2, runs, n))
     u, y = x + w, 2 * x + 0.3 * e
     estimate = np.sum(u * y, axis=1) / np.sum(u * u, axis=1)
     system = LinearSignals.of(
-        {"u": "x + w", "y": "2*x + 0.3*e"}, {"x": 1, "w": 1, "e": 1}, excess_kurtosis={"x": excess}
+        {"u": "x + w", "y": "2*x + 0.3*e"},
+        {"x": 2.5, "w": 1, "e": 1},
+        excess_kurtosis={"x": excess},
     )
     found = regression_limit(system, Regression("y", {"b": "u"}))
     gaussian = regression_limit(
-        LinearSignals.of({"u": "x + w", "y": "2*x + 0.3*e"}, {"x": 1, "w": 1, "e": 1}),
+        LinearSignals.of({"u": "x + w", "y": "2*x + 0.3*e"}, {"x": 2.5, "w": 1, "e": 1}),
         Regression("y", {"b": "u"}),
     )
     variance = found.variance("b")
