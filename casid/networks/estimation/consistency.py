@@ -203,12 +203,12 @@ def _are_reached(e: ModuleEquation) -> bool:
 
 def _by_more_references(e: ModuleEquation) -> list[str]:
     """One more excited node that adds a direction to what the inputs see."""
-    net = e.network
+    net, own = e.network, e.equations.F[e.output]
     candidates = [
         n
         for n in net.nodes
         if n not in net.excitations
-        and n not in e.equations.F[e.output]
+        and (n not in own or (n == e.output and own[n] == 1))
         and any(n == k or n in upstream(net, k) for k in e.inputs)
     ]
     before, lost = independent_references(e.equations, e.inputs, e.references)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -35,7 +36,7 @@ FAR = 10**40  # q at which the leading powers alone are left
 LETTERS_MOST = 14  # nodes of a network whose elimination is written out in letters
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ModuleEquation:
     """w_j = sum_k Gt_jk w_k + sum_n Ft_jn delta_n + error, k in `inputs`, n in `excitations`.
 
@@ -46,7 +47,6 @@ class ModuleEquation:
     excitations : references that enter the equation past the inputs.
     subtracted : delta_j enters with the factor one exactly, so that it is known and subtracted.
     is_kept : whether Gt_ji = G_ji, decided exactly at random rational q.
-    becomes : Gt_ji in the letters of the modules; empty for networks too large to write out.
     equations : of j and its inputs, exact, at the random q.
     delays : channel of `names` -> delay [samples] of Gt_jk or Ft_jn, negative where improper; empty
         where some module is a mere letter.
@@ -60,10 +60,16 @@ class ModuleEquation:
     excitations: tuple[Node, ...]
     subtracted: bool
     is_kept: bool
-    becomes: str
     equations: NodeEquations
     delays: dict[str, int]
     confounders: tuple[Confounder, ...]
+
+    @cached_property
+    def becomes(self) -> str:
+        """Gt_ji in the letters of the modules; empty for networks too large to write out."""
+        if self.is_kept:
+            return edge_label(self.module)
+        return _in_letters(self.network, self.module, self.inputs, self.elimination)
 
     @property
     def output(self) -> Node:
@@ -72,9 +78,8 @@ class ModuleEquation:
 
     @property
     def references(self) -> tuple[Node, ...]:
-        """Excitations that act on the output through the inputs alone."""
-        own = {*self.excitations, *((self.output,) if self.subtracted else ())}
-        return tuple(n for n in self.network.excitations if n not in own)
+        """Excitations in no unknown filter of the equation: through the inputs alone, or known."""
+        return tuple(n for n in self.network.excitations if n not in self.excitations)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -139,7 +144,6 @@ def module_equation(
         excitations=tuple(n for n in entering if not (subtracted and n == j)),
         subtracted=subtracted,
         is_kept=reduced.G[j].get(i, 0) == network.module(j, i).substitute(values).at(q),
-        becomes=_in_letters(network, module, chosen, elimination),
         equations=reduced,
         delays=_delays(network, module, chosen, entering, elimination),
         confounders=common,
