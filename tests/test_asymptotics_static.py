@@ -250,14 +250,13 @@ def test_approximating_well_means_the_right_ratio_and_scale() -> None:
 RUNS, N = 1500, 300
 
 
-def draws(beta: float) -> dict[str, Array]:
+def draws(v: dict[str, float]) -> dict[str, Array]:
     """(RUNS, N) samples of every signal; no code of casid."""
-    v = SAMPLE
     rng = np.random.default_rng(36)
     d1, d2, tu, tO, e = (
         math.sqrt(v[k]) * rng.standard_normal((RUNS, N)) for k in ("l1", "l2", "lu", "lO", "le")
     )
-    uK, uU = d1 + beta * tu, v["alpha"] * d1 + d2 + tu
+    uK, uU = d1 + v["beta"] * tu, v["alpha"] * d1 + d2 + tu
     return {
         "delta1": d1, "delta2": d2, "u_K": uK, "u_U": uU, "y_U": uU + e,
         "y_O": v["bK"] * uK + v["bU"] * uU + tO, "u_hat": v["a1"] * d1 + v["a2"] * d2,
@@ -271,7 +270,7 @@ def simulated() -> Callable[[float], dict[str, Array]]:
 
     def of(beta: float) -> dict[str, Array]:
         if beta not in made:
-            made[beta] = draws(beta)
+            made[beta] = draws(SAMPLE | {"beta": beta})
         return made[beta]
 
     return of
@@ -326,19 +325,18 @@ ESTIMATED_STAGES = {
 
 
 @pytest.mark.parametrize("case", ESTIMATED_STAGES)
-def test_two_stages_that_are_biased_vary_as_both_stages_together_say(
-    case: str, simulated: Callable[[float], dict[str, Array]]
-) -> None:
-    """beta = 0.4: tau_u moves u_K as well, so that the second residual is correlated with what the
+def test_two_stages_that_are_biased_vary_as_both_stages_together_say(case: str) -> None:
+    """beta = 1: tau_u moves u_K as well, so that the second residual is correlated with what the
     first stage is made of; both stages' errors and their correlation count."""
+    sample = SAMPLE | {"beta": 1.0, "bU": -3.0, "le": 3.0, "lO": 0.05}
     regression = Regression(
         "y_O", {"bK": "u_K", "bU": "predicted"}, generated={"predicted": ESTIMATED_STAGES[case]}
     )
-    theory = regression_limit(SYSTEM.at(SAMPLE), regression)
-    some = {k: v for k, v in SAMPLE.items() if k not in ("l2", "le")}
-    by_formula = regression_limit(SYSTEM.at(some), regression).at({"l2": 0.6, "le": 0.4})
+    theory = regression_limit(SYSTEM.at(sample), regression)
+    some = {k: v for k, v in sample.items() if k not in ("l2", "le")}
+    by_formula = regression_limit(SYSTEM.at(some), regression).at({"l2": 0.6, "le": 3.0})
     np.testing.assert_allclose(by_formula.covariance, theory.covariance, rtol=1e-9)
-    theta = estimated(regression, simulated(0.4))
+    theta = estimated(regression, draws(sample))
     P = np.diag(theory.covariance)
     assert np.all(np.abs(theta.mean(axis=0) - theory.limit) < 3.5 * np.sqrt(P / N / RUNS) + 2 / N)
     ratio = N * theta.var(axis=0, ddof=1) / P
