@@ -65,7 +65,7 @@ from casid.terminal import (
 if TYPE_CHECKING:
     from casid.checking import CheckReport
     from casid.problem import Problem
-    from casid.reading import ColumnSpec
+    from casid.reading.columns import ColumnSpec
 
 __all__ = ["Request", "main", "parse_mapping", "parse_setting"]
 
@@ -573,7 +573,7 @@ def check(
 
     Example: casid check run.csv --map phi=roll:deg
     """
-    from casid.reading import parse_window
+    from casid.reading.sources import parse_window
 
     request = Request(data=data, maps=maps, window=window, resample=resample)
     found = _load(problem) if problem is not None else None
@@ -594,7 +594,8 @@ def check(
 
 def _checked(source: Source, request: Request, problem: Problem | None) -> CheckReport:
     from casid.checking import check as run
-    from casid.reading import ColumnSpec, column_names
+    from casid.reading.columns import ColumnSpec
+    from casid.reading.record_file import column_names
 
     columns: dict[str, ColumnSpec] | None = None
     mapping, time = dict(request.mapping), None

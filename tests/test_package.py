@@ -32,59 +32,88 @@ HEAVY = "casadi numpy scipy sympy control pandas pyarrow pint joblib plotly rich
 # from below (`record.lowpass`, `diagnosis.write`) it imports when it is called. A module without a
 # line here is free, as long as there is no circle. An indented line goes on with the one above.
 LAYERS = """
-campaigns.dask_backend campaigns.progress errors identifiability.assessment
+asymptotics.remedy_text campaigns.dask_backend campaigns.progress errors identifiability.assessment
   identifiability.combinations.readable identifiability.combinations.scalar_flow
   identifiability.rank.program identifiability.records.profile_result instrumental.columns
-  instrumental.lag_products instrumental.switching linear.loop_text local_rank spikes uncertainty
-campaigns.manifest estimate expressions identifiability.assessment_text
+  instrumental.lag_products instrumental.switching linear.loop_text local_rank observers.subspaces
+  spikes transfer.polynomial transfer.roots uncertainty
+asymptotics.asymptotics asymptotics.exact_field asymptotics.filters asymptotics.linear_expressions
+  asymptotics.regression campaigns.manifest estimate expressions identifiability.assessment_text
   identifiability.rank.prime_field identifiability.rank.terms instrumental.change_detection
   instrumental.column_products instrumental.gram instrumental.long_run instrumental.reference_filter
   linear.linear_constraints linear.symbolic linear.transfer_text local_polynomial model options
   prediction.extended_smoother prediction.polynomial_orders prediction.polynomial_residuals
-  solving.nlp_solution solving.nlp_solver terminal units writing
-campaigns.parts data diagnosis dimensions effects identifiability.combinations.matroid
+  reading.sources reading.tables solving.nlp_solution solving.nlp_solver terminal transfer.rational
+  transfer.text units writing
+asymptotics.comparison asymptotics.decision_map asymptotics.linear_signals asymptotics.state_space
+  campaigns.parts data diagnosis dimensions effects identifiability.combinations.matroid
   identifiability.combinations.rational_degrees identifiability.inputs.generic_zero
   identifiability.rank.error_bound identifiability.rank.immersion identifiability.rank.row_basis
   identifiability.rank.system identifiability_options instrumental.moments linear.discrete_loop
-  linear.inverse_map linear.laplace linear.parameter_draws linear.vanishing prediction.input_models
-  simulate solving.nlp_criterion solving.nlp_values
-campaigns.campaign derived identifiability.combinations.interpolation
-  identifiability.combinations.subsets identifiability.equations.formula_scope
-  identifiability.inputs.signals identifiability.mends.candidates
-  identifiability.rank.program_reader identifiability.rank.rank_result
-  identifiability.records.excitation instrumental.exogeneity instrumental.windowed_moments
-  linear.closed_loop linear.linear_model linear.symbolic_hull plotting prediction.coordinated_turn
-  prediction.excitation prediction.noisy_system prediction.polynomial_data
-  prediction.polynomial_start prepare reading solving.compiled solving.nlp
-checking identifiability.combinations.null_direction identifiability.equations.equation_text
+  linear.inverse_map linear.laplace linear.parameter_draws linear.vanishing
+  networks.estimation.module_fit prediction.input_models reading.columns simulate
+  solving.nlp_criterion solving.nlp_values transfer.matrix transfer.minors transfer.reading
+asymptotics.input_measurement asymptotics.second_moments campaigns.campaign derived
+  identifiability.combinations.interpolation identifiability.combinations.subsets
+  identifiability.equations.formula_scope identifiability.inputs.signals
+  identifiability.mends.candidates identifiability.rank.program_reader
+  identifiability.rank.rank_result identifiability.records.excitation indirect.blocks
+  instrumental.exogeneity instrumental.windowed_moments linear.closed_loop linear.linear_model
+  linear.symbolic_hull networks.network observers.input_estimate plotting
+  prediction.coordinated_turn prediction.excitation prediction.noisy_system
+  prediction.polynomial_data prediction.polynomial_start prepare reading.faults solving.compiled
+  solving.nlp transfer.from_control transfer.realisation
+asymptotics.limits asymptotics.prediction_criterion asymptotics.remedy_figures
+  identifiability.combinations.null_direction identifiability.equations.equation_text
   identifiability.equations.model_system identifiability.inputs.input_classes
   identifiability.inputs.structure_algorithm identifiability.rank.series
-  identifiability.symbolic.symbolic_rank linear.discretise prediction.kalman
-  prediction.polynomial_criterion prediction.polynomial_model problem reconciliation regression
-  report simulation_error solving.contenders solving.null_space
-campaigns.monte_carlo_page equation_error identifiability.combinations.family
+  identifiability.symbolic.symbolic_rank indirect.direct_model indirect.free_gain linear.discretise
+  networks.dynamics networks.equations networks.estimation.reference_responses networks.graph
+  networks.separators observers.unknown_input_system prediction.kalman
+  prediction.polynomial_criterion prediction.polynomial_model reading.cells reading.clocks
+  reconciliation regression report simulation_error solving.contenders solving.null_space
+asymptotics.network_signals asymptotics.prediction_limit asymptotics.remedies
+  campaigns.monte_carlo_page identifiability.combinations.family
   identifiability.equations.equation_file identifiability.inputs.elimination
-  identifiability.rank.observability identifiability.symbolic.reduced_form instrumental.instruments
-  linear.structural_relations noise prediction.noisy_model prediction.polynomial scores
+  identifiability.rank.observability identifiability.symbolic.reduced_form indirect.from_model
+  indirect.left_inverse indirect.special_cases instrumental.instruments linear.structural_relations
+  networks.elimination networks.estimation.exact_reach networks.left_inverse networks.network_text
+  networks.node_sets networks.prediction.error_variance networks.residues networks.simulation noise
+  observers.equivalent_model observers.output_window observers.read_system observers.split_dynamics
+  prediction.noisy_model prediction.polynomial reading.chunks reading.resampling scores
   solving.scipy_solvers
-identifiability.combinations.along_family identifiability.combinations.closed_form
-  identifiability.inputs.experiments identifiability.inputs.unknown_jets
-  identifiability.mends.output_spans identifiability.mends.replicas identifiability.mends.screening
-  identifiability.symbolic.lie_derivatives instrumental.black_box_reference
-  instrumental.estimated_filter instrumental.validation linear.affine linear.difference_equation
-  prediction.arma prediction.likelihood search solving.solvers
-identifiability.asked identifiability.mends.sensor_subsets identifiability.requirement
-  identifiability.symbolic.observability_matrix instrumental.image instrumental.moment_equations
-  linear.discretisation_bias
-identifiability.answers identifiability.mends.cheapest identification instrumental.moment_nlp
-campaigns.monte_carlo holdout identifiability.assess identifiability.records.planned
-  instrumental.stage prediction.grey_box
-diagnosing identifiability.records.practical_result identifiability.records.profiles
-  identifiability.records.reference_excitation instrumental.convergence instrumental.propagation
-  prediction.unknown_input
-identifiability.figures identifiability.records.practical instrumental.estimators
-identifiability.page instrumental.iterative_joint instrumental.monitoring instrumental.resampling
-  instrumental.streamed sign_flips
+asymptotics.module_remedies identifiability.combinations.along_family
+  identifiability.combinations.closed_form identifiability.inputs.experiments
+  identifiability.inputs.unknown_jets identifiability.mends.output_spans
+  identifiability.mends.replicas identifiability.mends.screening
+  identifiability.symbolic.lie_derivatives indirect.approximate_inverse indirect.indirect_model
+  instrumental.black_box_reference instrumental.estimated_filter instrumental.validation
+  linear.affine linear.difference_equation networks.confounding networks.indirect_equations
+  networks.prediction.node_predictor networks.principal_minors observers.decoupled_observer
+  observers.input_smoother observers.noncausal_inverse prediction.arma prediction.likelihood
+  reading.surveying search solving.solvers
+checking identifiability.mends.sensor_subsets identifiability.requirement
+  identifiability.symbolic.observability_matrix indirect.feedforward indirect.output_choice
+  instrumental.image instrumental.moment_equations linear.discretisation_bias networks.drawing
+  networks.estimation.module_equation networks.estimation.module_regression
+  networks.prediction.eiv_filter networks.prediction.predictors networks.propositions networks.rings
+  networks.well_posed observers.figures reading.record_file
+identifiability.mends.cheapest instrumental.moment_nlp instrumental.prefilters
+  instrumental.seen_directions instrumental.stage_instruments networks.estimation.module_data
+  networks.predictor_inputs networks.ring_figure problem
+equation_error identifiability.asked identifiability.invariants identification
+  instrumental.moment_settings networks.estimation.by_instruments networks.estimation.consistency
+  networks.estimation.direct networks.estimation.joint networks.estimation.two_stage
+campaigns.monte_carlo holdout identifiability.answers identifiability.records.planned
+  instrumental.stage_programs networks.estimation.module_estimate prediction.grey_box
+identifiability.assess identifiability.records.practical_result identifiability.records.profiles
+  identifiability.records.reference_excitation instrumental.stage networks.estimation.estimate
+  prediction.unknown_input wrong_signs
+diagnosing identifiability.figures identifiability.records.practical instrumental.convergence
+  instrumental.propagation
+identifiability.page instrumental.estimators
+instrumental.iterative_joint instrumental.monitoring instrumental.resampling instrumental.streamed
+  sign_flips
 cli
 __main__
 """

@@ -84,6 +84,13 @@ class StageInstruments:
         remarks: list[str],
         j: int,
     ) -> list[Simulated | None]:
+        """Instruments simulated with `values`; those of before where a loop is unstable.
+
+        Parameters
+        ----------
+        values : every parameter of each part.
+        j : the iteration, -1 for the start values; remarks tell it.
+        """
         out: list[Simulated | None] = []
         done: dict[str, Simulated] = {}
         for p, drives, v, before in zip(parts, references, values, old, strict=True):

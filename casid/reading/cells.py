@@ -66,6 +66,7 @@ def non_finite(
     rows: NDArray[np.intp],
     times: FloatArray | None,
 ) -> Fault:
+    """Samples that are not finite: how many, and where the first is."""
     bad = ~np.isfinite(numbers)
     first, nans = int(np.argmax(bad)), int(np.isnan(numbers).sum())
     at = f", t = {times[first]:g} s" if times is not None else ""

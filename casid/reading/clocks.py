@@ -88,6 +88,7 @@ def time_faults(
 def window_rows(
     name: str, times: FloatArray, window: tuple[float, float], found: Survey
 ) -> NDArray[np.intp] | None:
+    """Samples inside a window [s]; None, with a fault noted, where it cannot be had."""
     start, stop = window
     low, high = float(times.min()), float(times.max())
     slack = (high - low) / max(times.size - 1, 1)

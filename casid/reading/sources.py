@@ -81,7 +81,8 @@ def parse_case(text: str) -> tuple[str | None, Path, tuple[float, float] | None]
 
 
 def source_of(path: str | Path) -> tuple[Path, tuple[float, float] | None]:
-    if Path(path).exists():  # a file whose own name may hold an @
+    """The path, and the window [s] behind it; a file whose own name holds an @ has none."""
+    if Path(path).exists():
         return Path(path), None
     return parse_source(str(path))
 
@@ -93,4 +94,5 @@ def sha256(path: str | Path) -> str:
 
 
 def limit_text(x: float) -> str:
+    """One end of a window [s]; empty where it is open."""
     return f"{x:g}" if np.isfinite(x) else ""

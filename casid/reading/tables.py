@@ -38,10 +38,6 @@ class Table:
                 "Give each column its own name in the header."
             )
 
-    @property
-    def unit_of_place(self) -> str:
-        return "row" if self.is_parquet else "line"
-
     def _parquet_columns(self) -> list[str]:
         import pyarrow as pa
         import pyarrow.parquet as pq

@@ -88,7 +88,7 @@ def families(
             null_at, names, free, [*variables, *states], initial_states=states, seed=seed
         )
     except OutOfTime:
-        return (), (), f"no closed form of the families was found within {time_limit:g} s of computing"
+        return (), (), f"no closed form of the families was found in {time_limit:g} s of computing"
     except (IdentifiabilityError, ZeroDivisionError) as error:
         return (), (), f"no closed form of the families was found: {error}"
     directions = tuple(_simplest(d, fixing) for d in found)
