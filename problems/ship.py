@@ -322,6 +322,7 @@ problem = casid.Problem(
     load_cases=LOAD_CASES,
     example=example,
     simulate=draw,
+    noise={"delta": 0.0},  # the rudder's angle is known as it is
     truth=_truth(_model),
     description="Roll of a ship and the weight aboard; the sway acceleration is unknown, and the "
     "height of the axis of roll is taken as known.",
