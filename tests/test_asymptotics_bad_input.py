@@ -181,6 +181,30 @@ def test_letters_are_for_static_systems() -> None:
         system.at({"c": 1})
 
 
+def test_a_signal_for_what_is_not_unknown_is_refused() -> None:
+    with pytest.raises(ModelError, match="y_U is given for u_K, which is no unknown input; these"):
+        compare_remedies(
+            signals(), "y_O", {"bK": "u_K", "bU": "u_U"}, "u_U", {"bK": 1, "bU": 1},
+            measured={"u_K": "y_U"},
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"N": 0}, "N = 0; give a number of samples above 0"),
+        ({"accuracy": {"c": 1}}, "accuracy of c = 1; give a value above 0 for one of b"),
+        ({"accuracy": -0.1}, "accuracy of b = -0.1; give a value above 0"),
+    ],
+)
+def test_samples_and_accuracies_are_positive_and_of_a_coefficient(
+    given: dict[str, Any], text: str
+) -> None:
+    system = LinearSignals.of({"y": "2*w + e"}, WHITE)
+    with pytest.raises(ModelError, match=text):
+        compare_remedies(system, "y", {"b": "w"}, "w", {"b": 2}, **given)
+
+
 def test_an_unknown_input_must_act_and_every_coefficient_have_a_truth() -> None:
     with pytest.raises(ModelError, match="unknown input y_U is no regressor; the regressors are"):
         compare_remedies(signals(), "y_O", {"bK": "u_K"}, "y_U", {"bK": 1})

@@ -231,6 +231,21 @@ def test_several_inputs_behind_several_sensors_are_recovered_by_the_left_inverse
     np.testing.assert_allclose(found.limit, [0.5, 2.0, -1.0], atol=1e-12)
 
 
+def test_an_input_without_a_sensor_is_neglected_beside_one_that_has_one() -> None:
+    """u2 is left out, and drives nothing else: no bias, its power is noise."""
+    system = LinearSignals.of(
+        {"y": "2*u1 - u2 + 0.5*uK + v", "s1": "u1"}, {"u1": 1, "u2": 3, "uK": 2, "v": 0.5}
+    )
+    compared = compare_remedies(
+        system, "y", {"bK": "uK", "b1": "u1", "b2": "u2"}, ["u1", "u2"],
+        {"bK": 0.5, "b1": 2, "b2": -1}, measured={"u1": "s1"},
+    )  # fmt: skip
+    found = compared["measure s1 and neglect u2, LS"]
+    np.testing.assert_allclose(found.limit, [0.5, 2.0], atol=1e-12)
+    np.testing.assert_allclose(np.diag(found.covariance), [3.5 / 2, 3.5], rtol=1e-12)
+    assert compared.best("b2") is None
+
+
 # -- the decision map ----------------------------------------------------------------------------
 
 

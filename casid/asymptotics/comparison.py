@@ -73,6 +73,16 @@ class Comparison:
     N: float
     accuracy: Mapping[str, float]
 
+    def __post_init__(self) -> None:
+        if not self.N > 0:
+            raise ModelError(f"N = {self.N!r}; give a number of samples above 0")
+        for name, value in self.accuracy.items():
+            if name not in self.parameters or not value > 0:
+                raise ModelError(
+                    f"accuracy of {name} = {value!r}; give a value above 0 for one of "
+                    f"{', '.join(self.parameters)}"
+                )
+
     def __getitem__(self, name: str) -> Asymptotics:
         """The result of a remedy by its name."""
         for row in self.rows:
@@ -174,7 +184,8 @@ class Comparison:
         what = ", ".join(self.unknown)
         plain = [r for r in rows if r.kind == "neglect"]
         if not plain:
-            return f"{parameter}: cannot be had while {what} is neglected"
+            verb = "is" if len(self.unknown) == 1 else "are"
+            return f"{parameter}: cannot be had while {what} {verb} neglected"
         own = plain[0].rmse(parameter, self.N)
         text = f"{parameter}: neglecting {what} leaves rmse {own:.3g}"
         bias = plain[0].bias(parameter)

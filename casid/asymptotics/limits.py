@@ -213,7 +213,7 @@ class _Equations:
         residual = y - theta @ Phi
         A, B, W = self._influence(phi, zeta, Phi, Zeta, residual, theta, left)
         Q = self.moments.product_covariance(A, B)
-        return theta, W @ Q @ W.T, residual @ second @ residual
+        return theta, W @ Q @ W.T, self.moments.variance(residual)
 
     def _require_moved(self, left: Array, shown: list[str], what: str, mend: str) -> None:
         """Refuse instruments with which the equations are singular: the null direction of them."""

@@ -73,9 +73,17 @@ def compare_module_remedies(
         ("measure", "measure", measured),
         ("eliminate with", "eliminate", eliminated),
     ):
-        if by and all(name in by for name in asked):
-            sources = {name: by[name] if name in asked else name for name in inputs}
-            tried.append((f"{verb} {', '.join(by[name] for name in asked)}", kind, sources))
+        if by:
+            wrong = [name for name in by if name not in asked]
+            if wrong:
+                raise ModelError(
+                    f"{by[wrong[0]]} is given for {wrong[0]}, which is no unknown input; these are "
+                    f"{', '.join(asked)}"
+                )
+            here = {name: by.get(name, name) for name in inputs if name in by or name not in asked}
+            left = [name for name in asked if name not in by]
+            told = ", ".join(by.values()) + (f" and neglect {', '.join(left)}" if left else "")
+            tried.append((f"{verb} {told}", kind, here))
     rows = []
     for name, kind, sources in tried:
         own = _restricted(orders, tuple(sources))

@@ -73,7 +73,8 @@ def compare_remedies(
     truth : coefficient -> true value, for every regressor.
     known : signals (and lags of them) that are known exactly or are independent of the noise:
         references. They explain, predict, and serve as instruments.
-    approximations : unknown input -> the signal it is replaced by.
+    approximations : unknown input -> the signal it is replaced by. Here and below, an unknown
+        input that has no signal is neglected beside those that have one.
     explain : lists of known signals that are added as regressors in the input's place; default
         all of `known` in one.
     measured : unknown input -> its measurement, or an `InputMeasurement` of several.
@@ -158,17 +159,34 @@ class _Task:
         """The regressors that are available."""
         return {n: t for n, t in self.regressors.items() if split_term(t)[1] not in self.unknown}
 
-    def replaced(self, by: Mapping[str, str]) -> dict[str, Term] | None:
-        """The regressors with signals in the place of unknown inputs; None where one has none."""
+    def replaced(self, by: Mapping[str, str]) -> dict[str, Term]:
+        """The regressors with signals in the place of unknown inputs; those without are left out.
+
+        Raises
+        ------
+        ModelError
+            If a signal is given for what is no unknown input.
+        """
+        for name in by:
+            if name not in self.unknown:
+                raise ModelError(
+                    f"{by[name]} is given for {name}, which is no unknown input; these are "
+                    f"{', '.join(self.unknown)}"
+                )
         made: dict[str, Term] = {}
         for name, term in self.regressors.items():
             sign, signal, lag = split_term(term)
             if signal in self.unknown:
                 if signal not in by:
-                    return None
+                    continue
                 signal = by[signal]
             made[name] = (("-" if sign < 0 else "") + signal, lag)
         return made
+
+    def shown(self, by: Mapping[str, str]) -> str:
+        """The signals that replace, and the inputs that stay neglected beside them."""
+        left = [name for name in self.unknown if name not in by]
+        return ", ".join(by.values()) + (f" and neglect {', '.join(left)}" if left else "")
 
     def neglecting(self) -> list[Remedy]:
         """(3.15), by LS and with the known signals as instruments."""
@@ -185,10 +203,9 @@ class _Task:
     ) -> list[Remedy]:
         """(3.26) and (3.31): the input, or its contribution, by known signals."""
         made = []
-        put = self.replaced(approximations or {}) if approximations else None
-        if put is not None and approximations is not None:
-            name = f"approximate by {', '.join(approximations.values())}"
-            made.append(Remedy(name, "approximate", self.regression(put)))
+        if approximations:
+            name = f"approximate by {self.shown(approximations)}"
+            made.append(Remedy(name, "approximate", self.regression(self.replaced(approximations))))
         lists = explain if explain is not None else ([self.known] if self.known else [])
         for terms in lists:
             added = {f"b[{term_text(t)}]": t for t in terms}
@@ -200,11 +217,9 @@ class _Task:
 
     def measuring(self, measured: Mapping[str, str]) -> list[Remedy]:
         """Two stages (Example 3.8), errors in variables (3.9), instruments (3.10)."""
-        put = self.replaced(measured)
-        if not measured or put is None:
+        if not measured:
             return []
-        made = []
-        shown = ", ".join(measured.values())
+        put, shown, made = self.replaced(measured), self.shown(measured), []
         if self.known:
             for is_known, text in ((False, "two-stage"), (True, "first stage known")):
                 stages = {
@@ -212,8 +227,7 @@ class _Task:
                     for name, signal in measured.items()
                 }
                 by = {name: f"{name} predicted" for name in measured}
-                regressors = self.replaced(by) or {}
-                estimator = self.regression(regressors, None, stages)
+                estimator = self.regression(self.replaced(by), None, stages)
                 made.append(Remedy(f"predict from {shown}, {text}", "predict", estimator))
         made.append(Remedy(f"measure {shown}, LS", "measure", self.regression(put)))
         if self.known:
@@ -222,10 +236,9 @@ class _Task:
 
     def eliminating(self, eliminated: Mapping[str, str]) -> list[Remedy]:
         """The input as another sensor tells it, section 4.2."""
-        put = self.replaced(eliminated)
-        if not eliminated or put is None:
+        if not eliminated:
             return []
-        shown = ", ".join(eliminated.values())
+        put, shown = self.replaced(eliminated), self.shown(eliminated)
         made = [Remedy(f"eliminate with {shown}, LS", "eliminate", self.regression(put))]
         if self.known:
             made.append(Remedy(f"eliminate with {shown}, IV", "eliminate", self._lazily(put)))

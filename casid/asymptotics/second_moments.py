@@ -67,6 +67,13 @@ class SecondMoments:
         """Zeros of the kind of numbers used here."""
         return np.zeros(shape, dtype=object if self.field else float)
 
+    def variance(self, form: Array) -> Any:
+        """Of a linear form (n,), a sum of squares."""
+        response = form @ self.G
+        if self.field is not None:
+            return np.sum(response[0] * response[0] * self.variances)
+        return float(np.mean(np.abs(response) ** 2 @ self.variances))
+
     def product_covariance(self, A: Array, B: Array) -> Array:
         """Q (p, p) of (1), for A and B (p, n)."""
         U, V = A @ self.G, B @ self.G
