@@ -485,6 +485,11 @@ class Model:
             )
         # Eliminated inputs come first, each solved from its own output: no needless divisors.
         eliminated = [w for w, _, _ in self._eliminations]
+        if not self.states and not eliminated:
+            raise ModelError(
+                f"{self.name} has no state, so there is nothing to simulate; fit a static relation "
+                "with casid.regress, or declare a state"
+            )
         rows = self.equations()
         rows = rows[len(rows) - len(eliminated) :] + rows[: len(rows) - len(eliminated)]
         z = ca.vertcat(

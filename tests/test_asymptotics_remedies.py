@@ -60,6 +60,24 @@ def test_a_remedy_that_cannot_be_used_says_why(benchmark: Comparison) -> None:
     assert "u_K - delta1 = 0" in text
 
 
+def test_a_remedy_without_a_limit_at_some_numbers_says_so_there() -> None:
+    """The letters have a limit, (3.36); at beta = 0 it does not exist, and the others do."""
+    system = signals()
+    compared = compare_remedies(
+        system,
+        "y_O",
+        {"bK": "u_K", "bU": "u_U"},
+        "u_U",
+        {"bK": "bK", "bU": "bU"},
+        known=["delta1", "delta2"],
+    )
+    there = compared.at({**VALUES, "beta": 0.0})
+    with pytest.raises(ModelError, match="no limit at .*beta = 0.*leave one of them out"):
+        there["explain by delta1, delta2"]
+    assert there["neglect, LS"]["bK"] == pytest.approx(1.3 - 0.8 * 0.7)
+    assert compared.at(VALUES)["explain by delta1, delta2"]["bK"] == pytest.approx(1.3 - 0.8 / 0.4)
+
+
 def test_the_best_remedy_depends_on_the_number_of_samples(benchmark: Comparison) -> None:
     """Bias wins while the record is short: the crossover is (P_exact - P_biased)/bias^2."""
     numbers = benchmark.at(NUMBERS, N=1000)

@@ -339,3 +339,8 @@ def test_the_reference_filter_is_found_where_nobody_knows_it(records, staged) ->
     slower = casid.Experiment(casid.decimate(records[1].record, 2), {}, "loaded")
     with pytest.raises(casid.DataError, match="estimate it again"):
         validate(model(), staged.values, slower, Instruments("ref", found))
+
+
+def test_instruments_that_are_none_are_refused_with_what_they_are(records):
+    with pytest.raises(casid.ModelError, match=r"give casid\.Instruments\('reference'\)"):
+        instrumental_variables(model(), records, ["ref"])  # type: ignore[arg-type]

@@ -117,6 +117,14 @@ def test_a_state_without_an_equation_is_refused():
         m.explicit()
 
 
+def test_a_model_without_a_state_is_refused_with_what_fits_it():
+    m = Model("static")
+    u = m.input("u", "V")
+    m.output("y", m.parameter("a", "1") * u, "V")
+    with pytest.raises(ModelError, match="has no state.*casid.regress"):
+        m.explicit()
+
+
 def test_two_equations_for_a_state_are_refused():
     m = oscillator()
     with pytest.raises(ModelError, match=r"state v has two equations; drop one"):

@@ -92,14 +92,28 @@ class Asymptotics:
         return self._number(self.variance(name)) / room if room > 0 else math.inf
 
     def at(self, values: Mapping[Any, float]) -> Asymptotics:
-        """Numbers in place of letters (all of them, or some)."""
+        """Numbers in place of letters (all of them, or some).
+
+        Raises
+        ------
+        ModelError
+            If the formulas divide by zero there: regressors or instruments are dependent then.
+        """
         import sympy
 
         swap = {sympy.Symbol(str(k)): sympy.sympify(v) for k, v in values.items()}
 
         def put(value: Any) -> Any:
             value = sympy.sympify(value).subs(swap)
-            return value if value.free_symbols else float(value)
+            if value.free_symbols:
+                return value
+            if not value.is_finite:
+                given = ", ".join(f"{k} = {v}" for k, v in values.items())
+                raise ModelError(
+                    f"{self.method}: no limit at {given}, where its regressors or instruments are "
+                    "linearly dependent; leave one of them out, or give other values"
+                )
+            return float(value)
 
         def put_all(array: Array) -> Array:
             filled = [put(v) for v in array.ravel()]

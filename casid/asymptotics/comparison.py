@@ -96,10 +96,11 @@ class Comparison:
         return any(r.result is not None and r.result.is_symbolic for r in self.rows)
 
     def at(self, values: Mapping[str, float], N: float | None = None) -> Comparison:
-        """The comparison with numbers in place of letters."""
-        rows = tuple(
-            r if r.result is None else replace(r, result=r.result.at(values)) for r in self.rows
-        )
+        """The comparison with numbers in place of letters.
+
+        A remedy that has no limit at these numbers has the reason in place of its result.
+        """
+        rows = tuple(_at(row, values) for row in self.rows)
         return replace(self, rows=rows, N=self.N if N is None else N)
 
     def candidates(self, parameter: str) -> list[RemedyRow]:
@@ -238,3 +239,12 @@ class Comparison:
         from casid.asymptotics.remedy_text import comparison_text
 
         return comparison_text(self)
+
+
+def _at(row: RemedyRow, values: Mapping[str, float]) -> RemedyRow:
+    if row.result is None:
+        return row
+    try:
+        return replace(row, result=row.result.at(values))
+    except ModelError as why:
+        return replace(row, result=None, refused=str(why))

@@ -334,6 +334,11 @@ def _estimate(
             f"{model.name}: channel {stage.channel} has a {stage.kind}, which a difference "
             "equation cannot show; leave that effect out, or use casid.identify"
         )
+    if instruments is not None and not isinstance(instruments, Instruments):
+        raise ModelError(
+            f"instruments = {instruments!r}; give casid.Instruments('reference'), named after the "
+            "channel that no disturbance reaches"
+        )
     if prior is not None:
         for name in prior.values:
             model.parameter_named(name)
