@@ -10,8 +10,12 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from casid.asymptotics.decision_map import decision_map
     from casid.asymptotics.limits import regression_limit
     from casid.asymptotics.linear_signals import LinearSignals
+    from casid.asymptotics.network_signals import network_signals
+    from casid.asymptotics.prediction_limit import prediction_error_limit
+    from casid.asymptotics.regression import FirstStage, Regression
     from casid.asymptotics.remedies import compare_remedies
     from casid.campaigns.monte_carlo import MonteCarlo, montecarlo
     from casid.checking import CheckReport, check
@@ -55,7 +59,9 @@ if TYPE_CHECKING:
     from casid.identification import FitSettings, identify
     from casid.indirect.direct_model import direct_model
     from casid.indirect.feedforward import feedforward
+    from casid.indirect.from_model import direct_model_of
     from casid.indirect.indirect_model import indirect_model
+    from casid.indirect.output_choice import choose_output
     from casid.instrumental.estimators import (
         MomentEstimate,
         Prior,
@@ -77,12 +83,18 @@ if TYPE_CHECKING:
     from casid.linear.discretisation_bias import bias_table
     from casid.linear.linear_model import linearise
     from casid.model import Model, Parameter
+    from casid.networks.drawing import network_figure
+    from casid.networks.elimination import immerse
+    from casid.networks.indirect_equations import indirect_equations
     from casid.networks.network import Network, dynamic_network
     from casid.networks.node_sets import node_sets
+    from casid.networks.prediction.eiv_filter import eiv_filter
     from casid.networks.prediction.predictors import compare_predictors
+    from casid.networks.predictor_inputs import predictor_inputs
     from casid.networks.simulation import simulate_network
     from casid.observers.decoupled_observer import decoupled_observer
     from casid.observers.input_smoother import reconstruct_input
+    from casid.observers.noncausal_inverse import noncausal_inverse
     from casid.prediction.coordinated_turn import smooth_track
     from casid.prediction.unknown_input import compare_unknown_input_options
     from casid.prepare import decimate, detrend, lowpass
@@ -111,6 +123,7 @@ __all__ = [
     "Estimate",
     "Exosystem",
     "Experiment",
+    "FirstStage",
     "FitSettings",
     "IdentifiabilityError",
     "Instruments",
@@ -130,6 +143,7 @@ __all__ = [
     "Reconciliation",
     "Record",
     "ReferenceFilter",
+    "Regression",
     "SolveError",
     "Solver",
     "StageSpec",
@@ -140,20 +154,26 @@ __all__ = [
     "bias_table",
     "bootstrap",
     "check",
+    "choose_output",
     "closed_loop_view",
     "compare_predictors",
     "compare_remedies",
     "compare_solvers",
     "compare_unknown_input_options",
     "decimate",
+    "decision_map",
     "decoupled_observer",
     "detrend",
     "diagnose",
     "direct_model",
+    "direct_model_of",
     "dynamic_network",
+    "eiv_filter",
     "estimate_from_moments",
     "feedforward",
     "identify",
+    "immerse",
+    "indirect_equations",
     "indirect_model",
     "instrumental_variables",
     "invariants",
@@ -165,11 +185,16 @@ __all__ = [
     "lowpass",
     "montecarlo",
     "multistage",
+    "network_figure",
+    "network_signals",
     "node_sets",
+    "noncausal_inverse",
     "observability",
     "observability_matrix",
     "parse_system",
     "practical_identifiability",
+    "prediction_error_limit",
+    "predictor_inputs",
     "profile",
     "profile_likelihood",
     "rational",
@@ -252,6 +277,18 @@ _HOME = {
         "indirect.direct_model": "direct_model",
         "indirect.indirect_model": "indirect_model",
         "indirect.feedforward": "feedforward",
+        "asymptotics.regression": "FirstStage Regression",
+        "asymptotics.prediction_limit": "prediction_error_limit",
+        "asymptotics.decision_map": "decision_map",
+        "observers.noncausal_inverse": "noncausal_inverse",
+        "networks.elimination": "immerse",
+        "networks.indirect_equations": "indirect_equations",
+        "networks.predictor_inputs": "predictor_inputs",
+        "networks.drawing": "network_figure",
+        "networks.prediction.eiv_filter": "eiv_filter",
+        "asymptotics.network_signals": "network_signals",
+        "indirect.from_model": "direct_model_of",
+        "indirect.output_choice": "choose_output",
     }.items()
     for name in names.split()
 }
