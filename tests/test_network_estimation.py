@@ -11,11 +11,14 @@ from casid.asymptotics.limits import regression_limit
 from casid.asymptotics.linear_signals import LinearSignals
 from casid.asymptotics.prediction_limit import prediction_error_limit
 from casid.asymptotics.regression import Regression, arx
-from casid.networks.dynamics import network_states
+from casid.networks.dynamics import is_stable, network_states
+from casid.networks.estimation.consistency import consistency
 from casid.networks.estimation.estimate import estimate_module
-from casid.networks.network import Network, dynamic_network, node_label
+from casid.networks.estimation.module_equation import module_equation
+from casid.networks.network import Network, Signal, dynamic_network, node_label
+from casid.networks.predictor_inputs import predictor_inputs
 from casid.networks.simulation import filtered, simulate_network
-from casid.prediction.polynomial_orders import Orders
+from casid.prediction.polynomial_orders import Layout, Orders
 from casid.transfer.rational import Rational
 from problems.network8 import MEASURED, TABLE_6_1, network
 
@@ -139,6 +142,15 @@ def test_a_reference_at_the_output_serves_where_the_output_acts_back_on_the_inpu
     assert found.std_error("b1[w1]") < 0.1
 
 
+@pytest.mark.parametrize("method", ["iv", "two_stage", "joint"])
+def test_a_coloured_reference_serves_as_a_white_one_does(method):
+    coloured = Signal(4.0, 1 / (1 - 0.8 / q))
+    of = dynamic_network(CONFOUNDED.modules, excitations={1: coloured}, measured=(1, 2))
+    record = simulate_network(of, 6000, seed=12)
+    found = estimate_module(of, (2, 1), record, orders=FIRST, method=method)
+    assert_consistent(found, TRUTH_21)
+
+
 RUNS, N_SHORT = 20, 1000
 
 
@@ -259,6 +271,65 @@ def test_sensor_noise_attenuates_b_and_delta_6_as_an_instrument_does_not_know_of
         found = estimate_module(noisy, (7, 6), record, orders=FIRST, method=method)
         assert_consistent(found, truth)
         assert found.std_error("b1[w6]") < 0.1 * b
+
+
+# -- random networks -------------------------------------------------------------------------------
+
+
+def random_loop(seed: int) -> tuple[Network, tuple[int, ...]]:
+    """A stable network of six nodes, some without a sensor, and inputs that keep G21."""
+    rng = np.random.default_rng(seed)
+    while True:
+        modules = {
+            (i, k): round(float(rng.choice([-1, 1]) * rng.uniform(0.2, 0.6)), 2)
+            / (q - round(float(rng.uniform(-0.4, 0.4)), 2))
+            for i in range(1, 7)
+            for k in range(1, 7)
+            if i != k and ((i, k) == (2, 1) or rng.random() < 0.3)
+        }
+        measured = [1, 2, *(k for k in range(3, 7) if rng.random() < 0.5)]
+        of = dynamic_network(modules, nodes=range(1, 7), measured=measured)
+        if is_stable(of) and (sets := predictor_inputs(of, 2, 1).sets):
+            return of, sets[-1].inputs
+
+
+LAGS = 12  # of the long ARX model: poles of 0.4 are 2e-5 by then
+
+
+def module_error(limit, module: Rational) -> float:
+    """Largest |B/A - G21| on three frequencies."""
+    z = np.exp(1j * np.array([0.1, 1.0, 2.5]))
+    A = 1 + sum(limit[f"a{m}"] * z**-m for m in range(1, LAGS + 1))
+    B = sum(limit[f"b{m}[w1]"] * z**-m for m in range(1, LAGS + 1))
+    return float(np.max(np.abs(B / A - module.response(z))))
+
+
+@pytest.fixture(scope="module")
+def verdicts_and_errors():
+    """Of 60 networks: what the structure says of least squares, and where its limit is."""
+    found = []
+    for seed in range(60):
+        of, inputs = random_loop(seed)
+        equation = module_equation(of, (2, 1), inputs)
+        assert equation.is_kept
+        layout = Layout.of(Orders(na=LAGS, nb=LAGS), equation.names)
+        regression = Regression("w2", arx("w2", list(equation.names), LAGS, LAGS))
+        limit = regression_limit(linear_signals(of), regression)
+        verdict = consistency(equation, "ls", layout)
+        found.append((verdict.is_consistent, module_error(limit, of.module(2, 1))))
+    return found
+
+
+def test_where_no_confounder_is_found_long_least_squares_goes_to_the_module(verdicts_and_errors):
+    errors = [error for is_consistent, error in verdicts_and_errors if is_consistent]
+    assert len(errors) >= 10
+    assert max(errors) < 1e-4
+
+
+def test_where_a_confounder_is_named_least_squares_goes_elsewhere(verdicts_and_errors):
+    errors = [error for is_consistent, error in verdicts_and_errors if not is_consistent]
+    assert len(errors) >= 10
+    assert min(errors) > 1e-3
 
 
 # -- the result ------------------------------------------------------------------------------------

@@ -25,7 +25,6 @@ from casid.networks.estimation.module_data import ModuleData, module_data
 from casid.networks.estimation.module_equation import Elimination, ModuleEquation, module_equation
 from casid.networks.estimation.module_estimate import ModuleEstimate
 from casid.networks.estimation.module_fit import ModuleFit, without_noise
-from casid.networks.estimation.reference_responses import default_lags
 from casid.networks.estimation.two_stage import two_stage
 from casid.networks.network import Edge, Network, Node, edge_label, labels
 from casid.networks.predictor_inputs import predictor_inputs
@@ -203,19 +202,17 @@ def _fit(
     if method == "ls":
         return direct(data, orders, solver)
     references = len(data.references)
-    long = default_lags(data.N, references) if lags is None else lags
     if method == "two_stage":
-        return two_stage(data, orders, long, solver)
+        return two_stage(data, orders, lags, solver)
     if method == "joint":
-        return joint(data, orders, long, solver)
+        return joint(data, orders, lags, solver)
     n = Layout.of(without_noise(orders), layout.inputs).n
     few = default_instrument_lags(n, references, data.N) if lags is None else lags
     # From consistent values where there are any: the program has many local optima.
     plain = without_noise(orders)
-    first = default_lags(data.N, references)
     starts: list[Callable[[], NDArray[np.float64]]] = [
-        lambda: two_stage(data, plain, first, solver).theta,
-        lambda: joint(data, plain, first, solver).theta,
+        lambda: two_stage(data, plain, None, solver).theta,
+        lambda: joint(data, plain, None, solver).theta,
         lambda: direct(data, plain, solver).theta,
     ]
     return by_instruments(data, orders, few, starts, prefilter_order=prefilter_order, solver=solver)

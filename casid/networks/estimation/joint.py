@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from casid.networks.estimation.module_data import ModuleData
 from casid.networks.estimation.module_fit import ModuleFit, without_noise
-from casid.networks.estimation.reference_responses import reference_responses
+from casid.networks.estimation.reference_responses import settled_responses
 from casid.prediction.polynomial import prediction_error
 from casid.prediction.polynomial_criterion import PredictionErrors
 from casid.prediction.polynomial_orders import Layout, Orders
@@ -29,13 +29,15 @@ ASSUMES = (
 )
 
 
-def joint(data: ModuleData, orders: Orders, lags: int, solver: Solver | None = None) -> ModuleFit:
+def joint(
+    data: ModuleData, orders: Orders, lags: int | None, solver: Solver | None = None
+) -> ModuleFit:
     """Estimate the modules as what turns the inputs' responses into the output's.
 
     Parameters
     ----------
     orders : C and D are not used.
-    lags : of the impulse responses.
+    lags : of the impulse responses, as `settled_responses`.
 
     Raises
     ------
@@ -45,7 +47,8 @@ def joint(data: ModuleData, orders: Orders, lags: int, solver: Solver | None = N
     from scipy.signal import lfilter
 
     nodes = {n: x for n, x in data.inputs.items() if n not in data.references}
-    found = reference_responses({OUTPUT: data.y, **nodes}, data.references, lags, data.name)
+    found = settled_responses({OUTPUT: data.y, **nodes}, data.references, lags, data.name)
+    lags = found.lags
     # Responses in units of one standard deviation of their reference: as far as that is white,
     # their errors are then alike.
     size = [float(np.std(x)) for x in data.references.values()]
@@ -64,6 +67,12 @@ def joint(data: ModuleData, orders: Orders, lags: int, solver: Solver | None = N
         outputs.append(np.concatenate([rest, s * found.h[OUTPUT][r]]))
     model = prediction_error(outputs, records, plain, Ts=data.Ts, discard=0, solver=solver)
     notes = [n for n in model.notes if "offset" not in n and "discarded" not in n]
+    if late := found.unsettled():
+        told = ", ".join(late)
+        notes.append(
+            f"the response of {told} to the references has not died out after {lags} samples; "
+            "where these are not white that biases it: raise lags="
+        )
     # Linearised: theta_hat - theta = -H^-1 sum psi d eps, d eps = A dh_j - sum (B/F) dh_k.
     criterion = PredictionErrors(layout, list(zip(outputs, records, strict=True)), [0] * len(size))
     psi, _ = criterion.jacobian(model.theta)

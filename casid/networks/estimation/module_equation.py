@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 from typing import Literal
 
@@ -32,7 +31,7 @@ from casid.networks.network import (
 from casid.networks.node_sets import node_sets
 
 Elimination = Literal["immersion", "indirect"]
-FAR = 10**40  # q at which the leading powers alone are left
+FAR = 1e4, 1e5  # q at which the leading powers alone are left, to four digits
 LETTERS_MOST = 14  # nodes of a network whose elimination is written out in letters
 
 
@@ -190,24 +189,18 @@ def _delays(
     entering: tuple[Node, ...],
     elimination: str,
 ) -> dict[str, int]:
-    """Relative degrees of the row, from exact values at two q far out."""
+    """Relative degrees of the row, from its slope at two q far out."""
     if network.parameters:
         return {}
     j = module[0]
-    near, far = (_reduced(network, j, chosen, elimination, at=Fraction(q)) for q in (FAR, 10 * FAR))
-    found = {node_label(k): (near.G[j].get(k), far.G[j].get(k)) for k in chosen}
-    found |= {f"delta_{n}": (near.F[j].get(n), far.F[j].get(n)) for n in entering}
-    return {n: -_power(b / a) for n, (a, b) in found.items() if a and b}
-
-
-def _power(ratio: Fraction) -> int:
-    """The p with ratio ~ 10^p."""
-    size, p = abs(ratio), 0
-    while size > 3:
-        size, p = size / 10, p + 1
-    while size < Fraction(1, 3):
-        size, p = size * 10, p - 1
-    return p
+    far = _reduced(network, j, chosen, elimination, at=np.array(FAR, dtype=complex))
+    found = {node_label(k): far.G[j].get(k) for k in chosen}
+    found |= {f"delta_{n}": far.F[j].get(n) for n in entering}
+    return {
+        n: -int(np.round(np.log(abs(x[1] / x[0])) / np.log(FAR[1] / FAR[0])))
+        for n, x in found.items()
+        if x is not None and np.all(x != 0)
+    }
 
 
 def _in_letters(network: Network, module: Edge, chosen: tuple[Node, ...], elimination: str) -> str:

@@ -66,11 +66,30 @@ class ReferenceResponses:
 
 
 def default_lags(N: int, references: int) -> int:
-    """A tenth of the record for all references together, at most 120 each: a heuristic.
+    """The most lags: a tenth of the record for all references together, 150 each; a heuristic."""
+    return int(np.clip(N // (10 * max(references, 1)), 5, 150))
 
-    More lags hold longer responses, and take up more of the noise (lags / N of it).
+
+def settled_responses(
+    signals: Mapping[str, Array], references: Mapping[str, Array], lags: int | None, name: str
+) -> ReferenceResponses:
+    """(1) with lags as given, or one and a half times as many as the responses are seen to need.
+
+    Lags are doubled from 20 on until the last fifth of every response is within its errors, up to
+    `default_lags`. Every lag takes up noise, which is left in what is used as free of it: 1/N of
+    the noise's power each.
     """
-    return int(np.clip(N // (10 * max(references, 1)), 5, 120))
+    if lags is not None:
+        return reference_responses(signals, references, lags, name)
+    most = default_lags(len(next(iter(signals.values()))), len(references))
+    tried = min(20, most)
+    while True:
+        found = reference_responses(signals, references, tried, name)
+        if tried == most:
+            return found
+        if not found.unsettled():
+            return reference_responses(signals, references, min(3 * tried // 2, most), name)
+        tried = min(2 * tried, most)
 
 
 def reference_responses(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from casid.networks.estimation.module_data import ModuleData
 from casid.networks.estimation.module_fit import ModuleFit
-from casid.networks.estimation.reference_responses import ReferenceResponses, reference_responses
+from casid.networks.estimation.reference_responses import ReferenceResponses, settled_responses
 from casid.prediction.polynomial import prediction_error
 from casid.prediction.polynomial_criterion import PredictionErrors
 from casid.prediction.polynomial_orders import Layout, Orders
@@ -27,14 +27,14 @@ ASSUMES = (
 
 
 def two_stage(
-    data: ModuleData, orders: Orders, lags: int, solver: Solver | None = None
+    data: ModuleData, orders: Orders, lags: int | None, solver: Solver | None = None
 ) -> ModuleFit:
     """Estimate from the part of the inputs that the references make.
 
     Parameters
     ----------
     orders : na = 0; C and D model what is left.
-    lags : of the first stage's impulse responses.
+    lags : of the first stage's impulse responses, as `settled_responses`.
 
     Raises
     ------
@@ -42,7 +42,8 @@ def two_stage(
         As `reference_responses` and `casid.prediction.polynomial.prediction_error`.
     """
     nodes = {n: x for n, x in data.inputs.items() if n not in data.references}
-    first = reference_responses(nodes, data.references, lags, data.name)
+    first = settled_responses(nodes, data.references, lags, data.name)
+    lags = first.lags
     y = data.y[lags - 1 :]
     inputs = {n: first.made_of(n) if n in nodes else x[lags - 1 :] for n, x in data.inputs.items()}
     model = prediction_error(y, inputs, orders, Ts=data.Ts, solver=solver)
@@ -57,7 +58,12 @@ def two_stage(
     shares = {n: float(np.var(first.made_of(n)) / np.var(x[lags - 1 :])) for n, x in nodes.items()}
     told = ", ".join(f"{100 * s:.0f} % of {n}" for n, s in shares.items())
     return ModuleFit(
-        layout, model.theta, covariance, ASSUMES, tuple(notes), {"references make": told}
+        layout,
+        model.theta,
+        covariance,
+        ASSUMES,
+        tuple(notes),
+        {"references make": f"{told} (responses of {lags} lags)"},
     )
 
 
