@@ -194,11 +194,16 @@ def cases(desk: Desk, extent: Extent, out: Output) -> Iterator[Target]:
 
 def coverage(found: Found, label: str, name: str) -> Target:
     """The share of 95 % intervals that hold the truth, with its Monte Carlo standard error."""
+    from scipy.stats import binom
+
     count, low, high = found.covered(label, name)
     share = 1 - (low + high) / count
     error = float(np.sqrt(max(share * (1 - share), 0.95 * 0.05) / count))
-    # The issue's band is for 2000 draws; fewer have three of their own standard errors.
-    slack = 0.02 if count >= 2000 else max(0.02, 3 * np.sqrt(0.95 * 0.05 / count))
+    # The band of 2000 draws is 2 %; of fewer what chance does not exceed in one of 740 studies,
+    # as rarely as three standard errors of a normal number.
+    slack = 0.02
+    if count < 2000:
+        slack = max(slack, float(binom.ppf(1 - 0.00135, count, 0.05)) / count - 0.05)
     return Target(
         f"{label}: 95 % interval of {name}",
         f"{100 * share:.1f} +- {100 * error:.1f} % ({low} low, {high} high)",
