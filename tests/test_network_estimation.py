@@ -11,10 +11,12 @@ from casid.asymptotics.limits import regression_limit
 from casid.asymptotics.linear_signals import LinearSignals
 from casid.asymptotics.prediction_limit import prediction_error_limit
 from casid.asymptotics.regression import Regression, arx
+from casid.errors import ModelError
 from casid.networks.dynamics import is_stable, network_states
 from casid.networks.estimation.consistency import consistency
 from casid.networks.estimation.estimate import estimate_module
 from casid.networks.estimation.module_equation import module_equation
+from casid.networks.estimation.response_figure import response_figure
 from casid.networks.network import Network, Signal, dynamic_network, node_label
 from casid.networks.predictor_inputs import predictor_inputs
 from casid.networks.simulation import filtered, simulate_network
@@ -393,3 +395,17 @@ def test_a_wrong_order_shows_in_the_residual_and_in_the_surplus_moments(confound
     assert wrong.reference_correlation()["delta_1"] > 5
     assert right.reference_correlation()["delta_1"] <= 4
     assert "p = 0 " in wrong.fit.evidence["overidentified"] + " "
+
+
+def test_the_figure_holds_the_true_module_inside_the_band_of_instruments(by_iv, confounded_record):
+    biased = estimate_module(CONFOUNDED, (2, 1), confounded_record, orders=FIRST, accept_bias=True)
+    figure = response_figure([by_iv, biased], CONFOUNDED.module(2, 1), points=40)
+    drawn = {t.name: t for t in figure.data if t.name and t.yaxis in (None, "y")}
+    assert set(drawn) == {"true", "iv 95 %", "iv", "ls 95 %", "ls, not consistent"}
+    high, low = np.split(np.asarray(drawn["iv 95 %"].y), 2)
+    true = np.asarray(drawn["true"].y)
+    assert np.mean((low[::-1] <= true) & (true <= high)) > 0.9
+    assert np.asarray(drawn["iv"].y) == pytest.approx(np.abs(by_iv.response(drawn["iv"].x).value))
+    assert "G21 from confounded" in figure.layout.meta["caption"]
+    with pytest.raises(ModelError, match="no estimate to draw"):
+        response_figure([])
