@@ -24,7 +24,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +33,7 @@ import sympy
 from analysis.network_examples_feedforward import compared
 from analysis.network_examples_figures import predictions, rings, signals
 from analysis.output import Output
-from analysis.targets import Target, at_most, conclude, near
+from analysis.targets import Target, at_most, near, report
 from casid.networks.confounding import confounders
 from casid.networks.drawing import network_figure
 from casid.networks.dynamics import network_states
@@ -288,14 +287,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for tables, figures and targets.json")
     parser.add_argument("--runs", type=int, help="realisations (default 200, quick 20)")
     options = parser.parse_args(arguments)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
     runs = options.runs or (20 if options.quick else 200)
-    targets = []
-    for target in study(Output(options.out), quick=options.quick, runs=runs):
-        print(target, flush=True)
-        targets.append(replace(target, is_met=bool(target.is_met)))
-    return conclude(targets, options.out / "targets.json" if options.out else None)
+    return report(study(Output(options.out), quick=options.quick, runs=runs), options.out)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,13 @@ from typing import Any
 
 @dataclass
 class Output:
-    """Where tables and figures go; nothing is written without a folder."""
+    """Where tables and figures go, made where it is not there; nothing is written without one."""
 
     folder: Path | None
+
+    def __post_init__(self) -> None:
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
 
     def table(self, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write rows as CSV."""

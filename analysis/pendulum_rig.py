@@ -59,7 +59,7 @@ from analysis.pendulum_rig_tables import (
     PUBLISHED_FITS,
     PUBLISHED_VALUES,
 )
-from analysis.targets import Target, at_most, conclude, near
+from analysis.targets import Target, at_most, near, report
 from casid.campaigns.campaign import campaign
 from casid.data import Experiment
 from casid.instrumental.estimators import MomentEstimate, multistage
@@ -413,14 +413,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, help="Monte Carlo runs (default 200, quick 20)")
     parser.add_argument("--jobs", type=int, default=1, help="processes of the Monte Carlo")
     options = parser.parse_args(arguments)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
     runs = options.runs or (20 if options.quick else 200)
-    targets = []
-    for target in study(Output(options.out), quick=options.quick, runs=runs, jobs=options.jobs):
-        print(target, flush=True)
-        targets.append(target)
-    return conclude(targets, options.out / "targets.json" if options.out else None)
+    return report(
+        study(Output(options.out), quick=options.quick, runs=runs, jobs=options.jobs), options.out
+    )
 
 
 if __name__ == "__main__":

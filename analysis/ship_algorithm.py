@@ -41,7 +41,7 @@ from analysis.ship_algorithm_records import (
     low_passed,
     ship_experiments,
 )
-from analysis.targets import Target, at_most, conclude
+from analysis.targets import Target, at_most, report
 from casid.errors import CasidError, IdentifiabilityError
 from casid.identifiability.combinations.along_family import AlongFamily, along_family
 from casid.identifiability.combinations.family import Family
@@ -332,14 +332,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for tables and targets.json")
     parser.add_argument("--runs", type=int, help="Monte Carlo draws (default 200, quick 20)")
     options = parser.parse_args(arguments)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
     runs = options.runs or (20 if options.quick else 200)
-    targets = []
-    for target in study(Output(options.out), quick=options.quick, runs=runs):
-        print(target, flush=True)
-        targets.append(replace(target, is_met=bool(target.is_met)))  # JSON knows no numpy
-    return conclude(targets, options.out / "targets.json" if options.out else None)
+    return report(study(Output(options.out), quick=options.quick, runs=runs), options.out)
 
 
 if __name__ == "__main__":

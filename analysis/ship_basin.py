@@ -55,7 +55,7 @@ from analysis.ship_basin_runs import (
     How,
     estimated,
 )
-from analysis.targets import Target, at_most, conclude
+from analysis.targets import Target, at_most, report
 from casid.instrumental.convergence import Convergence
 from casid.instrumental.estimators import MomentEstimate
 from problems.ship import TABLE_8_2
@@ -348,19 +348,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--no-turns", action="store_true", help="leave ship_basin_turns out")
     options = parser.parse_args(arguments)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-    targets = []
-    for target in study(
-        Output(options.out),
-        quick=options.quick,
-        draws=options.draws,
-        jobs=options.jobs,
-        with_turns=not options.no_turns,
-    ):
-        print(target, flush=True)
-        targets.append(replace(target, is_met=bool(target.is_met)))  # JSON knows no numpy
-    return conclude(targets, options.out / "targets.json" if options.out else None)
+    return report(
+        study(
+            Output(options.out),
+            quick=options.quick,
+            draws=options.draws,
+            jobs=options.jobs,
+            with_turns=not options.no_turns,
+        ),
+        options.out,
+    )
 
 
 if __name__ == "__main__":

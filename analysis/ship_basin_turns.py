@@ -59,7 +59,7 @@ from analysis.ship_basin_turns_lean import (
 )
 from analysis.ship_basin_turns_records import GROUPS, SHIPS, Sailed, s_turn, switched_off
 from analysis.ship_basin_turns_tangent import steady_turn
-from analysis.targets import Target, at_most, conclude, near
+from analysis.targets import Target, at_most, near, report
 from problems.ship_4dof import Ship
 
 SHORT = 0.2  # rad, rudder of short sets
@@ -283,13 +283,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="shorter records, fewer draws")
     parser.add_argument("--out", type=Path, help="folder for tables, figures and targets.json")
     options = parser.parse_args(arguments)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-    targets = []
-    for target in turns(Output(options.out), options.quick):
-        print(target, flush=True)
-        targets.append(replace(target, is_met=bool(target.is_met)))
-    return conclude(targets, options.out / "targets.json" if options.out else None)
+    return report(turns(Output(options.out), options.quick), options.out)
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ from analysis.ship_initial_values_runs import (
     trust_region,
 )
 from analysis.ship_initial_values_runs import starts as start_points
-from analysis.targets import Target, at_most, conclude, near
+from analysis.targets import Target, at_most, near, report
 from casid.errors import IdentifiabilityError
 from casid.identifiability.requirement import require_identifiable
 from problems.ship import LOAD_CASES, NINE, TABLE_8_2, indirect_model
@@ -469,13 +469,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for figures and the ends of all runs")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     options = parser.parse_args(arguments)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
-    targets = []
-    for target in study(QUICK if options.quick else FULL, options.jobs, options.out):
-        print(target, flush=True)
-        targets.append(target)
-    return conclude(targets, None if options.out is None else options.out / "targets.json")
+    return report(study(QUICK if options.quick else FULL, options.jobs, options.out), options.out)
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ from analysis.output import Output
 from analysis.static_examples_figures import UNIT, figure_3_5, pair
 from analysis.static_examples_formulas import FORMS, TRUTH, ClosedForm
 from analysis.static_examples_runs import beside_theory, draws
-from analysis.targets import Target, conclude, near
+from analysis.targets import Target, near, report
 from casid.asymptotics.asymptotics import Asymptotics
 from casid.asymptotics.limits import regression_limit
 from casid.asymptotics.linear_signals import LinearSignals
@@ -212,14 +212,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder for tables, figures and targets.json")
     parser.add_argument("--runs", type=int, help="Monte Carlo runs (default 4000, quick 1000)")
     options = parser.parse_args(arguments)
-    if options.out is not None:
-        options.out.mkdir(parents=True, exist_ok=True)
     runs = options.runs or (1000 if options.quick else 4000)
-    targets = []
-    for target in study(Output(options.out), quick=options.quick, runs=runs):
-        print(target, flush=True)
-        targets.append(Target(target.what, target.found, target.wanted, bool(target.is_met)))
-    return conclude(targets, options.out / "targets.json" if options.out else None)
+    return report(study(Output(options.out), quick=options.quick, runs=runs), options.out)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -18,6 +18,9 @@ class Target:
     found: str
     wanted: str
     is_met: bool
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "is_met", bool(self.is_met))  # JSON knows no numpy
 
     def __str__(self) -> str:
         return (
@@ -54,3 +57,12 @@ def conclude(targets: Sequence[Target], file: Path | None) -> int:
     missed = sum(not t.is_met for t in targets)
     print(f"{len(targets) - missed} of {len(targets)} targets met")
     return 1 if missed else 0
+
+
+def report(found: Iterable[Target], folder: Path | None) -> int:
+    """Print every target as it comes, and conclude with targets.json in the folder."""
+    targets = []
+    for target in found:
+        print(target, flush=True)
+        targets.append(target)
+    return conclude(targets, None if folder is None else folder / "targets.json")
