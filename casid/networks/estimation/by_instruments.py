@@ -1,8 +1,8 @@
-"""Instrumental variables: lags of the references make moments, a small NLP the modules of them.
+"""Instrumental variables: moments with what the references make, solved for modules by an NLP.
 
 Extended instruments (2.42)-(2.43) of Linder (2017) on the regression of `module_regression`, with
-prefilters refined as in Algorithm 2.1. The references are in no equation error, so that moments are
-consistent whatever the confounders; prefilters change the variance alone.
+instruments and prefilters as in Algorithm 2.1. The references are in no equation error, so that
+moments are consistent whatever the confounders; prefilters change the variance alone.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.errors import CasidError, IdentifiabilityError, SolveError
-from casid.instrumental.instruments import from_reference
 from casid.instrumental.moment_equations import (
     MomentEquations,
     Part,
@@ -29,6 +28,7 @@ from casid.model import Parameter
 from casid.networks.estimation.module_data import ModuleData
 from casid.networks.estimation.module_fit import ModuleFit, without_noise
 from casid.networks.estimation.module_regression import module_regression
+from casid.networks.estimation.reference_instruments import reference_instruments
 from casid.prediction.polynomial_orders import Layout, Orders
 from casid.solving.nlp import Solution, Solver
 
@@ -44,28 +44,25 @@ ASSUMES = (
 
 
 def default_instrument_lags(n: int, references: int, N: int) -> int:
-    """Lags of each reference: three moments a coefficient, at least 10; a heuristic.
-
-    More of them see more of the inputs, and pull the estimate towards least squares by their share
-    of the record.
-    """
+    """Lags of each reference: three moments a coefficient, at least 10; a heuristic."""
     return int(np.clip(-(-3 * n // references), 10, max(N // (20 * references), 10)))
 
 
 def by_instruments(
     data: ModuleData,
     orders: Orders,
-    lags: int,
+    lags: int | None,
     starts: list[Callable[[], Array]],
     *,
     prefilter_order: int = 10,
     solver: Solver | None = None,
 ) -> ModuleFit:
-    """Estimate from moments with lags 0 .. lags - 1 of every reference.
+    """Estimate from moments with what the references make of the regressors.
 
     Parameters
     ----------
     orders : C and D are not used.
+    lags : of the references themselves as instruments instead, as `reference_instruments`.
     starts : each gives theta to start from, or raises a CasidError; the best end is taken.
     prefilter_order : of the autoregression that whitens the equation error; 0 for no prefilter.
 
@@ -82,7 +79,8 @@ def by_instruments(
     layout = Layout.of(plain, tuple(data.inputs))
     equation = module_regression(layout, "y", data.Ts)
     part = Part(data.name, equation, {}, frozenset(), {"y": data.y, **data.inputs}, {}, data.Ts)
-    simulated = from_reference(data.references, lags)
+    few = default_instrument_lags(layout.n, len(data.references), data.N)
+    simulated, what = reference_instruments(data, equation, lags, few)
     moments = moment_equations(part, simulated)
     program = _Program(equation, solver)
     best = _from_all(program, moments, starts, layout)
@@ -111,6 +109,7 @@ def by_instruments(
             f"weak instruments (F = {strength:.3g} < {WEAK:g}): the estimate leans to least "
             "squares and its errors are too small; excite more, or lower the orders"
         )
+    told["instruments"] = f"{what}; weakest combination has F = {strength:.3g}"
     told["prefilter"] = f"AR({prefilter_order}), {rounds} rounds" if prefilter_order else "none"
     return ModuleFit(layout, best.x, covariance, ASSUMES, tuple(remarks), told)
 
@@ -192,7 +191,6 @@ class _Program:
         """How many moments, and the test of overidentification (Sargan 1958)."""
         statistic, degrees = self._surplus(moments, x)
         return {
-            "instruments": f"weakest combination has F = {self.strength(moments, x):.3g}",
             "moments": f"{len(x) + degrees} for {len(x)} coefficients",
             "overidentified": f"chi squared {statistic:.1f} of {degrees} degrees, "
             f"p = {self.p_value(moments, x):.2g}",

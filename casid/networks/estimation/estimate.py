@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from casid.data import Record
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.networks.equations import ordered
-from casid.networks.estimation.by_instruments import by_instruments, default_instrument_lags
+from casid.networks.estimation.by_instruments import by_instruments
 from casid.networks.estimation.consistency import consistency
 from casid.networks.estimation.direct import direct
 from casid.networks.estimation.joint import joint
@@ -60,15 +60,16 @@ def estimate_module(
     orders : of the polynomials of the equation's inputs, named "w1" .. and "delta_n" where a
         reference enters the equation. `Orders(nb=1, nf=1)`: every module is b/(q - a).
     method : "ls", the direct prediction-error method (least squares for ARX orders); "iv",
-        instrumental variables with lags of the references as instruments; "two_stage", inputs
-        replaced by what the references make of them; "joint", quotient of the responses of
-        output and inputs to the references.
+        instrumental variables made of the references; "two_stage", inputs replaced by what the
+        references make of them; "joint", quotient of the responses of output and inputs to the
+        references.
     inputs : predictor inputs; by default the smallest set that keeps G_ji and suits the method.
     references : nodes whose delta is used, by default every excitation; the others count as
         disturbances.
     elimination : "immersion", or "indirect" where unknown inputs are eliminated by what is
         measured of them.
-    lags : of the references: instruments, or the first stage's impulse responses.
+    lags : of the first stage's impulse responses, by default as many as these are seen to need; for
+        "iv", lags of the references as instruments in place of signals simulated from them.
     prefilter_order : of the noise model that whitens the equation error for "iv"; 0 for none.
     accept_bias : estimate although the structure says that the method is not consistent.
 
@@ -201,13 +202,10 @@ def _fit(
 ) -> ModuleFit:
     if method == "ls":
         return direct(data, orders, solver)
-    references = len(data.references)
     if method == "two_stage":
         return two_stage(data, orders, lags, solver)
     if method == "joint":
         return joint(data, orders, lags, solver)
-    n = Layout.of(without_noise(orders), layout.inputs).n
-    few = default_instrument_lags(n, references, data.N) if lags is None else lags
     # From consistent values where there are any: the program has many local optima.
     plain = without_noise(orders)
     starts: list[Callable[[], NDArray[np.float64]]] = [
@@ -215,4 +213,6 @@ def _fit(
         lambda: joint(data, plain, None, solver).theta,
         lambda: direct(data, plain, solver).theta,
     ]
-    return by_instruments(data, orders, few, starts, prefilter_order=prefilter_order, solver=solver)
+    return by_instruments(
+        data, orders, lags, starts, prefilter_order=prefilter_order, solver=solver
+    )
