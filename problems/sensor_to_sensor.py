@@ -170,7 +170,8 @@ problem = casid.Problem(
     example=example,
     simulate=draw,
     truth={name: TRUE[name] for name in ("k_2", "d_2")},
-    description="Two accelerometers on a building that an unmeasured force shakes.",
+    description="Two accelerometers on a building that an unmeasured force shakes; in the example "
+    "the upper floor's columns harden, which the model leaves out.",
     references=(
         "J. Linder, Indirect System Identification for Unknown Input Problems, 2017, section 3.6",
     ),

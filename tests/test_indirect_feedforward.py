@@ -147,3 +147,9 @@ def test_fewer_actuators_than_outputs_are_refused():
     )
     with pytest.raises(ModelError, match="cannot move the 2 outputs.*as many actuators"):
         feedforward(m)
+
+
+def test_a_model_without_a_known_input_has_nothing_to_feed_forward_with():
+    m = indirect_model(direct_model(G_OI=0.2 / (q - 0.3), G_II=1.0 + 0 * q))
+    with pytest.raises(ModelError, match="no known input u_K.*give G_OK"):
+        feedforward(m)

@@ -483,3 +483,17 @@ def test_what_else_is_asked_wrongly_is_refused_with_its_mend() -> None:
         choose_output([[1], [1]], wanted=["y1", "y2"])
     with pytest.raises(ModelError, match="a filter in s cannot run on samples; sample it first"):
         run_noncausally(transfer_matrix([[1 / (s + 1)]]), np.zeros(9))
+
+
+def test_a_form_in_letters_does_not_claim_to_be_stable() -> None:
+    a, x = sympy.symbols("a q")
+    chosen = choose_output([[a / (x - 0.5)], [1]], Ts=1.0)
+    assert not any(form.is_usable for form in chosen.forms)
+    assert "whether it is stable depends on a" in str(chosen)
+    numbers = choose_output([[0.3 / (x - 0.5)], [1]], Ts=1.0)
+    assert any(form.is_usable for form in numbers.forms)
+
+
+def test_an_indirect_model_that_cannot_be_run_prints_what_can() -> None:
+    m = indirect_model(direct_model(G_OK=1 / q, G_OI=1 / (q - 0.5), G_II=(q - 1.5) / (q - 0.2)))
+    assert "instead: mirrored" in str(m)

@@ -67,8 +67,7 @@ class Feedforward:
             for name, g in zip(self.matrix.inputs, row, strict=True):
                 if not g.is_zero and not g.is_proper:
                     said.append(
-                        f"{to} / {name} looks {-g.relative_degree} "
-                        f"{'derivatives' if g.variable == 's' else 'samples'} ahead"
+                        f"{to} / {name} looks {_steps(-g.relative_degree, g.variable)} ahead"
                     )
         bad = unstable_poles(self.matrix)
         if bad:
@@ -202,6 +201,11 @@ def feedforward(model: IndirectModel) -> Feedforward:
             "; give them with values="
         )
     n_O, n_K = model.G_OK.shape
+    if not n_K:
+        raise ModelError(
+            f"the model of {', '.join(model.direct.outputs)} has no known input u_K, so there is "
+            "nothing to feed forward with; give G_OK"
+        )
     if n_K < n_O or model.G_OK.rank() < n_O:
         raise ModelError(
             f"{n_K} inputs {', '.join(model.G_OK.inputs)} cannot move the {n_O} outputs "
@@ -221,6 +225,10 @@ def _with_inverse(model: IndirectModel, inverse: LeftInverse, f: RationalMatrix)
         G_KD=-product(f, model.G_OD),
         G_KA=-product(f, model.G_OA),
     )
+
+
+def _steps(n: int, variable: str) -> str:
+    return f"{n} {'derivative' if variable == 's' else 'sample'}{'' if n == 1 else 's'}"
 
 
 def _transposed(G: RationalMatrix) -> RationalMatrix:

@@ -153,6 +153,8 @@ class IndirectModel:
             if inverse.G.shape[1]:
                 lines.append(f"  {name}: {inverse.how}")
                 lines += [f"    {o}" for o in inverse.obstacles]
+                if self.obstacles and not inverse.f.parameters:
+                    lines += [f"    instead: {a}" for a in inverse.approximations()]
         if self.has_direct_term:
             lines.append("  a measured input acts within the sample: direct estimates are biased")
         if self.confounding_noise:

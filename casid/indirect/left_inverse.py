@@ -81,7 +81,8 @@ class LeftInverse:
         """What keeps f from being run forward in time, in words; none where it can be."""
         said = []
         if not self.is_proper:
-            step = "derivatives" if self.f.time[0] == "s" else "samples ahead"
+            plural = "" if self.excess == 1 else "s"
+            step = f"derivative{plural}" if self.f.time[0] == "s" else f"sample{plural} ahead"
             where = " (a zero at infinity)"
             said.append(f"f is improper: it needs {self.excess} {step}{where}")
         if not self.f.parameters and not self.is_stable:

@@ -41,12 +41,18 @@ class Form:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the model can be simulated forward in time: proper and stable."""
-        return not self.model.obstacles
+        """Whether the model can be simulated forward in time: proper and stable.
+
+        False where letters leave that open.
+        """
+        return not self.model.obstacles and not self.model.matrix.parameters
 
     def __repr__(self) -> str:
+        letters = ", ".join(self.model.matrix.parameters)
         said = "; ".join(self.model.obstacles) or (
-            f"proper and stable, noise times {self.amplification:.3g}"
+            f"proper; whether it is stable depends on {letters}"
+            if letters
+            else f"proper and stable, noise times {self.amplification:.3g}"
         )
         return f"<Form {', '.join(self.outputs)} from {', '.join(self.inputs)}: {said}>"
 
