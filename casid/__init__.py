@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from casid.asymptotics.decision_map import decision_map
+    from casid.asymptotics.input_measurement import InputMeasurement
     from casid.asymptotics.limits import regression_limit
     from casid.asymptotics.linear_signals import LinearSignals
+    from casid.asymptotics.module_remedies import compare_module_remedies
     from casid.asymptotics.network_signals import network_signals
     from casid.asymptotics.prediction_limit import prediction_error_limit
     from casid.asymptotics.regression import FirstStage, Regression
-    from casid.asymptotics.remedies import compare_remedies
+    from casid.asymptotics.remedies import Remedy, compare_remedies
     from casid.campaigns.monte_carlo import MonteCarlo, montecarlo
     from casid.checking import CheckReport, check
     from casid.data import Experiment, Record
@@ -61,7 +63,9 @@ if TYPE_CHECKING:
     from casid.indirect.feedforward import feedforward
     from casid.indirect.from_model import direct_model_of
     from casid.indirect.indirect_model import indirect_model
+    from casid.indirect.left_inverse import left_inverse
     from casid.indirect.output_choice import choose_output
+    from casid.indirect.special_cases import special_case
     from casid.instrumental.estimators import (
         MomentEstimate,
         Prior,
@@ -83,14 +87,19 @@ if TYPE_CHECKING:
     from casid.linear.discretisation_bias import bias_table
     from casid.linear.linear_model import linearise
     from casid.model import Model, Parameter
+    from casid.networks.confounding import confounders
     from casid.networks.drawing import network_figure
     from casid.networks.elimination import immerse
+    from casid.networks.estimation.estimate import estimate_module
+    from casid.networks.estimation.module_estimate import ModuleEstimate
     from casid.networks.indirect_equations import indirect_equations
-    from casid.networks.network import Network, dynamic_network
+    from casid.networks.network import Network, Signal, dynamic_network
     from casid.networks.node_sets import node_sets
     from casid.networks.prediction.eiv_filter import eiv_filter
     from casid.networks.prediction.predictors import compare_predictors
     from casid.networks.predictor_inputs import predictor_inputs
+    from casid.networks.propositions import proposition_3_1, proposition_4_1
+    from casid.networks.rings import eliminate_recursively
     from casid.networks.simulation import simulate_network
     from casid.observers.decoupled_observer import decoupled_observer
     from casid.observers.input_smoother import reconstruct_input
@@ -104,6 +113,7 @@ if TYPE_CHECKING:
     from casid.regression import regress
     from casid.solving.nlp import Nlp, Solver
     from casid.solving.solvers import compare_solvers
+    from casid.transfer.matrix import transfer_matrix
     from casid.transfer.rational import Rational
     from casid.transfer.reading import rational
 
@@ -126,10 +136,12 @@ __all__ = [
     "FirstStage",
     "FitSettings",
     "IdentifiabilityError",
+    "InputMeasurement",
     "Instruments",
     "LinearSignals",
     "Model",
     "ModelError",
+    "ModuleEstimate",
     "MomentEstimate",
     "MomentSettings",
     "Moments",
@@ -144,6 +156,8 @@ __all__ = [
     "Record",
     "ReferenceFilter",
     "Regression",
+    "Remedy",
+    "Signal",
     "SolveError",
     "Solver",
     "StageSpec",
@@ -156,10 +170,12 @@ __all__ = [
     "check",
     "choose_output",
     "closed_loop_view",
+    "compare_module_remedies",
     "compare_predictors",
     "compare_remedies",
     "compare_solvers",
     "compare_unknown_input_options",
+    "confounders",
     "decimate",
     "decision_map",
     "decoupled_observer",
@@ -169,7 +185,9 @@ __all__ = [
     "direct_model_of",
     "dynamic_network",
     "eiv_filter",
+    "eliminate_recursively",
     "estimate_from_moments",
+    "estimate_module",
     "feedforward",
     "identify",
     "immerse",
@@ -180,6 +198,7 @@ __all__ = [
     "known_initial_state",
     "known_parameter",
     "least_squares",
+    "left_inverse",
     "linearise",
     "load_problem",
     "lowpass",
@@ -197,6 +216,8 @@ __all__ = [
     "predictor_inputs",
     "profile",
     "profile_likelihood",
+    "proposition_3_1",
+    "proposition_4_1",
     "rational",
     "read_equations",
     "read_record",
@@ -209,6 +230,8 @@ __all__ = [
     "sensor_subsets",
     "simulate_network",
     "smooth_track",
+    "special_case",
+    "transfer_matrix",
     "validate",
 ]
 
@@ -265,12 +288,12 @@ _HOME = {
         "instrumental.validation": "validate",
         "transfer.rational": "Rational",
         "transfer.reading": "rational",
-        "networks.network": "Network dynamic_network",
+        "networks.network": "Network Signal dynamic_network",
         "networks.node_sets": "node_sets",
         "networks.prediction.predictors": "compare_predictors",
         "networks.simulation": "simulate_network",
         "asymptotics.linear_signals": "LinearSignals",
-        "asymptotics.remedies": "compare_remedies",
+        "asymptotics.remedies": "Remedy compare_remedies",
         "asymptotics.limits": "regression_limit",
         "observers.decoupled_observer": "decoupled_observer",
         "observers.input_smoother": "reconstruct_input",
@@ -289,6 +312,16 @@ _HOME = {
         "asymptotics.network_signals": "network_signals",
         "indirect.from_model": "direct_model_of",
         "indirect.output_choice": "choose_output",
+        "networks.estimation.estimate": "estimate_module",
+        "networks.estimation.module_estimate": "ModuleEstimate",
+        "networks.rings": "eliminate_recursively",
+        "networks.propositions": "proposition_3_1 proposition_4_1",
+        "networks.confounding": "confounders",
+        "transfer.matrix": "transfer_matrix",
+        "indirect.left_inverse": "left_inverse",
+        "indirect.special_cases": "special_case",
+        "asymptotics.input_measurement": "InputMeasurement",
+        "asymptotics.module_remedies": "compare_module_remedies",
     }.items()
     for name in names.split()
 }
