@@ -105,6 +105,7 @@ if TYPE_CHECKING:
     from casid.observers.input_smoother import reconstruct_input
     from casid.observers.noncausal_inverse import noncausal_inverse
     from casid.prediction.coordinated_turn import smooth_track
+    from casid.prediction.polynomial_orders import Orders
     from casid.prediction.unknown_input import compare_unknown_input_options
     from casid.prepare import decimate, detrend, lowpass
     from casid.problem import Problem, load_problem
@@ -148,6 +149,7 @@ __all__ = [
     "MonteCarlo",
     "Network",
     "Nlp",
+    "Orders",
     "Parameter",
     "Prior",
     "Problem",
@@ -322,6 +324,7 @@ _HOME = {
         "indirect.special_cases": "special_case",
         "asymptotics.input_measurement": "InputMeasurement",
         "asymptotics.module_remedies": "compare_module_remedies",
+        "prediction.polynomial_orders": "Orders",
     }.items()
     for name in names.split()
 }
