@@ -163,7 +163,7 @@ def _by_other_inputs(e: ModuleEquation) -> list[str]:
         if fit:
             more = [n for n in fit[0] if n not in net.measured]
             own = f" (a sensor on {labels(more)})" if more else ""
-            return [f"{what}({', '.join(map(repr, fit[0]))}){own}"]
+            return [f"{what}{tuple(fit[0])!r}{own}"]
     return []
 
 
