@@ -226,7 +226,8 @@ def test_a_hidden_node_in_a_row_is_refused_and_named():
     assert row_predictor(mended, node_equations(mended), 2, "own row").variance == pytest.approx(1)
 
 
-def test_a_module_between_observations_is_refused_and_named():
+def test_a_module_between_observations_is_no_obstacle_where_one_of_them_suffices():
+    """(6.13) holds with w3 alone, whose other input w4 is then a known one, and with w4 alone."""
     net = dynamic_network(
         {
             (2, 1): _first_order(0.7),
@@ -236,10 +237,9 @@ def test_a_module_between_observations_is_refused_and_named():
         },
         measured=(2, 3, 4),
     )
-    with pytest.raises(ModelError, match="G34 acts on the indirect observation w3"):
-        eiv_filter(net, 2)
-    other = node_sets(net, 2, indirect=(4,))
-    assert eiv_filter(net, 2, sets=other).noisy == (2, 4)
+    alone = {n: eiv_filter(net, 2, sets=node_sets(net, 2, indirect=(n,))) for n in (3, 4)}
+    assert {n: f.noisy for n, f in alone.items()} == {3: (2, 3), 4: (2, 4)}
+    assert eiv_filter(net, 2).variance == min(f.variance for f in alone.values())
 
 
 def test_continuous_networks_are_to_be_sampled_first():

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from casid.errors import ModelError
 from casid.networks.graph import downstream, upstream
-from casid.networks.network import Edge, Network, Node, edge_label, labels, node_label
+from casid.networks.network import Edge, Network, Node, as_nodes, edge_label, labels, node_label
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +95,8 @@ def node_sets(
     sU = tuple(n for n in U if n in N)
     refused = {n: _not_direct(network, n, sU, known) for n in A}
     qualified = tuple(n for n in A if not refused[n])
-    told_direct = qualified if direct is None else tuple(direct)
-    claimed = tuple(indirect) if indirect is not None else None
+    told_direct = qualified if direct is None else as_nodes(direct)
+    claimed = as_nodes(indirect) if indirect is not None else None
     _refuse_both(told_direct if direct is not None else (), claimed or ())
     for n in told_direct:
         if n not in A or refused[n]:
@@ -128,6 +128,36 @@ def node_sets(
         upstream={u: tuple(n for n in upstream(network, u) if n in S) for u in U},
         downstream={u: tuple(n for n in downstream(network, u) if n in S) for u in U},
     )
+
+
+def sets_for(
+    network: Network, target: Node, sets: NodeSets | None, known: Collection[Edge] = ()
+) -> NodeSets:
+    """The sets given, or those of the network.
+
+    Raises
+    ------
+    ModelError
+        If the given ones are of another target, or of other sensors or modules.
+    """
+    own = node_sets(network, target, known=known)
+    if sets is None:
+        return own
+    for what in ("target", "N", "S"):
+        if getattr(sets, what) != getattr(own, what):
+            raise ModelError(
+                f"sets= has {what} = {getattr(sets, what)!r}, where {network.name} has "
+                f"{getattr(own, what)!r} for {node_label(target)}; make them with node_sets of the "
+                "same network, target and sensors"
+            )
+    return sets
+
+
+def with_observations(sets: NodeSets, chosen: Collection[Node]) -> NodeSets:
+    """The sets with only the chosen nodes left in D and I; the others join O."""
+    D, I = (tuple(n for n in part if n in chosen) for part in (sets.D, sets.I))  # noqa: E741
+    O = tuple(n for n in sets.A if n not in D and n not in I)  # noqa: E741
+    return replace(sets, D=D, I=I, O=O)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from casid.data import Record
 from casid.errors import ModelError
-from casid.networks.indirect_equations import indirect_equations
 from casid.networks.network import Edge, Network, Node, Signal, edge_label, labels, node_label
-from casid.networks.node_sets import NodeSets, node_sets
+from casid.networks.node_sets import NodeSets, sets_for
+from casid.networks.prediction.observation_choice import observation_choices
 from casid.networks.simulation import refuse_continuous, signal_of
 from casid.prediction.kalman import Predictor, steady_state, step, time_varying
 from casid.prediction.noisy_system import NoisySystem
@@ -161,20 +161,26 @@ def eiv_filter(
 
     Parameters
     ----------
-    sensors, known : as for `node_sets`; or the sets themselves.
+    sensors, known : as for `node_sets`; or the sets themselves. Of more observations than unknown
+        inputs those of least error variance are taken (`observation_choice`), among those to which
+        (6.13) applies.
 
     Raises
     ------
     ModelError
         If a module from another input observation or a remaining unobserved node into an indirect
-        one is there (it is named), the model is improper, or the target has no disturbance.
+        one is there (it is named), the model is improper (with zeros, their frequencies and
+        approximations), or the target has no disturbance.
     """
     refuse_continuous(network, "filtered sample by sample")
     if sensors is not None:
         network = network.with_sensors(sensors)
-    sets = sets or node_sets(network, target, known=known)
-    _refuse_other_modules(network, sets)
-    row = indirect_equations(network, sets)
+    sets = sets_for(network, target, sets, known)
+    choices = observation_choices(network, sets, accept=lambda s: not _module_between(network, s))
+    _refuse_other_modules(network, choices.best.sets)
+    # What is unstable is steadied by the filter's gain; what is improper has no state.
+    chosen = next((c for c in choices.judged if c.is_proper), None) or choices.require_usable()
+    row, sets = chosen.equations, chosen.sets
     noisy = (target, *(n for n in (*sets.I, *sets.D) if n in row.G[target]))
     _refuse_quiet(network, target)
     own = row.filter(target, target)
@@ -235,16 +241,24 @@ def _diagonal(models: list[Rational]) -> RationalMatrix:
     return RationalMatrix(tuple(rows))
 
 
-def _refuse_other_modules(network: Network, sets: NodeSets) -> None:
+def _module_between(network: Network, sets: NodeSets) -> Edge | None:
+    """A module that (6.13) does not allow: from I, D or what is left unobserved into I."""
     for to in sets.I:
         for source in (*sets.I, *sets.D, *sets.Ut):
             if (to, source) in network.modules:
-                raise ModelError(
-                    f"{network.name}: {edge_label((to, source))} acts on the indirect observation "
-                    f"{node_label(to)}, so the errors of its model are filtered twice and (6.13) "
-                    f"does not hold. Use another node than {labels([to])} for the unknown inputs "
-                    "(indirect= of node_sets), or the predictor of compare_predictors"
-                )
+                return to, source
+    return None
+
+
+def _refuse_other_modules(network: Network, sets: NodeSets) -> None:
+    edge = _module_between(network, sets)
+    if edge is not None:
+        raise ModelError(
+            f"{network.name}: {edge_label(edge)} acts on the indirect observation "
+            f"{node_label(edge[0])}, so the errors of its model are filtered twice and (6.13) does "
+            f"not hold. Measure another node than {labels([edge[0]])} for the unknown inputs "
+            "(indirect= of node_sets), or use the predictor of compare_predictors"
+        )
 
 
 def _refuse_quiet(network: Network, target: Node) -> None:

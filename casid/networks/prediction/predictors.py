@@ -7,49 +7,22 @@ from dataclasses import dataclass
 
 from casid.errors import ModelError
 from casid.networks.elimination import immerse
-from casid.networks.equations import NodeEquations, node_equations
-from casid.networks.indirect_equations import indirect_equations
-from casid.networks.network import Edge, Network, Node, Signal, labels, node_label
-from casid.networks.node_sets import NodeSets, node_sets
+from casid.networks.equations import node_equations
+from casid.networks.network import Edge, Network, Node, as_nodes, node_label
+from casid.networks.node_sets import NodeSets, sets_for
 from casid.networks.prediction.node_predictor import NodePredictor
+from casid.networks.prediction.observation_choice import (
+    INDIRECT,
+    ObservationChoices,
+    observation_choices,
+)
+from casid.networks.prediction.row_predictor import predictor_of, row_predictor
 from casid.networks.simulation import refuse_continuous
 from casid.transfer.rational import Rational
 from casid.transfer.reading import rational
 
 ALL_INPUTS, NEGLECT = "all inputs known", "neglect"
-IMMERSED, IMMERSED_ALL, INDIRECT = "immersed", "immersed, all measured", "indirect"
-
-
-def row_predictor(
-    network: Network,
-    equations: NodeEquations,
-    target: Node,
-    kind: str,
-    *,
-    use_excitations: bool = True,
-) -> NodePredictor:
-    """The predictor that a row of equations is: its nodes and known delta predict, tau is left.
-
-    Parameters
-    ----------
-    equations : symbolic ones, in which every node but `target` in its row is measured.
-    use_excitations : False: every delta but that of the target itself counts as a disturbance.
-
-    Raises
-    ------
-    ModelError
-        If the row holds a node that is not measured.
-    """
-    row = {k: equations.module(target, k) for k in equations.G[target]}
-    hidden = [k for k in row if k not in network.measured]
-    if hidden:
-        raise ModelError(
-            f"the equation of {node_label(target)} still holds {labels(hidden)}, which no sensor "
-            "measures; eliminate it (immerse, indirect_equations), or measure it"
-        )
-    return _of_row(
-        network, target, kind, row, _filters(equations, target), use_excitations=use_excitations
-    )
+IMMERSED, IMMERSED_ALL = "immersed", "immersed, all measured"
 
 
 def all_inputs(network: Network, target: Node, *, use_excitations: bool = True) -> NodePredictor:
@@ -59,7 +32,7 @@ def all_inputs(network: Network, target: Node, *, use_excitations: bool = True) 
     """
     row = {k: network.module(target, k) for k in network.sources(target)}
     quiet = network.with_sensors(network.nodes)
-    return _of_row(
+    return predictor_of(
         _without_sensor_noise(quiet),
         target,
         ALL_INPUTS,
@@ -80,7 +53,7 @@ def neglecting(network: Network, sets: NodeSets) -> NodePredictor:
         for n in alone.externals(u):
             term = network.module(target, u) * alone.filter(u, n)
             error[n] = error[n] + term if n in error else term
-    return _of_row(network, target, NEGLECT, row, error, use_excitations=False)
+    return predictor_of(network, target, NEGLECT, row, error, use_excitations=False)
 
 
 def immersed(
@@ -94,7 +67,7 @@ def immersed(
 
     Example 3.4 with K = {1, 3}; Example 3.7 with all measured nodes.
     """
-    chosen = sets.K if inputs is None else tuple(inputs)
+    chosen = sets.K if inputs is None else as_nodes(inputs)
     every = set(chosen) == set(sets.S) - {sets.target}
     found = immerse(node_equations(network), [sets.target, *chosen])
     kind = IMMERSED_ALL if every and inputs is not None else IMMERSED
@@ -102,9 +75,12 @@ def immersed(
 
 
 def indirect(network: Network, sets: NodeSets, *, use_excitations: bool = True) -> NodePredictor:
-    """(4.24) and (6.11) corrected: unmeasured inputs eliminated by nodes that feel them."""
-    found = indirect_equations(network, sets)
-    return row_predictor(network, found, sets.target, INDIRECT, use_excitations=use_excitations)
+    """(4.24) and (6.11) corrected: unmeasured inputs eliminated by nodes that feel them.
+
+    Of more observations than unknown inputs those of least error variance:
+    `casid.networks.prediction.observation_choice`.
+    """
+    return observation_choices(network, sets, use_excitations=use_excitations).best.predictor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,11 +91,14 @@ class PredictorTable:
     ----------
     predictors : in the order of the classes.
     refused : class -> why it does not exist here.
+    observations : the choices of observations for the indirect class, the one it uses first; None
+        where it does not exist.
     """
 
     target: Node
     predictors: tuple[NodePredictor, ...]
     refused: tuple[tuple[str, str], ...] = ()
+    observations: ObservationChoices | None = None
 
     def __getitem__(self, kind: str) -> NodePredictor:
         for p in self.predictors:
@@ -140,6 +119,9 @@ class PredictorTable:
                 f"{r['with its own past']:>12.4g}" + (f"   {r['remark']}" if r["remark"] else "")
             )
         lines += [f"  {kind:<24}does not exist: {why}" for kind, why in self.refused]
+        if self.observations is not None:
+            told = (str(self.observations), self.observations.obstacle())
+            lines += [f"  {INDIRECT}: {note}" for note in told if note]
         return "\n".join(lines)
 
 
@@ -149,6 +131,7 @@ def compare_predictors(
     *,
     sensors: Iterable[Node] | None = None,
     known: Collection[Edge] = (),
+    sets: NodeSets | None = None,
     use_excitations: bool = True,
 ) -> PredictorTable:
     """All classes of predictors for one node, with the exact variance of each error.
@@ -157,17 +140,26 @@ def compare_predictors(
     ----------
     sensors : measured nodes; by default the network's own.
     known : modules whose transfer function is known, for direct measurements.
+    sets : the node sets themselves, to name the observations; where they hold more than there are
+        unknown inputs, and by default, those of least error variance are taken.
     use_excitations : False: known delta are not used.
 
     Raises
     ------
     ModelError
-        If the network is continuous, unstable, or the target is not measured.
+        If the network is continuous, unstable, the target is not measured, or sets are given that
+        are another target's or another network's.
     """
     refuse_continuous(network, "predicted one step ahead")
     if sensors is not None:
         network = network.with_sensors(sensors)
-    sets = node_sets(network, target, known=known)
+    sets = sets_for(network, target, sets, known)
+    choices: list[ObservationChoices] = []
+
+    def indirect_one() -> NodePredictor:
+        choices.append(observation_choices(network, sets, use_excitations=use_excitations))
+        return choices[0].best.predictor
+
     makers: tuple[tuple[str, Callable[[], NodePredictor]], ...] = (
         (ALL_INPUTS, lambda: all_inputs(network, target, use_excitations=use_excitations)),
         (NEGLECT, lambda: neglecting(network, sets)),
@@ -178,7 +170,7 @@ def compare_predictors(
                 network, sets, inputs=(*sets.K, *sets.A), use_excitations=use_excitations
             ),
         ),
-        (INDIRECT, lambda: indirect(network, sets, use_excitations=use_excitations)),
+        (INDIRECT, indirect_one),
     )
     found, refused = [], []
     for kind, make in makers:
@@ -186,41 +178,11 @@ def compare_predictors(
             found.append(make())
         except ModelError as why:
             refused.append((kind, str(why)))
-    return PredictorTable(target, tuple(found), tuple(refused))
+    observations = choices[0] if choices and sets.sU else None
+    return PredictorTable(target, tuple(found), tuple(refused), observations)
 
 
 # -- inside ----------------------------------------------------------------------------------------
-
-
-def _filters(equations: NodeEquations, target: Node) -> dict[Node, Rational]:
-    return {n: equations.filter(target, n) for n in equations.externals(target)}
-
-
-def _of_row(
-    network: Network,
-    target: Node,
-    kind: str,
-    row: dict[Node, Rational],
-    filters: dict[Node, Rational],
-    *,
-    use_excitations: bool,
-) -> NodePredictor:
-    excitations, error, sources = {}, {}, {}
-    for n, f in filters.items():
-        if n in network.disturbances:
-            error[f"tau_{n}"], sources[f"tau_{n}"] = f, network.disturbances[n]
-        if n not in network.excitations:
-            continue
-        if use_excitations or n == target:
-            excitations[n] = f
-        else:
-            error[f"delta_{n}"], sources[f"delta_{n}"] = f, network.excitations[n]
-    for k, g in row.items():
-        if network.sensor_noise.get(k, 0.0) > 0:
-            error[f"sensor_{k}"] = -g
-            sources[f"sensor_{k}"] = Signal(network.sensor_noise[k])
-    kept = {k: g for k, g in row.items() if not g.is_zero}
-    return NodePredictor(network, target, kind, kept, excitations, error, sources)
 
 
 def _without_sensor_noise(network: Network) -> Network:
