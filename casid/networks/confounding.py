@@ -15,7 +15,7 @@ from casid.errors import ModelError
 from casid.networks.elimination import immerse
 from casid.networks.equations import NodeEquations
 from casid.networks.graph import path_past, path_text
-from casid.networks.network import Network, Node, labels, node_label
+from casid.networks.network import Network, Node, as_nodes, labels, node_label
 from casid.networks.residues import random_equations
 
 
@@ -64,7 +64,7 @@ def confounders_in(
     output : whose equation error is looked at.
     inputs : nodes in that equation; by default all of them.
     """
-    chosen = tuple(equations.G[output]) if inputs is None else tuple(inputs)
+    chosen = tuple(equations.G[output]) if inputs is None else as_nodes(inputs)
     own = disturbances_in(network, equations, output)
     found = []
     for n in own:
@@ -85,7 +85,7 @@ def confounders(network: Network, output: Node, inputs: Iterable[Node]) -> tuple
     ModelError
         If the output is among its inputs.
     """
-    chosen = tuple(dict.fromkeys(inputs))
+    chosen = tuple(dict.fromkeys(as_nodes(inputs)))
     if output in chosen:
         raise ModelError(
             f"{node_label(output)} cannot be its own predictor input; take it out of the inputs"

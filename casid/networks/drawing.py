@@ -11,7 +11,7 @@ import numpy as np
 
 from casid.networks.confounding import Confounder, confounders
 from casid.networks.graph import graph_of
-from casid.networks.network import Network, Node, edge_label, labels, node_label
+from casid.networks.network import Network, Node, as_nodes, edge_label, labels, node_label
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -62,8 +62,10 @@ def roles(
     role = {n: "observed" if n in network.measured else "unobserved" for n in network.nodes}
     if target is None:
         return Roles(role, ())
-    chosen = tuple(
-        (k for k in network.sources(target) if k in network.measured) if inputs is None else inputs
+    chosen = (
+        tuple(k for k in network.sources(target) if k in network.measured)
+        if inputs is None
+        else as_nodes(inputs)
     )
     role |= dict.fromkeys(chosen, "predictor input") | {target: "target"}
     return Roles(role, confounders(network, target, chosen))

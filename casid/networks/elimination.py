@@ -12,7 +12,7 @@ from typing import Any
 
 from casid.errors import ModelError
 from casid.networks.equations import Element, Field, NodeEquations, Row, node_equations
-from casid.networks.network import Network, Node, labels
+from casid.networks.network import Network, Node, as_nodes, labels
 
 
 def immerse(network: Network | NodeEquations, keep: Iterable[Node], **field: Any) -> NodeEquations:
@@ -28,9 +28,15 @@ def immerse(network: Network | NodeEquations, keep: Iterable[Node], **field: Any
     ------
     ModelError
         If a node has no equation, or I - G_ZZ of the eliminated nodes Z is singular.
+
+    Notes
+    -----
+    Rational functions of many letters grow fast: a dense network of six nodes with a letter for
+    every module takes some 20 s to immerse, and no word is said meanwhile. Give numbers for letters
+    (`values`), or decide what is asked at a point (`at`) or at frequencies (`omega`).
     """
     equations = node_equations(network, **field) if isinstance(network, Network) else network
-    kept = set(keep)
+    kept = set(as_nodes(keep))
     strange = kept - set(equations.nodes)
     if strange:
         raise ModelError(

@@ -16,7 +16,7 @@ from casid.errors import ModelError
 from casid.networks.elimination import Rows, immerse
 from casid.networks.equations import Element, NodeEquations, Row, node_equations
 from casid.networks.left_inverse import left_inverse, usable
-from casid.networks.network import Edge, Network, Node, edge_label, labels
+from casid.networks.network import Edge, Network, Node, as_nodes, edge_label, labels
 from casid.networks.node_sets import NodeSets
 
 Filters: TypeAlias = Mapping[Edge, Any]  # (unknown, measured) -> transfer function
@@ -46,6 +46,7 @@ def eliminate_by_measurement(
         that cannot be recovered), or the filters do not invert them.
     """
     equations = node_equations(network, **field) if isinstance(network, Network) else network
+    unknown, measured = as_nodes(unknown), as_nodes(measured)
     if not unknown:
         return equations
     f = (

@@ -118,7 +118,7 @@ class Network:
 
     def with_sensors(self, measured: Iterable[Node]) -> Network:
         """The same network with other measured nodes; noise of those that stay is kept."""
-        chosen = tuple(measured)
+        chosen = as_nodes(measured)
         noise = {k: v for k, v in self.sensor_noise.items() if k in chosen}
         return self._with(measured=chosen, sensor_noise=noise)
 
@@ -170,7 +170,8 @@ def dynamic_network(
     excitations : nodes with a known delta_j, or node -> variance or `Signal`.
     disturbances : nodes with tau_j, or node -> variance or `Signal`; by default every node has one
         of unit variance, as in (2.2). () is none.
-    measured : nodes with a sensor; by default all.
+    measured : nodes with a sensor; by default all. Here as everywhere a text stands for the one
+        node of that name, not for its letters.
     sensor_noise : measured node -> variance of white sensor noise.
     Ts : sample time [s] of modules that do not carry their own.
     values : numbers for parameters of the modules.
@@ -178,14 +179,24 @@ def dynamic_network(
     Raises
     ------
     ModelError
-        If a module is a self loop or joins an unknown node, variables or sample times differ, a
-        module is improper, or the network is ill-posed (the minor is named).
+        If there is no node, a module is a self loop or joins an unknown node, variables or sample
+        times differ, a module is improper, or the network is ill-posed (the minor is named).
     """
+    if not isinstance(modules, Mapping):
+        raise ModelError(
+            f"{name}: modules is a {type(modules).__name__}; give a mapping of (to, from) to a "
+            "transfer function, {('y', 'u'): G}"
+        )
     read = {_checked_edge(edge, name): _module(edge, g, Ts, name) for edge, g in modules.items()}
     if values:
         _refuse_unknown_values(read.values(), values, name)
         read = {edge: g.substitute(values) for edge, g in read.items()}
     known = _names(nodes, read, name)
+    if not known:
+        raise ModelError(
+            f"{name} has no module and no node; give modules {{(to, from): transfer function}}, or "
+            "nodes="
+        )
     kept = {edge: g for edge, g in read.items() if not g.is_zero}
     sensors = _subset(known, known if measured is None else measured, "measured", name)
     noise = {k: float(v) for k, v in (sensor_noise or {}).items()}
@@ -207,6 +218,13 @@ def dynamic_network(
 
     refuse_ill_posed(network)
     return network
+
+
+def as_nodes(chosen: Any) -> tuple[Node, ...]:
+    """Nodes given one by one, or a single one: a text is one node, not its letters."""
+    if isinstance(chosen, str) or not isinstance(chosen, Iterable):
+        return (chosen,)
+    return tuple(chosen)
 
 
 def node_label(node: Node) -> str:
@@ -270,7 +288,7 @@ def _names(
             return tuple(sorted(found))
         except TypeError:  # names of several kinds have no order
             return tuple(found)
-    given = tuple(nodes)
+    given = as_nodes(nodes)
     twice = [n for n in given if given.count(n) > 1]
     if twice:
         raise ModelError(f"{name}: the node {twice[0]!r} is named twice; name every node once")
@@ -290,7 +308,7 @@ def _names(
 def _subset(
     known: tuple[Node, ...], chosen: Iterable[Node], what: str, name: str, why: str = "is no node"
 ) -> tuple[Node, ...]:
-    wanted = set(chosen)
+    wanted = set(as_nodes(chosen))
     strange = wanted - set(known)
     if strange:
         raise ModelError(
@@ -301,7 +319,7 @@ def _subset(
 
 
 def _signals(known: tuple[Node, ...], given: Any, what: str, name: str) -> dict[Node, Signal]:
-    chosen = given if isinstance(given, Mapping) else dict.fromkeys(given, 1.0)
+    chosen = given if isinstance(given, Mapping) else dict.fromkeys(as_nodes(given), 1.0)
     _subset(known, chosen, what, name)
     return {n: _signal(chosen[n]) for n in known if n in chosen}
 

@@ -9,6 +9,7 @@ from casid.networks.network import Network, edge_label, labels, node_label
 
 if TYPE_CHECKING:
     from casid.networks.equations import NodeEquations
+    from casid.transfer.rational import Rational
 
 _LONGEST = 400  # characters beyond which an entry is left out
 _LOOPS = 5  # algebraic loops that are told
@@ -39,7 +40,36 @@ def equations_text(equations: NodeEquations) -> str:
                 entry = entry if len(entry) <= _LONGEST else "(...)"
                 terms.append(name(k) if entry == "1" else f"({entry}) {name(k)}")
         lines.append(f"  {node_label(n)} = {' + '.join(terms) or '0'}")
-    return "\n".join([*lines, "  e = delta + tau"])
+    lines.append("  e = delta + tau")
+    return "\n".join(lines + [f"  {told}" for told in unrunnable(equations)])
+
+
+def unrunnable(equations: NodeEquations) -> list[str]:
+    """What is to be told of filters that cannot be run forward in time, one line for each.
+
+    Of numbers nothing can be told; of filters with letters only whether they are improper.
+    """
+    if equations.field.name != "symbolic":
+        return []
+    told = []
+    for n in equations.nodes:
+        for rows, name in ((equations.G, node_label), (equations.F, lambda k: f"e_{k}")):
+            for k in rows[n]:
+                why = obstacle(equations.field.back(rows[n][k]))
+                if why:
+                    told.append(f"the filter of {name(k)} in {node_label(n)} is {why}")
+    return told
+
+
+def obstacle(g: Rational) -> str:
+    """Why a filter cannot be run forward in time: IMPROPER, UNSTABLE; empty if it can be."""
+    said = []
+    if not g.is_proper:
+        step = "order of derivatives" if g.variable == "s" else "samples it looks ahead"
+        said.append(f"IMPROPER ({step}: {-g.relative_degree})")
+    if not g.parameters and not g.is_stable:
+        said.append(f"UNSTABLE (pole {next(r for r in g.poles() if not r.is_stable)})")
+    return " and ".join(said)
 
 
 def _loops(network: Network) -> str:

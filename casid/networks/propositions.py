@@ -15,7 +15,7 @@ from casid.networks.elimination import immerse
 from casid.networks.graph import path_past, path_text
 from casid.networks.indirect_equations import indirect_equations
 from casid.networks.left_inverse import left_inverse
-from casid.networks.network import Edge, Network, Node, edge_label, labels, node_label
+from casid.networks.network import Edge, Network, Node, as_nodes, edge_label, labels, node_label
 from casid.networks.node_sets import NodeSets
 from casid.networks.residues import random_equations
 
@@ -133,7 +133,7 @@ def open_path(
 
     Either is () where every path or loop is blocked.
     """
-    blocked = set(inputs) | {target}
+    blocked = set(as_nodes(inputs)) | {target}
     path = path_past(network, source, target, blocked, without=[(target, source)])
     loop = path_past(network, target, target, blocked)
     return path, loop
@@ -189,7 +189,7 @@ def _inputs(network: Network, target: Node, inputs: Iterable[Node] | None) -> tu
         )
     if inputs is None:
         return tuple(k for k in network.sources(target) if k in network.measured)
-    chosen = tuple(dict.fromkeys(inputs))
+    chosen = tuple(dict.fromkeys(as_nodes(inputs)))
     strange = [k for k in chosen if k not in network.nodes or k == target]
     if strange:
         raise ModelError(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from numbers import Integral
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 from casid.data import Record
 from casid.errors import DataError, ModelError
 from casid.networks.dynamics import network_states, refuse_unstable
-from casid.networks.network import Network, Signal, node_label
+from casid.networks.network import Network, Node, Signal, node_label
 from casid.transfer.rational import Rational
 
 Array = NDArray[np.float64]
@@ -22,6 +24,7 @@ def simulate_network(
     *,
     seed: int | np.random.Generator = 0,
     settle: int | None = None,
+    excitations: Mapping[Node, Array] | None = None,
 ) -> Record:
     """Simulate a discrete network in its steady state.
 
@@ -31,6 +34,11 @@ def simulate_network(
     seed : of excitations, disturbances and sensor noise; all Gaussian.
     settle : samples simulated first and dropped; by default as many as the slowest mode needs to
         decay to 1e-8, at most 100 000.
+    excitations : node -> (N,) delta_j of one's own, a recorded or designed reference, instead of
+        drawn ones; also of nodes that are not among the network's excitations. While the network
+        settles it runs on its own last samples, repeated backward in time, as a periodic signal
+        does; where the reference started from rest, settle = 0 says so. The draws of other signals
+        are the same as without it.
 
     Returns
     -------
@@ -41,7 +49,12 @@ def simulate_network(
     ------
     ModelError
         If the network is in continuous time, not stable, or a parameter has no value.
+    DataError
+        If N or settle is no number of samples, or an excitation is of no node, of another length
+        or not finite.
     """
+    N = _samples(N, "N", least=1)
+    own = {n: _given(network, n, x, N) for n, x in _mapping(excitations).items()}
     refuse_continuous(network, "simulated sample by sample")
     refuse_unstable(network)
     states = network_states(network)
@@ -49,8 +62,9 @@ def simulate_network(
     if settle is None:
         slowest = max((abs(r.value) for r in states.poles()), default=0.0)
         settle = min(int(np.log(1e-8) / np.log(max(slowest, 1e-3))) + 1, 100_000)
-    total = N + settle
+    total = N + _samples(settle, "settle", least=0)
     deltas = {n: _drawn(s, total, rng) for n, s in network.excitations.items()}
+    deltas |= {n: x[np.arange(-settle, N) % N] for n, x in own.items()}
     taus = {n: _drawn(s, total, rng) for n, s in network.disturbances.items()}
     external = np.zeros((total, len(network.nodes)))
     for i, n in enumerate(network.nodes):
@@ -129,6 +143,44 @@ def refuse_continuous(network: Network, what: str) -> None:
             f"{network.name} is in continuous time and cannot be {what}; sample its modules first "
             "(control.sample_system)"
         )
+
+
+def _samples(given: Any, what: str, least: int) -> int:
+    if isinstance(given, bool) or not isinstance(given, Integral) or given < least:
+        told = f"a {type(given).__name__}" if isinstance(given, Mapping) else repr(given)
+        raise DataError(
+            f"{what} is {told}; give a number of samples >= {least}"
+            + (", and signals of one's own as excitations={node: (N,) array}" * (what == "N"))
+        )
+    return int(given)
+
+
+def _mapping(given: Any) -> Mapping[Node, Any]:
+    if given is not None and not isinstance(given, Mapping):
+        raise DataError(
+            f"excitations is a {type(given).__name__}; give a mapping {{node: (N,) array}}"
+        )
+    return given or {}
+
+
+def _given(network: Network, node: Node, x: Any, N: int) -> Array:
+    if node not in network.nodes:
+        raise DataError(
+            f"excitations names {node!r}, which is no node of {network.name}; choose among "
+            f"{', '.join(map(repr, network.nodes))}"
+        )
+    values = np.asarray(x, dtype=float)
+    if values.shape != (N,):
+        raise DataError(
+            f"the excitation of {node_label(node)} has the shape {values.shape}, N = {N}; give "
+            f"({N},) samples, or N = {values.size}"
+        )
+    if not np.all(np.isfinite(values)):
+        k = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise DataError(
+            f"the excitation of {node_label(node)} is not finite at k = {k}; cut or fill it there"
+        )
+    return values
 
 
 def _drawn(signal: Signal, N: int, rng: np.random.Generator) -> Array:

@@ -92,6 +92,7 @@ def _read(value: Any, variable: str | None) -> Rational:
     if module.startswith("casadi"):
         from casid.linear.symbolic import to_sympy
 
+        _refuse_opaque(value)
         if tuple(value.shape) != (1, 1):
             raise ModelError(
                 f"a CasADi expression of shape {tuple(value.shape)} is no single transfer function;"
@@ -112,6 +113,17 @@ def _read(value: Any, variable: str | None) -> Rational:
         f"{value!r} is no transfer function; give a number, a Rational, a sympy expression in q or "
         "s, a control.TransferFunction or StateSpace, or a CasADi SX expression"
     )
+
+
+def _refuse_opaque(value: Any) -> None:
+    """CasADi MX and functions, whose insides cannot be read as a fraction."""
+    kind = type(value).__name__
+    if kind not in ("SX", "DM"):
+        mend = " (ca.SX.sym for ca.MX.sym)" if kind == "MX" else ""
+        raise ModelError(
+            f"a CasADi {kind} cannot be read as a transfer function; write it with SX symbols"
+            f"{mend}, sympy symbols or Rational.shift()"
+        )
 
 
 def _number(value: Any) -> Fraction:
