@@ -60,7 +60,12 @@ def conclude(targets: Sequence[Target], file: Path | None) -> int:
 
 
 def report(found: Iterable[Target], folder: Path | None) -> int:
-    """Print every target as it comes, and conclude with targets.json in the folder."""
+    """Print every target as it comes, and conclude with targets.json in the folder.
+
+    The folder is made before the first of `found` is asked for: a study may write into it.
+    """
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
     targets = []
     for target in found:
         print(target, flush=True)
