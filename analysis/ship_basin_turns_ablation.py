@@ -142,7 +142,7 @@ def residuals(out: Output, *, quick: bool) -> Iterator[Target]:
         )
     )
     print(
-        f"  the thesis: residual peaks of {THESIS_PEAK:g} averages at turn entries. Not reproduced, "
+        f"  the thesis: peaks of {THESIS_PEAK:g} averages at turn entries. Not reproduced, "
         f"{at('all terms', key):.2g} here, fitted, without noise ({others})"
     )
     experiments = low_passed([with_torques(s) for s in sets])
