@@ -10,18 +10,25 @@ from typing import Any
 from casid.asymptotics.asymptotics import Asymptotics
 from casid.errors import ModelError
 
-NO_BIAS = 1e-9
-"""Of the standard deviation of one sample and of the value itself: a bias below is rounding."""
+NO_BIAS = 1e-7
+"""Of the standard deviation of one sample and of the value itself: a bias below is rounding, or the
+truncation of a response, and would be seen after 1e14 samples."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RemedyRow:
-    """A remedy and its result, or the reason why it cannot be used."""
+    """A remedy and its result, or the reason why it cannot be used.
+
+    Attributes
+    ----------
+    remark : where its bias comes from, what it models; empty where there is nothing to tell.
+    """
 
     name: str
     kind: str
     result: Asymptotics | None
     refused: str = ""
+    remark: str = ""
 
     def estimates(self, parameter: str) -> bool:
         """Whether it says something about this coefficient's true value."""
@@ -183,6 +190,8 @@ class Comparison:
         """
         rows = self.candidates(parameter)
         what = ", ".join(self.unknown)
+        if not what:
+            return f"{parameter}: no input is unknown"
         plain = [r for r in rows if r.kind == "neglect"]
         if not plain:
             verb = "is" if len(self.unknown) == 1 else "are"

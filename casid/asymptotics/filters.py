@@ -27,16 +27,20 @@ class Filter:
     ----------
     b, a : (nb,), (na,) real; index = lag in samples.
     Ts : sample time [s], None where none was given.
+    lead : samples of the future that it sees: z^lead times b/a.
     """
 
     b: Array
     a: Array
     Ts: float | None = None
+    lead: int = 0
 
     def __call__(self, z: Array) -> Array:
         """Its values at the points z (M,), complex (M,)."""
         back = 1 / z
         above = np.polynomial.polynomial.polyval(back, self.b)
+        if self.lead:
+            above = above * z**self.lead
         if len(self.a) == 1:  # no poles, and none of their rounding
             return np.asarray(above / self.a[0])
         return np.asarray(above / np.polynomial.polynomial.polyval(back, self.a))
@@ -48,8 +52,8 @@ class Filter:
 
     @property
     def reach(self) -> int:
-        """Samples that its polynomials reach back."""
-        return max(len(self.a), len(self.b)) - 1
+        """Samples that its polynomials reach back, and ahead."""
+        return max(len(self.a), len(self.b)) - 1 + self.lead
 
     @property
     def radius(self) -> float:
@@ -62,13 +66,14 @@ def lag(samples: int) -> Filter:
     return Filter(np.concatenate([np.zeros(samples), [1.0]]), np.ones(1))
 
 
-def as_filter(value: Any, where: str) -> Filter:
+def as_filter(value: Any, where: str, *, noncausal: bool = False) -> Filter:
     """A filter as written: a number, a pair (b, a), a `Filter` or a python-control system.
 
     Parameters
     ----------
     value : see the module.
     where : names the filter in messages, such as "y: filter of u".
+    noncausal : whether it may be improper, that is see the future.
 
     Raises
     ------
@@ -78,9 +83,9 @@ def as_filter(value: Any, where: str) -> Filter:
     if isinstance(value, Filter):
         return value
     if hasattr(value, "isdtime") and hasattr(value, "dt"):
-        return _from_control(value, where)
+        return _from_control(value, where, noncausal)
     if isinstance(getattr(value, "variable", None), str):
-        return _from_rational(value, where)
+        return _from_rational(value, where, noncausal)
     try:
         if isinstance(value, tuple) and len(value) == 2:
             b, a = (np.atleast_1d(np.asarray(v, dtype=float)) for v in value)
@@ -97,17 +102,18 @@ def as_filter(value: Any, where: str) -> Filter:
         )
     if not (np.all(np.isfinite(b)) and np.all(np.isfinite(a))):
         raise ModelError(f"{where} has coefficients that are not finite; give finite numbers")
-    if a[0] == 0:
+    lead = int(np.argmax(a != 0)) if np.any(a) else len(a)
+    if lead and (not noncausal or lead == len(a)):
         raise ModelError(
             f"{where} has a denominator in q^-1 that begins with 0, so the filter sees the future; "
             "take the common delay out of both polynomials"
         )
-    return Filter(b, a)
+    return Filter(b, a[lead:], None, lead)
 
 
-def _from_control(system: Any, where: str) -> Filter:
+def _from_control(system: Any, where: str, noncausal: bool) -> Filter:
     """A discrete single-input single-output python-control system in powers of q^-1."""
-    import control
+    from casid.transfer.reading import rational
 
     if not system.isdtime(strict=True):
         raise ModelError(
@@ -118,12 +124,10 @@ def _from_control(system: Any, where: str) -> Filter:
             f"{where} has {system.ninputs} inputs and {system.noutputs} outputs; give one filter "
             "for each source, as G[0, 1]"
         )
-    transfer = control.tf(system)
-    num, den = (np.asarray(p[0][0], dtype=float) for p in (transfer.num, transfer.den))
-    return _descending(num, den, None if system.dt is True else float(system.dt), where)
+    return _from_rational(rational(system), where, noncausal)
 
 
-def _from_rational(value: Any, where: str) -> Filter:
+def _from_rational(value: Any, where: str, noncausal: bool) -> Filter:
     """A rational function in q with numbers."""
     if value.parameters:
         raise ModelError(
@@ -133,20 +137,15 @@ def _from_rational(value: Any, where: str) -> Filter:
     if value.variable == "s":
         raise ModelError(f"{where} is of continuous time; give its discrete form in q")
     num, den = (np.array([float(c) for c in p]) for p in (value.numerator, value.denominator))
-    return _descending(num, den, value.Ts, where)
-
-
-def _descending(num: Array, den: Array, Ts: float | None, where: str) -> Filter:
-    """A filter from polynomials in descending powers of q."""
-    num, den = np.trim_zeros(num, "f"), np.trim_zeros(den, "f")
-    if not len(num):
-        return Filter(np.zeros(1), np.ones(1), Ts)
-    if len(num) > len(den):
+    lead = len(num) - len(den)
+    if lead > 0 and not noncausal:
         raise ModelError(
             f"{where} is improper (degree {len(num) - 1} over {len(den) - 1}): it sees the "
-            "future; delay it by multiplying with z^-k"
+            "future; delay it by multiplying with z^-k, or, for a signal that is made of a record "
+            "afterwards, allow it: system.with_signals({..}, noncausal=True)"
         )
-    return Filter(np.concatenate([np.zeros(len(den) - len(num)), num]), den, Ts)
+    delayed = np.concatenate([np.zeros(max(-lead, 0)), num])
+    return Filter(delayed if len(num) else np.zeros(1), den, value.Ts, max(lead, 0))
 
 
 def require_stable(filter: Filter, where: str) -> None:
@@ -163,7 +162,14 @@ def require_stable(filter: Filter, where: str) -> None:
     worst = poles[np.argmax(np.abs(poles))]
     shown = f"{worst.real:.4g}" + (f" +- {abs(worst.imag):.4g}i" if worst.imag else "")
     raise ModelError(
-        f"{where} has a pole at z = {shown}, modulus {abs(worst):.4g}: the signal is not "
+        f"{where} has a pole at z = {shown}, {modulus_text(abs(worst))}: the signal is not "
         "stationary and an estimate has no limit. Give the stable closed loop's filters from the "
         "externals, or difference the signal"
     )
+
+
+def modulus_text(modulus: float) -> str:
+    """The modulus of a refused pole, so that one inside the circle is not taken for one on it."""
+    if LAST_STABLE <= modulus < 1:
+        return f"modulus 1 - {1 - modulus:.2g}, within {1 - LAST_STABLE:.0e} of the unit circle"
+    return f"modulus {modulus:.4g}"

@@ -179,8 +179,18 @@ class LinearSignals:
             longest_delay=len(given.A) + 1,
         )
 
-    def with_signals(self, signals: Mapping[str, Definition]) -> LinearSignals:
-        """The same system with more signals, made of externals and signals that are there."""
+    def with_signals(
+        self, signals: Mapping[str, Definition], *, noncausal: bool = False
+    ) -> LinearSignals:
+        """The same system with more signals, made of externals and signals that are there.
+
+        Parameters
+        ----------
+        signals : as in `of`.
+        noncausal : whether filters may be improper: an input recovered by 1/G from a sensor that
+            feels it a sample late. From a record such a signal can be made, and moments need no
+            causality. Poles have to be inside the unit circle all the same.
+        """
         defined, Ts = dict(self._defined), self.Ts
         for name, definition in signals.items():
             if name in self.variances or name in self._own or name in defined:
@@ -193,7 +203,8 @@ class LinearSignals:
             row = {}
             for source, value in terms.items():
                 _require_known(source, known, f"signal {name}")
-                row[source], Ts = _entry(value, f"signal {name}: the filter of {source}", Ts)
+                where = f"signal {name}: the filter of {source}"
+                row[source], Ts = _entry(value, where, Ts, noncausal)
             defined[name] = row
         made = replace(self, Ts=Ts, _defined=MappingProxyType(defined))
         if made.Ts is None and not made.is_static:
@@ -265,6 +276,12 @@ class LinearSignals:
         filters = (v for row in self._defined.values() for v in row.values())
         return self._reach + sum(v.reach for v in filters if isinstance(v, Filter))
 
+    @property
+    def lead(self) -> int:
+        """Samples of the future that all filters together see, a bound for each signal."""
+        filters = (v for row in self._defined.values() for v in row.values())
+        return sum(v.lead for v in filters if isinstance(v, Filter))
+
     def gains(self, names: Sequence[str]) -> Array:
         """Gains (signals, externals) of a static system: floats, or sympy expressions as objects.
 
@@ -313,11 +330,11 @@ def _times(value: Any, row: Array, z: Array | None) -> Array:
     return np.asarray(row * value)
 
 
-def _entry(value: Any, where: str, Ts: float | None) -> tuple[Any, float | None]:
+def _entry(value: Any, where: str, Ts: float | None, noncausal: bool) -> tuple[Any, float | None]:
     """One filter as it is kept, and the sample time that holds from here on."""
     if isinstance(value, str) or is_symbolic(value):
         return as_expression(value, where), Ts
-    made = as_filter(value, where)
+    made = as_filter(value, where, noncausal=noncausal)
     require_stable(made, where)
     if made.Ts is not None:
         if Ts is not None and not np.isclose(made.Ts, Ts, rtol=1e-9, atol=0):
@@ -326,7 +343,7 @@ def _entry(value: Any, where: str, Ts: float | None) -> tuple[Any, float | None]
                 f"Ts={made.Ts:g}"
             )
         Ts = made.Ts
-    is_gain = len(made.a) == 1 and not np.any(made.b[1:])
+    is_gain = len(made.a) == 1 and not np.any(made.b[1:]) and not made.lead
     return (float(made.b[0] / made.a[0]) if is_gain else made), Ts
 
 

@@ -8,6 +8,7 @@ covariance Q of psi_t eps_t, so that it holds for coloured residuals and biased 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,7 @@ def prediction_error_limit(
     prefilter: Any = None,
     solver: Solver | None = None,
     method: str | None = None,
+    random_starts: int = RANDOM_STARTS,
 ) -> Asymptotics:
     """Limit and covariance of the prediction-error estimate of A y = sum (B_i/F_i) u_i + (C/D) e.
 
@@ -55,6 +57,7 @@ def prediction_error_limit(
     truth : coefficient -> true value.
     start : coefficient -> value the search begins from as well.
     prefilter : L(q) of output and inputs alike, as a filter of `LinearSignals.of`.
+    random_starts : how many, beside `truth`, `start` and zero.
 
     Returns
     -------
@@ -69,12 +72,73 @@ def prediction_error_limit(
     IdentifiabilityError
         If the minimum is no point (orders too high); the message names the direction.
     """
+    sources = dict(inputs) if isinstance(inputs, Mapping) else {name: name for name in inputs}
+    found = prediction_minimum(
+        system, output, sources, orders, truth, start, prefilter, solver, random_starts
+    )
+    Q = product_covariance(found.psi, found.repeated_eps, found.variances, found.kurtosis)
+    text = f"{found.layout.structure} of {output} on {', '.join(sources.values()) or 'nothing'}"
+    return found.asymptotics(Q, method or text)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictionMinimum:
+    """The minimum of the criterion and what is known of it there.
+
+    Attributes
+    ----------
+    theta : (n,).
+    eps, psi : (M, 1, ne), (M, n, ne) responses of the error and of minus its slope.
+    inverse : (n, n) of the curvature.
+    variances, kurtosis : (ne,) of the externals.
+    """
+
+    layout: Layout
+    theta: Array
+    eps: Array
+    psi: Array
+    inverse: Array
+    variances: Array
+    kurtosis: Array
+    truth: Mapping[str, float]
+    notes: tuple[str, ...]
+
+    @property
+    def repeated_eps(self) -> Array:
+        """(M, n, ne): the error beside each slope."""
+        return np.repeat(self.eps, self.layout.n, axis=1)
+
+    def asymptotics(self, Q: Array, method: str) -> Asymptotics:
+        """With the long-run covariance Q (n, n) of what moves the minimum."""
+        power = (self.eps[:, 0] * np.conj(self.eps[:, 0])) @ self.variances
+        return Asymptotics(
+            method,
+            self.layout.names,
+            self.theta,
+            self.inverse @ Q @ self.inverse.T,
+            float(np.real(np.mean(power))),
+            self.truth,
+            self.notes,
+        )
+
+
+def prediction_minimum(
+    system: LinearSignals,
+    output: str,
+    sources: Mapping[str, str],
+    orders: Orders,
+    truth: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | None = None,
+    prefilter: Any = None,
+    solver: Solver | None = None,
+    random_starts: int = RANDOM_STARTS,
+) -> PredictionMinimum:
+    """Where the criterion of `prediction_error_limit` is least; arguments and errors as there."""
     if system.symbols:
         raise ModelError(
             f"a prediction-error limit needs numbers; give system.at({{..}}) for "
             f"{', '.join(map(str, system.symbols))}"
         )
-    sources = dict(inputs) if isinstance(inputs, Mapping) else {name: name for name in inputs}
     layout = Layout.of(orders, list(sources))
     true = {name: float(value) for name, value in (truth or {}).items()}
     for name in (*true, *(start or {})):
@@ -97,11 +161,12 @@ def prediction_error_limit(
     while True:
         G = settled_response(system, atoms, names, own, points)
         criterion = PredictionCriterion(layout, G, variances)
-        starts = starts or _starts(criterion, {**true, **(start or {})})
+        starts = starts or _starts(criterion, {**true, **(start or {})}, random_starts)
         theta, higher_now = _minimum(criterion, starts, solver)
         higher = max(higher, higher_now)
         eps, psi = criterion.errors(theta)
         tails = np.abs(np.fft.ifft(np.concatenate([eps, psi], axis=1), axis=0))
+        tails = np.roll(tails, system.lead, axis=0)
         if tails[len(G) // 2 :].max() <= _DIED_OUT * tails.max():
             break
         points = 2 * len(G)
@@ -117,28 +182,20 @@ def prediction_error_limit(
     inverse = solve(
         curvature, eye, [f"d {n}" for n in layout.names], what, "Lower the orders, or excite more"
     )
-    tiled = np.repeat(eps, layout.n, axis=1)
-    Q = product_covariance(psi, tiled, variances, kurtosis)
-    notes = [f"{higher} of the starts ended in a higher minimum"] if higher else []
-    return Asymptotics(
-        method or f"{layout.structure} of {output} on {', '.join(sources.values()) or 'nothing'}",
-        layout.names,
-        theta,
-        inverse @ Q @ inverse.T,
-        float(np.real(np.mean((eps[:, 0] * np.conj(eps[:, 0])) @ variances))),
-        true,
-        tuple(notes),
-    )
+    notes = (f"{higher} of the starts ended in a higher minimum",) if higher else ()
+    return PredictionMinimum(layout, theta, eps, psi, inverse, variances, kurtosis, true, notes)
 
 
-def _starts(criterion: PredictionCriterion, given: Mapping[str, float]) -> list[Array]:
+def _starts(
+    criterion: PredictionCriterion, given: Mapping[str, float], random_starts: int
+) -> list[Array]:
     layout = criterion.layout
     rng = np.random.default_rng(0)
     made: list[Array] = [np.zeros(layout.n)]
     if given:
         made.insert(0, np.array([given.get(n, 0.0) for n in layout.names]))
     if not layout.is_linear:
-        for _ in range(RANDOM_STARTS):
+        for _ in range(random_starts):
             x = np.zeros(layout.n)
             for first, n, stable in criterion.blocks():
                 if stable:

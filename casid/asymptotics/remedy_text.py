@@ -37,7 +37,8 @@ def shown(value: Any) -> str:
 def comparison_text(comparison: Comparison) -> str:
     """The whole comparison: a table for each coefficient, the choice, the reason."""
     what = ", ".join(comparison.unknown)
-    lines = [f"Remedies for the unknown input {what}, N = {comparison.N:g} samples"]
+    head = f"Remedies for the unknown input {what}" if what else "Estimators, every input measured"
+    lines = [f"{head}, N = {comparison.N:g} samples"]
     for name in comparison.parameters:
         lines += ["", f"{name}", *_of_parameter(comparison, name)]
         if not comparison.is_symbolic:
@@ -46,7 +47,11 @@ def comparison_text(comparison: Comparison) -> str:
                 lines.append(f"  no remedy estimates {name}")
             else:
                 lines.append(f"  best: {choice.remedy} ({choice.why})")
-            lines.append(f"  {comparison.cost_of_neglecting(name)}")
+            if what:
+                lines.append(f"  {comparison.cost_of_neglecting(name)}")
+    told = dict.fromkeys((r.name.rpartition(", ")[0] or r.name, r.remark)
+                         for r in comparison.rows if r.remark)  # fmt: skip
+    lines += ["", *(f"{name}: {remark}" for name, remark in told)] if told else []
     refused = [r for r in comparison.rows if r.result is None]
     lines += ["", *(f"not possible: {r.name}: {r.refused}" for r in refused)] if refused else []
     return "\n".join(lines)

@@ -183,7 +183,7 @@ def settled_response(
         points *= 2
     while True:
         G = _on_grid(system, atoms, names, prefilter, points)
-        impulse = np.abs(np.fft.ifft(G, axis=0))
+        impulse = np.roll(np.abs(np.fft.ifft(G, axis=0)), system.lead, axis=0)
         lasting = impulse[points // 2 :].max(axis=(0, 2)) > _negligible(impulse)
         if not lasting.any():
             return G

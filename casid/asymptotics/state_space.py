@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.asymptotics.filters import LAST_STABLE
+from casid.asymptotics.filters import LAST_STABLE, modulus_text
 from casid.errors import ModelError
 
 Array = NDArray[Any]
@@ -76,7 +76,7 @@ def matrices(
     if nx and np.max(np.abs(poles)) >= LAST_STABLE:
         worst = poles[np.argmax(np.abs(poles))]
         raise ModelError(
-            f"A has the eigenvalue {worst:.4g}, modulus {abs(worst):.4g}: the signals are not "
+            f"A has the eigenvalue {worst:.4g}, {modulus_text(abs(worst))}: the signals are not "
             "stationary and an estimate has no limit. Give the stable closed loop"
         )
     return Matrices(A, B, C, D, tuple(signals), 1.0 if Ts is None else float(Ts))
