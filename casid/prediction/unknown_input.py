@@ -21,6 +21,7 @@ from casid.errors import CasidError, DataError, ModelError
 from casid.estimate import Estimate
 from casid.identification import FitSettings, identify
 from casid.model import Model
+from casid.observers.input_estimate import noise_guess
 from casid.prediction.grey_box import minimize_prediction_error
 from casid.prediction.input_models import as_known, as_random_walk, as_shaped_noise, require_unknown
 from casid.prediction.noisy_model import White, noise_sources
@@ -299,20 +300,13 @@ class _Job:
         sources = []
         for name in model.outputs:
             of = self.measured if name == self.unknown and self.measured else name
-            guess = max(_noise_guess(e.record[name]) for e in experiments)
+            guess = max(noise_guess(e.record[name]) for e in experiments)
             sources.append(White(name, self.noise.get(of, guess)))
         return [*sources, *self.process]
 
     def roughness(self) -> float:
         """A start for the sd of the random walk's noise: its output's spread a second."""
         return max(float(np.std(e.record[self.using])) for e in self.experiments) or 1.0
-
-
-def _noise_guess(y: Array) -> float:
-    """White noise from second differences, at least a thousandth of the spread (a heuristic)."""
-    spread = float(np.std(y))
-    rough = float(np.std(np.diff(y, 2))) / np.sqrt(6) if len(y) > 3 else 0.0
-    return max(rough, 1e-3 * spread) or 1e-6
 
 
 def _the_unknown(model: Model, unknown: str | None) -> str:
