@@ -9,6 +9,7 @@ import pytest
 
 import casid
 from casid.errors import ModelError
+from casid.networks.estimation.module_equation import module_equation
 from casid.networks.network import dynamic_network
 from casid.networks.node_sets import node_sets
 from casid.networks.prediction.eiv_filter import eiv_filter
@@ -144,3 +145,20 @@ def test_sets_of_another_target_are_refused_with_the_mend():
         compare_predictors(net, "a", sets=node_sets(net, "m1"))
     with pytest.raises(ModelError, match="sets= has S = .* same network, target and sensors"):
         eiv_filter(net, "a", sets=node_sets(net, "a", sensors=("a", "m1")))
+
+
+def test_a_module_is_estimated_from_the_observations_of_least_error():
+    """Those named are used all the same, the others left out; G_ak is kept either way."""
+    net = dynamic_network(
+        {("a", "u"): 1 / (Q - 0.5), ("a", "k"): 0.5 / Q, ("m1", "u"): WEAK, ("m2", "u"): STRONG},
+        measured=("a", "k", "m1", "m2"),
+        excitations=("k",),
+    )
+    best = module_equation(net, ("a", "k"), (), "indirect")
+    assert best.inputs == ("k", "m2")
+    named = module_equation(net, ("a", "k"), ("k", "m1"), "indirect")
+    assert named.inputs == ("k", "m1")
+    assert best.is_kept
+    assert named.is_kept
+    assert named.equations.module("a", "m1") == 40 * best.equations.module("a", "m2")
+    assert named.delays == {"k": 1, "m1": 0}

@@ -23,12 +23,14 @@ from casid.networks.network import (
     Edge,
     Network,
     Node,
+    as_nodes,
     dynamic_network,
     edge_label,
     labels,
     node_label,
 )
-from casid.networks.node_sets import node_sets
+from casid.networks.node_sets import NodeSets, node_sets
+from casid.networks.prediction.observation_choice import chosen_sets
 
 Elimination = Literal["immersion", "indirect"]
 FAR = 1e4, 1e5  # q at which the leading powers alone are left, to four digits
@@ -50,6 +52,7 @@ class ModuleEquation:
     delays : channel of `names` -> delay [samples] of Gt_jk or Ft_jn, negative where improper; empty
         where some module is a mere letter.
     confounders : disturbances in the error and in an input alike.
+    sets : of an indirect model, with the observations that are used.
     """
 
     network: Network
@@ -62,13 +65,14 @@ class ModuleEquation:
     equations: NodeEquations
     delays: dict[str, int]
     confounders: tuple[Confounder, ...]
+    sets: NodeSets | None = None
 
     @cached_property
     def becomes(self) -> str:
         """Gt_ji in the letters of the modules; empty for networks too large to write out."""
         if self.is_kept:
             return edge_label(self.module)
-        return _in_letters(self.network, self.module, self.inputs, self.elimination)
+        return _in_letters(self.network, self.module, self.inputs, self.sets)
 
     @property
     def output(self) -> Node:
@@ -102,8 +106,9 @@ def module_equation(
 
     Parameters
     ----------
-    inputs : predictor inputs; with "indirect" they have to be those of the indirect model, by
-        default (empty) all of them.
+    inputs : predictor inputs; with "indirect" they have to be those of an indirect model. By
+        default (empty) all of them; of more observations than unknown inputs those of least error
+        variance (`casid.networks.prediction.observation_choice`).
 
     Raises
     ------
@@ -114,14 +119,16 @@ def module_equation(
     j, i = module
     if elimination not in ("immersion", "indirect"):
         raise ModelError(f"elimination = {elimination!r}; choose 'immersion' or 'indirect'")
-    chosen = tuple(dict.fromkeys(inputs))
+    chosen = tuple(dict.fromkeys(as_nodes(inputs)))
+    sets = None
     q, values = random_point(network, np.random.default_rng(57))
     if elimination == "immersion":
         _refuse_inputs(network, module, chosen)
         reduced = immerse(network, (j, *chosen), at=q, values=values)
         common = confounders(network, j, chosen)
     else:
-        whole = indirect_equations(network, node_sets(network, j), at=q, values=values)
+        sets = chosen_sets(network, node_sets(network, j), chosen)
+        whole = indirect_equations(network, sets, at=q, values=values)
         row = ordered(network.nodes, whole.G[j])
         if chosen and set(chosen) != set(row):
             raise ModelError(
@@ -134,7 +141,7 @@ def module_equation(
         common = confounders_in(network, reduced, j, chosen)
     entering = tuple(n for n in network.excitations if n in reduced.F[j])
     own = reduced.F[j].get(j)
-    subtracted = j in entering and own == 1 and _is_one_again(network, module, chosen, elimination)
+    subtracted = j in entering and own == 1 and _is_one_again(network, module, chosen, sets)
     return ModuleEquation(
         network=network,
         module=module,
@@ -144,8 +151,9 @@ def module_equation(
         subtracted=subtracted,
         is_kept=reduced.G[j].get(i, 0) == network.module(j, i).substitute(values).at(q),
         equations=reduced,
-        delays=_delays(network, module, chosen, entering, elimination),
+        delays=_delays(network, module, chosen, entering, sets),
         confounders=common,
+        sets=sets,
     )
 
 
@@ -166,19 +174,19 @@ def _refuse_inputs(network: Network, module: Edge, chosen: tuple[Node, ...]) -> 
 
 
 def _reduced(
-    network: Network, j: Node, chosen: tuple[Node, ...], elimination: str, **field: object
+    network: Network, j: Node, chosen: tuple[Node, ...], sets: NodeSets | None, **field: object
 ) -> NodeEquations:
-    if elimination == "immersion":
+    if sets is None:
         return immerse(network, (j, *chosen), **field)
-    whole = indirect_equations(network, node_sets(network, j), **field)
+    whole = indirect_equations(network, sets, **field)
     return immerse(whole, (j, *chosen))
 
 
 def _is_one_again(
-    network: Network, module: Edge, chosen: tuple[Node, ...], elimination: str
+    network: Network, module: Edge, chosen: tuple[Node, ...], sets: NodeSets | None
 ) -> bool:
     q, values = random_point(network, np.random.default_rng(58))
-    again = _reduced(network, module[0], chosen, elimination, at=q, values=values)
+    again = _reduced(network, module[0], chosen, sets, at=q, values=values)
     return bool(again.F[module[0]].get(module[0]) == 1)
 
 
@@ -187,13 +195,13 @@ def _delays(
     module: Edge,
     chosen: tuple[Node, ...],
     entering: tuple[Node, ...],
-    elimination: str,
+    sets: NodeSets | None,
 ) -> dict[str, int]:
     """Relative degrees of the row, from its slope at two q far out."""
     if network.parameters:
         return {}
     j = module[0]
-    far = _reduced(network, j, chosen, elimination, at=np.array(FAR, dtype=complex))
+    far = _reduced(network, j, chosen, sets, at=np.array(FAR, dtype=complex))
     found = {node_label(k): far.G[j].get(k) for k in chosen}
     found |= {f"delta_{n}": far.F[j].get(n) for n in entering}
     return {
@@ -203,7 +211,9 @@ def _delays(
     }
 
 
-def _in_letters(network: Network, module: Edge, chosen: tuple[Node, ...], elimination: str) -> str:
+def _in_letters(
+    network: Network, module: Edge, chosen: tuple[Node, ...], sets: NodeSets | None
+) -> str:
     if len(network.nodes) > LETTERS_MOST:
         return ""
     import sympy
@@ -215,5 +225,5 @@ def _in_letters(network: Network, module: Edge, chosen: tuple[Node, ...], elimin
         excitations=(),
     )
     j, i = module
-    found = _reduced(lettered, j, chosen, elimination).module(j, i)
+    found = _reduced(lettered, j, chosen, sets).module(j, i)
     return str(sympy.factor(found.expression())) if hasattr(found, "expression") else str(found)

@@ -9,7 +9,7 @@ that with the smaller variance beside its noise model is kept, and then the firs
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, islice
@@ -219,6 +219,20 @@ def observation_choices(
     if is_free and not found[0].is_usable and accept(sets):
         found = [*_combined(network, sets, equations, use_excitations), *found]
     return ObservationChoices(network, sets, tuple(found), comb(len(seen), n) if is_free else 1)
+
+
+def chosen_sets(network: Network, sets: NodeSets, inputs: Collection[Node] = ()) -> NodeSets:
+    """The sets with as many observations as unknown inputs, those of least error variance.
+
+    Parameters
+    ----------
+    inputs : nodes that the target's equation is to have, if they are not free.
+    """
+    if len(sets.D) + len(sets.I) <= len(sets.sU):
+        return sets
+    square = [c for c in observation_choices(network, sets).judged if not c.how]
+    wanted = [c for c in square if inputs and set(c.equations.G[sets.target]) == set(inputs)]
+    return (wanted or square)[0].sets
 
 
 def inverse_of_observations(network: Network, sets: NodeSets) -> LeftInverse | None:
