@@ -8,7 +8,7 @@ may distort: the kinds and their names are those of `diagnosis.json`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import casadi as ca
@@ -23,6 +23,15 @@ Test = Literal["score", "clip"]
 
 JUMP_TIMES = 12
 """Instants, evenly inside the window, that a jump is first searched at."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Mean and range of a recorded channel over the fitted records, in its own unit."""
+
+    mean: float
+    lowest: float
+    highest: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +57,7 @@ class Effect:
     priority: int = 0  # of two that are the same thing in this model, the lower is named
     limit: float | None = None  # largest |value| of the first parameter worth trying
     cost: int = 1  # parameters that it is charged for
+    span: tuple[float, float] | None = None  # of the signal that moves a parameter
 
     @property
     def key(self) -> tuple[str, str]:
@@ -166,6 +176,24 @@ def parameter_jump(model: Model, name: str, time: float) -> Effect:
     return Effect("parameter_jump", name, (p,), apply, variant=time, cost=3)
 
 
+def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread: Spread) -> Effect:
+    """A parameter p that depends on a recorded channel c: p + s (c - c_mean).
+
+    The mean is that of the fitted records, so that p stays what it is on average there, and its
+    estimate and that of s hardly depend on each other.
+    """
+    old = model.parameters[name]
+    p = Parameter(f"slope_{name}_{channel}", unit_quotient(old.unit, unit, 1), 0.0)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        c = new.add_input(Input(channel, unit, "known", "foh"))
+        moved = new.symbol(name) + new.symbol(names[0]) * (c - spread.mean)
+        new.substitute_symbol(name, moved)
+
+    span = spread.lowest - spread.mean, spread.highest - spread.mean
+    return Effect("scheduled_parameter", f"{name}~{channel}", (p,), apply, span=span)
+
+
 def sensor_bias(model: Model, channel: str) -> Effect:
     """A constant added to a measured output or input."""
     if channel in model.outputs:
@@ -231,6 +259,7 @@ class Sizes:
     largest: Mapping[str, float]  # output -> largest |measured|: a clipping cannot be below
     window: tuple[float, float]  # s, of the fitted part
     longest_delay: float  # s
+    channels: Mapping[str, Spread] = field(default_factory=dict)  # recorded beside the model's
 
 
 def jump_times(window: tuple[float, float]) -> list[float]:
@@ -264,6 +293,11 @@ def catalogue(model: Model, sizes: Sizes, recorded: Mapping[str, str]) -> list[E
     for name, p in model.parameters.items():
         if not p.is_constant:
             effects += [parameter_jump(model, name, float(t)) for t in times]
+            effects += [
+                scheduled_parameter(model, name, c, recorded[c], spread)
+                for c, spread in sizes.channels.items()
+                if not (p.is_known and p.value == 0.0)  # what is not there does not vary
+            ]
     for channel, largest in sizes.largest.items():
         effects += [saturation(model, channel, share * largest) for share in (0.96, 0.98, 0.995)]
     return effects

@@ -20,7 +20,7 @@ from scipy.stats import norm
 
 from casid.data import Experiment
 from casid.diagnosis import Alternative
-from casid.effects import JUMP_TIMES, Effect, Sizes, catalogue, parameter_jump
+from casid.effects import JUMP_TIMES, Effect, Sizes, Spread, catalogue, parameter_jump
 from casid.errors import SolveError
 from casid.model import Model
 from casid.noise import NoiseModel, estimate_noise, input_noise_floor
@@ -94,14 +94,34 @@ class Adopted:
     rivals: tuple[Rival, ...]
 
 
-def _keep_sign(model: Model, jump: str, value: float) -> None:
-    """Bound a jump so that the parameter keeps its sign and its order of magnitude."""
-    if value != 0.0:
+def _keep_sign(model: Model, change: str, value: float, effect: Effect) -> None:
+    """Bound a change so that the parameter keeps its sign and its order of magnitude.
+
+    A slope gets twice the room: the value, here that of the model without it, may yet grow.
+    """
+    if value == 0.0:
+        return
+    if effect.span is None:
         low, high = sorted((-0.95 * value, 3.0 * value))
-        p = model.parameters[jump]
-        model.parameters[jump] = replace(
-            p, lower=low, upper=high, start=float(np.clip(p.start, 0.9 * low, 0.9 * high))
-        )
+    else:
+        low, high = sorted(2.0 * slope for slope in _slopes_to_zero(effect.span, value))
+    p = model.parameters[change]
+    model.parameters[change] = replace(
+        p, lower=low, upper=high, start=float(np.clip(p.start, 0.9 * low, 0.9 * high))
+    )
+
+
+def _slopes_to_zero(span: tuple[float, float], value: float) -> tuple[float, float]:
+    """The slopes at which a parameter of `value` is zero at one end of its channel's range."""
+    low, high = sorted((-value / span[0], -value / span[1]))
+    return low, high
+
+
+def _parameter_of(effect: Effect) -> str | None:
+    """The parameter that an effect moves, if it moves one."""
+    if effect.kind == "scheduled_parameter":
+        return effect.where.partition("~")[0]
+    return effect.where if effect.kind == "parameter_jump" else None
 
 
 def _null_value(candidate: Candidate, name: str) -> float:
@@ -251,7 +271,13 @@ class Search:
             },
             window=(float(d.t[0]), float(d.t[-1])),
             longest_delay=float(min(0.3, 0.02 * d.N * d.Ts)),
+            channels={c: self._spread(c) for c in self.recorded},
         )
+
+    def _spread(self, channel: str) -> Spread:
+        """Mean and range of a channel over the fitted records."""
+        c = np.concatenate([e.record[channel] for e in self.experiments])
+        return Spread(float(c.mean()), float(c.min()), float(c.max()))
 
     # -- one candidate -----------------------------------------------------------------------
 
@@ -262,8 +288,9 @@ class Search:
             model, names = effect.extended(
                 at.model, starts={effect.parameters[0].name: start}, upper=upper
             )
-            if effect.kind == "parameter_jump":
-                _keep_sign(model, names[0], at.fit.values.get(effect.where, 0.0))
+            moved = _parameter_of(effect)
+            if moved is not None:
+                _keep_sign(model, names[0], at.fit.values.get(moved, 0.0), effect)
             values = {**at.fit.values, **(best.fit.values if best else {})}
             for name in names:
                 values.pop(name, None)
@@ -297,6 +324,11 @@ class Search:
             name = effect.where
             now = abs(at.fit.values.get(name, 0.0)) or abs(step) * 4
             step = float(np.clip(step, -0.4 * now, 0.4 * now))
+        moved = _parameter_of(effect)
+        value = at.fit.values.get(moved, 0.0) if moved is not None else 0.0
+        if effect.span is not None and value != 0.0:
+            low, high = _slopes_to_zero(effect.span, value)
+            step = float(np.clip(step, 0.4 * low, 0.4 * high))
         return [(step, None)] if effect.sided == "both" else [(max(step, 0.0), None)]
 
     def _judge(
@@ -460,6 +492,8 @@ class Search:
             for e in effects
             if e.kind != "parameter_jump" or not (e.where in own or self._is_known_event(at, e))
         ]
+        # A slope of a cause's own size would be a second effect in the place of a first one.
+        effects = [e for e in effects if e.span is None or _parameter_of(e) not in own]
         return score_test(at.unbiased or at.fit, effects, input_sd=at.input_sd, seed=self.seed)
 
     def _is_known_event(self, at: Weighted, effect: Effect) -> bool:
