@@ -28,12 +28,13 @@ from statistics import NormalDist
 import numpy as np
 
 import casid
-from analysis.targets import Target, conclude, near, shared_folder
+from analysis.targets import Target, at_most, conclude, near, shared_folder
 from casid.effects import cubic_stiffness, quadratic_damping
 from casid.equation_error import Butterworth, equation_error
 from casid.estimate import Estimate
 from casid.instrumental.exogeneity import reference_depends_on
 from casid.model import Input
+from casid.prediction.coordinated_turn import rounding_error
 from casid.uncertainty import autocorrelation
 from problems import kvlcc2_zigzag
 from problems.kvlcc2_zigzag import OMEGA_0
@@ -95,6 +96,28 @@ def frequencies(data: Mapping[str, casid.Experiment]) -> Iterator[Target]:
             0.1,
             "rad/s",
         )
+
+
+def surge_speeds(folder: Path) -> Iterator[Target]:
+    """Surge speed by a coordinated-turn smoother from positions and heading alone."""
+    for name in RECORDS:
+        d = np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True)[::4]
+        psi = np.deg2rad(d["psi_deg"])
+        record = casid.Record(
+            {"x": d["x_m"], "y": d["y_m"], "psi": psi},
+            {"x": "m", "y": "m", "psi": "rad"},
+            Ts=float(np.mean(np.diff(d["t_s"]))),
+            name=name,
+        )
+        known = {
+            "x": rounding_error(d["x_m"]),
+            "y": rounding_error(d["y_m"]),
+            "psi": np.deg2rad(rounding_error(d["psi_deg"])),
+        }
+        track = casid.smooth_track(record, known=known, levels={"position": 0.01, "heading": 1e-6})
+        recorded = d["u_mps"] * np.cos(psi) + d["v_mps"] * np.sin(psi)
+        rms = float(np.sqrt(np.mean((track.u - recorded) ** 2)))
+        yield at_most(f"{name}: smoothed surge speed from the recorded one, rms", rms, 0.1, "m/s")
 
 
 def pooled(data: Mapping[str, casid.Experiment]) -> Iterator[Target]:
@@ -302,6 +325,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     print(f"  {line}")
         show(frequencies(data))
         show(external(data))
+        show(surge_speeds(folder))
         if not options.quick:
             show(pooled(data))
             show(diagnosed(data, options.out))

@@ -132,6 +132,11 @@ class Load:
                 f"load: m = {self.m!r} kg, zbar_m = {self.zbar_m!r} m, y_m = {self.y_m!r} m. "
                 "Give finite numbers."
             )
+        if self.m < 0.0:
+            raise DataError(
+                f"load: m = {self.m:g} kg. Give a mass of zero or more; what is taken off the ship "
+                "changes the ship's own M."
+            )
 
 
 LOAD_CASES = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -80,6 +81,15 @@ class Motion:
         if name.endswith("_dot") and name[:-4] in STATES[:8]:
             return np.asarray(self.rates[:, STATES.index(name[:-4])])
         raise DataError(f"motion has no {name!r}. It has {', '.join(STATES)}, and x_dot to r_dot.")
+
+    def __repr__(self) -> str:
+        heel = math.degrees(float(np.max(np.abs(self["phi"]))))
+        told = f"; {'; '.join(self.warnings)}" if self.warnings else ""
+        return (
+            f"<Motion of {len(self.states)} samples, {self.Ts * (len(self.states) - 1):g} s, "
+            f"largest heel {heel:.3g} deg, surge {np.min(self['u']):.3g} to "
+            f"{np.max(self['u']):.3g} m/s{told}>"
+        )
 
     @property
     def end(self) -> Start:

@@ -654,3 +654,15 @@ def test_a_motion_gives_a_record_of_its_states():
     assert (record.N, record.Ts, record.name) == (10, 0.02, "straight")
     assert record.units["p_dot"] == "rad/s^2"
     assert PolynomialArm((0.04,)).reach == math.pi / 2
+
+
+def test_a_load_of_negative_mass_is_refused_with_what_to_change():
+    with pytest.raises(DataError, match="zero or more.*the ship's own M"):
+        Load(-3.0)
+    assert Load(0.0).m == 0.0
+
+
+def test_a_motion_says_in_a_line_what_it_is():
+    told = repr(simulate(zigzag(20.0, angle=0.1, every=5.0)))
+    assert "1000 samples" in told
+    assert len(told) < 120
