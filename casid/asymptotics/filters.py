@@ -112,8 +112,11 @@ def as_filter(value: Any, where: str, *, noncausal: bool = False) -> Filter:
 
 
 def _from_control(system: Any, where: str, noncausal: bool) -> Filter:
-    """A discrete single-input single-output python-control system in powers of q^-1."""
-    from casid.transfer.reading import rational
+    """A discrete single-input single-output python-control system in powers of q^-1.
+
+    In floats: read exactly (`casid.transfer.reading`), sixty coefficients take seconds.
+    """
+    import control
 
     if not system.isdtime(strict=True):
         raise ModelError(
@@ -124,7 +127,11 @@ def _from_control(system: Any, where: str, noncausal: bool) -> Filter:
             f"{where} has {system.ninputs} inputs and {system.noutputs} outputs; give one filter "
             "for each source, as G[0, 1]"
         )
-    return _from_rational(rational(system), where, noncausal)
+    transfer = control.tf(system)
+    num, den = (
+        np.trim_zeros(np.asarray(p[0][0], float), "f") for p in (transfer.num, transfer.den)
+    )
+    return _descending(num, den, None if system.dt is True else float(system.dt), where, noncausal)
 
 
 def _from_rational(value: Any, where: str, noncausal: bool) -> Filter:
@@ -137,6 +144,11 @@ def _from_rational(value: Any, where: str, noncausal: bool) -> Filter:
     if value.variable == "s":
         raise ModelError(f"{where} is of continuous time; give its discrete form in q")
     num, den = (np.array([float(c) for c in p]) for p in (value.numerator, value.denominator))
+    return _descending(num, den, value.Ts, where, noncausal)
+
+
+def _descending(num: Array, den: Array, Ts: float | None, where: str, noncausal: bool) -> Filter:
+    """A filter from polynomials in descending powers of q, which begin with no zero."""
     lead = len(num) - len(den)
     if lead > 0 and not noncausal:
         raise ModelError(
@@ -145,7 +157,7 @@ def _from_rational(value: Any, where: str, noncausal: bool) -> Filter:
             "afterwards, allow it: system.with_signals({..}, noncausal=True)"
         )
     delayed = np.concatenate([np.zeros(max(-lead, 0)), num])
-    return Filter(delayed if len(num) else np.zeros(1), den, value.Ts, max(lead, 0))
+    return Filter(delayed if len(num) else np.zeros(1), den, Ts, max(lead, 0))
 
 
 def require_stable(filter: Filter, where: str) -> None:

@@ -34,6 +34,7 @@ from casid.transfer.rational import Rational
 from casid.transfer.reading import rational
 
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47)
+TRUE = "true relation"  # all inputs as their sensors say
 KINDS = {ALL_INPUTS: "known", NEGLECT: "neglect", IMMERSED: "immerse", IMMERSED_ALL: "immerse",
          INDIRECT: "eliminate"}  # fmt: skip
 
@@ -164,9 +165,10 @@ def network_relations(
             r.name == IMMERSED and set(r.nodes.values()) == set(predictor.inputs) for r in found
         ):
             continue  # the other sensors tell nothing
-        kind = "measured" if name == ALL_INPUTS and not sets.sU else KINDS[name]
-        label = "true relation" if kind == "measured" else name
-        found.append(_relation(network, module, sets, predictor, label, kind))
+        if sets.sU or name != ALL_INPUTS or any(network.sensor_noise.get(k) for k in sets.K):
+            found.append(_relation(network, module, sets, predictor, name, KINDS[name]))
+        if not sets.sU and name == ALL_INPUTS:
+            found.append(_relation(network, module, sets, predictor, TRUE, "measured"))
     return sets, found, refused
 
 
