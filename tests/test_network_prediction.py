@@ -18,8 +18,8 @@ from casid.networks.prediction.predictors import (
     INDIRECT,
     NEGLECT,
     compare_predictors,
-    row_predictor,
 )
+from casid.networks.prediction.row_predictor import row_predictor
 from casid.networks.simulation import filtered, simulate_network
 from casid.transfer.rational import Rational
 from problems.network8 import TABLE_6_1, network, simulate

@@ -31,9 +31,9 @@ def immerse(network: Network | NodeEquations, keep: Iterable[Node], **field: Any
 
     Notes
     -----
-    Rational functions of many letters grow fast: a dense network of six nodes with a letter for
-    every module takes some 20 s to immerse, and no word is said meanwhile. Give numbers for letters
-    (`values`), or decide what is asked at a point (`at`) or at frequencies (`omega`).
+    Rational functions of many letters grow fast: a network of six nodes with a letter for a module
+    between every two takes 10 to 20 s to immerse, and no word is said meanwhile. Give numbers for
+    letters (`values`), or decide what is asked at a point (`at`) or at frequencies (`omega`).
     """
     equations = node_equations(network, **field) if isinstance(network, Network) else network
     kept = set(as_nodes(keep))

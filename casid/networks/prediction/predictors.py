@@ -11,11 +11,8 @@ from casid.networks.equations import node_equations
 from casid.networks.network import Edge, Network, Node, as_nodes, node_label
 from casid.networks.node_sets import NodeSets, sets_for
 from casid.networks.prediction.node_predictor import NodePredictor
-from casid.networks.prediction.observation_choice import (
-    INDIRECT,
-    ObservationChoices,
-    observation_choices,
-)
+from casid.networks.prediction.observation_choice import INDIRECT as INDIRECT
+from casid.networks.prediction.observation_choice import ObservationChoices, observation_choices
 from casid.networks.prediction.row_predictor import predictor_of, row_predictor
 from casid.networks.simulation import refuse_continuous
 from casid.transfer.rational import Rational
