@@ -138,14 +138,14 @@ class _Task:
             replaced = [n for n, signal in sources.items() if n != signal]
             return two_stage_limit(
                 self.system, self.output, sources, self.known, orders, true,
-                predicted=replaced, solver=self.solver, method=f"{name}, two-stage",
+                predicted=replaced, solver=self.solver, method=predicted,
             )  # fmt: skip
 
+        predicted = f"predict from {name.removeprefix('measure ')}, two-stage"
         made = [estimated_row(f"{name}, PEM", kind, direct, own)]
         if self.known and kind != "approximate":
             made.append(estimated_row(f"{name}, IV", kind, by_instruments, own))
         if self.known and kind == "measure":
-            predicted = f"predict from {name.removeprefix('measure ')}, two-stage"
             made.insert(0, estimated_row(predicted, "predict", in_two_stages, own))
         return made
 

@@ -106,11 +106,8 @@ class PredictedInputs:
     ) -> None:
         wrong = [n for n in references if n not in system.externals]
         if wrong or not references:
-            raise ModelError(
-                f"reference {wrong[0]} is no external"
-                if wrong
-                else f"no reference for two stages; choose among {', '.join(system.externals)}"
-            )
+            told = f"reference {wrong[0]} is no external" if wrong else "no reference is given"
+            raise ModelError(f"{told}; choose among {', '.join(system.externals)}")
         self.references = [system.externals.index(n) for n in references]
         self.names = list(inputs)
         chosen = list(inputs) if predicted is None else list(predicted)
