@@ -87,7 +87,9 @@ def indirect_equations(
 ) -> NodeEquations:
     """(4.24), (4.41)-(4.43): sU eliminated by D and I, what is left unobserved immersed.
 
-    Its row of the target is the indirect model; with no sU it is the immersed network (3.38).
+    Its row of the target is the indirect model; with no sU it is the immersed network (3.38). Of
+    more observations than unknown inputs the first that suffice are used; which of them leave the
+    least error tells `casid.networks.prediction.observation_choice`.
     `options` as for `eliminate_by_measurement`.
     """
     partial = partially_eliminated(network, sets, **options)
