@@ -188,9 +188,9 @@ def observation_choices(
     -------
     ObservationChoices
         Of at most 60 choices, the first in node order; each costs an elimination and a norm, some
-        tenths of a second for a dozen nodes with numbers. A network with letters has no variances, and
-        one in s none either: its first choice stands for all. Where no choice can be run, a
-        combination of all observations is tried (`casid.indirect.left_inverse`).
+        tenths of a second for a dozen nodes with numbers. A network with letters, or in s, has no
+        such variances: its first choice stands for all. Where no choice can be run, a combination
+        of all observations is tried (`casid.indirect.left_inverse`).
 
     Raises
     ------
