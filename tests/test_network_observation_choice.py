@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+import sympy
 
 import casid
 from casid.errors import ModelError
@@ -137,6 +138,20 @@ def test_too_many_choices_are_judged_in_part_and_it_is_told():
     assert "sets=node_sets(network, target, direct=, indirect=)" in text
     named = node_sets(net, "a", indirect="m69")
     assert set(compare_predictors(net, "a", sets=named)[INDIRECT].inputs) == {"m69"}
+
+
+def test_a_network_without_disturbances_is_predicted_without_error():
+    quiet = dynamic_network(observed(m1=WEAK).modules, measured=("a", "m1"), disturbances=())
+    found = compare_predictors(quiet, "a")
+    assert found[INDIRECT].whitened_variance == found[INDIRECT].variance == 0.0
+    assert "indirect" in str(found)
+
+
+def test_letters_have_no_variance_and_the_filter_names_what_lacks_a_value():
+    net = observed(m1=sympy.Symbol("g") / (sympy.Symbol("q") - 0.2), m2=STRONG)
+    assert observation_choices(net, node_sets(net, "a")).possible == 1
+    with pytest.raises(ModelError, match="a / m1 = .*: a realisation needs a value for g"):
+        eiv_filter(net, "a")
 
 
 def test_sets_of_another_target_are_refused_with_the_mend():

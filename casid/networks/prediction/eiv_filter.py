@@ -200,7 +200,9 @@ def _realised(
     noisy: tuple[Node, ...],
     noise: list[Rational],
 ) -> EivFilter:
-    A, B, C, D = matrices(RationalMatrix((tuple([*(g for _, _, g in inputs), *noise]),)))
+    names = (*(name for name, _, _ in inputs), *(f"tau_{n}" for n in noisy))
+    row = (*(g for _, _, g in inputs), *noise)
+    A, B, C, D = matrices(RationalMatrix((row,), (node_label(target),), names))
     nu = len(inputs)
     signals = [network.disturbances.get(n, Signal(0.0)) for n in noisy]
     a, b, c, d = matrices(_diagonal([s.model for s in signals]))

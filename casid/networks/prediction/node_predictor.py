@@ -75,8 +75,8 @@ class NodePredictor:
     @property
     def whitened_variance(self) -> float:
         """Variance that is left when the noise model is used as well, (6.6) with Hc^-1."""
-        if not np.isfinite(self.variance):
-            return float("inf")
+        if self.variance == 0 or not np.isfinite(self.variance):
+            return self.variance
         return float(self.whitening.F[0, 0])
 
     def predict(self, signals: Signals, *, whiten: bool = False) -> Array:
