@@ -248,8 +248,13 @@ def _antithetic(
     sd: Array,
     rng: np.random.Generator,
 ) -> tuple[Array, Array, Array]:
-    """What one draw of noise on the inputs adds to `_columns`, its even part left out."""
-    w = sd * rng.standard_normal(wide.data[k].u.shape)
+    """What one draw of noise on the inputs adds to `_columns`, its even part left out.
+
+    Channels without noise take no part in the draw: candidates that bring one leave it as it is.
+    """
+    w = np.zeros(wide.data[k].u.shape)
+    noisy = np.flatnonzero(sd > 0)
+    w[:, noisy] = sd[noisy] * rng.standard_normal((len(w), len(noisy)))
     up, down = (_columns(wide, x, k, tangent, candidate, clipped, sign * w) for sign in (1.0, -1.0))
     return 0.5 * (up[0] - down[0]), 0.5 * (up[1] - down[1]), 0.5 * (up[2] - down[2])
 
