@@ -52,6 +52,8 @@ def comparison_text(comparison: Comparison) -> str:
     told = dict.fromkeys((r.name.rpartition(", ")[0] or r.name, r.remark)
                          for r in comparison.rows if r.remark)  # fmt: skip
     lines += ["", *(f"{name}: {remark}" for name, remark in told)] if told else []
+    noted = [(r.name, n) for r in comparison.rows if r.result for n in r.result.notes]
+    lines += ["", *(f"note on {name}: {note}" for name, note in noted)] if noted else []
     refused = [r for r in comparison.rows if r.result is None]
     lines += ["", *(f"not possible: {r.name}: {r.refused}" for r in refused)] if refused else []
     return "\n".join(lines)
