@@ -15,10 +15,12 @@ if TYPE_CHECKING:
     from casid.asymptotics.limits import regression_limit
     from casid.asymptotics.linear_signals import LinearSignals
     from casid.asymptotics.module_remedies import compare_module_remedies
+    from casid.asymptotics.network_remedies import network_remedies
     from casid.asymptotics.network_signals import network_signals
     from casid.asymptotics.prediction_limit import prediction_error_limit
     from casid.asymptotics.regression import FirstStage, Regression
     from casid.asymptotics.remedies import Remedy, compare_remedies
+    from casid.asymptotics.two_stage_limit import two_stage_limit
     from casid.campaigns.monte_carlo import MonteCarlo, montecarlo
     from casid.checking import CheckReport, check
     from casid.data import Experiment, Record
@@ -207,6 +209,7 @@ __all__ = [
     "montecarlo",
     "multistage",
     "network_figure",
+    "network_remedies",
     "network_signals",
     "node_sets",
     "noncausal_inverse",
@@ -234,6 +237,7 @@ __all__ = [
     "smooth_track",
     "special_case",
     "transfer_matrix",
+    "two_stage_limit",
     "validate",
 ]
 
@@ -325,6 +329,8 @@ _HOME = {
         "asymptotics.input_measurement": "InputMeasurement",
         "asymptotics.module_remedies": "compare_module_remedies",
         "prediction.polynomial_orders": "Orders",
+        "asymptotics.network_remedies": "network_remedies",
+        "asymptotics.two_stage_limit": "two_stage_limit",
     }.items()
     for name in names.split()
 }
