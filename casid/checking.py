@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -251,6 +252,25 @@ def check(
     )
 
 
+_CONSTANT, _CLIPPED = "constant at", "possibly clipped."
+
+
+def standing(record: Record, channels: Iterable[str], *, least: float = 0.0) -> tuple[Finding, ...]:
+    """What `check` finds of channels that rest, or stand at an extreme as a limit leaves them.
+
+    Parameters
+    ----------
+    least : share of the record that a channel has to stand there for.
+    """
+    found = []
+    for numbers, findings in (_channel(record, c) for c in channels if c in record):
+        if numbers.at_extreme >= least * record.N:
+            found += [
+                f for f in findings if f.text.startswith(_CONSTANT) or f.text.endswith(_CLIPPED)
+            ]
+    return tuple(found)
+
+
 def _clock(times: FloatArray) -> Clock:
     intervals = np.diff(times)
     median = float(np.median(intervals))
@@ -291,7 +311,7 @@ def _channel(record: Record, name: str) -> tuple[ChannelCheck, list[Finding]]:
     if low == high:
         notice(
             "warning",
-            f"constant at {low:.6g} {unit}.",
+            f"{_CONSTANT} {low:.6g} {unit}.",
             "It excites nothing: check the sensor or the mapping, or leave it out.",
         )
         constant = ChannelCheck(
@@ -310,7 +330,7 @@ def _channel(record: Record, name: str) -> tuple[ChannelCheck, list[Finding]]:
         notice(
             "warning",
             f"{plateau} equal samples at the {'maximum' if value == high else 'minimum'} "
-            f"{value:.6g} {unit}, first at t = {record.t[plateau_start]:.6g} s: possibly clipped.",
+            f"{value:.6g} {unit}, first at t = {record.t[plateau_start]:.6g} s: {_CLIPPED}",
             "Check the sensor's range; mark the plateau missing or cut it off with a window.",
         )
     if run >= max(20, 0.01 * record.N) and not (run_start == plateau_start and findings):

@@ -23,7 +23,15 @@ from casid.holdout import (
     why_no_better,
 )
 from casid.identifiability.requirement import require_identifiable
-from casid.identification import FitSettings, estimate_of, experiments_of, fit_model, rms, versions
+from casid.identification import (
+    FitSettings,
+    estimate_of,
+    experiments_of,
+    fit_model,
+    rms,
+    standing_channels,
+    versions,
+)
 from casid.problem import Problem
 from casid.scores import INVISIBLE
 from casid.search import Adopted, Candidate, Progress, Search, Weighted
@@ -96,9 +104,9 @@ def diagnose(
     settings = FitSettings(
         starts=problem.starts if starts is None else starts, solver=solver, seed=seed
     )
+    require_identifiable(problem.model, split.fitted, problem=problem, progress=say)
     say("fit the model as it is")
-    require_identifiable(problem.model, split.fitted)
-    turned = wrong_sign(problem.model, split.fitted, settings, alpha=false_alarm_rate)
+    turned = wrong_sign(problem, split.fitted, settings, alpha=false_alarm_rate)
     as_recorded: Fit | None = None
     if turned is not None:
         say(f"negate {turned.channel}, which probably has the wrong sign")
@@ -396,13 +404,25 @@ def _report(
         causes = _with_the_sign(turned, causes, base_fit, best_fit)
     verdict: Verdict = "adequate"
     why_undecided = why_undecided or _unlike(fitted, held)
+    bounds = _bounds_met(problem, best_fit)
+    if bounds and not why_undecided:
+        why_undecided = f"the fit holds {' and '.join(bounds.values())}"
+    else:
+        bounds = {}
     if causes:
         verdict = "deficient"
     elif why_undecided:
         verdict = "undecided"
     part = held if held.get("extended_rmse") else fitted
     sentence = _sentence(verdict, causes, part, why_undecided, problem)
-    notes = [
+    notes = standing_channels(problem.model, [*recorded.whole, *recorded.apart])
+    if turned is not None and turned.reference:
+        notes.append(
+            f"the sign of {turned.channel} was told by instruments from {turned.reference}: "
+            f"negated, Hansen's J falls to {100 * turned.left:.2g} %; the simulation error alone, "
+            "most of it noise or disturbance, does not tell it"
+        )
+    notes += [
         f"{c.effect.kind} in {c.effect.where} was significant but refused: {why}"
         for c, why in search.refused
     ]
@@ -417,7 +437,13 @@ def _report(
         records=_views(base_fit, extended_fit, split, recorded, turned),
         fitted=fitted,
         held_out=held,
-        advice=_advice(verdict, causes, search, why_undecided) if turned is None else turned.mend,
+        advice=(
+            turned.mend
+            if turned is not None
+            else _bound_advice(problem, bounds)
+            if bounds and verdict == "undecided"
+            else _advice(verdict, causes, search, why_undecided)
+        ),
         noise=_noise_text(search, at),
         false_alarm_rate=alpha,
         notes=tuple(notes),
@@ -491,6 +517,29 @@ def _unlike(
     return ""
 
 
+def _bounds_met(problem: Problem, fit: Fit) -> dict[str, str]:
+    """Physical parameters that the fit holds at a bound -> which, in words."""
+    met = {}
+    for v in fit.criterion.variables:
+        p = problem.model.parameters.get(v.source)
+        for side in ("lower", "upper"):
+            if p is not None and v.name in getattr(fit.solution, f"at_{side}"):
+                met[v.name] = f"{v.name} at its {side} bound ({getattr(p, side):g} {p.unit})"
+    return met
+
+
+def _bound_advice(problem: Problem, bounds: Mapping[str, str]) -> str:
+    name = next(iter(bounds))
+    p = problem.model.parameters[name.partition("@")[0]]
+    return (
+        "A wrong sign of a channel drives a parameter to its bound: compare the sensors' axes with "
+        "the model's, channel by channel (casid.sign_flips.sign_flips asks each). Where the signs "
+        f"are right and the bound is no physics, widen it (lower={p.lower:g}, upper={p.upper:g} of "
+        f"{p.name} in the problem file); where it is, give {p.name} that value "
+        f"(--set {p.name}=VALUE) and diagnose again."
+    )
+
+
 def _limits(fit: Fit) -> dict[str, float]:
     """Clipping levels of the outputs, where the model has them."""
     values = fit.values
@@ -540,9 +589,15 @@ def _noise_text(search: Search, at: Weighted) -> dict[str, str]:
         if sd <= 0:
             continue
         if source in at.model.inputs:
-            own = at.input_sd.get(source, 0.0)
-            text = f"white input noise {own:.3g} {at.model.inputs[source].unit}"
-            if sd > 1.5 * max(own, 1e-300):
+            own, unit = at.input_sd.get(source, 0.0), at.model.inputs[source].unit
+            text = f"white input noise {own:.3g} {unit}"
+            moves = max(float(np.std(e.record[source])) for e in search.experiments)
+            if sd > moves:
+                text += (
+                    f"; the residual shows more than {source} itself moves ({moves:.3g} {unit}): "
+                    f"it is no noise of {source}, but a misfit"
+                )
+            elif sd > 1.5 * max(own, 1e-300):
                 text += f"; the residual shows as much as {sd:.3g}, a disturbance or a misfit"
         else:
             text = f"disturbance {sd:.3g} {at.model.balances[source].unit} a sample"

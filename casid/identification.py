@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.checking import standing
 from casid.data import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimate import Estimate, Estimated, Identifiability
@@ -167,28 +168,40 @@ def identify(
     settings = settings or FitSettings(starts=problem.starts)
     told = "not asked, as there are constraints"
     if not settings.constraints:
-        told = require_identifiable(problem.model, split.fitted, own=settings.own)
+        told = require_identifiable(
+            problem.model, split.fitted, own=settings.own, problem=problem, progress=progress
+        )
     say(f"fit {', '.join(e.name for e in split.fitted)}")
     asked = not settings.constraints and settings.segments == 1
     try:
         fit = fit_model(problem.model, split.fitted, settings, start=start)
     except (IdentifiabilityError, SolveError) as error:
-        turned = wrong_sign(problem.model, split.fitted, settings) if asked else None
+        turned = wrong_sign(problem, split.fitted, settings) if asked else None
         if turned is None:
             raise
         raise type(error)(f"{turned}. As recorded: {error}") from error
     turned = None
     if asked and is_poor(fit):
         say("the fit is poor: negate each channel in turn")
-        turned = wrong_sign(problem.model, split.fitted, settings)
+        turned = wrong_sign(problem, split.fitted, settings)
     held = validation(fit, split)
-    estimate = estimate_of(problem, fit, held)
+    estimate = estimate_of(problem, fit, held, notes=standing_channels(problem.model, chosen))
     return replace(
         estimate,
         records=record_views(fit, None, split),
         suspects=() if turned is None else (str(turned),),
         identifiability=replace(estimate.identifiability, structural=told),
     )
+
+
+def standing_channels(model: Model, experiments: Sequence[Experiment]) -> list[str]:
+    """Warnings of channels that rest or stand at a limit, inputs for a tenth of the record."""
+    return [
+        f"{e.name}: {f.channel}: {f.text} {f.mend}"
+        for e in experiments
+        for channels, least in ((model.inputs, 0.1), (model.outputs, 0.0))
+        for f in standing(e.record, channels, least=least)
+    ]
 
 
 def experiments_of(

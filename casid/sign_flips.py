@@ -49,11 +49,16 @@ class SignFlip:
         geometric mean over records, or the root of (1). Infinite where no estimate is found with
         it flipped. Where there is none as recorded, relative to the worst of the flips.
     is_suspected : the flip is clearly better.
+    p_value : of (1) as recorded, corrected for the number of channels, at least 1e-16: its law
+        tells nothing further out. None without a reference, or without an estimate as recorded.
+    is_rival : (1) does not tell this flip from the one that is suspected.
     """
 
     channel: str
     ratio: float
     is_suspected: bool
+    p_value: float | None = None
+    is_rival: bool = False
 
     def __str__(self) -> str:
         if not self.is_suspected:
@@ -131,11 +136,22 @@ def sign_flips(
         is_wrong = found[best].value < clearly * recorded.value
     else:
         is_wrong = failed is not None or recorded.rejects(found[best])
-    root = 1.0 if reference is None else 0.5
-    rows = [
-        SignFlip(c, (f.value / recorded.value) ** root, c == best and is_wrong)
-        for c, f in found.items()
-    ]
+    if reference is None:
+        rows = [
+            SignFlip(c, f.value / recorded.value, c == best and is_wrong) for c, f in found.items()
+        ]
+    else:
+        p = None if failed is not None else min(1.0, len(found) * max(recorded.p_value, 1e-16))
+        rows = [
+            SignFlip(
+                c,
+                (f.value / recorded.value) ** 0.5,
+                c == best and is_wrong,
+                p,
+                c != best and is_wrong and np.isfinite(f.value) and not f.rejects(found[best]),
+            )
+            for c, f in found.items()
+        ]
     return tuple(sorted(rows, key=lambda f: f.ratio))
 
 
@@ -155,8 +171,12 @@ class Fitted(NamedTuple):
     def rejects(self, better: Fitted) -> bool:
         """True if the moments reject these signs, and `better` is clearly better."""
         scale = max(better.value / max(better.degrees, 1), 1.0)
-        p = float(chdtrc(max(self.degrees, 1), self.value))
-        return p < 1e-3 and self.value - better.value > FALLS * scale
+        return self.p_value < 1e-3 and self.value - better.value > FALLS * scale
+
+    @property
+    def p_value(self) -> float:
+        """Of (1), chi^2 where the signs are right."""
+        return float(chdtrc(max(self.degrees, 1), self.value))
 
 
 def _channels(model: Model) -> list[str]:
@@ -170,7 +190,11 @@ def _by_instruments(model: Model, chosen: Instruments, experiments: Sequence[Exp
     """
     settings = MomentSettings(weighting="optimal", iterations=1)
     parts = parts_of(model, experiments, method=settings.method, outputs=settings.outputs)
-    free = [p.name for p in model.parameters.values() if not p.is_known]
+    free = [
+        p.name
+        for p in model.parameters.values()
+        if not p.is_known and not all(p.name in e.known for e in experiments)
+    ]
     fit = Stage(model, parts, free, settings, chosen).fit(
         parts, [p.values for p in parts], check=False
     )

@@ -7,12 +7,15 @@ suspected if the simulation then misses by less than half the power, and by no c
 errors of the two fits are compared by Diebold and Mariano's (1995) test, with a correction for the
 number of channels (Bonferroni). Half the power is a heuristic: a channel that matters, taken the
 wrong way round, costs far more.
+
+Where noise makes most of what the simulation misses, either sign misses by as much. Then an input
+that no noise reaches tells them apart: the moments of instruments made of it (`sign_flips`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +26,7 @@ from casid.errors import CasidError
 from casid.holdout import Split
 from casid.identification import FitSettings, fit_model, nrmse_fit, rms
 from casid.model import Model
+from casid.problem import Problem
 from casid.simulation_error import Fit
 from casid.solving.nlp import Solver
 from casid.uncertainty import bartlett_lags, long_run_covariance, whiteness
@@ -46,8 +50,11 @@ class WrongSign:
     unit : its SI unit.
     p_value : that it fits better by chance, corrected for the number of channels tried.
     before, after : rms simulation error by output, as recorded (NaN without any fit) and negated.
-    rivals : channel -> p-value against the named one, of those that negated fit as well.
+    rivals : channel -> p-value against the named one, of those that negated fit as well; 1 where
+        instruments do not tell them apart.
     start : values of the fit with the channel negated.
+    reference : input whose instruments told it, where the simulation errors did not.
+    left : share of the moments' J that is left with the channel negated, with a reference.
     """
 
     channel: str
@@ -57,6 +64,8 @@ class WrongSign:
     after: dict[str, float]
     rivals: dict[str, float]
     start: dict[str, float]
+    reference: str = ""
+    left: float = float("nan")
 
     @property
     def mend(self) -> str:
@@ -75,6 +84,11 @@ class WrongSign:
             f"{output} from {self.before[output]:.3g} to {after:.3g}"
             for output, after in self.after.items()
         )
+        if self.reference:
+            gains += (
+                f", and Hansen's J of instruments from {self.reference}, which rejects the signs "
+                f"as recorded (p = {self.p_value:.1g}), to {100 * self.left:.2g} %"
+            )
         others = f" (or {', '.join(self.rivals)}, which fits as well)" if self.rivals else ""
         return (
             f"the channel {self.channel} probably has the wrong sign, a scale of -1{others}: "
@@ -103,7 +117,7 @@ def is_poor(fit: Fit) -> bool:
 
 
 def wrong_sign(
-    model: Model,
+    problem: Problem | Model,
     experiments: Sequence[Experiment],
     settings: FitSettings,
     *,
@@ -112,14 +126,22 @@ def wrong_sign(
     """The channel to be suspected, if any: negated in turn, where the fit as recorded is poor.
 
     Looks at the liveliest stretch of each record alone, 2000 samples, from one start: where nothing
-    is wrong that is one short fit.
+    is wrong that is one short fit. Nothing is suspected where an input rests in all records, or
+    where the simulation does not rise above what it misses.
 
     Parameters
     ----------
+    problem : its inputs declared free of noise are references for instruments; without any, those
+        of unknown noise that past outputs do not tell.
     experiments : as recorded, with their load cases.
     alpha : of the test, for all channels together.
     """
+    if not isinstance(problem, Problem):
+        problem = Problem(problem.name, problem)
+    model = problem.model
     inputs = [n for n, u in model.inputs.items() if u.kind == "measured"]
+    if any(all(_rests(e.record, n) for e in experiments) for n in inputs):
+        return None
     channels = [n for n in (*model.outputs, *inputs) if all(n in e.record for e in experiments)]
     short = [_lively(e, tuple(model.outputs)) for e in experiments]
     solver = settings.solver or Solver()
@@ -143,25 +165,114 @@ def wrong_sign(
     others = [s for s in squares.values() if error.sum() < CLEARLY * s.sum()]
     reference = _squares(recorded) if recorded is not None else min(others, key=_sum, default=error)
     p = min(1.0, len(channels) * better_by_chance(reference - error))
+    missing = dict.fromkeys(model.outputs, float("nan"))
+    before = missing if recorded is None else _rms(recorded)
     if error.sum() >= CLEARLY * reference.sum() or p >= alpha:
+        worse: set[str] = set()
+        if recorded is not None:
+            worse = {c for c, s in squares.items() if _sum(s) >= _sum(reference)}
+        return _by_reference(problem, experiments, found, before, worse, alpha)
+    fit = found[best]
+    assert fit is not None
+    if not _rises(fit):
         return None
     rivals = {}
     for c, s in squares.items():
         same = min(1.0, 2.0 * better_by_chance(s - error))
         if c != best and s.sum() < CLEARLY * reference.sum() and same > alpha:
             rivals[c] = same
-    missing = dict.fromkeys(model.outputs, float("nan"))
-    fit = found[best]
-    assert fit is not None
     return WrongSign(
         channel=best,
-        unit=model.outputs[best][1] if best in model.outputs else model.inputs[best].unit,
+        unit=_unit(model, best),
         p_value=p,
-        before=missing if recorded is None else _rms(recorded),
+        before=before,
         after=_rms(fit),
         rivals=rivals,
         start=fit.values,
     )
+
+
+def _by_reference(
+    problem: Problem,
+    experiments: Sequence[Experiment],
+    fits: Mapping[str, Fit | None],
+    before: dict[str, float],
+    worse: Collection[str],
+    alpha: float,
+) -> WrongSign | None:
+    """The channel that instruments from a reference suspect, where the simulation is no worse."""
+    from casid.sign_flips import sign_flips
+
+    long = [_lively(e, tuple(problem.model.outputs), 10_000) for e in experiments]
+    for reference in _references(problem, long):
+        try:
+            flips = sign_flips(problem, long, reference=reference)
+        except CasidError:
+            continue
+        named = next((f for f in flips if f.is_suspected), None)
+        if named is None or named.p_value is None or named.p_value >= alpha:
+            return None
+        fit = fits.get(named.channel)
+        if named.ratio**2 >= CLEARLY or named.channel in worse or fit is None:
+            return None
+        return WrongSign(
+            channel=named.channel,
+            unit=_unit(problem.model, named.channel),
+            p_value=named.p_value,
+            before=before,
+            after=_rms(fit),
+            rivals={f.channel: 1.0 for f in flips if f.is_rival},
+            start=fit.values,
+            reference=reference,
+            left=named.ratio**2,
+        )
+    return None
+
+
+def _references(problem: Problem, experiments: Sequence[Experiment]) -> list[str]:
+    """Inputs that no noise reaches: declared so, or else neither noisy nor told by past outputs."""
+    inputs = [
+        n
+        for n, u in problem.model.inputs.items()
+        if u.kind == "measured" and all(n in e.record for e in experiments)
+    ]
+    quiet = [n for n in inputs if problem.noise.get(n) == 0.0]
+    if quiet:
+        return quiet
+    outputs = list(problem.model.outputs)
+    return [
+        n
+        for n in inputs
+        if n not in problem.noise and not any(_depends(e.record, n, outputs) for e in experiments)
+    ]
+
+
+def _depends(record: Record, reference: str, outputs: Sequence[str]) -> bool:
+    from casid.instrumental.exogeneity import reference_depends_on
+
+    try:
+        return reference_depends_on(record, reference, outputs, draws=199).depends
+    except CasidError:
+        return True
+
+
+def _rests(record: Record, channel: str) -> bool:
+    return channel in record and float(np.ptp(record[channel])) == 0.0
+
+
+def _rises(fit: Fit) -> bool:
+    """True if some simulated output moves by as much as is missed of it."""
+    for e, d in enumerate(fit.criterion.data):
+        at = fit.criterion.simulated(fit.x, e)
+        for i in range(len(fit.criterion.outputs)):
+            used = d.used[:, i]
+            if used.any() and np.std(at.y[used, i]) >= rms(at.residual[used, i]):
+                return True
+    return False
+
+
+def _unit(model: Model, channel: str) -> str:
+    return model.outputs[channel][1] if channel in model.outputs else model.inputs[channel].unit
 
 
 def _fitted(model: Model, experiments: Sequence[Experiment], settings: FitSettings) -> Fit | None:

@@ -9,6 +9,7 @@ import pytest
 import casid
 from casid.errors import IdentifiabilityError
 from casid.identifiability import requirement
+from casid.identifiability.combinations import family
 from casid.identifiability.requirement import require_identifiable
 from casid.instrumental.stage import Stage
 from casid.prediction.grey_box import minimize_prediction_error
@@ -30,7 +31,7 @@ def no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Stage, "fit", forbidden)
     monkeypatch.setattr("casadi.nlpsol", forbidden)
     # The closed form is a matter of seconds; on a slow machine it is still what is tested here.
-    monkeypatch.setattr(requirement, "TIME_LIMIT", 120.0)
+    monkeypatch.setattr(requirement, "FAMILIES_LIMIT", 120.0)
 
 
 # -- the pendulum, its two inertias free -----------------------------------------------------------
@@ -110,6 +111,38 @@ def test_the_nine_parameters_of_the_ship_are_refused_with_what_does_not_change(n
     for invariant in ("K_delta/d", "K_r/d", "(z_f + zbar_m_calibration)/d"):
         assert invariant in text
     assert "give one of them a known value" in text
+
+
+def test_records_without_their_load_case_are_refused_with_how_to_name_it(no_fit):
+    """One record of a problem with load cases, none named: of eight parameters it tells five."""
+    (e,) = ship.experiments(("loaded",), duration=1.0)
+    bare = casid.Experiment(e.record, {}, "run")
+    lines = []
+    with pytest.raises(IdentifiabilityError) as refusal:
+        casid.diagnose(ship.problem, bare, progress=lines.append)
+    text = str(refusal.value)
+    assert "give 3 of them a known value (such as k, A_x and d)" in text
+    assert "has load cases (nominal, calibration, second calibration, loaded)" in text
+    assert "nominal=a.csv calibration=b.csv 'second calibration=c.csv' loaded=d.csv" in text
+    assert "problem.read(path, case='nominal')" in text
+    assert [line.partition(":")[0] for line in lines] == ["ask the rank", "rank 7 of 10"]
+    for name in ("loaded", "nominal:run"):  # named, or known by what the case knows
+        named = casid.Experiment(e.record, {}, name)
+        assert requirement.unnamed_cases(ship.problem, [named]) == ""
+    known = casid.Experiment(e.record, ship.LOAD_CASES["calibration"], "run")
+    assert requirement.unnamed_cases(ship.problem, [known]) == ""
+
+
+def test_three_families_of_a_bare_record_are_integrated_without_large_formulas(monkeypatch):
+    """Sympy factors none of over `LARGEST` operations: one of 708 takes minutes."""
+    sizes = []
+    neat = family.neat
+    monkeypatch.setattr(family, "neat", lambda e, by: sizes.append(e.count_ops()) or neat(e, by))
+    (e,) = ship.experiments(("loaded",), duration=1.0)
+    found = requirement.unseen_families(ship.problem.model, [e])
+    assert [f.is_closed for f in found] == [True, True, False]
+    assert found[2].formulas  # what is found of the third all the same
+    assert max(sizes) <= family.LARGEST
 
 
 def test_a_second_calibration_mends_the_ship():

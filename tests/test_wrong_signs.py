@@ -12,6 +12,7 @@ from casid.identification import FitSettings
 from casid.report import estimate_page
 from casid.wrong_signs import WrongSign, better_by_chance, negated, wrong_sign
 from problems import pendulum, roll_decay, ship
+from problems.ship_4dof import Load, measure, random_steps, simulate
 
 ONE = FitSettings(starts=1)
 
@@ -123,3 +124,120 @@ def test_an_estimate_carries_the_suspicion_at_its_top() -> None:
 def test_an_estimate_from_right_signs_has_no_suspects() -> None:
     found = casid.identify(pendulum.problem, pendulum_record(), settings=ONE)
     assert found.suspects == ()
+
+
+# -- noise as large as the motion: instruments from the rudder tell the signs ----------------------
+
+BUILT = ship.problem.with_known({"A_x": ship.TABLE_8_2["A_x"], "K_vdot": ship.TABLE_8_2["K_vdot"]})
+
+
+def noisy_ship() -> list[casid.Experiment]:
+    """The nonlinear ship with its calibration weight, steps of the rudder, a small unit's noise."""
+    case = ship.LOAD_CASES["calibration"]
+    motion = simulate(random_steps(60.0, angle=0.2, hold=1.5, seed=5), load=Load(**case))
+    unit = measure(motion, seed=2)
+    record = casid.Record(
+        {n: unit[n] for n in ("gyro", "accel", "delta")} | {"r": -unit["yaw_gyro"]},
+        {"gyro": "rad/s", "accel": "m/s^2", "delta": "rad", "r": "rad/s"},
+        Ts=unit.Ts,
+        name="run",
+    )
+    return [casid.Experiment(record, case, "calibration")]
+
+
+@pytest.fixture(scope="module")
+def noisy() -> list[casid.Experiment]:
+    return noisy_ship()
+
+
+@pytest.mark.parametrize("channel", ["r", "accel"])
+def test_instruments_tell_a_sign_that_the_simulation_error_does_not(noisy, channel) -> None:
+    found = wrong_sign(BUILT, negated(noisy, channel), ONE)
+    assert found is not None
+    assert found.channel == channel
+    assert f"-record[{channel!r}]" in found.mend
+    if found.reference:
+        assert found.reference == "delta"
+        assert found.left < 0.1
+        assert "Hansen's J of instruments from delta" in str(found)
+
+
+def test_the_simulation_error_alone_leaves_the_yaw_gyro_in_doubt(noisy) -> None:
+    """The one of the two that needs the reference, which is delta as it is declared noise-free."""
+    found = wrong_sign(BUILT, negated(noisy, "r"), ONE)
+    assert found is not None
+    assert found.reference == "delta"
+    assert found.after["gyro"] > 0.5**0.5 * found.before["gyro"]
+
+
+def test_signs_of_the_noisy_ship_that_are_right_are_not_suspected(noisy) -> None:
+    assert wrong_sign(BUILT, noisy, ONE) is None
+
+
+def test_an_estimate_from_the_noisy_ship_names_the_yaw_gyro(noisy) -> None:
+    found = casid.identify(BUILT, negated(noisy, "r"), settings=ONE)
+    (said,) = found.suspects
+    assert "the channel r probably has the wrong sign" in said
+    line = found.suspects[0].split("in Python ")[1].split(";")[0]
+    record = eval(line, {"record": negated(noisy, "r")[0].record})
+    mended = [casid.Experiment(record, noisy[0].known, "mended")]
+    assert casid.identify(BUILT, mended, settings=ONE).suspects == ()
+
+
+def test_a_parameter_at_its_bound_is_never_called_adequate(noisy, monkeypatch) -> None:
+    """The yaw gyro the wrong way round, had nothing suspected it: K_r, at most 0, ends at 0."""
+    monkeypatch.setattr("casid.diagnosing.wrong_sign", lambda *_, **__: None)
+    found = casid.diagnose(BUILT, negated(noisy, "r"), starts=1, max_causes=0)
+    assert found.verdict == "undecided"
+    assert "K_r at its upper bound (0 N m s/rad)" in found.sentence
+    assert "signs" in found.advice
+    assert "widen it" in found.advice
+    assert "may be used" not in found.advice
+    said = found.noise["r"]
+    assert "as much as" not in said or float(said.split("as much as ")[1].split(",")[0]) < 1.0
+
+
+# -- where nothing can be said of signs ------------------------------------------------------------
+
+
+def noise_alone(*, steering: bool) -> list[casid.Experiment]:
+    out = []
+    for i, e in enumerate(ship_records()):
+        rng = np.random.default_rng(i)
+        record = e.record
+        for n in record.names:
+            values = 0.002 * rng.standard_normal(record.N)
+            if n == "delta":
+                values = 100 * values if steering else 0 * values
+            record = record.with_channel(n, values, record.units[n])
+        out.append(casid.Experiment(record, e.known, e.name))
+    return out
+
+
+@pytest.mark.parametrize("steering", [True, False])
+def test_no_sign_is_suspected_in_noise_alone(steering) -> None:
+    assert wrong_sign(ship.problem, noise_alone(steering=steering), ONE) is None
+
+
+def test_a_rudder_at_rest_is_named_before_any_sign() -> None:
+    with pytest.raises(casid.IdentifiabilityError, match="delta of nominal is constant") as refusal:
+        casid.diagnose(ship.problem, noise_alone(steering=False), starts=1, hold_out=0)
+    assert "wrong sign" not in str(refusal.value)
+    assert "check its cable and its mapping" in str(refusal.value)
+
+
+def test_a_rudder_stuck_at_its_limit_is_told_with_the_estimate_and_the_diagnosis(tmp_path) -> None:
+    """The calibrated ship's rudder turns for 5 s and stands for the other 15."""
+    (e,) = ship.experiments(("calibration",), duration=20.0)
+    delta = np.array(e.record["delta"])
+    delta[250:] = 1.01 * np.abs(delta).max()
+    stuck = casid.Experiment(e.record.with_channel("delta", delta, "rad"), e.known, e.name)
+    told = "calibration: delta: 750 equal samples at the maximum"
+    found = casid.identify(BUILT, [stuck], settings=ONE)
+    assert any(w.startswith(told) for w in found.warnings)
+    assert any("cut it off with a window" in w for w in found.warnings)
+    whole = casid.diagnose(BUILT, [stuck], starts=1, max_causes=0)
+    assert any(n.startswith(told) for n in whole.to_json()["notes"])
+    assert told in str(whole)
+    assert told in whole.write(tmp_path).read_text(encoding="utf-8")
+    assert not any("equal samples" in w for w in casid.identify(BUILT, [e], settings=ONE).warnings)

@@ -8,7 +8,8 @@ sensitivities.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import shlex
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -25,9 +26,13 @@ from casid.model import Model
 
 if TYPE_CHECKING:
     from casid.data import Experiment
+    from casid.problem import Problem
 
 TIME_LIMIT = 20.0
-"""Seconds for the rank, and again for the closed form of what is told instead."""
+"""Seconds for the rank."""
+
+FAMILIES_LIMIT = 5.0
+"""Seconds of computing that a refusal has for the closed form of what is told instead."""
 
 
 def require_identifiable(
@@ -37,6 +42,8 @@ def require_identifiable(
     free: Sequence[str] | None = None,
     own: Sequence[str] = (),
     at_rest: bool = False,
+    problem: Problem | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> str:
     """Refuse parameters that no data from these experiments can tell apart.
 
@@ -47,6 +54,8 @@ def require_identifiable(
     free : the parameters that are estimated, all others known; default the model's unknown ones.
     own : parameters that every experiment has for itself.
     at_rest : unknown inputs are zero, the mean of the noise that they are.
+    problem : of the model; a refusal says so where it has load cases and no experiment is of one.
+    progress : called with a line of text before what may take seconds.
 
     Returns
     -------
@@ -58,6 +67,8 @@ def require_identifiable(
     IdentifiabilityError
         With the parameters, the combinations that can be told instead, and the mend.
     """
+    say = progress or (lambda _: None)
+    say("ask the rank: can these experiments tell all parameters")
     try:
         systems = _systems(model, experiments, free, own, at_rest)
         result = observability(systems, time_limit=TIME_LIMIT)
@@ -68,8 +79,33 @@ def require_identifiable(
     if result.deficiency == 0:
         proof = "a proof" if result.is_full else f"error below {result.error_bound:.0e}"
         return f"all parameters (rank {result.rank} of {result.unknowns}, {proof})"
+    say(
+        f"rank {result.rank} of {result.unknowns}: look for what is told instead, "
+        f"{FAMILIES_LIMIT:g} s of computing at the most"
+    )
     symbols = _systems(model, experiments, free, own, at_rest, generic=True)
-    raise IdentifiabilityError(_refusal(model, experiments, symbols, result))
+    text = _refusal(model, experiments, symbols, result)
+    raise IdentifiabilityError(text + (unnamed_cases(problem, experiments) if problem else ""))
+
+
+def unnamed_cases(problem: Problem, experiments: Sequence[Experiment]) -> str:
+    """How to name a load case, where the problem has some and no experiment is of any."""
+    cases = problem.load_cases
+    loads = {p for known in cases.values() for p in known}
+    if not cases or any(
+        loads & set(e.known) or e.name.partition(":")[0] in cases for e in experiments
+    ):
+        return ""
+    file = "PROBLEM.py" if problem.source is None else problem.source.name
+    given = " ".join(
+        shlex.quote(f"{case}={letter}.csv") for case, letter in zip(cases, "abcdefgh", strict=False)
+    )
+    return (
+        f" The problem has load cases ({', '.join(cases)}), which say what is known of a record, "
+        "and no record was named after one: put its case in front of each file, as in casid "
+        f"diagnose {file} {given}; in Python problem.read(path, case={next(iter(cases))!r}). "
+        "Signs of channels are asked as soon as the parameters can be told."
+    )
 
 
 def unseen_families(model: Model, experiments: Sequence[Experiment]) -> tuple[Family, ...]:
@@ -142,7 +178,7 @@ def _refusal(
     fixing = fixing_sets(point.information, result.parameters, point.prime, limit=100)
     found: Sequence[Family] = ()
     try:
-        found = families(symbols, fixing, time_limit=TIME_LIMIT)[0]
+        found = families(symbols, fixing, time_limit=FAMILIES_LIMIT)[0]
     except CasidError:
         found = ()
     where = ", ".join(e.name for e in experiments)
@@ -165,9 +201,11 @@ def _sentence(group: tuple[str, ...], fixing: FixingSets, found: Sequence[Family
     more = "" if is_all else " and more"
     instead = f"; they tell {', '.join(map(str, told))}{more} instead" if told else ""
     named = f"{', '.join(group[:-1])} and {group[-1]}"
-    many = "one" if size == 1 else str(size)
+    many = "one of them" if size == 1 else f"{size} of them"
+    example = [n for n in fixing.sets[0] if n in group] if size > 1 and fixing.sets else []
+    such = f" (such as {', '.join(example[:-1])} and {example[-1]})" if len(example) > 1 else ""
     return (
-        f"{named} cannot be told apart{instead}: give {many} of them a known value, or ask "
+        f"{named} cannot be told apart{instead}: give {many} a known value{such}, or ask "
         "casid.assess_identifiability for a sensor or experiment that mends it; casid.invariants "
         "reports what is told all the same."
     )

@@ -48,8 +48,9 @@ def families(
     systems : experiments without unknown inputs; the names of their constants stand in the
         formulas.
     fixing : minimal fixing sets of the same systems, at least one of them listed.
-    time_limit : seconds of processor time for the points, so that a busy machine finds the same;
-        no family is found where it does not suffice.
+    time_limit : seconds of processor time, so that a busy machine finds the same; no family is
+        found where it does not suffice for the points, and those not yet integrated then are left
+        out. Sympy is not interrupted: what it may take long for is not tried (`family`).
 
     Returns
     -------
@@ -67,8 +68,11 @@ def families(
     rng = np.random.default_rng(seed)
     deadline = time.process_time() + time_limit
 
+    def is_over() -> bool:
+        return time.process_time() > deadline
+
     def null_at(values: Mapping[str, int], p: int) -> Array:
-        if time.process_time() > deadline:
+        if is_over():
             raise OutOfTime
         point = search.at(p, rng, values=values)
         null = null_space(point.information, p)
@@ -92,10 +96,19 @@ def families(
     except (IdentifiabilityError, ZeroDivisionError) as error:
         return (), (), f"no closed form of the families was found: {error}"
     directions = tuple(_simplest(d, fixing) for d in found)
-    made = tuple(family(d) for d in directions)
+    made = []
+    for d in directions:
+        if is_over():
+            break
+        made.append(family(d, is_over))
     lost = sorted({n for d in directions for n in d.not_found} & moving)
-    note = f"no closed form was found for how {', '.join(lost)} move" if lost else ""
-    return made, directions, note
+    notes = [f"no closed form was found for how {', '.join(lost)} move"] if lost else []
+    late = [d.free for d in directions[len(made) :]]
+    if late:
+        notes.append(
+            f"{time_limit:g} s of computing did not suffice for the family along {', '.join(late)}"
+        )
+    return tuple(made), directions, "; ".join(notes)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ integration are what the outputs do tell: an invariant parameterisation.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from types import MappingProxyType
@@ -139,7 +139,11 @@ class Family:
         return "\n".join(lines)
 
 
-def family(direction: NullDirection) -> Family:
+LARGEST = 500
+"""Operations of a formula that is factored; sympy may take minutes for more, uninterrupted."""
+
+
+def family(direction: NullDirection, is_over: Callable[[], bool] = lambda: False) -> Family:
     """The family a null direction belongs to, in closed form as far as it was found.
 
     The direction is followed along its own free parameter, or along another one it moves if only
@@ -150,11 +154,15 @@ def family(direction: NullDirection) -> Family:
     ----------
     direction : entries as functions of parameters and of symbols that do not move; an entry with an
         unknown initial state in it is not integrated, since that state may move as well.
+    is_over : asked before every step; what is not integrated by then has no closed form.
     """
     best: Family | None = None
     names = [n for n in direction.moved if n not in direction.not_found]
     for free in sorted(names, key=lambda n: n != direction.free):
-        found = _integrated(direction if free == direction.free else direction.following(free))
+        if best is not None and is_over():
+            break
+        along = direction if free == direction.free else direction.following(free)
+        found = _integrated(along, is_over)
         if found.is_closed:
             return found
         if best is None or len(found.unsolved) < len(best.unsolved):
@@ -163,7 +171,7 @@ def family(direction: NullDirection) -> Family:
     return best
 
 
-def _integrated(direction: NullDirection) -> Family:
+def _integrated(direction: NullDirection, is_over: Callable[[], bool]) -> Family:
     """Solve what can be solved, an equation at a time, those first that depend on solved ones."""
     import sympy
 
@@ -178,13 +186,16 @@ def _integrated(direction: NullDirection) -> Family:
         progress = False
         for theta in sorted(pending, key=lambda s: direction.moved.index(s.name)):
             speed = direction.entries[theta.name]
-            if speed is None or speed.free_symbols & (moving - {theta} - set(along)):
+            if speed is None or speed.free_symbols & (moving - {theta} - set(along)) or is_over():
                 continue
             flow = integrate_scalar(speed.xreplace(along), theta, z)
             if flow is None:
                 continue
             constant = _resolved(flow.constant, constants)
-            formula = neat(_resolved(flow.moved_to(new), constants), moving)
+            formula = _resolved(flow.moved_to(new), constants)
+            if formula.count_ops() > LARGEST:
+                continue
+            formula = neat(formula, moving)
             if not _is_solution(direction, formulas | {theta.name: formula}, constant, theta):
                 continue
             named = sympy.Dummy("C")
