@@ -45,24 +45,26 @@ asymptotics.asymptotics asymptotics.exact_field asymptotics.filters asymptotics.
   prediction.extended_smoother prediction.polynomial_orders prediction.polynomial_residuals
   reading.sources reading.tables solving.nlp_solution solving.nlp_solver terminal transfer.rational
   transfer.text units writing
-asymptotics.comparison asymptotics.decision_map asymptotics.linear_signals asymptotics.state_space
-  campaigns.parts data diagnosis dimensions effects identifiability.combinations.matroid
-  identifiability.combinations.rational_degrees identifiability.inputs.generic_zero
-  identifiability.rank.error_bound identifiability.rank.immersion identifiability.rank.row_basis
-  identifiability.rank.system identifiability_options instrumental.moments linear.discrete_loop
-  linear.inverse_map linear.laplace linear.parameter_draws linear.vanishing
-  networks.estimation.module_fit prediction.input_models reading.columns simulate
-  solving.nlp_criterion solving.nlp_values transfer.matrix transfer.minors transfer.reading
-asymptotics.input_measurement asymptotics.second_moments campaigns.campaign derived
-  identifiability.combinations.interpolation identifiability.combinations.subsets
-  identifiability.equations.formula_scope identifiability.inputs.signals
-  identifiability.mends.candidates identifiability.rank.program_reader
-  identifiability.rank.rank_result identifiability.records.excitation indirect.blocks
-  instrumental.exogeneity instrumental.windowed_moments linear.closed_loop linear.linear_model
-  linear.symbolic_hull networks.network observers.input_estimate plotting
-  prediction.coordinated_turn prediction.excitation prediction.noisy_system
-  prediction.polynomial_data prediction.polynomial_start prepare reading.faults solving.compiled
-  solving.nlp transfer.from_control transfer.realisation
+asymptotics.comparison asymptotics.decision_map asymptotics.linear_signals
+  asymptotics.module_response asymptotics.state_space campaigns.parts data diagnosis dimensions
+  effects identifiability.combinations.matroid identifiability.combinations.rational_degrees
+  identifiability.inputs.generic_zero identifiability.rank.error_bound
+  identifiability.rank.immersion identifiability.rank.row_basis identifiability.rank.system
+  identifiability_options instrumental.moments linear.discrete_loop linear.inverse_map
+  linear.laplace linear.parameter_draws linear.vanishing networks.estimation.module_fit
+  prediction.input_models reading.columns simulate solving.nlp_criterion solving.nlp_values
+  transfer.matrix transfer.minors transfer.reading
+asymptotics.estimated_row asymptotics.input_measurement asymptotics.second_moments
+  campaigns.campaign derived identifiability.combinations.interpolation
+  identifiability.combinations.subsets identifiability.equations.formula_scope
+  identifiability.inputs.signals identifiability.mends.candidates
+  identifiability.rank.program_reader identifiability.rank.rank_result
+  identifiability.records.excitation indirect.blocks instrumental.exogeneity
+  instrumental.windowed_moments linear.closed_loop linear.linear_model linear.symbolic_hull
+  networks.network observers.input_estimate plotting prediction.coordinated_turn
+  prediction.excitation prediction.noisy_system prediction.polynomial_data
+  prediction.polynomial_start prepare reading.faults solving.compiled solving.nlp
+  transfer.from_control transfer.realisation
 asymptotics.limits asymptotics.prediction_criterion asymptotics.remedy_figures
   identifiability.combinations.null_direction identifiability.equations.equation_text
   identifiability.equations.model_system identifiability.inputs.input_classes
@@ -82,7 +84,7 @@ asymptotics.network_signals asymptotics.prediction_limit asymptotics.remedies
   observers.equivalent_model observers.output_window observers.read_system observers.split_dynamics
   prediction.noisy_model prediction.polynomial reading.chunks reading.resampling scores
   solving.scipy_solvers
-asymptotics.module_remedies identifiability.combinations.along_family
+asymptotics.two_stage_limit identifiability.combinations.along_family
   identifiability.combinations.closed_form identifiability.inputs.experiments
   identifiability.inputs.unknown_jets identifiability.mends.output_spans
   identifiability.mends.replicas identifiability.mends.screening
@@ -92,26 +94,28 @@ asymptotics.module_remedies identifiability.combinations.along_family
   networks.prediction.node_predictor networks.principal_minors observers.decoupled_observer
   observers.input_smoother observers.noncausal_inverse prediction.arma prediction.likelihood
   reading.surveying search solving.solvers
-checking identifiability.mends.sensor_subsets identifiability.requirement
-  identifiability.symbolic.observability_matrix indirect.feedforward indirect.output_choice
-  instrumental.image instrumental.moment_equations linear.discretisation_bias networks.drawing
-  networks.estimation.module_equation networks.estimation.module_regression
-  networks.prediction.eiv_filter networks.prediction.predictors networks.propositions networks.rings
-  networks.well_posed observers.figures reading.record_file
-identifiability.mends.cheapest instrumental.moment_nlp instrumental.prefilters
-  instrumental.seen_directions instrumental.stage_instruments networks.estimation.module_data
-  networks.predictor_inputs networks.ring_figure problem
+asymptotics.polynomial_regression checking identifiability.mends.sensor_subsets
+  identifiability.requirement identifiability.symbolic.observability_matrix indirect.feedforward
+  indirect.output_choice instrumental.image instrumental.moment_equations linear.discretisation_bias
+  networks.drawing networks.estimation.module_regression networks.prediction.row_predictor
+  networks.propositions networks.rings networks.well_posed observers.figures reading.record_file
+asymptotics.module_remedies identifiability.mends.cheapest instrumental.moment_nlp
+  instrumental.prefilters instrumental.seen_directions instrumental.stage_instruments
+  networks.prediction.observation_choice networks.predictor_inputs networks.ring_figure problem
 equation_error identifiability.asked identifiability.invariants identification
-  instrumental.moment_settings networks.estimation.by_instruments networks.estimation.consistency
-  networks.estimation.direct networks.estimation.joint networks.estimation.two_stage
-campaigns.monte_carlo holdout identifiability.answers identifiability.records.planned
-  instrumental.stage_programs networks.estimation.module_estimate prediction.grey_box
-identifiability.assess identifiability.records.practical_result identifiability.records.profiles
-  identifiability.records.reference_excitation instrumental.stage networks.estimation.estimate
-  prediction.unknown_input wrong_signs
+  instrumental.moment_settings networks.estimation.module_equation networks.prediction.eiv_filter
+  networks.prediction.predictors
+asymptotics.network_relations campaigns.monte_carlo holdout identifiability.answers
+  identifiability.records.planned instrumental.stage_programs networks.estimation.consistency
+  networks.estimation.module_data prediction.grey_box
+asymptotics.network_remedies identifiability.assess identifiability.records.practical_result
+  identifiability.records.profiles identifiability.records.reference_excitation instrumental.stage
+  networks.estimation.direct networks.estimation.joint networks.estimation.module_estimate
+  networks.estimation.reference_instruments networks.estimation.two_stage prediction.unknown_input
+  wrong_signs
 diagnosing identifiability.figures identifiability.records.practical instrumental.convergence
-  instrumental.propagation
-identifiability.page instrumental.estimators
+  instrumental.propagation networks.estimation.by_instruments networks.estimation.response_figure
+identifiability.page instrumental.estimators networks.estimation.estimate
 instrumental.iterative_joint instrumental.monitoring instrumental.resampling instrumental.streamed
   sign_flips
 cli
