@@ -393,21 +393,28 @@ class Search:
         return {s.effect.key for s in self.first_table.scores} - seen
 
     def aliases(self, effect: Effect) -> list[Alternative]:
-        """Effects whose signature is that of `effect` turned round: the same in this model."""
+        """Effects whose signature is that of `effect`, or turned round: the same in this model.
+
+        Parameters that depend on one channel may act alike; those refitted are judged by `rivals`.
+        """
         table = self.first_table
         if table is None:
             return []
         keys = [s.effect.key for s in table.scores]
+        refitted = {c.effect.key for c in self.first_candidates}
         out: list[Alternative] = []
         for i, key in enumerate(keys):
             if key != effect.key:
                 continue
             for j, other in enumerate(keys):
                 c = float(table.cosines[i, j])
-                if other == key or table.scores[j].visible <= INVISIBLE or c > -0.99:
+                if other == key or table.scores[j].visible <= INVISIBLE or abs(c) < 0.99:
                     continue
                 kind, where = other
-                if kind == "time_delay" and effect.kind == "time_delay":
+                if kind == effect.kind == "scheduled_parameter" and other not in refitted:
+                    why = f"with this record, {where} acts as {effect.where} does"
+                    out.append(Alternative(kind, where, 1.0, why))
+                if kind == effect.kind == "time_delay" and c < 0.0:
                     why = f"an advance of {where} looks the same as a delay of {effect.where}"
                     out.append(Alternative(kind, where, 1.0, why))
         return out[:3]

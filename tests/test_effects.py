@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,9 @@ SIZES = effects.Sizes(
     rates={"phi": 0.1, "p": 0.5, "v": 1.0}, largest={"gyro": 2.0}, window=(0.0, 60.0),
     longest_delay=0.1,
 )  # fmt: skip
+
+
+SPREAD = effects.Spread(1.5, 1.0, 2.0)
 
 
 def oscillator(hold: str = "foh") -> casid.Model:
@@ -53,6 +58,17 @@ def test_the_catalogue_has_every_kind_in_every_place_that_the_structure_allows()
     assert found == wanted
 
 
+def test_every_parameter_that_is_there_may_depend_on_every_recorded_channel():
+    """The load is known to be absent: its product with a channel would be another effect."""
+    sizes = dataclasses.replace(SIZES, channels={"speed": SPREAD})
+    found = effects.catalogue(pendulum.problem.model, sizes, {"speed": "m/s"})
+    places = [e.where for e in found if e.kind == "scheduled_parameter"]
+    assert sorted(places) == ["I_x~speed", "d~speed", "k~speed"]
+    known = pendulum.problem.model.with_known(k=10.0)
+    again = effects.catalogue(known, sizes, {"speed": "m/s"})
+    assert ("scheduled_parameter", "k~speed") in {e.key for e in again}
+
+
 def test_jumps_are_searched_evenly_inside_the_window():
     times = effects.jump_times((10.0, 36.0))
     assert len(times) == effects.JUMP_TIMES
@@ -78,6 +94,7 @@ def test_a_balance_without_a_position_has_no_stiffness():
         (lambda m: effects.sensor_bias(m, "gyro"), "rad/s"),
         (lambda m: effects.sensor_bias(m, "accel"), "m/s^2"),
         (lambda m: effects.parameter_jump(m, "k", 3.0), "N m/rad"),
+        (lambda m: effects.scheduled_parameter(m, "d", "speed", "m/s", SPREAD), "N s^2/rad"),
     ],
 )
 def test_parameters_of_effects_have_the_unit_that_their_balance_needs(make, unit):
@@ -164,6 +181,24 @@ def test_a_recorded_channel_acts_with_its_gain():
     slope = ca.jacobian(e.f, e.u[e.inputs.index("wind")])
     b = e.p[e.parameters.index("b_wind")]
     assert float(ca.substitute(slope[1], b, 3.0)) == pytest.approx(3.0 / 2.0)
+
+
+def test_a_parameter_follows_a_channel_about_its_mean():
+    """At the mean the model is as it was; x = F/k at rest, with k larger by 4 N/m for 2 m/s."""
+    import casadi as ca
+
+    m = oscillator()
+    effect = effects.scheduled_parameter(m, "k", "wind", "m/s", effects.Spread(3.0, 1.0, 6.0))
+    model = m.extend(effect)
+    e = model.explicit()
+    stiffness = -2.0 * ca.jacobian(e.f, e.x[e.states.index("x")])[1]
+    wind, slope = e.u[e.inputs.index("wind")], e.p[e.parameters.index("slope_k_wind")]
+    k = e.p[e.parameters.index("k")]
+    for at, value in ((3.0, 50.0), (5.0, 54.0)):
+        given = ca.substitute(stiffness, ca.vertcat(k, slope, wind), ca.DM([50.0, 2.0, at]))
+        assert float(given) == pytest.approx(value)
+    assert effect.span == (-2.0, 3.0)
+    assert model.inputs["wind"].kind == "known"
 
 
 def test_a_bias_of_an_input_is_taken_off_before_the_input_acts():

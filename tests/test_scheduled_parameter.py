@@ -1,0 +1,110 @@
+"""A parameter that depends on a recorded channel is named with it, sized, and not imagined.
+
+The records come from a Runge-Kutta integration of 2 v' = -k x - d(s) v + F written here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+import pytest
+
+import casid
+
+MASS, STIFFNESS, DAMPING = 2.0, 50.0, 1.5  # kg, N/m, N s/m
+TS, SUBSTEPS, NOISE = 0.02, 5, 2e-3  # s, 1, m
+
+
+def speed(t: np.ndarray) -> np.ndarray:
+    """A channel that wanders: 1.5 m/s and two sines that fit no whole number of times."""
+    return 1.5 + 0.5 * np.sin(0.37 * t) + 0.3 * np.sin(0.91 * t + 1.0)
+
+
+def record(slope: float, seed: int, *, of: str = "d", seconds: float = 60.0) -> casid.Record:
+    """The parameter `of` is p (1 + slope (speed - mean)), under steps of force held for 1 s."""
+    rng = np.random.default_rng(seed)
+    t = TS * np.arange(round(seconds / TS))
+    force = np.repeat(rng.uniform(-5.0, 5.0, math.ceil(seconds)), round(1.0 / TS))[: len(t)]
+    h = TS / SUBSTEPS
+    half = 0.5 * h * np.arange(2 * SUBSTEPS * len(t) + 1)  # starts, middles and ends of the steps
+    change = 1.0 + slope * (speed(half) - speed(t).mean())
+    k = (STIFFNESS * (change if of == "k" else np.ones_like(half))).tolist()
+    d = (DAMPING * (change if of == "d" else np.ones_like(half))).tolist()
+    x, v, path = 0.0, 0.0, np.empty(len(t))
+    for n, F in enumerate(force.tolist()):
+        path[n] = x
+        for i in range(2 * SUBSTEPS * n, 2 * SUBSTEPS * (n + 1), 2):
+            a1 = (F - k[i] * x - d[i] * v) / MASS
+            x2, v2 = x + h / 2 * v, v + h / 2 * a1
+            a2 = (F - k[i + 1] * x2 - d[i + 1] * v2) / MASS
+            x3, v3 = x + h / 2 * v2, v + h / 2 * a2
+            a3 = (F - k[i + 1] * x3 - d[i + 1] * v3) / MASS
+            x4, v4 = x + h * v3, v + h * a3
+            a4 = (F - k[i + 2] * x4 - d[i + 2] * v4) / MASS
+            x += h / 6 * (v + 2 * v2 + 2 * v3 + v4)
+            v += h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+    position = path + NOISE * rng.standard_normal(len(t))
+    return casid.Record(
+        {"position": position, "force": force, "speed": speed(t)},
+        {"position": "m", "force": "N", "speed": "m/s"},
+        Ts=TS,
+    )
+
+
+def problem() -> casid.Problem:
+    """The same oscillator without any influence of the speed."""
+    m = casid.Model("oscillator")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    force = m.input("force", "N", hold="zoh", known=True)
+    mass = m.parameter("m", "kg", start=1.8, lower=0.1, upper=20.0)
+    d = m.parameter("d", "N s/m", start=1.2, lower=0.0, upper=50.0)
+    k = m.parameter("k", "N/m", start=45.0, lower=0.0, upper=1e3)
+    m.derivative(x, v)
+    m.balance(v, "force balance", inertia=mass, terms=[-k * x, -d * v, force])
+    m.output("position", x, "m")
+    return casid.Problem(name="oscillator", model=m, recorded={"speed": "m/s"}, starts=1)
+
+
+@functools.cache
+def diagnosed(slope: float, seed: int, of: str = "d") -> casid.Diagnosis:
+    return casid.diagnose(problem(), record(slope, seed, of=of))
+
+
+@pytest.mark.parametrize(
+    ("of", "slope", "value"), [("d", 0.5, DAMPING), ("k", -0.1, STIFFNESS)], ids="dk"
+)
+def test_a_parameter_that_follows_a_channel_is_named_with_it_and_sized(of, slope, value):
+    """The slope is the same about any mean of the channel: p's own value takes that up."""
+    d = diagnosed(slope, 1, of)
+    assert [(c.kind, c.where) for c in d.causes] == [("scheduled_parameter", f"{of}~speed")]
+    (s,) = d.causes[0].parameters
+    assert s.value == pytest.approx(slope * value, abs=3 * s.std_error)
+    assert s.std_error < 0.1 * abs(slope * value)
+    assert s.unit == ("N s^2/m^2" if of == "d" else "N s/m^2")
+    # A model of the right form leaves the noise: its rms over 900 samples is known to 2.4 %.
+    assert d.held_out["extended_rmse"]["position"] == pytest.approx(NOISE, rel=0.08)
+    assert d.held_out["baseline_rmse"]["position"] > 1.3 * NOISE
+    assert f"{of}~speed" in d.sentence
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_a_channel_that_moves_nothing_raises_no_alarm(seed):
+    assert diagnosed(0.0, seed).verdict == "adequate"
+
+
+def test_a_model_that_knows_how_its_parameter_follows_the_channel_is_adequate():
+    """The estimated slope is 0.5 times the damping at the channel's mean over the whole record."""
+    given, r = problem(), record(0.5, 1)
+    m = given.model.copy("oscillator with its speed")
+    speed = m.input("speed", "m/s", known=True)
+    slope = m.parameter("slope", "N s^2/m^2", start=0.5, lower=0.0, upper=5.0)
+    m.add_term("force balance", -slope * speed * m.symbol("v"))
+    # At no speed there would be less damping than at the mean, by 0.5 of it for each m/s.
+    m.parameters["d"] = dataclasses.replace(m.parameters["d"], lower=-50.0)
+    d = casid.diagnose(casid.Problem(name="known", model=m, starts=1), r)
+    assert d.verdict == "adequate"
+    found = d.baseline.parameter("slope")
+    assert found.value == pytest.approx(0.5 * DAMPING, abs=3 * found.std_error)
