@@ -7,6 +7,10 @@ is there.
 The accelerometer is an input of the model, and its noise of 0.002 m/s^2 makes a coloured error of
 0.0012 rad/s, against 0.00008 rad/s that the linear model itself misses by: what is named has to be
 told from that noise, and a ship that hides nothing has to be called adequate.
+
+A speed log is recorded beside the model, which takes the speed as constant. Of the coefficients of
+roll, K_r = (K_ur - K_vdot) u and d = -K_p - K_up u depend on it; k does where K_phiuu is not zero,
+and it is zero here. The accelerometer takes v' + u r out of the model whatever u is.
 """
 
 from __future__ import annotations
@@ -16,14 +20,17 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 import casid
 from analysis.ship_bias_records import CASES, SHIP, TS, Rudder, load
 from casid.diagnosis import Diagnosis
+from casid.estimate import Estimated
 from problems import ship
-from problems.ship_4dof import PolynomialArm, Ship, simulate
+from problems.ship_4dof import LOG_NOISE, PolynomialArm, Ship, simulate
 from problems.ship_sensors import Channel, InertialUnit, for_roll, measure
 
+Array = NDArray[np.float64]
 Hidden = Literal["nothing", "damping", "speed", "rudder"]
 
 _NONLINEAR = (
@@ -41,6 +48,13 @@ SHIPS: dict[Hidden, Ship] = {
     "rudder": replace(SHIP, coefficients=_PLAIN, arm=_STRAIGHT),
 }
 """What each ship hides; "rudder": it is the model that lacks it."""
+
+
+SLOPE = _FREE.K_ur - _FREE.K_vdot
+"""True change of K_r with the speed [N s^2/rad] (8.19)."""
+
+
+RMSE = ("baseline_rmse", "extended_rmse")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,16 +84,25 @@ class Found:
         table = self.diagnosis.held_out.get(which, {}) if self.diagnosis else {}
         return table.get("gyro", float("nan"))
 
+    @property
+    def slope(self) -> Estimated | None:
+        """Of K_r with the speed, where that is named first."""
+        first = self.diagnosis.causes[:1] if self.diagnosis else ()
+        is_it = self.named[:1] == (("scheduled_parameter", "K_r~speed"),)
+        return first[0].parameters[0] if is_it else None
+
     def __str__(self) -> str:
         if self.diagnosis is None:
             return f"{self.hidden}: {self.refusal}"
         names = ", ".join(f"{k} in {w}" for k, w in self.named) or "nothing"
+        slope = self.slope
         beside = ", ".join(f"{k} in {w}" for k, w in sorted(self.reported - set(self.named)))
         return (
             f"{self.hidden}: {self.diagnosis.verdict}; named: {names}; not told from it: "
             f"{beside or 'nothing'}; held out {self.rmse('baseline_rmse'):.3g} -> "
             f"{self.rmse('extended_rmse'):.3g} rad/s, noise {self.rmse('noise_floor'):.3g}; "
-            f"surge {self.speeds[0]:.2f} to {self.speeds[1]:.2f} m/s; "
+            + (f"slope {slope.value:.3f} +- {slope.std_error:.3f}; " if slope else "")
+            + f"surge {self.speeds[0]:.2f} to {self.speeds[1]:.2f} m/s; "
             f"m = {self.diagnosis.baseline['m']:.3f}"
             + (f" -> {self.diagnosis.extended['m']:.3f} kg" if self.diagnosis.extended else " kg")
         )
@@ -97,7 +120,7 @@ def problem_of(hidden: Hidden) -> casid.Problem:
         del start["K_delta"]
     model = ship.problem.model.with_unknown(**start)
     if hidden != "rudder":
-        return dataclasses.replace(ship.problem, model=model)
+        return dataclasses.replace(ship.problem, model=model, recorded={"speed": "m/s"})
     model = model.copy("roll without the rudder's moment")
     model.parameters["K_vdot"] = replace(model.parameters["K_vdot"], lower=-2.0, upper=2.0)
     model.substitute_symbol("delta", 0.0)
@@ -106,11 +129,25 @@ def problem_of(hidden: Hidden) -> casid.Problem:
     return dataclasses.replace(
         ship.problem,
         name="ship without rudder term",
+        noise={},
         model=model.with_known(K_delta=0.0),
         channels=channels,
-        recorded={"rudder": "rad"},
+        recorded={"rudder": "rad", "speed": "m/s"},
         truth={},
     )
+
+
+def speed_log(u: Array, rng: np.random.Generator) -> Array:
+    """(N,) surge speed, noise of 0.005 m/s a sample, averaged over one second about each.
+
+    The log enters as a known signal, and noise on it makes slopes too small. Not averaged it moves
+    the gyro, through the slope of K_r times r, as much as the speed's own change: that slope is
+    then estimated at half its size.
+    """
+    noisy = u + LOG_NOISE * rng.standard_normal(len(u))
+    reach = round(0.5 / TS)
+    window = np.ones(2 * reach + 1) / (2 * reach + 1)
+    return np.asarray(np.convolve(np.pad(noisy, reach, mode="edge"), window, mode="valid"))
 
 
 def records(
@@ -126,6 +163,8 @@ def records(
         command = Rudder(angle, 0.0, 1.5).draw(round(seconds / TS) + before, rng)
         motion = simulate(command, ship=SHIPS[hidden], load=load(case), substeps=5)
         record = for_roll(measure(motion, unit, seed=seed + i, name=case))
+        log = speed_log(motion["u"], np.random.default_rng((seed, i, 1)))
+        record = record.with_channel("speed", log, "m/s")
         record = record.between(before * TS, float(record.t[-1]))
         if hidden == "rudder":  # beside the model, under a name that it has not used
             record = record.with_channel("rudder", record["delta"], "rad").without("delta")
