@@ -291,7 +291,7 @@ def _lively(experiment: Experiment, outputs: tuple[str, ...], samples: int = 200
     moves = sum((r[n] - r[n].mean()) ** 2 / max(float(np.var(r[n])), 1e-300) for n in outputs)
     total = np.concatenate([[0.0], np.cumsum(moves)])
     first = int(np.argmax(total[samples:] - total[:-samples]))
-    part = r.between(r.t0 + (first - 0.5) * r.Ts, r.t0 + (first + samples - 0.5) * r.Ts)
+    part = r.between(float(r.t[first]), float(r.t[first + samples - 1]))
     return Experiment(replace(part, name=r.name), experiment.known, experiment.name)
 
 
@@ -332,6 +332,10 @@ def _squares(fit: Fit) -> Array:
 
 def better_by_chance(difference: Array) -> float:
     """One-sided p-value that squared errors fell, (N,), by chance (Diebold and Mariano 1995)."""
+    size = float(np.max(np.abs(difference), initial=0.0))
+    if not 0.0 < size < np.inf:
+        return 1.0
+    difference = difference / size  # squares of a diverging simulation would overflow
     column = (difference - difference.mean())[:, None]
     variance = float(long_run_covariance(column, bartlett_lags(column))[0, 0])
     total = float(difference.sum())

@@ -10,7 +10,7 @@ import pytest
 import casid
 from casid.identification import FitSettings
 from casid.report import estimate_page
-from casid.wrong_signs import WrongSign, better_by_chance, negated, wrong_sign
+from casid.wrong_signs import WrongSign, _lively, better_by_chance, negated, wrong_sign
 from problems import pendulum, roll_decay, ship
 from problems.ship_4dof import Load, measure, random_steps, simulate
 
@@ -241,3 +241,21 @@ def test_a_rudder_stuck_at_its_limit_is_told_with_the_estimate_and_the_diagnosis
     assert told in str(whole)
     assert told in whole.write(tmp_path).read_text(encoding="utf-8")
     assert not any("equal samples" in w for w in casid.identify(BUILT, [e], settings=ONE).warnings)
+
+
+def test_the_liveliest_stretch_may_be_the_end_of_a_record():
+    """The record that moves most in its last 20 s, at a step that no decimal meets."""
+    t = np.arange(2500) / 100.0
+    quiet = np.where(t < 5.0, 0.0, np.sin(t)) * 1.0
+    record = casid.Record({"y": quiet}, {"y": "rad"}, Ts=79.41 / 7941, name="end")
+    part = _lively(casid.Experiment(record), ("y",))
+    assert part.record.N == 2000
+    assert part.record.t[-1] == pytest.approx(record.t[-1])
+
+
+def test_a_simulation_that_diverges_is_compared_all_the_same():
+    """Squared errors of 1e265 have no squares; the better of two is told by their size alone."""
+    worse = 1e265 * (1.0 + 0.1 * np.random.default_rng(1).random(500))
+    assert better_by_chance(worse) < 1e-6
+    assert better_by_chance(-worse) > 0.99
+    assert better_by_chance(np.zeros(500)) == 1.0
