@@ -180,7 +180,8 @@ def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread
     """A parameter p that depends on a recorded channel c: p + s (c - c_mean).
 
     The mean is that of the fitted records, so that p stays what it is on average there, and its
-    estimate and that of s hardly depend on each other.
+    estimate and that of s hardly depend on each other. Noise on c makes s too small: a channel that
+    is noisy beside its own changes is better smoothed first.
     """
     old = model.parameters[name]
     p = Parameter(f"slope_{name}_{channel}", unit_quotient(old.unit, unit, 1), 0.0)
@@ -191,7 +192,11 @@ def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread
         new.substitute_symbol(name, moved)
 
     span = spread.lowest - spread.mean, spread.highest - spread.mean
-    return Effect("scheduled_parameter", f"{name}~{channel}", (p,), apply, span=span)
+    # Of two that act alike, the one that is estimated is named.
+    priority = int(old.is_known)
+    return Effect(
+        "scheduled_parameter", f"{name}~{channel}", (p,), apply, span=span, priority=priority
+    )
 
 
 def sensor_bias(model: Model, channel: str) -> Effect:

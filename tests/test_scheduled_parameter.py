@@ -91,6 +91,23 @@ def test_a_parameter_that_follows_a_channel_is_named_with_it_and_sized(of, slope
     assert f"{of}~speed" in d.sentence
 
 
+@pytest.mark.slow
+def test_of_parameters_that_act_alike_the_estimated_one_is_named_and_the_other_beside_it():
+    """The damping is d + e with e known: nothing in any record tells d~speed from e~speed."""
+    given = problem()
+    m = given.model.copy("oscillator with a known damper")
+    e = m.parameter("e", "N s/m", value=0.5)
+    m.add_term("force balance", -e * m.symbol("v"))
+    d = casid.diagnose(dataclasses.replace(given, model=m), record(0.5, 1))
+    assert [(c.kind, c.where) for c in d.causes] == [("scheduled_parameter", "d~speed")]
+    assert ("scheduled_parameter", "e~speed") in {
+        (a.kind, a.where) for a in d.causes[0].alternatives
+    }
+    assert len({(a.kind, a.where) for a in d.causes[0].alternatives}) == len(
+        d.causes[0].alternatives
+    )
+
+
 @pytest.mark.parametrize("seed", [11, 12, 13])
 def test_a_channel_that_moves_nothing_raises_no_alarm(seed):
     assert diagnosed(0.0, seed).verdict == "adequate"
