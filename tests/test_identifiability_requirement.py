@@ -125,7 +125,7 @@ def test_records_without_their_load_case_are_refused_with_how_to_name_it(no_fit)
     assert "has load cases (nominal, calibration, second calibration, loaded)" in text
     assert "nominal=a.csv calibration=b.csv 'second calibration=c.csv' loaded=d.csv" in text
     assert "problem.read(path, case='nominal')" in text
-    assert [line.partition(":")[0] for line in lines] == ["ask the rank", "rank 7 of 10"]
+    assert [line.partition(":")[0] for line in lines] == ["rank 7 of 10"]
     for name in ("loaded", "nominal:run"):  # named, or known by what the case knows
         named = casid.Experiment(e.record, {}, name)
         assert requirement.unnamed_cases(ship.problem, [named]) == ""

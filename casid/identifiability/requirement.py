@@ -68,7 +68,6 @@ def require_identifiable(
         With the parameters, the combinations that can be told instead, and the mend.
     """
     say = progress or (lambda _: None)
-    say("ask the rank: can these experiments tell all parameters")
     try:
         systems = _systems(model, experiments, free, own, at_rest)
         result = observability(systems, time_limit=TIME_LIMIT)
