@@ -32,6 +32,7 @@ KINDS = {
     "time_delay",
     "extra_input",
     "parameter_jump",
+    "scheduled_parameter",
     "saturation",
     "outliers",
 }

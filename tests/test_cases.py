@@ -19,6 +19,7 @@ NAMED = [
     ("case_008", "quadratic_damping"),
     ("case_009", "extra_input"),
     ("case_010", "saturation"),
+    ("case_012", "scheduled_parameter"),
     ("case_015", "sensor_bias"),
 ]
 SILENT = ["case_011", "case_013", "case_014"]
