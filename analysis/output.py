@@ -32,3 +32,15 @@ class Output:
         """Write a Plotly figure as a page."""
         if self.folder is not None:
             figure.write_html(self.folder / f"{name}.html", include_plotlyjs="directory")
+
+
+def titled(figure: Any, title: str, height: int) -> Any:
+    """A Plotly figure with its title, which is its caption too, `height` pixels high."""
+    figure.update_layout(
+        title={"text": title, "font": {"size": 15}},
+        height=height,
+        width=1100,
+        template="plotly_white",
+        meta={"caption": title},
+    )
+    return figure

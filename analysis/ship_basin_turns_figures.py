@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.output import titled
 from analysis.ship_algorithm_records import TS
 from analysis.ship_basin_turns_decay import Decay
 from analysis.ship_basin_turns_lean import Lean
@@ -78,7 +79,7 @@ def residual_figure(
         "Residuals of the roll model stand out where turns begin and end; "
         "the speed, taken as constant, makes most of them (nominal ship, no noise, 0.5 Hz)"
     )
-    return _titled(figure, title, 720)
+    return titled(figure, title, 720)
 
 
 def portrait(turns: Mapping[str, Mapping[str, Sailed]]) -> Any:
@@ -123,7 +124,7 @@ def portrait(turns: Mapping[str, Mapping[str, Sailed]]) -> Any:
     figure.update_xaxes(title_text="a<sub>s</sub> [m/s^2]", row=len(turns), col=2)
     figure.update_yaxes(title_text="roll rate [deg/s]")
     title = "Turns with each load: heel, a<sub>s</sub> and roll rate grow with the load"
-    return _titled(figure, title, 800)
+    return titled(figure, title, 800)
 
 
 def decays_figure(found: Mapping[str, tuple[Decay, Decay]]) -> Any:
@@ -158,7 +159,7 @@ def decays_figure(found: Mapping[str, tuple[Decay, Decay]]) -> Any:
     order = [f"{name}<br>{w}" for name in found for w in ("in the turn", "after it")]
     figure.update_xaxes(categoryorder="array", categoryarray=order)
     title = "The roll dies out more slowly in a turn; a ship without its nonlinear terms does not"
-    return _titled(figure, title, 480)
+    return titled(figure, title, 480)
 
 
 def speed_figure(sailed: Sailed, u: Array, sd: float) -> Any:
@@ -188,7 +189,7 @@ def speed_figure(sailed: Sailed, u: Array, sd: float) -> Any:
         "The surge speed drops in turns and comes back slowly; smoothed from positions and "
         f"heading at 5 Hz, stated error {1e3 * sd:.0f} mm/s"
     )
-    return _titled(figure, title, 560)
+    return titled(figure, title, 560)
 
 
 def lean_figure(leans: tuple[Lean, Lean]) -> Any:
@@ -213,15 +214,4 @@ def lean_figure(leans: tuple[Lean, Lean]) -> Any:
     figure.update_xaxes(title_text="time after the rudder's first move [s]")
     figure.update_yaxes(title_text="change of heel to the inside [deg]", row=1, col=1)
     title = "The ship leans into the turn before it heels outwards, and outwards before it rights"
-    return _titled(figure, title, 460)
-
-
-def _titled(figure: Any, title: str, height: int) -> Any:
-    figure.update_layout(
-        title={"text": title, "font": {"size": 15}},
-        height=height,
-        width=1100,
-        template="plotly_white",
-        meta={"caption": title},
-    )
-    return figure
+    return titled(figure, title, 460)

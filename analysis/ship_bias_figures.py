@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.output import titled
 from analysis.ship_bias_speed import FASTER, AtSea, AtSpeed
 from analysis.ship_bias_table import Row
 
@@ -54,7 +55,7 @@ def imperfections(rows: Sequence[Row], mean: float) -> Any:
         "Noise on the channels, a torque in roll and a gyro bias move least squares and not "
         f"instruments (rudder mean {mean:g} rad; bars: 95 % Monte Carlo)"
     )
-    return _titled(figure, title, 520)
+    return titled(figure, title, 520)
 
 
 def sea(found: Sequence[AtSea]) -> Any:
@@ -102,7 +103,7 @@ def sea(found: Sequence[AtSea]) -> Any:
     figure.update_yaxes(title_text="standard deviation", rangemode="tozero", row=2, col=1)
     figure.update_xaxes(title_text="significant wave height, full scale [m]", row=2)
     title = "Waves spread instruments and bias least squares (beam sea; bars: 95 % Monte Carlo)"
-    return _titled(figure, title, 600)
+    return titled(figure, title, 600)
 
 
 def speed(found: Sequence[AtSpeed]) -> Any:
@@ -146,15 +147,4 @@ def speed(found: Sequence[AtSpeed]) -> Any:
         figure.update_yaxes(title_text=f"{name} [{unit}]", row=1, col=col)
     figure.update_xaxes(title_text="speed [m/s]")
     title = "One model for all speeds is wrong by up to two thirds of K_r (bars: 95 %, as stated)"
-    return _titled(figure, title, 420)
-
-
-def _titled(figure: Any, title: str, height: int) -> Any:
-    figure.update_layout(
-        title={"text": title, "font": {"size": 15}},
-        height=height,
-        width=1100,
-        template="plotly_white",
-        meta={"caption": title},
-    )
-    return figure
+    return titled(figure, title, 420)

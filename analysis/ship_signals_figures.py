@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.output import titled
 from analysis.ship_signals_correlation import LAG, SIGNALS, Found, Sampled
 from analysis.ship_signals_lean import Lean
 from analysis.ship_signals_model import frequency_response, values_of
@@ -63,7 +64,7 @@ def bode() -> Any:
         "From a torque the accelerometer's gain does not fall off, the yaw rate's does: "
         "a direct term, and none (Table 8.2, 1 m/s)"
     )
-    return _titled(figure, title, 650)
+    return titled(figure, title, 650)
 
 
 def steps(leans: Mapping[str, Lean]) -> Any:
@@ -96,7 +97,7 @@ def steps(leans: Mapping[str, Lean]) -> Any:
         "A low rudder heels the ship inwards first, to port; at z<sub>r</sub> = 0 that is gone "
         "(step of 1.1 deg to port; the low rudder with K_vdot of chapter 9)"
     )
-    return _titled(figure, title, 480)
+    return titled(figure, title, 480)
 
 
 def correlations(system: Sampled, found: Sequence[tuple[str, Found]]) -> Any:
@@ -132,15 +133,4 @@ def correlations(system: Sampled, found: Sequence[tuple[str, Found]]) -> Any:
         "All three signals are correlated with the torque, the yaw rate least "
         "(bars of two standard errors)"
     )
-    return _titled(figure, title, 520)
-
-
-def _titled(figure: Any, title: str, height: int) -> Any:
-    figure.update_layout(
-        title={"text": title, "font": {"size": 15}},
-        height=height,
-        width=1100,
-        template="plotly_white",
-        meta={"caption": title},
-    )
-    return figure
+    return titled(figure, title, 520)
