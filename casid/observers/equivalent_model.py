@@ -217,6 +217,24 @@ def unrecoverable_inputs(
     return tuple(n for n in s.unknown if n in lost)
 
 
+def require_recoverable(system: UnknownInputSystem) -> None:
+    """Refuse unknown inputs that the outputs do not determine.
+
+    Raises
+    ------
+    ModelError
+        Which names them.
+    """
+    s = system
+    lost = unrecoverable_inputs(s)
+    if lost:
+        raise ModelError(
+            f"{s.name}: {', '.join(lost)} cannot be recovered from {', '.join(s.outputs)}: other "
+            "unknown inputs do the same to every output. Add an output that feels them in another "
+            "way, or leave one of them out"
+        )
+
+
 def pole_text(value: complex, system: UnknownInputSystem) -> str:
     """A pole or zero in words: its value, and its frequency in rad/s."""
     letter = "z" if system.is_discrete else "s"

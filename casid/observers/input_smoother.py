@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from casid.data import Record
 from casid.errors import ModelError
 from casid.expressions import nearest
-from casid.observers.equivalent_model import unrecoverable_inputs
+from casid.observers.equivalent_model import require_recoverable
 from casid.observers.input_estimate import InputEstimate, noise_guess
 from casid.observers.read_system import unknown_input_system
 from casid.observers.split_dynamics import split_dynamics
@@ -87,13 +87,7 @@ def reconstruct_input(
     y, u = s.signals(record)
     s = s if s.is_discrete else s.sampled(record.Ts)
     _refuse_names(s, noise or {}, rate or {}, models or {}, start_sd or {})
-    lost = unrecoverable_inputs(s)
-    if lost:
-        raise ModelError(
-            f"{s.name}: {', '.join(lost)} cannot be recovered from {', '.join(s.outputs)}: other "
-            "unknown inputs do the same to every output. Add an output that feels them in another "
-            "way, or leave one of them out"
-        )
+    require_recoverable(s)
     y = y - _known_response(s, u)
     shapes = [_shape(name, s, record.Ts, (models or {}).get(name)) for name in s.unknown]
     n = s.nx + sum(len(p.A) for p in shapes)

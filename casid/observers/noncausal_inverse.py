@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from casid.data import Record
 from casid.errors import DataError, ModelError
 from casid.expressions import nearest
-from casid.observers.equivalent_model import direction_text, pole_text, unrecoverable_inputs
+from casid.observers.equivalent_model import direction_text, pole_text, require_recoverable
 from casid.observers.input_estimate import InputEstimate, noise_guess
 from casid.observers.output_window import observer_gain, output_window
 from casid.observers.read_system import unknown_input_system
@@ -298,13 +298,7 @@ def noncausal_inverse(
         if Ts is None:
             raise ModelError(f"{s.name} is in continuous time; give the record's sample time, Ts=")
         s = s.sampled(Ts)
-    lost = unrecoverable_inputs(s)
-    if lost:
-        raise ModelError(
-            f"{s.name}: {', '.join(lost)} cannot be recovered from {', '.join(s.outputs)}: other "
-            "unknown inputs do the same to every output. Add an output that feels them in another "
-            "way, or leave one of them out"
-        )
+    require_recoverable(s)
     for name in noise or {}:
         if name not in s.outputs:
             raise ModelError(f"noise names {name!r}, no output{nearest(name, s.outputs)}")
