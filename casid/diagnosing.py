@@ -38,7 +38,7 @@ from casid.search import Adopted, Candidate, Progress, Search, Weighted
 from casid.simulation_error import Fit
 from casid.solving.nlp import Solver
 from casid.spikes import Spikes, find_spikes
-from casid.wrong_signs import WrongSign, negated_split, wrong_sign
+from casid.wrong_signs import WrongSign, in_short_order, negated_split, wrong_sign
 
 Array = np.ndarray[Any, Any]
 
@@ -161,13 +161,7 @@ def _fit_as_recorded(
     problem: Problem, split: Split, settings: FitSettings, turned: WrongSign
 ) -> Fit:
     """The best that is found in short order with the sign as it was recorded."""
-    solver = settings.solver or Solver()
-    short = replace(
-        settings,
-        starts=1,
-        substeps=settings.substeps or 1,
-        solver=replace(solver, max_iterations=min(solver.max_iterations, 25)),
-    )
+    short = in_short_order(settings)
     try:
         return fit_model(problem.model, split.fitted, short, check_rank=False, throw=False)
     except SolveError as error:

@@ -144,13 +144,7 @@ def wrong_sign(
         return None
     channels = [n for n in (*model.outputs, *inputs) if all(n in e.record for e in experiments)]
     short = [_lively(e, tuple(model.outputs)) for e in experiments]
-    solver = settings.solver or Solver()
-    quick = replace(
-        settings,
-        starts=1,
-        substeps=settings.substeps or 1,
-        solver=replace(solver, max_iterations=min(solver.max_iterations, 25)),
-    )
+    quick = in_short_order(settings)
     recorded = _fitted(model, short, quick)
     if recorded is not None and not is_poor(recorded):
         return None
@@ -297,6 +291,17 @@ def _lively(experiment: Experiment, outputs: tuple[str, ...], samples: int = 200
 
 def _sum(values: Array) -> float:
     return float(values.sum())
+
+
+def in_short_order(settings: FitSettings) -> FitSettings:
+    """One start and few iterations: enough to tell a wrong sign, not to estimate."""
+    solver = settings.solver or Solver()
+    return replace(
+        settings,
+        starts=1,
+        substeps=settings.substeps or 1,
+        solver=replace(solver, max_iterations=min(solver.max_iterations, 25)),
+    )
 
 
 def negated(experiments: Sequence[Experiment], channel: str) -> list[Experiment]:
