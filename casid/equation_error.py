@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.data import Experiment
-from casid.effects import Effect
+from casid.effects.effect import Effect
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimate import Estimate, Estimated, Identifiability
 from casid.model import Model
@@ -166,7 +166,8 @@ def equation_error(
     Raises
     ------
     ModelError
-        If a balance is not linear in the unknown parameters, or the model delays or clips.
+        If a balance is not linear in the unknown parameters, or the model delays, lags, clips or
+        blends what an input does between its samples.
     DataError
         If a state cannot be had from the measurements, or samples are missing.
     IdentifiabilityError
@@ -193,6 +194,13 @@ def equation_error(
             f"{model.name}: channel {stage.channel} has a {stage.kind}, which a balance cannot "
             "show; leave that effect out, or use casid.identify"
         )
+    for entry in model.inputs.values():
+        if entry.ramp is not None:
+            raise ModelError(
+                f"{model.name}: what input {entry.name} does between its samples ({entry.ramp}) is "
+                "nothing that a balance at the samples can show; leave that effect out, or use "
+                "casid.identify"
+            )
     data = [signals_of(model, e) for e in experiments]
     free = [p.name for p in model.parameters.values() if not p.is_known]
     free = [n for n in free if not all(n in d.known for d in data)]

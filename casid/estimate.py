@@ -257,7 +257,7 @@ class Estimate:
 
     def plot(self) -> Any:
         """The estimates with their intervals as a Plotly figure."""
-        from casid.plotting import parameter_figure
+        from casid.figures.estimates import parameter_figure
 
         return parameter_figure({"estimate": self})
 

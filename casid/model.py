@@ -23,7 +23,7 @@ import numpy as np
 from casid.errors import ModelError
 
 if TYPE_CHECKING:
-    from casid.effects import Effect
+    from casid.effects.effect import Effect
 
 Expr = Any  # a CasADi SX expression, or a number where one is meant
 Hold = Literal["zoh", "foh"]
@@ -73,13 +73,18 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """An input: a recorded channel, an unknown signal, or a generated function of time."""
+    """An input: a recorded channel, an unknown signal, or a generated function of time.
+
+    `ramp` names a parameter b in [0, 1] that blends what the signal does between its samples: 1 - b
+    of what `hold` says and b of the other.
+    """
 
     name: str
     unit: str
     kind: Literal["measured", "known", "unknown", "generated"] = "measured"
     hold: Hold = "foh"
     signal: Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]] | None = None
+    ramp: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +100,39 @@ class Balance:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What a sensor does to its channel, beyond an expression: a delay or a clipping."""
+    """What a sensor or an actuator does to its channel, beyond an expression.
 
-    kind: Literal["delay", "delay_input", "clip"]
+    An output may be late (`delay`), pass a first-order lag (`lag`) or be clipped (`clip`). Of an
+    input what acted is found: the recorded column moved ahead (`delay_input`), rid of its sensor's
+    lag (`lead_input`), or sent through an actuator's lag (`lag_input`). The column is prepared
+    before the simulation; `carrier` is the generated input that brings its change with `parameter`
+    into the sensitivities.
+    """
+
+    kind: Literal["delay", "lag", "clip", "delay_input", "lead_input", "lag_input"]
     channel: str
     parameter: str
+
+    @property
+    def is_of_input(self) -> bool:
+        """True if the stage prepares an input column."""
+        return self.kind.endswith("_input")
+
+    @property
+    def carrier(self) -> str:
+        """Name of the input that carries the tangent of an input stage."""
+        if self.kind == "delay_input":
+            return f"slope of {self.channel}"
+        return f"change of {self.channel} with {self.parameter}"
+
+    @staticmethod
+    def end_of(channel: str) -> str:
+        """Name of the input that says where a lagged input is at the end of a sample."""
+        return f"end of {channel}"
+
+
+_SENSED: Mapping[str, Literal["delay", "lag"]] = {"delay_input": "delay", "lead_input": "lag"}
+"""What the stages of a measured input are, once it is an output again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,13 +368,17 @@ class Model:
             gone = kept.pop()
             measured, residual = self._symbols[gone.output], gone.residual
             for stage in new.stages:
-                if (stage.kind, stage.channel) == ("delay_input", gone.output):
-                    # The output itself is late now; the slope that carried the tangent goes.
-                    slope = f"slope of {gone.output}"
-                    residual = ca.substitute(residual, self._symbols[slope], 0)
-                    del new.inputs[slope]
-                    late = replace(stage, kind="delay")
+                if stage.channel == gone.output and stage.kind in _SENSED:
+                    # The output itself is late now; what carried the tangent goes.
+                    residual = ca.substitute(residual, self._symbols[stage.carrier], 0)
+                    del new.inputs[stage.carrier]
+                    late = replace(stage, kind=_SENSED[stage.kind])
                     new.stages = tuple(late if s is stage else s for s in new.stages)
+            ramp = new.inputs[gone.output].ramp
+            if ramp is not None:
+                # An output has no course between its samples: the blend has nothing left to do.
+                p = new.parameters[ramp]
+                new.parameters[ramp] = replace(p, value=p.start if p.value is None else p.value)
             slope_of = ca.jacobian(residual, measured)
             if any(ca.which_depends(slope_of, measured)) or slope_of.nnz() == 0:
                 raise ModelError(

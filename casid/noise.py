@@ -5,8 +5,10 @@ force that nobody models does the same. With G_j the model's transfer functions 
 
     S_i(w) = sigma_i^2 + sum_j |G_ij(w)|^2 sigma_j^2                                          (1)
 
-for output i. The variances minimise Whittle's likelihood of the residual; the square root of S
-whitens residuals and sensitivities alike.
+for output i. What sensors and actuators do beyond an expression (delays, lags) is part of G: of the
+recorded input's noise on its way in, and of everything that an output's sensor passes on; the
+sensor's own white noise comes after it. The variances minimise Whittle's likelihood of the
+residual; the square root of S whitens residuals and sensitivities alike.
 """
 
 from __future__ import annotations
@@ -24,8 +26,13 @@ from scipy.special import gammaincinv
 from casid.model import Model
 from casid.simulate import rk4_sample
 from casid.simulation_error import Signals, SimulationError
+from casid.stages import prepared_inputs, through_sensor
 
 Array = np.ndarray[Any, Any]
+
+
+GROUP = 8
+"""Columns that are whitened at once: their transforms take eight times their own room."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,9 +76,7 @@ def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Res
     a, b0, b1, c, dd = (
         np.array(m).reshape(m.shape[0], len(pick), -1).mean(axis=1) for m in at_points
     )
-    measured = [i for i, n in enumerate(e.inputs) if disturbed.inputs[n].kind == "measured"]
-    columns = measured + list(range(len(e.inputs) - nb, len(e.inputs)))
-    names = tuple([e.inputs[i] for i in measured] + list(model.balances))
+    measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
     # As fine as the record resolves: a lightly damped resonance is narrower than that already.
     omega = np.linspace(0, np.pi, min(d.N, 1 << 16) + 1)
     # An integrator has no finite response at zero frequency: stay within the record's resolution.
@@ -79,16 +84,69 @@ def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Res
     z = np.exp(1j * omega)
     eye = np.eye(len(a))
     lhs = z[:, None, None] * eye - a
-    rhs = b0[None, :, columns] + z[:, None, None] * b1[None, :, columns]
-    g = c @ np.linalg.solve(lhs, rhs) + dd[None, :, columns]
-    return Response(omega, np.abs(g) ** 2, names)
+    enters = _input_stages(criterion, x, experiment, e.inputs, measured, nb, len(omega) - 1)
+    rhs = (b0 + z[:, None, None] * b1) @ enters
+    g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
+    passed = _sensor_stages(criterion, x, experiment, len(omega) - 1)
+    gain2 = np.abs(g) ** 2 * passed[:, :, None]
+    return Response(omega, gain2, (*measured, *model.balances))
+
+
+def _input_stages(
+    criterion: SimulationError,
+    x: Array,
+    experiment: int,
+    inputs: Sequence[str],
+    measured: Sequence[str],
+    balances: int,
+    n: int,
+) -> Array:
+    """What the noise of each source is in the input columns that are simulated.
+
+    (1, ni, ns) of ones and zeros, or (n + 1, ni, ns) on 0..pi where a stage prepares a column: the
+    transform of what becomes of one noisy sample.
+    """
+    model, Ts = criterion.model, criterion.data[experiment].Ts
+    places = [inputs.index(name) for name in measured]
+    places += range(len(inputs) - balances, len(inputs))
+    direct = np.zeros((1, len(inputs), len(places)))
+    direct[0, places, range(len(places))] = 1.0
+    stages = [s for s in model.stages if s.is_of_input]
+    channels = [name for name in measured if any(s.channel == name for s in stages)]
+    if not channels:
+        return direct
+    out = np.repeat(direct.astype(complex), n + 1, axis=0)
+    values = {s.parameter: criterion.value_of(s.parameter, x, experiment) for s in stages}
+    own = list(model.inputs)
+    for channel in channels:
+        u = np.zeros((2 * n, len(own)))
+        u[n, own.index(channel)] = 1.0
+        # Carriers are among the columns, but enter times a parameter that is zero.
+        prepared = prepared_inputs(model, u, values, Ts)
+        out[:, : len(own), measured.index(channel)] = rfft(prepared, axis=0)
+    return out
+
+
+def _sensor_stages(criterion: SimulationError, x: Array, experiment: int, n: int) -> Array:
+    """|H|^2 (n + 1, ny) of what each output's sensor passes on, on 0..pi; clipping left out."""
+    out = np.ones((n + 1, len(criterion.outputs)))
+    for stage in criterion.model.stages:
+        if stage.is_of_input or stage.kind == "clip":
+            continue
+        y = np.zeros(2 * n)
+        y[n] = 1.0
+        value = criterion.value_of(stage.parameter, x, experiment)
+        through_sensor(stage.kind, y, None, value, criterion.data[experiment].Ts, -1)
+        out[:, criterion.outputs.index(stage.channel)] *= np.abs(rfft(y)) ** 2
+    return out
 
 
 def _with_disturbances(model: Model) -> Model:
     from casid.model import Input
 
     new = model.copy()
-    new.stages = ()
+    # What lags before the simulation moves in lines of its own; sensors come after it.
+    new.stages = tuple(s for s in model.stages if s.is_of_input)
     for name, balance in model.balances.items():
         w = new.add_input(Input(f"disturbance of {name}", balance.unit, "unknown"))
         new.add_term(name, w)
@@ -174,12 +232,15 @@ class NoiseModel:
         s = self.spectrum(experiment) * self.weights[None, :] ** 2
         grid = np.linspace(0, np.pi, size // 2 + 1)
         omega = self.responses[experiment].omega
-        out = np.empty_like(columns)
+        out = np.empty(columns.shape)
         for i in range(columns.shape[1]):
             gain = 1 / np.sqrt(np.interp(grid, omega, s[:, i]))
-            out[:, i, :] = irfft(
-                rfft(columns[:, i, :], size, axis=0) * gain[:, None], size, axis=0
-            )[:n]
+            for first in range(0, columns.shape[2], GROUP):
+                group = slice(first, first + GROUP)
+                # Along the last axis: each column lies in one piece while it is transformed.
+                spectrum = rfft(np.ascontiguousarray(columns[:, i, group].T), size)
+                spectrum *= gain
+                out[:, i, group] = irfft(spectrum, size, overwrite_x=True)[:, :n].T
         return out
 
 

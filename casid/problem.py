@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from casid.data import Experiment, Record
 from casid.derived import Derived, derive
@@ -18,6 +19,9 @@ from casid.errors import DataError, ModelError
 from casid.model import Model
 from casid.reading.columns import ColumnSpec
 from casid.reading.record_file import read_record
+
+if TYPE_CHECKING:
+    from casid.effects.user_effects import UserEffect
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +49,8 @@ class Problem:
         studies; the system is to be the same for every seed.
     truth : name -> value that `simulate` gives the parameter (SI units), where the model has it
         right; what it leaves out shows as bias.
+    effects : effects of the user's own, or functions from a model to one or several, that the
+        diagnosis tests beside its catalogue (`casid.balance_effect` and its like).
     starts : how many starts an estimation tries.
     description, references : for reports.
     source : the file it was loaded from; worker processes load it again.
@@ -65,11 +71,13 @@ class Problem:
     description: str = ""
     references: tuple[str, ...] = ()
     source: Path | None = None
+    effects: Sequence[UserEffect] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         from casid.dimensions import check_units
 
         check_units(self.model)
+        self._check_effects()
         signals = [*self.model.inputs, *self.model.outputs]
         self._check_derived(signals)
         sources = {source for entry in self.derived.values() for source in entry.sources}
@@ -95,6 +103,19 @@ class Problem:
                 )
         for name in ("channels", "recorded", "derived", "load_cases", "noise", "truth"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def _check_effects(self) -> None:
+        entries = (self.effects,) if callable(self.effects) else tuple(self.effects)
+        object.__setattr__(self, "effects", entries)
+        if not entries:
+            return
+        from casid.effects.checking import check_effects
+        from casid.effects.user_effects import user_effects
+
+        try:
+            check_effects(self.model, user_effects(self.model, entries))
+        except ModelError as error:
+            raise ModelError(f"problem {self.name}: {error}") from error
 
     def _check_derived(self, signals: Sequence[str]) -> None:
         there = [*signals, *self.recorded]

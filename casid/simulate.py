@@ -11,18 +11,18 @@ computed, not to the continuous system (Hairer, Norsett, Wanner 1993, II.6).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casid.model import Explicit, Model
+from casid.model import Explicit, Model, Stage
 
 Array = np.ndarray[Any, Any]
 
-BLOCK = 2000
+BLOCK = 200
 """Samples that one mapped CasADi function steps through."""
 
 
@@ -40,11 +40,11 @@ def rk4_sample(model: Model, e: Explicit, u_next: Any, Ts: float, substeps: int)
     """One sample of Runge-Kutta 4 as an expression, each input held or joined by straight lines."""
     f = ca.Function("f", [e.x, e.u, e.p], [e.f])
     h = Ts / substeps
-    moves = [model.inputs[name].hold == "foh" for name in e.inputs]
+    rises = _rises(model, e, u_next)
 
     def u(at: float) -> Any:
         return ca.vertcat(
-            *[e.u[i] + at * (u_next[i] - e.u[i]) if m else e.u[i] for i, m in enumerate(moves)]
+            *[e.u[i] if rise is None else e.u[i] + at * rise for i, rise in enumerate(rises)]
         )
 
     x = e.x
@@ -58,6 +58,28 @@ def rk4_sample(model: Model, e: Explicit, u_next: Any, Ts: float, substeps: int)
     return x
 
 
+def _rises(model: Model, e: Explicit, u_next: Any) -> list[Any]:
+    """What each input changes by within a sample, None where it is held.
+
+    An input that passes a lag ends its sample where its companion column says; one with a blend
+    does a part of what the other hold would do.
+    """
+    lagged = any(stage.kind == "lag_input" for stage in model.stages)
+    out: list[Any] = []
+    for i, name in enumerate(e.inputs):
+        entry, end = model.inputs[name], Stage.end_of(name)
+        held = entry.hold == "zoh"
+        rise = None if held else u_next[i] - e.u[i]
+        if lagged and end in e.inputs:
+            rise = e.u[e.inputs.index(end)] - e.u[i]
+        if entry.ramp is not None:
+            b = e.p[e.parameters.index(entry.ramp)]
+            part = b * (u_next[i] - e.u[i]) if held else -b * rise
+            rise = part if rise is None else rise + part
+        out.append(rise)
+    return out
+
+
 class Simulator:
     """Simulates one model at one sample time, differentiated in chosen parameters.
 
@@ -67,16 +89,26 @@ class Simulator:
     Ts : sample time [s].
     free : names of the parameters to differentiate in; all initial states follow them.
     substeps : Runge-Kutta steps per sample.
+    pinned : values that parameters always have here. A state that no output feels then is simulated
+        without sensitivities, and they are zero in what is returned.
     """
 
     def __init__(
-        self, model: Model, Ts: float, free: Sequence[str] = (), *, substeps: int = 1
+        self,
+        model: Model,
+        Ts: float,
+        free: Sequence[str] = (),
+        *,
+        substeps: int = 1,
+        pinned: Mapping[str, float] | None = None,
     ) -> None:
         self.model, self.Ts, self.free, self.substeps = model, Ts, tuple(free), substeps
         self.equations = model.explicit()
         e = self.equations
         self.nx, self.nu, self.ny = len(e.states), len(e.inputs), len(e.outputs)
         self.nv = len(self.free) + self.nx
+        felt = _felt(e, pinned or {})
+        self._felt = [i for i, name in enumerate(e.states) if name in felt]
         self._plain: dict[int, Any] = {}
         self._tangent: dict[int, Any] = {}
         u_next = ca.SX.sym("u_next", self.nu)
@@ -89,16 +121,19 @@ class Simulator:
     def _differentiate(self, e: Explicit, u_next: Any, x_next: Any) -> Any:
         columns = [e.parameters.index(name) for name in self.free]
         p_free = ca.vertcat(*[e.p[i] for i in columns])
-        s = ca.SX.sym("S", self.nx, self.nv)
-        zeros = ca.SX(self.nx, self.nx)
-        direct = ca.SX(self.ny, self.nx)
+        nf = len(self._felt)
+        felt = ca.vertcat(*[e.x[i] for i in self._felt])
+        felt_next = ca.vertcat(*[x_next[i] for i in self._felt])
+        s = ca.SX.sym("S", nf, len(columns) + nf)
+        zeros = ca.SX(nf, nf)
+        direct = ca.SX(self.ny, nf)
         if columns:
-            b = ca.horzcat(ca.jacobian(x_next, p_free), zeros)
+            b = ca.horzcat(ca.jacobian(felt_next, p_free), zeros)
             d = ca.horzcat(ca.jacobian(e.h, p_free), direct)
         else:
             b, d = zeros, direct
-        s_next = ca.jacobian(x_next, e.x) @ s + b
-        dy = ca.jacobian(e.h, e.x) @ s + d
+        s_next = ca.jacobian(felt_next, felt) @ s + b
+        dy = ca.jacobian(e.h, felt) @ s + d
         return ca.Function(
             "tangent",
             [ca.vertcat(e.x, ca.vec(s)), e.u, u_next, e.p],
@@ -110,15 +145,19 @@ class Simulator:
 
     def _run(
         self, cache: dict[int, Any], step: Any, start: Array, u: Array, after: Array, p: Array
-    ) -> tuple[Array, Array]:
-        """States after each sample (N, ...) and outputs (N, ...), block by block.
+    ) -> tuple[Array, Array, Array]:
+        """States after each sample (N, nx), outputs (N, ...), and all that the last sample left.
 
         Blocks keep the mapped functions few and small; CasADi reads and writes the arrays in place.
+        Sensitivities of states are as many as those of outputs and more, and serve the next step
+        alone: they are not kept.
         """
         n_state, n_out = step.numel_out(0), step.numel_out(1)
-        states, outputs = np.empty((len(u), n_state)), np.empty((len(u), n_out))
+        states, outputs = np.empty((len(u), self.nx)), np.empty((len(u), n_out))
         state = np.ascontiguousarray(start, dtype=float)
         u, after = np.ascontiguousarray(u), np.ascontiguousarray(after)
+        inside = np.empty((min(BLOCK, len(u)), n_state))
+        repeated = np.tile(np.asarray(p, dtype=float), (len(inside), 1))
         for first in range(0, len(u), BLOCK):
             last = min(first + BLOCK, len(u))
             n = last - first
@@ -126,17 +165,17 @@ class Simulator:
                 function = step.mapaccum("block", n)
                 cache[n] = (function, *function.buffer())
             _, buffer, trigger = cache[n]
-            repeated = np.tile(np.asarray(p, dtype=float), (n, 1))
-            arguments = [state, u[first:last], after[first:last], repeated]
+            arguments = [state, u[first:last], after[first:last], repeated[:n]]
             for i, argument in enumerate(arguments):
                 if argument.size:
                     buffer.set_arg(i, argument.data)
-            buffer.set_res(0, states[first:last].data)
+            buffer.set_res(0, inside[:n].data)
             if n_out:
                 buffer.set_res(1, outputs[first:last].data)
             trigger()
-            state = states[last - 1].copy()
-        return states, outputs
+            states[first:last] = inside[:n, : self.nx]
+            state = inside[n - 1].copy()
+        return states, outputs, state
 
     @staticmethod
     def _next(u: Array, after: Array | None = None) -> Array:
@@ -148,7 +187,7 @@ class Simulator:
 
         Values that overflow come back as inf or NaN: the caller knows what diverged.
         """
-        x, y = self._run(self._plain, self._plain_step, np.ravel(x0), u, self._next(u), p)
+        x, y, _ = self._run(self._plain, self._plain_step, np.ravel(x0), u, self._next(u), p)
         return Trajectory(y, np.vstack([np.reshape(x0, (1, self.nx)), x]))
 
     def sensitivities(
@@ -158,10 +197,10 @@ class Simulator:
 
         `after` (nu,) is the input one sample after the last, where it is known: x[N] needs it.
         """
-        n, nx, nv, ny = len(u), self.nx, self.nv, self.ny
-        start = np.zeros((nv, nx))
-        start[nv - nx :, :] = np.eye(nx)
-        xs, yd = self._run(
+        n, nx, nv, ny, nf = len(u), self.nx, self.nv, self.ny, len(self._felt)
+        start = np.zeros((nv - nx + nf, nf))
+        start[nv - nx :, :] = np.eye(nf)
+        xs, yd, end = self._run(
             self._tangent,
             self._tangent_step,
             np.concatenate([np.ravel(x0), start.ravel()]),
@@ -171,7 +210,52 @@ class Simulator:
         )
         return Trajectory(
             y=yd[:, :ny],
-            x=np.vstack([np.reshape(x0, (1, nx)), xs[:, :nx]]),
-            dy=yd[:, ny:].reshape(n, nv, ny).transpose(0, 2, 1),
-            dx_end=xs[-1, nx:].reshape(nv, nx).T,
+            x=np.vstack([np.reshape(x0, (1, nx)), xs]),
+            dy=self._widened(yd[:, ny:].reshape(n, -1, ny)).transpose(0, 2, 1),
+            dx_end=self._ended(end[nx:].reshape(-1, nf)),
         )
+
+    def _widened(self, dy: Array) -> Array:
+        """Sensitivities (N, ..., ny) with zeros for initial states that nothing feels."""
+        if len(self._felt) == self.nx:
+            return dy
+        out = np.zeros((len(dy), self.nv, self.ny))
+        out[:, self._columns()] = dy
+        return out
+
+    def _ended(self, s: Array) -> Array:
+        """The last state's sensitivities as (nx, nv), with zeros where there are none."""
+        out = np.zeros((self.nx, self.nv))
+        out[np.ix_(self._felt, self._columns())] = s.T
+        return out
+
+    def _columns(self) -> list[int]:
+        """Where felt sensitivities stand among (free parameters, initial states)."""
+        n = self.nv - self.nx
+        return [*range(n), *(n + i for i in self._felt)]
+
+
+def _felt(e: Explicit, pinned: Mapping[str, float]) -> set[str]:
+    """States that some output feels, through other states or by itself.
+
+    Judged at random points, as terms may cancel that no structure shows to.
+    """
+    if not pinned:
+        return set(e.states)
+    slopes = ca.Function("slopes", [e.x, e.u, e.p], [ca.jacobian(ca.vertcat(e.h, e.f), e.x)])
+    rng = np.random.default_rng(5)
+    depends = np.zeros((len(e.outputs) + len(e.states), len(e.states)), dtype=bool)
+    for _ in range(3):
+        p = [
+            pinned.get(name, v)
+            for name, v in zip(e.parameters, rng.uniform(0.2, 1.7, e.p.numel()), strict=True)
+        ]
+        at = np.array(
+            slopes(rng.uniform(0.2, 1.7, e.x.numel()), rng.uniform(0.2, 1.7, e.u.numel()), p)
+        )
+        depends |= ~(np.abs(at) < 1e-10)  # not a number counts as felt
+    ny = len(e.outputs)
+    felt = np.asarray(depends[:ny].any(axis=0))
+    for _ in e.states:
+        felt = np.asarray(felt | depends[ny:][felt].any(axis=0))
+    return {name for name, is_felt in zip(e.states, felt, strict=True) if is_felt}

@@ -22,6 +22,8 @@ from casid.local_rank import describe_null, local_rank
 from casid.model import Model
 from casid.simulate import Simulator
 from casid.solving.nlp import Evaluation, Nlp, Solution, Solver
+from casid.stages import MEMORY, prepared_inputs, through_sensor
+from casid.stages import delay_columns as delay_columns
 from casid.units import describe_dimension, parse_unit, to_si
 
 Array = np.ndarray[Any, Any]
@@ -44,6 +46,14 @@ class Signals:
     def N(self) -> int:
         """Number of samples."""
         return len(self.t)
+
+
+def _place(jac: Array, dy: Array, index: Array) -> None:
+    """Columns of `dy` to the places that `index` gives, -1 for none; some rows at a time."""
+    keep = index >= 0
+    for first in range(0, len(dy), 1 << 13):
+        rows = slice(first, first + (1 << 13))
+        jac[rows, :, index[keep]] = dy[rows][:, :, keep]
 
 
 def signals_of(model: Model, experiment: Experiment) -> Signals:
@@ -186,9 +196,13 @@ class SimulationError:
         self.free = [f for f in free if not all(f in d.known for d in self.data)]
         self.own = [f for f in self.free if f in own]
         self._simulators: dict[float, Simulator] = {}
+        pinned = {p.name: p.lower for p in model.parameters.values() if p.lower == p.upper}
+        pinned = {n: v for n, v in pinned.items() if n in self.free}
         for d in self.data:
             if d.Ts not in self._simulators:
-                self._simulators[d.Ts] = Simulator(model, d.Ts, self.free, substeps=substeps)
+                self._simulators[d.Ts] = Simulator(
+                    model, d.Ts, self.free, substeps=substeps, pinned=pinned
+                )
         self.outputs = tuple(model.outputs)
         self.substeps = substeps
         self.weights = self._default_weights() if weights is None else np.asarray(weights, float)
@@ -212,12 +226,12 @@ class SimulationError:
         return 1 / total
 
     def _burn(self) -> None:
-        """Samples before the first that a delayed output can know are not used."""
+        """Samples before those that a delayed or lagging output can know are not used."""
         for stage in self.model.stages:
-            if stage.kind != "delay":
+            if stage.kind not in MEMORY:
                 continue
             column = self.outputs.index(stage.channel)
-            longest = self.model.parameters[stage.parameter].upper
+            longest = MEMORY[stage.kind] * self.model.parameters[stage.parameter].upper
             for d in self.data:
                 d.used[: min(int(np.ceil(longest / d.Ts)) + 1, d.N), column] = False
 
@@ -324,8 +338,8 @@ class SimulationError:
         for state, i in zip(self.model.states.values(), index[len(self.free) :], strict=True):
             initial.append(float(x[i]) if i >= 0 else float(state.initial or 0.0))
         for stage in self.model.stages:
-            if stage.kind == "delay_input":
-                values[stage.parameter] = 0.0  # the shift itself is in the input, see below
+            if stage.is_of_input:
+                values[stage.parameter] = 0.0  # what it does is in the input's column, see below
         names = self._simulators[d.Ts].equations.parameters
         return np.array([values[n] for n in names], dtype=float), np.array(initial)
 
@@ -341,18 +355,19 @@ class SimulationError:
         n, ny = len(self.variables), len(self.outputs)
         cuts = self._cuts[experiment].copy()
         cuts[-1] = d.N
-        inputs = self._delayed_inputs(x, experiment, d)
+        inputs = self._prepared_inputs(x, experiment, d)
         y, states = np.empty((d.N, ny)), np.empty((d.N, len(self.model.states)))
-        jac = np.zeros((d.N, ny, n)) if tangent else None
+        jac: Array | None = None
         for i, index in enumerate(self._index[experiment]):
             part = slice(int(cuts[i]), int(cuts[i + 1]))
             p, x0 = self.parameter_vector(x, experiment, i)
             u = inputs[part]
-            if tangent and jac is not None:
+            if tangent:
                 run = simulator.sensitivities(u, p, x0)
+                if jac is None:  # not before: the simulation takes as much room for itself
+                    jac = np.zeros((d.N, ny, n))
                 assert run.dy is not None
-                keep = index >= 0
-                jac[part, :, index[keep]] = run.dy[:, :, keep]
+                _place(jac[part], run.dy, index)
             else:
                 run = simulator.simulate(u, p, x0)
             y[part], states[part] = run.y, run.x[:-1]
@@ -360,23 +375,16 @@ class SimulationError:
         self._through_sensors(y, jac, p, d, self._index[experiment][0])
         return y, states, jac
 
-    def _delayed_inputs(self, x: Array, experiment: int, d: Signals) -> Array:
-        """The inputs with delayed channels shifted, and the slopes that carry their tangents."""
-        stages = [s for s in self.model.stages if s.kind == "delay_input"]
+    def _prepared_inputs(self, x: Array, experiment: int, d: Signals) -> Array:
+        """The input columns as they act, and those that carry the tangents of what was done."""
+        stages = [s for s in self.model.stages if s.is_of_input]
         if not stages:
             return d.u
-        names = list(self.model.inputs)
-        u = d.u.copy()
-        for stage in stages:
-            i, j = names.index(stage.channel), names.index(f"slope of {stage.channel}")
-            # The record's column is late: what acted is the column moved ahead.
-            shift = -self._value(x, experiment, stage.parameter) / d.Ts
-            u[:, i] = delay_columns(d.u[:, i], shift)
-            u[:, j] = delay_columns(d.u[:, i], shift, derivative=True) / d.Ts
-        return u
+        values = {s.parameter: self.value_of(s.parameter, x, experiment) for s in stages}
+        return prepared_inputs(self.model, d.u, values, d.Ts)
 
-    def _value(self, x: Array, experiment: int, name: str) -> float:
-        """The value of one parameter at `x`."""
+    def value_of(self, name: str, x: Array, experiment: int) -> float:
+        """The value of one parameter in an experiment, at `x`."""
         if name in self.free:
             i = int(self._index[experiment][0][self.free.index(name)])
             if i >= 0:
@@ -390,25 +398,14 @@ class SimulationError:
         """Apply the model's sensor stages in place."""
         names = self._simulators[d.Ts].equations.parameters
         for stage in self.model.stages:
-            if stage.kind == "delay_input":
+            if stage.is_of_input:
                 continue
             c = self.outputs.index(stage.channel)
             value = p[names.index(stage.parameter)]
             place = index[self.free.index(stage.parameter)] if stage.parameter in self.free else -1
-            if stage.kind == "delay":
-                slope = delay_columns(y[:, c], value / d.Ts, derivative=True) / d.Ts
-                y[:, c] = delay_columns(y[:, c], value / d.Ts)
-                if jac is not None:
-                    jac[:, c, :] = delay_columns(jac[:, c, :], value / d.Ts)
-                    if place >= 0:
-                        jac[:, c, place] -= slope
-            else:
-                above, below = y[:, c] > value, y[:, c] < -value
-                y[above, c], y[below, c] = value, -value
-                if jac is not None:
-                    jac[above | below, c, :] = 0.0
-                    if place >= 0:
-                        jac[above, c, place], jac[below, c, place] = 1.0, -1.0
+            through_sensor(
+                stage.kind, y[:, c], None if jac is None else jac[:, c, :], value, d.Ts, int(place)
+            )
 
     def simulated(self, x: Array, experiment: int, *, signals: Signals | None = None) -> Simulated:
         """Residuals and sensitivities of one experiment, unweighted."""
@@ -464,10 +461,11 @@ class SimulationError:
         scale = np.array([self._state_scale(s) for s in self.model.states])
         for e, d in enumerate(self.data):
             cuts, simulator = self._cuts[e], self._simulators[d.Ts]
+            inputs = self._prepared_inputs(x, e, d)
             for i in range(self.segments - 1):
                 p, x0 = self.parameter_vector(x, e, i)
-                part = d.u[cuts[i] : cuts[i + 1]]
-                run = simulator.sensitivities(part, p, x0, after=d.u[cuts[i + 1]])
+                part = inputs[cuts[i] : cuts[i + 1]]
+                run = simulator.sensitivities(part, p, x0, after=inputs[cuts[i + 1]])
                 index, nxt = self._index[e][i], self._index[e][i + 1][-nx:]
                 j = np.zeros((nx, n))
                 keep = index >= 0
@@ -485,44 +483,6 @@ class SimulationError:
             r, j = self.columns(x, e)
             parts.append(np.einsum("ki,kin->kn", r, j))
         return np.concatenate(parts)
-
-
-def delay_columns(y: Array, samples: float, *, derivative: bool = False) -> Array:
-    """Columns (N, ...) delayed by a fractional number of samples, or their slope per sample there.
-
-    Cubic convolution (Keys 1981): exact for quadratics, once differentiable in the delay, and
-    centred, so that its slope at zero delay brings no half-sample error. The ends are extended by
-    straight lines.
-    """
-    whole = int(np.floor(samples))
-    s = samples - whole  # y(k - whole - s): between k - whole - 1 (s = 1) and k - whole (s = 0)
-    v = 1.0 - s  # position between the left and right neighbour
-    if derivative:
-        w = np.array(
-            [
-                -0.5 + 2 * v - 1.5 * v**2,
-                -5 * v + 4.5 * v**2,
-                0.5 + 4 * v - 4.5 * v**2,
-                -v + 1.5 * v**2,
-            ]
-        )
-    else:
-        w = np.array(
-            [
-                -0.5 * v + v**2 - 0.5 * v**3,
-                1 - 2.5 * v**2 + 1.5 * v**3,
-                0.5 * v + 2 * v**2 - 1.5 * v**3,
-                -0.5 * v**2 + 0.5 * v**3,
-            ]
-        )
-    pad = abs(whole) + 3
-    ramp = np.arange(1, pad + 1, dtype=float).reshape(-1, *([1] * (y.ndim - 1)))
-    left = y[:1] - ramp[::-1] * (y[1:2] - y[:1])
-    right = y[-1:] + ramp * (y[-1:] - y[-2:-1])
-    long = np.concatenate([left, y, right])
-    n = len(y)
-    first = pad - whole - 2
-    return np.asarray(sum(w[i] * long[first + i : first + i + n] for i in range(4)))
 
 
 # -- minimising ---------------------------------------------------------------------------------
@@ -549,6 +509,23 @@ class Fit:
         return dict(zip(self.criterion.names, self.x.tolist(), strict=True))
 
 
+def widened(fit: Fit, model: Model) -> SimulationError:
+    """The criterion of a fit for a model with more parameters, all of them at their start."""
+    base = fit.criterion
+    wide = SimulationError(
+        model,
+        base.experiments,
+        own=base.own,
+        weights=base.weights,
+        whiten=base.whiten,
+        substeps=base.substeps,
+        start=fit.values,
+    )
+    for d, own in zip(wide.data, base.data, strict=True):
+        d.used[:] &= own.used
+    return wide
+
+
 Constraint = Callable[[Mapping[str, Any]], Any]
 
 
@@ -561,6 +538,7 @@ def minimize_simulation_error(
     constraints: Sequence[Constraint] = (),
     check_rank: bool = True,
     throw: bool = True,
+    retry: bool = True,
 ) -> Fit:
     """Minimise (1), from the declared start and `starts - 1` random ones; the best is kept.
 
@@ -568,6 +546,7 @@ def minimize_simulation_error(
     ----------
     constraints : each takes a mapping of variable names to CasADi symbols and returns an expression
         that is to be zero (linear or not).
+    retry : whether a start that does not converge is tried once more from where it ended.
 
     Raises
     ------
@@ -605,7 +584,7 @@ def minimize_simulation_error(
         except SolveError as error:
             failures.append(str(error))
             continue
-        if not solution.is_converged:
+        if retry and not solution.is_converged:
             # The natural scales of a far start are wrong at the end: once more from there.
             solution = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
         values.append(solution.value)

@@ -33,7 +33,7 @@ def bartlett_lags(scores: Array, *, largest: int | None = None) -> int:
     keep = variance > 1e-14 * max(float(variance.max(initial=0.0)), 1e-300)
     if not keep.any():
         return 0
-    rho = np.einsum("ij,ij->j", centred[1:, keep], centred[:-1, keep]) / variance[keep]
+    rho = np.einsum("ij,ij->j", centred[1:], centred[:-1])[keep] / variance[keep]
     rho = np.clip(rho, -0.995, 0.995)
     # All columns weigh the same once standardised: sigma_j^2 = (1 - rho_j^2).
     innovation = 1 - rho**2
@@ -51,19 +51,21 @@ def long_run_covariance(scores: Array, lags: int) -> Array:
     scores : (N, K) array, centred here.
     lags : lags with weight above zero.
     """
-    centred = scores - scores.mean(axis=0)
-    n = len(centred)
+    n, columns = scores.shape
     if lags == 0:
+        centred = scores - scores.mean(axis=0)
         return np.asarray(centred.T @ centred)
     # sum_l w_l Gamma_l = sum of outer products of moving sums over lags + 1 samples, / (lags + 1).
-    cumulative = np.vstack([np.zeros((1, centred.shape[1])), np.cumsum(centred, axis=0)])
-    m = lags + 1
-    padded = np.vstack(
-        [np.repeat(cumulative[:1], lags, 0), cumulative, np.repeat(cumulative[-1:], lags, 0)]
-    )
-    window = padded[m:] - padded[:-m]
-    assert len(window) == n + lags
-    return np.asarray(window.T @ window / m)
+    cumulative = np.zeros((n + 1, columns))
+    np.subtract(scores, scores.mean(axis=0), out=cumulative[1:])
+    np.cumsum(cumulative[1:], axis=0, out=cumulative[1:])
+    total = np.zeros((columns, columns))
+    # Some windows at a time: all of them together are as large as the scores.
+    for first in range(0, n + lags, 1 << 13):
+        last = np.arange(first, min(first + (1 << 13), n + lags)) + 1
+        window = cumulative[np.minimum(last, n)] - cumulative[np.maximum(last - 1 - lags, 0)]
+        total += window.T @ window
+    return np.asarray(total / (lags + 1))
 
 
 def sandwich(

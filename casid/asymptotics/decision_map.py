@@ -55,7 +55,7 @@ class DecisionMap:
         """
         import plotly.graph_objects as go
 
-        from casid.plotting import figure_text
+        from casid.figures.look import figure_text
 
         figure = go.Figure()
         steps = [[k / 4, c] for i, c in enumerate(_COLOURS) for k in (i, i + 1)]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casid.plotting import AFTER, BEFORE, FLOOR, MEASURED, figure_text
+from casid.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text
 
 if TYPE_CHECKING:
     from casid.asymptotics.comparison import Comparison

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from casid.plotting import AFTER, BEFORE, MEASURED, _axis, _hover, _Panels, visible_text
-from casid.report import _element, _list, _mapping, _number, _p, _Page, _table, _value
+from casid.figures.look import AFTER, BEFORE, MEASURED, axis_text, hover_text, visible_text
+from casid.figures.panels import Panels
+from casid.pages.markup import bullets, element, mapping_table, paragraph, table
+from casid.pages.numbers import number_text, value_text
+from casid.pages.page import Page
 
 if TYPE_CHECKING:
     from casid.campaigns.monte_carlo import Accuracy, MonteCarlo
@@ -25,7 +28,7 @@ def histogram_figure(result: MonteCarlo) -> Any:
     if not shown:
         raise ValueError("fewer than two runs have an estimate; there is nothing to draw")
     columns = min(2, len(shown))
-    figure = _Panels(panels=len(shown), columns=columns, row_height=260, gap=70)
+    figure = Panels(panels=len(shown), columns=columns, row_height=260, gap=70)
     for k, p in enumerate(shown):
         values = result.estimates(p.name).astype(float)
         values = values[np.isfinite(values)]
@@ -43,7 +46,7 @@ def histogram_figure(result: MonteCarlo) -> Any:
             width=step,
             name="estimates",
             marker={"color": MEASURED, "line": {"color": "#ffffff", "width": 1}},
-            hovertemplate=_hover(p.unit, "runs"),
+            hovertemplate=hover_text(p.unit, "runs"),
         )
         top = float(count.max())
         sigma = p.mean_std_error
@@ -62,7 +65,7 @@ def histogram_figure(result: MonteCarlo) -> Any:
                 name="as the standard errors have it",
                 mode="lines",
                 line={"color": AFTER, "width": 2},
-                hovertemplate=_hover(p.unit, "runs"),
+                hovertemplate=hover_text(p.unit, "runs"),
             )
             span = [min(span[0], x[inside][0]), max(span[1], x[inside][-1])]
         for label, at, colour, dash in (
@@ -84,7 +87,7 @@ def histogram_figure(result: MonteCarlo) -> Any:
         margin = 0.04 * (span[1] - span[0]) or 1.0
         figure.x_range(k, [span[0] - margin, span[1] + margin])
         figure.y_range(k, [0, 1.1 * top])
-        figure.label(k, x=_axis(p.name, p.unit), y="runs" if k % columns == 0 else None)
+        figure.label(k, x=axis_text(p.name, p.unit), y="runs" if k % columns == 0 else None)
     figure.figure.update_layout(bargap=0)
     figure.ticks = 5
     caption = (
@@ -99,21 +102,21 @@ def montecarlo_page(result: MonteCarlo) -> str:
     figures = {}
     if any(p.n > 1 for p in result.parameters):
         figures["histograms"] = histogram_figure(result)
-    page = _Page(figures)
+    page = Page(figures)
     failed = len(result.campaign.failures)
     page.section(
         "",
-        _p(
+        paragraph(
             f"{result.campaign.runs} runs with seed {result.campaign.seed}, method "
             f"{result.method}; {failed or 'none'} failed."
         ),
-        _list([f"{p.name}: {remark}" for p in result.parameters for remark in p.remarks]),
+        bullets([f"{p.name}: {remark}" for p in result.parameters for remark in p.remarks]),
     )
     page.section(
         "Parameters",
         _accuracy_table(result.parameters),
         page.figure("histograms"),
-        _p(
+        paragraph(
             "Bias: mean minus truth, with its Monte Carlo standard error. Spread: standard "
             "deviation of the estimates, with its standard error were they normal. Coverage: share "
             "of the 95 % intervals that hold the truth, with its binomial 95 % interval (Wilson "
@@ -122,7 +125,7 @@ def montecarlo_page(result: MonteCarlo) -> str:
     )
     if failed:
         rows = {message: str(n) for message, n in result.failures.items()}
-        page.section("Failed runs", _mapping(rows, ("message", "runs")))
+        page.section("Failed runs", mapping_table(rows, ("message", "runs")))
     settings = {
         name: ", ".join(f"{k} = {v}" for k, v in value.items())
         if isinstance(value, dict)
@@ -132,12 +135,12 @@ def montecarlo_page(result: MonteCarlo) -> str:
     }
     page.section(
         "Provenance",
-        _p("Run i has the random numbers of numpy.random.SeedSequence(seed).spawn(n)[i]."),
-        _mapping({"seed": str(result.campaign.seed), **settings}, ("setting", "value")),
-        _element("h3", "Versions") if result.versions else "",
-        _mapping(result.versions, ("package", "version")),
+        paragraph("Run i has the random numbers of numpy.random.SeedSequence(seed).spawn(n)[i]."),
+        mapping_table({"seed": str(result.campaign.seed), **settings}, ("setting", "value")),
+        element("h3", "Versions") if result.versions else "",
+        mapping_table(result.versions, ("package", "version")),
     )
-    page.section("References", _list(result.sources))
+    page.section("References", bullets(result.sources))
     title = f"Monte Carlo study of {visible_text(result.problem)}"
     return page.text(title, "Monte Carlo study", result.problem)
 
@@ -156,16 +159,16 @@ def _accuracy_table(parameters: Sequence[Accuracy]) -> str:
             [
                 p.name,
                 p.unit,
-                "\u2013" if p.truth is None else _value(p.truth),
+                "\u2013" if p.truth is None else value_text(p.truth),
                 p.mean_text,
                 bias,
                 _plus_minus(p.spread, p.spread_std_error),
-                _number(p.mean_std_error),
+                number_text(p.mean_std_error),
                 covers,
                 "; ".join(p.remarks),
             ]
         )
-    return _table(
+    return table(
         "Accuracy of the estimates against the simulator's truth, SI units",
         [
             "parameter",

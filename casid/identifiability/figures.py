@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casid.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text, visible_text
+from casid.figures.panels import Panels
 from casid.identifiability.records.practical_result import POOR, SEEN, UNSEEN, WELL, Practical
-from casid.plotting import AFTER, BEFORE, FLOOR, MEASURED, _Panels, figure_text, visible_text
 
 if TYPE_CHECKING:
     from casid.identifiability.assessment import Assessment
@@ -34,7 +35,7 @@ def error_figure(practical: Practical, assessment: Assessment) -> Any:
     """Expected relative standard error of every parameter, one bar each, on a logarithmic axis."""
     rows = [r for r in practical.parameters if r.relative is not None]
     shown = [r for r in rows if math.isfinite(r.relative or math.nan) and (r.relative or 0) > 0]
-    panel = _Panels(row_height=60 + 26 * len(rows), gap=0)
+    panel = Panels(row_height=60 + 26 * len(rows), gap=0)
     largest = max((100 * (r.relative or 0.0) for r in shown), default=100.0)
     smallest = min((100 * (r.relative or 0.0) for r in shown), default=1.0)
     for verdict, colour in _COLOURS.items():
@@ -86,7 +87,7 @@ def correlation_figure(practical: Practical) -> Any:
     ]
     names = [figure_text(practical.names[i]) for i in inside]
     values = practical.correlation[np.ix_(inside, inside)]
-    panel = _Panels(row_height=140 + 30 * len(inside), gap=0)
+    panel = Panels(row_height=140 + 30 * len(inside), gap=0)
     panel.add(
         0,
         kind="Heatmap",
@@ -112,7 +113,7 @@ def correlation_figure(practical: Practical) -> Any:
 def profile_figure(profiles: Profiles) -> Any:
     """Deviance against each parameter, all else estimated again, and the interval's threshold."""
     columns = min(2, len(profiles.profiles))
-    panel = _Panels(panels=len(profiles.profiles), columns=columns, row_height=250, gap=80)
+    panel = Panels(panels=len(profiles.profiles), columns=columns, row_height=250, gap=80)
     for k, p in enumerate(profiles.profiles):
         panel.add(
             k,

@@ -6,25 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from casid.figures.look import visible_text
 from casid.identifiability.assessment import Answer, Assessment
 from casid.identifiability.assessment_text import family_lines, group_words, verdict_words
 from casid.identifiability.figures import figures
-from casid.plotting import visible_text
-from casid.report import (
-    _element,
-    _Html,
-    _join,
-    _list,
-    _mapping,
-    _notice,
-    _number,
-    _p,
-    _Page,
-    _provenance,
-    _safe,
-    _table,
-    _value,
-)
+from casid.pages.estimates import notice, provenance
+from casid.pages.markup import Html, bullets, element, join, mapping_table, paragraph, safe, table
+from casid.pages.numbers import number_text, value_text
+from casid.pages.page import Page
 
 _LISTED = 60  # fixing sets in the table
 
@@ -32,8 +21,8 @@ _LISTED = 60  # fixing sets in the table
 def assessment_page(assessment: Assessment) -> str:
     """The assessment as one self-contained HTML page."""
     a = assessment
-    page = _Page(figures(a))
-    page.section("", _banner(a), _cards(a), _notice(a.notes, ()))
+    page = Page(figures(a))
+    page.section("", _banner(a), _cards(a), notice(a.notes, ()))
     page.section("Parameters", _parameters(a), _advice(a))
     page.section("What can be told instead", _groups(a), _families(a))
     page.section("What would mend it", _fixing(a), _exclusions(a), _further(a))
@@ -49,29 +38,29 @@ def assessment_page(assessment: Assessment) -> str:
         _profiles(a),
         _orders(a),
     )
-    page.section("What the answer rests on", _p(a.certainty), _facts(a))
-    page.section("Provenance", *_provenance((), {}, a.versions))
-    page.section("References", _list(_sources(a)))
+    page.section("What the answer rests on", paragraph(a.certainty), _facts(a))
+    page.section("Provenance", *provenance((), {}, a.versions))
+    page.section("References", bullets(_sources(a)))
     return page.text(f"Identifiability of {visible_text(a.name)}", "Identifiability", a.name)
 
 
-def _banner(a: Assessment) -> _Html:
+def _banner(a: Assessment) -> Html:
     if a.answer.is_partial:
         word, look = "partial", "undecided"
     elif a.is_identifiable:
         word, look = "identifiable", "adequate"
     else:
         word, look = "not identifiable", "deficient"
-    return _element(
+    return element(
         "div",
-        _element("p", _element("b", word) + _safe(f"rank {a.rank} of {a.unknowns}"), class_="word")
-        + _element("p", a.sentence, class_="sentence"),
+        element("p", element("b", word) + safe(f"rank {a.rank} of {a.unknowns}"), class_="word")
+        + element("p", a.sentence, class_="sentence"),
         class_=f"banner {look}",
         role="status",
     )
 
 
-def _cards(a: Assessment) -> _Html:
+def _cards(a: Assessment) -> Html:
     told = sum(v == "identifiable" for v in a.parameters.values())
     seen = sum(v == "observable" for v in a.states.values())
     bound = a.answer.error_bound
@@ -90,12 +79,12 @@ def _cards(a: Assessment) -> _Html:
                 f"in {many}{a.fixing.count} minimal choice{'' if a.fixing.count == 1 else 's'}",
             )
         )
-    return _element(
+    return element(
         "dl",
-        _join(
-            _element(
+        join(
+            element(
                 "div",
-                _element("dt", title) + _element("dd", value) + _element("dd", rest, class_="rest"),
+                element("dt", title) + element("dd", value) + element("dd", rest, class_="rest"),
                 class_="card",
             )
             for title, value, rest in cards
@@ -104,7 +93,7 @@ def _cards(a: Assessment) -> _Html:
     )
 
 
-def _parameters(a: Assessment) -> _Html:
+def _parameters(a: Assessment) -> Html:
     group = {n: g for g in a.confounded_groups for n in g}
     rows: list[tuple[str, ...]] = []
     expected = {r.name: r for r in a.practical.parameters} if a.practical else {}
@@ -113,10 +102,10 @@ def _parameters(a: Assessment) -> _Html:
         row = expected.get(name)
         told = "\u2013"
         if row is not None and a.parameters[name] == "identifiable":
-            told = _number(row.std_error)
+            told = number_text(row.std_error)
         rows.append(
             (
-                _element("code", name),
+                element("code", name),
                 a.units.get(name, ""),
                 verdict_words(a, name),
                 ", ".join(partners),
@@ -125,7 +114,7 @@ def _parameters(a: Assessment) -> _Html:
         )
     header = ["parameter", "unit", "verdict", "confounded with", "expected std. error"]
     shown = [i for i in range(5) if i in (0, 2) or any(r[i] not in ("", "\u2013") for r in rows)]
-    return _table(
+    return table(
         "Structural and practical verdict, parameter by parameter",
         [header[i] for i in shown],
         [[r[i] for i in shown] for r in rows],
@@ -133,56 +122,56 @@ def _parameters(a: Assessment) -> _Html:
     )
 
 
-def _advice(a: Assessment) -> _Html | str:
+def _advice(a: Assessment) -> Html | str:
     mend = a.mend()
     if not mend:
         return ""
     text = mend[0].upper() + mend[1:] + "."
-    return _element("div", _element("h3", "To mend it") + _p(text), class_="advice")
+    return element("div", element("h3", "To mend it") + paragraph(text), class_="advice")
 
 
-def _groups(a: Assessment) -> _Html:
-    return _list([group_words(g) for g in a.confounded_groups])
+def _groups(a: Assessment) -> Html:
+    return bullets([group_words(g) for g in a.confounded_groups])
 
 
-def _families(a: Assessment) -> _Html:
+def _families(a: Assessment) -> Html:
     parts = []
     for name, words in family_lines(a):
-        lines = _join(_element("p", _element("code", line)) for line in words)
-        parts.append(_element("div", _element("h3", f"Moving {name}") + lines, class_="cause"))
+        lines = join(element("p", element("code", line)) for line in words)
+        parts.append(element("div", element("h3", f"Moving {name}") + lines, class_="cause"))
     if parts:
         parts.insert(
             0,
-            _p(
+            paragraph(
                 "All values on such a curve give the same outputs; what stays the same along all "
                 "curves of a group is what the data tell. Primes mark new values."
             ),
         )
-    return _join(parts)
+    return join(parts)
 
 
-def _fixing(a: Assessment) -> _Html:
+def _fixing(a: Assessment) -> Html:
     f = a.fixing
     if f is None or not f.size:
-        return _Html("")
+        return Html("")
     names = list(a.parameters)
     rows = [
         (", ".join(s), ", ".join(n for n in names if n not in set(s))) for s in f.sets[:_LISTED]
     ]
     many = f"{f.count}" if f.is_count_exact else f"at least {f.count}"
     shown = "" if len(rows) == f.count else f"; the first {len(rows)} are shown"
-    return _table(
+    return table(
         f"Minimal fixing sets ({many}{shown}): once known, all others are identifiable",
         ("known", "then identifiable"),
         rows,
     )
 
 
-def _exclusions(a: Assessment) -> _Html:
+def _exclusions(a: Assessment) -> Html:
     if not any(e.count for e in a.exclusions):
-        return _Html("")
+        return Html("")
     rows = [(str(e.size), str(e.total), str(e.count)) for e in a.exclusions]
-    return _table(
+    return table(
         "Sets of parameters that are not identifiable although all others are known",
         ("size", "sets", "not identifiable"),
         rows,
@@ -190,14 +179,14 @@ def _exclusions(a: Assessment) -> _Html:
     )
 
 
-def _further(a: Assessment) -> _Html:
+def _further(a: Assessment) -> Html:
     parts: list[str] = []
     r = a.replicas
     if r is not None:
         rows = [(str(k), str(d)) for k, d in enumerate(r.deficiencies, 1)]
         header = ("replicas", "deficiency of the parameters")
-        parts.append(_table("The same experiment, repeated", header, rows, numbers=(0, 1)))
-        parts.append(_p(r.conclusion[0].upper() + r.conclusion[1:] + "."))
+        parts.append(table("The same experiment, repeated", header, rows, numbers=(0, 1)))
+        parts.append(paragraph(r.conclusion[0].upper() + r.conclusion[1:] + "."))
     if a.mends is not None:
         singles = [
             (
@@ -209,47 +198,47 @@ def _further(a: Assessment) -> _Html:
             for e in a.mends.singles
         ]
         parts.append(
-            _table(
+            table(
                 "What each candidate does alone",
                 ("candidate", "cost", "gives", "still missing"),
                 singles,
                 numbers=(1,),
             )
         )
-        parts += [_p(line.strip()) for line in a.mends.conclusion]
-    return _join(parts)
+        parts += [paragraph(line.strip()) for line in a.mends.conclusion]
+    return join(parts)
 
 
-def _states(a: Assessment) -> _Html:
-    return _table(
+def _states(a: Assessment) -> Html:
+    return table(
         "Initial states",
         ("state", "verdict"),
-        [(_element("code", x), v.replace("_", " ")) for x, v in a.states.items()],
+        [(element("code", x), v.replace("_", " ")) for x, v in a.states.items()],
     )
 
 
-def _classes(a: Assessment) -> _Html:
+def _classes(a: Assessment) -> Html:
     if not a.by_class:
-        return _Html("")
+        return Html("")
     shared = (
         f"Shared by all experiments: {', '.join(a.shared_inputs)}."
         if a.shared_inputs
         else ("Every experiment has its own." if len(a.experiments) > 1 else "")
     )
     return (
-        _p(f"Unknown: {', '.join(a.unknown_inputs)}. {shared}")
+        paragraph(f"Unknown: {', '.join(a.unknown_inputs)}. {shared}")
         + _answers("The class of the unknown input changes the verdict", a.by_class)
-        + _list(a.eliminated)
+        + bullets(a.eliminated)
     )
 
 
-def _excitation(a: Assessment) -> _Html:
+def _excitation(a: Assessment) -> Html:
     if not a.by_excitation:
-        return _Html("")
+        return Html("")
     return _answers("Ranks with known inputs that do less than they could", a.by_excitation)
 
 
-def _answers(caption: str, answers: Mapping[str, Answer]) -> _Html:
+def _answers(caption: str, answers: Mapping[str, Answer]) -> Html:
     rows = [
         (
             label,
@@ -258,19 +247,19 @@ def _answers(caption: str, answers: Mapping[str, Answer]) -> _Html:
         )
         for label, v in answers.items()
     ]
-    return _table(caption, ("inputs", "rank", "not identifiable"), rows)
+    return table(caption, ("inputs", "rank", "not identifiable"), rows)
 
 
-def _practical(a: Assessment) -> _Html:
+def _practical(a: Assessment) -> Html:
     p = a.practical
     if p is None:
-        return _Html("")
+        return Html("")
     rows = [
         (
-            _element("code", r.name),
+            element("code", r.name),
             r.unit,
-            _value(r.value),
-            _number(r.std_error) if math.isfinite(r.std_error) else "\u2013",
+            value_text(r.value),
+            number_text(r.std_error) if math.isfinite(r.std_error) else "\u2013",
             "\u2013"
             if r.relative is None or not math.isfinite(r.relative)
             else f"{100 * r.relative:.3g} %",
@@ -279,31 +268,31 @@ def _practical(a: Assessment) -> _Html:
         )
         for r in p.rows
     ]
-    table = _table(
+    errors = table(
         f"Expected errors from {', '.join(p.records)} ({p.samples} samples)",
         ("", "unit", "value", "std. error", "relative", "correlated", "with these records"),
         rows,
         numbers=(2, 3, 4),
     )
-    weakest = _list([f"weakest: {d}" for d in p.weakest[:3]])
-    return table + weakest + _p(f"What the error bar assumes: {p.assumes}.")
+    weakest = bullets([f"weakest: {d}" for d in p.weakest[:3]])
+    return errors + weakest + paragraph(f"What the error bar assumes: {p.assumes}.")
 
 
-def _profiles(a: Assessment) -> _Html:
+def _profiles(a: Assessment) -> Html:
     if a.profiles is None:
-        return _Html("")
+        return Html("")
     rows = [
         (
-            _element("code", q.name),
+            element("code", q.name),
             q.unit,
-            _value(q.best),
-            _number(q.lower),
-            _number(q.upper),
+            value_text(q.best),
+            number_text(q.lower),
+            number_text(q.upper),
             q.kind,
         )
         for q in a.profiles
     ]
-    return _table(
+    return table(
         f"Profile likelihood, {100 * a.profiles.confidence:g} % intervals",
         ("parameter", "unit", "best", "lower", "upper", "kind"),
         rows,
@@ -311,32 +300,33 @@ def _profiles(a: Assessment) -> _Html:
     )
 
 
-def _orders(a: Assessment) -> _Html:
+def _orders(a: Assessment) -> Html:
     parts: list[str] = []
     for e in a.excitations:
         rows = [
-            (_element("code", c.name), c.unit, str(c), _number(c.rms)) for c in e.signals.channels
+            (element("code", c.name), c.unit, str(c), number_text(c.rms))
+            for c in e.signals.channels
         ]
         parts.append(
-            _table(
+            table(
                 f"Excitation orders in {e.record}",
                 ("channel", "unit", "order", "rms"),
                 rows,
                 numbers=(3,),
             )
         )
-        parts.append(_list([*(str(r) for r in e.references), *([e.note] if e.note else [])]))
-    return _join(parts)
+        parts.append(bullets([*(str(r) for r in e.references), *([e.note] if e.note else [])]))
+    return join(parts)
 
 
-def _facts(a: Assessment) -> _Html:
+def _facts(a: Assessment) -> Html:
     facts: dict[str, str] = {
         "experiments": ", ".join(a.experiments),
         "highest derivative needed": ", ".join(map(str, a.orders)),
         "random points": str(a.points),
         "time": f"{1000 * a.seconds:.3g} ms",
     }
-    return _mapping(facts, ("what", "value"))
+    return mapping_table(facts, ("what", "value"))
 
 
 def _sources(a: Assessment) -> Sequence[str]:

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text
+from casid.figures.thinning import thinned
 from casid.observers.input_estimate import InputEstimate
 from casid.observers.noncausal_inverse import NoncausalInverse
-from casid.plotting import AFTER, BEFORE, FLOOR, MEASURED, figure_text, thinned
 
 Array = NDArray[Any]
 

@@ -124,7 +124,8 @@ class NoisyModel:
     Raises
     ------
     ModelError
-        For noise that is missing, or enters nowhere; a model that cannot be linearised.
+        For noise that is missing, or enters nowhere; an input blended of both holds; a model that
+        cannot be linearised.
     """
 
     def __init__(
@@ -138,6 +139,14 @@ class NoisyModel:
         self.model, self.noise, self.free = model, noise_sources(noise), tuple(free)
         self.outputs = tuple(model.outputs)
         self._sort_noise()
+        for entry in model.inputs.values():
+            if entry.ramp is not None:
+                raise ModelError(
+                    f"{model.name}: input {entry.name} blends both holds ({entry.ramp}), but "
+                    "the sampled system holds it or joins it by straight lines; leave that effect "
+                    "out and declare the hold (input(..., hold='zoh') or 'foh'), or use "
+                    "casid.identify"
+                )
         self.driven = model.copy()  # without its noise inputs: what a record has to hold
         for source in self.process:
             self.driven.inputs.pop(source.where, None)

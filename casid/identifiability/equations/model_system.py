@@ -19,7 +19,7 @@ from casid.errors import DataError, ModelError
 from casid.identifiability.equations.formula_scope import is_finite
 from casid.identifiability.rank.system import System
 from casid.linear.symbolic import exact
-from casid.model import Model
+from casid.model import Model, Stage
 
 if TYPE_CHECKING:
     from casid.data import Experiment
@@ -60,8 +60,9 @@ def system_of(
     Returns
     -------
     System
-        Without the model's stages (delays, clipping), which have no exact algebra: a parameter
-        that is in a stage alone is not asked about. `left_out` says which.
+        Without the model's stages (delays, lags, clipping) and what its inputs do between samples,
+        which have no exact algebra here: a parameter that is in these alone is not asked about.
+        `left_out` says which.
 
     Raises
     ------
@@ -199,30 +200,50 @@ def _own_names(
 
 
 def left_out(model: Model) -> tuple[str, ...]:
-    """What of a model its system leaves out, a sentence for each stage."""
+    """What of a model its system leaves out, a sentence for each stage and each blend of holds."""
     gone = _in_stages_alone(model)
+    parts = [(f"the {_CALLED[s.kind]} of {s.channel}", s.parameter) for s in model.stages]
+    carried = {s.carrier for s in model.stages if s.is_of_input}
+    parts += [
+        (f"what {name} does between its samples", entry.ramp)
+        for name, entry in model.inputs.items()
+        if entry.ramp is not None and name not in carried
+    ]
     return tuple(
-        f"the {'clipping' if s.kind == 'clip' else 'delay'} of {s.channel} is left out"
-        + (f", and {s.parameter} is not asked about" if s.parameter in gone else "")
-        for s in model.stages
+        f"{what} is left out" + (f", and {name} is not asked about" if name in gone else "")
+        for what, name in parts
     )
+
+
+_CALLED = {
+    "delay": "delay",
+    "delay_input": "delay",
+    "lag": "sensor's lag",
+    "lead_input": "sensor's lag",
+    "lag_input": "actuator's lag",
+    "clip": "clipping",
+}
+"""What a stage does, in words."""
 
 
 # -- inside --------------------------------------------------------------------------------------
 
 
 def _slopes(model: Model) -> frozenset[str]:
-    """Generated inputs that carry no signal, only the tangent of a delayed input's delay."""
-    delayed = {s.channel for s in model.stages if s.kind == "delay_input"}
-    return frozenset(n for n in model.inputs if n in {f"slope of {c}" for c in delayed})
+    """Generated inputs that carry no signal: the tangents of input stages, and ends of samples."""
+    stages = [s for s in model.stages if s.is_of_input]
+    carried = {s.carrier for s in stages}
+    ends = {Stage.end_of(name) for name in (*carried, *(s.channel for s in stages))}
+    return frozenset(n for n in model.inputs if n in carried | ends)
 
 
 def _in_stages_alone(model: Model) -> frozenset[str]:
-    """Parameters of stages that stand in no equation when slopes are zero."""
+    """Parameters of stages and blends that stand in no equation when slopes are zero."""
     e = model.explicit()
     both = _without(ca.vertcat(e.f, e.h), _slopes(model), e)
     inside = {s.name() for s in ca.symvar(both)}
-    return frozenset(s.parameter for s in model.stages) - inside
+    blends = {u.ramp for u in model.inputs.values() if u.ramp is not None}
+    return frozenset({s.parameter for s in model.stages} | blends) - inside
 
 
 def _without(expression: Any, inputs: frozenset[str], e: Any) -> Any:

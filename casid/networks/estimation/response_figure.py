@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from casid.errors import ModelError
+from casid.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text
 from casid.networks.estimation.module_estimate import ModuleEstimate
 from casid.networks.network import edge_label
-from casid.plotting import AFTER, BEFORE, FLOOR, MEASURED, figure_text
 from casid.transfer.rational import Rational
 
 COLOURS = (AFTER, BEFORE, FLOOR, "#CC79A7")

@@ -1,0 +1,58 @@
+"""The look of every figure: its colours, and names of files made harmless in its texts.
+
+Names come from files: `figure_text` makes them harmless, since Plotly reads part of HTML in text.
+"""
+
+from __future__ import annotations
+
+import html
+import unicodedata
+
+# Okabe & Ito (2008), told apart by colour-blind readers; dashes and hatching say the same again.
+MEASURED = "#8c8c8c"
+BEFORE = "#D55E00"
+AFTER = "#0072B2"
+FLOOR = "#009E73"
+FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, Helvetica, Arial, sans-serif"
+_BIDI = frozenset("\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+
+
+def visible_text(text: object) -> str:
+    """`text` without what a reader cannot see: control and direction marks, lone surrogates."""
+    return "".join(
+        " "
+        if c in "\n\t\r"
+        else "\ufffd"
+        if c in _BIDI or unicodedata.category(c) in ("Cc", "Cs")
+        else c
+        for c in str(text)
+    )
+
+
+def figure_text(text: object, longest: int = 40) -> str:
+    """`text` as Plotly shows it literally, cut at `longest`: no tag, entity or template works."""
+    plain = visible_text(text)
+    if len(plain) > longest:
+        plain = plain[: longest - 1] + "\u2026"
+    # Templates (%{x}) are filled in before entities are read, so the entity hides the sign.
+    return html.escape(plain, quote=False).replace("%", "&#37;").replace("$", "&#36;")
+
+
+def axis_text(name: str, unit: str, before: str = "") -> str:
+    """Axis title: name and unit, on two lines where one would not fit a panel."""
+    text = before + figure_text(name, 22)
+    if not unit:
+        return text
+    between = "<br>" if len(name) + len(unit) > 20 else " "
+    return f"{text}{between}[{figure_text(unit, 22)}]"
+
+
+def hover_text(x_unit: str, y_unit: str) -> str:
+    """What the pointer shows: both coordinates with their units."""
+    return f"%{{x:.5g}} {figure_text(x_unit)}, %{{y:.4g}} {figure_text(y_unit)}"
+
+
+def translucent(colour: str, alpha: float) -> str:
+    """`#rrggbb` with an opacity, as CSS has it."""
+    r, g, b = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({r},{g},{b},{alpha})"

@@ -1,0 +1,131 @@
+"""First-order lags of sampled signals, exact for what a signal does between its samples.
+
+A lag of time constant tau answers to a signal w with
+
+    tau dx/dt + x = w,    x[k] = E x[k-1] + (1/tau) int exp(-(t_k - s)/tau) w(s) ds            (1)
+
+over the last sample, E = exp(-Ts/tau). Where w is a polynomial in each sample the integral is in
+closed form, and so is its derivative with tau, down to tau = 0. A recursion on the samples alone
+would bring an error of half a sample, which passes for a delay.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.special import hyp1f1
+
+Array = np.ndarray[Any, Any]
+
+
+def lag_columns(y: Array, samples: float) -> tuple[Array, Array]:
+    """Columns (N, ...) of a smooth signal behind a lag, and their derivative with the lag.
+
+    Between samples the signal is a cubic through two neighbours with centred slopes (Keys 1981),
+    the interpolation of a delay: without a lag the derivative is minus the slope that a delay has
+    without a delay. The ends are extended by straight lines, and so is the past.
+
+    Parameters
+    ----------
+    samples : time constant over the sample time, not negative.
+    """
+    r = samples
+    decay, slope = _decay(r)
+    long = np.concatenate([2 * y[:1] - y[1:2], y, 2 * y[-1:] - y[-2:-1]])
+    before, left, right, after = long[:-3], long[1:-2], long[2:-1], long[3:]
+    cubic = (
+        left,
+        0.5 * (right - before),
+        before - 2.5 * left + 2.0 * right - 0.5 * after,
+        0.5 * (after - before) + 1.5 * (left - right),
+    )
+    moments, changes = _moments(r)
+    driven = sum(m * c for m, c in zip(moments, cubic, strict=True))
+    change = sum(m * c for m, c in zip(changes, cubic, strict=True))
+    first = y[1] - y[0]
+    x = _recursion(decay, y[0] - r * first, driven)
+    return x, _recursion(decay, -first, change + slope * x[:-1])
+
+
+def lag_inputs(u: Array, samples: float, hold: Literal["zoh", "foh"]) -> tuple[Array, Array]:
+    """An input column (N,) behind a lag as a line in each sample, and its derivative with the lag.
+
+    Both are (N, 2): where the line begins and where it ends. Mean and first moment over the sample
+    are those of the exact response to the input held or joined by straight lines, so that nothing
+    moves in time; without a lag the line is the input. Before the record the input was what it is
+    at its first sample. After the last sample it is held.
+    """
+    decay, slope = _decay(samples)
+    (p, h, f, g), (dp, dh, df, dg) = _line_weights(samples)
+    rise = np.zeros_like(u)
+    if hold == "foh":
+        rise[:-1] = np.diff(u)
+    # From (1) with w = u + rise a, 0 <= a <= 1: x(a) = w(a) - r rise + (x - u + r rise) exp(-a/r).
+    driven = u * (1 - decay) + rise * (1 - p)
+    x = _recursion(decay, u[0], driven[:-1])
+    dx = _recursion(decay, 0.0 * u[0], (slope * (x - u) - dp * rise)[:-1])
+    mean = u + 0.5 * rise + p * (x - u) - h * rise
+    d_mean = dp * (x - u) + p * dx - dh * rise
+    tilt = (1 - f) * rise - g * (x - u)
+    d_tilt = -df * rise - dg * (x - u) - g * dx
+    return (
+        np.stack([mean - 0.5 * tilt, mean + 0.5 * tilt], axis=1),
+        np.stack([d_mean - 0.5 * d_tilt, d_mean + 0.5 * d_tilt], axis=1),
+    )
+
+
+def _line_weights(r: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Of exp(-a/r) over 0 <= a <= 1, and the derivatives with r:
+
+    int exp, int (1 - a) exp, F = 6 int a (1 - a) exp and F / r.
+    """
+    if r > 1.0:  # the closed forms below would lose digits
+        z = 1 / r
+        p, h, f = _kummer(1, 2, -z), 0.5 * _kummer(1, 3, -z), _kummer(2, 4, -z)
+        dp = 0.5 * z * z * _kummer(2, 3, -z)
+        dh = z * z / 6 * _kummer(2, 4, -z)
+        df = 0.5 * z * z * _kummer(3, 5, -z)
+        return (p, h, f, z * f), (dp, dh, df, z * df - z * z * f)
+    decay, slope = _decay(r)
+    p, dp = r * (1 - decay), 1 - decay - r * slope
+    h, dh = r * (1 - p), 1 - p - r * dp
+    g, dg = 12 * r * (0.5 + 0.5 * decay - p), 12 * (0.5 + 0.5 * decay - p + r * (0.5 * slope - dp))
+    return (p, h, r * g, g), (dp, dh, g + r * dg, dg)
+
+
+def _kummer(a: float, b: float, x: float) -> float:
+    """Kummer's function 1F1, of derivative a / b 1F1(a + 1, b + 1, x)."""
+    return float(hyp1f1(a, b, x))
+
+
+def _decay(r: float) -> tuple[float, float]:
+    """E = exp(-1/r) and its derivative with r; both vanish with r, faster than any power."""
+    if r < 1e-3:
+        return 0.0, 0.0
+    decay = float(np.exp(-1 / r))
+    return decay, decay / r**2
+
+
+def _moments(r: float) -> tuple[list[float], list[float]]:
+    """int v^n exp(-(1-v)/r) dv / r over [0, 1] for n = 0..3, and the derivatives with r."""
+    if r > 1.0:  # the recursion below would lose digits
+        z = 1 / r
+        value = [_kummer(1, n + 2, -z) / (n + 1) for n in range(4)]
+        bent = [_kummer(2, n + 3, -z) / ((n + 1) * (n + 2)) for n in range(4)]
+        return [z * v for v in value], [
+            -z * z * (v - z * b) for v, b in zip(value, bent, strict=True)
+        ]
+    decay, slope = _decay(r)
+    out, change = [1 - decay], [-slope]
+    for n in range(1, 4):
+        change.append(-n * (out[-1] + r * change[-1]))
+        out.append(1 - n * r * out[-1])
+    return out, change
+
+
+def _recursion(decay: float, start: Any, driven: Array) -> Array:
+    """x[0] = start, x[k] = decay x[k-1] + driven[k-1]; (M, ...) -> (M + 1, ...)."""
+    out = np.concatenate([np.broadcast_to(start, (1, *driven.shape[1:])), driven])
+    return np.asarray(lfilter([1.0], [1.0, -decay], out, axis=0))
