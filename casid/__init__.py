@@ -25,9 +25,11 @@ if TYPE_CHECKING:
     from casid.checking import CheckReport, check
     from casid.data import Experiment, Record
     from casid.derived import Derived
-    from casid.diagnosing import diagnose
-    from casid.diagnosis import Diagnosis
-    from casid.effects import Effect
+    from casid.diagnosis.calibration.calibration import Calibration
+    from casid.diagnosis.diagnosing import diagnose
+    from casid.diagnosis.result import Diagnosis
+    from casid.effects.effect import Effect
+    from casid.effects.user_effects import balance_effect, channel_effect, parameter_effect
     from casid.errors import (
         CasidError,
         DataError,
@@ -125,6 +127,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Assessment",
     "Assumptions",
+    "Calibration",
     "Candidate",
     "CasidError",
     "CheckReport",
@@ -169,8 +172,10 @@ __all__ = [
     "UnitError",
     "affine_hull",
     "assess_identifiability",
+    "balance_effect",
     "bias_table",
     "bootstrap",
+    "channel_effect",
     "check",
     "choose_output",
     "closed_loop_view",
@@ -215,6 +220,7 @@ __all__ = [
     "noncausal_inverse",
     "observability",
     "observability_matrix",
+    "parameter_effect",
     "parse_system",
     "practical_identifiability",
     "prediction_error_limit",
@@ -250,12 +256,14 @@ _HOME = {
         "prediction.coordinated_turn": "smooth_track",
         "checking": "CheckReport check",
         "data": "Experiment Record",
-        "diagnosing": "diagnose",
+        "diagnosis.diagnosing": "diagnose",
         "linear.affine": "affine_hull",
         "linear.closed_loop": "closed_loop_view",
-        "diagnosis": "Diagnosis",
+        "diagnosis.result": "Diagnosis",
         "linear.discretisation_bias": "bias_table",
-        "effects": "Effect",
+        "diagnosis.calibration.calibration": "Calibration",
+        "effects.effect": "Effect",
+        "effects.user_effects": "balance_effect channel_effect parameter_effect",
         "errors": "CasidError DataError IdentifiabilityError ModelError SolveError UnitError",
         "estimate": "Estimate",
         "identifiability.asked": "Assumptions",

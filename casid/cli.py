@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from casid import __version__
+from casid.diagnosis_options import DIAGNOSIS_OPTIONS
 from casid.errors import CasidError, DataError, ModelError
 from casid.identifiability_options import (
     ASSUMPTION_OPTIONS,
@@ -28,14 +29,13 @@ from casid.identifiability_options import (
     is_equation_file,
     read_equations_for,
 )
+from casid.instrument_options import INSTRUMENT_OPTIONS, InstrumentRequest
 from casid.options import (
     DATA_OPTIONS,
     FIT_OPTIONS,
-    INSTRUMENT_OPTIONS,
     OUTPUT_OPTIONS,
     SET_OPTION,
     TIME,
-    InstrumentRequest,
     Request,
     Source,
     folder_options,
@@ -211,25 +211,15 @@ def main(context: click.Context) -> None:
 @click.argument("problem", type=click.Path())
 @click.argument("data", nargs=-1)
 @hold_out_option("0.3")
-@click.option(
-    "--false-alarm-rate",
-    type=click.FloatRange(0, 1, min_open=True, max_open=True),
-    default=0.05,
-    show_default=True,
-    help="Of the whole catalogue of effects, on a record without any.",
-)
-@click.option(
-    "--max-causes",
-    type=click.IntRange(min=1),
-    default=4,
-    show_default=True,
-    help="Stop the search there.",
-)
+@options(*DIAGNOSIS_OPTIONS)
 @record_options
 def diagnose(
     problem: str,
     false_alarm_rate: float,
+    calibrate: int | None,
+    jobs: int | None,
     max_causes: int,
+    without: tuple[str, ...],
     starts: int | None,
     seed: int,
     solver: str,
@@ -241,27 +231,42 @@ def diagnose(
 ) -> None:
     """Find what the model is missing in these records.
 
-    Names the causes, extends the model, and measures the gain on data that were not fitted. Without
-    DATA the problem simulates its own example. Writes diagnosis.json and report.html.
+    Names the causes, extends the model, and measures the gain on data that were not fitted; says
+    so where nothing is missing, and where the records cannot tell. Several records are diagnosed
+    jointly, each with its load case. Without DATA the problem simulates its own example. Writes
+    diagnosis.json and report.html.
 
     Example: casid diagnose problems/pendulum.py run.csv --map gyro=rate:deg/s --window 27:91
+
+    Several: casid diagnose ship.py nominal=a.csv loaded=b.csv --hold-out c.csv --calibrate
     """
+    from casid.diagnosis.refusals import require_settings
+
     request = Request(**common)
+    if jobs is not None and calibrate is None:
+        raise DataError(
+            "--jobs speaks of --calibrate, which alone has work for several processes; add "
+            "--calibrate, or leave --jobs out"
+        )
     model = _load(problem)
     model = model.with_known(request.known(model))
+    require_settings(model, false_alarm_rate, max_causes, without)  # before anything is read
     with reserved(out, model.name, force=force) as folder:
         with quiet_stdout(), progress_lines(quiet) as progress:
             fitted, hold_out = request.experiments(model)
-            from casid.diagnosing import diagnose as run
+            from casid.diagnosis.diagnosing import diagnose as run
             from casid.solving.nlp import Solver
 
-            with _ends_at_ctrl_c():
+            at_work = workers(jobs, None) if calibrate else contextlib.nullcontext()
+            with _ends_at_ctrl_c(), at_work:
                 result = run(
                     model,
                     fitted,
                     hold_out=hold_out,
                     false_alarm_rate=false_alarm_rate,
                     max_causes=max_causes,
+                    without=without,
+                    calibrate=calibrate or 0,
                     solver=Solver(solver),
                     starts=starts,
                     seed=seed,
@@ -327,7 +332,7 @@ def identify(
             fitted, hold_out = request.experiments(model)
             from casid.identification import FitSettings
             from casid.identification import identify as run
-            from casid.report import estimate_page
+            from casid.pages.estimate_page import estimate_page
             from casid.solving.nlp import Solver
             from casid.writing import write_text
 

@@ -145,7 +145,7 @@ class Request:
     @property
     def hold_out_files(self) -> list[str]:
         """What --hold-out names that is no number."""
-        return [text for text in self.hold_out if not _is_number(text)]
+        return [text for text in self.hold_out if not is_number(text)]
 
     def known(self, problem: Problem) -> dict[str, float]:
         """The values of --set, each a parameter of the problem that no load case contradicts."""
@@ -191,7 +191,7 @@ class Request:
         window = parse_window(self.window) if self.window else None
         sources = [source_of(text, window) for text in self.data]
         aside = [source_of(text) for text in self.hold_out_files]
-        share = self._share()
+        share = self.share
         refuse_overlap([*sources, *aside])
         if sources:
             fitted = [self._read(problem, s) for s in sources]
@@ -199,12 +199,19 @@ class Request:
             fitted = [replace(e, record=self.prepare(e.record)) for e in problem.examples()]
         return fitted, [self._read(problem, s) for s in aside] if aside else share
 
-    def _share(self) -> float:
-        numbers = [float(text) for text in self.hold_out if _is_number(text)]
+    @property
+    def share(self) -> float:
+        """What --hold-out gives as a number, 0 where it names files."""
+        numbers = [float(text) for text in self.hold_out if is_number(text)]
         if len(self.hold_out) > 1 and numbers:
             raise DataError(
                 f"--hold-out {' and '.join(self.hold_out)} contradict each other; give one share, "
                 "or files"
+            )
+        if numbers and not 0.0 <= numbers[0] < 0.9:  # NaN is outside, too
+            raise DataError(
+                f"--hold-out {self.hold_out[0]}: a share of every record lies between 0 (fit "
+                "everything) and 0.9, for example 0.3; or name a file"
             )
         return numbers[0] if numbers else 0.0
 
@@ -217,133 +224,61 @@ class Request:
                     f"--set {text} contradicts load case {source.case!r}, which sets {name} too; "
                     "leave one of them out"
                 )
-        experiment = problem.read(
-            source.path,
-            mapping={
+        experiment = read_experiment(
+            problem,
+            source,
+            {
                 m.signal: m.column if m.unit is None else f"{m.column}:{m.unit}"
                 for m in mapping.values()
             },
-            window=source.window,
-            case=source.case,
-            resample=self.resample,
+            self.resample,
         )
         return replace(experiment, record=self.prepare(experiment.record))
 
 
-@dataclass(frozen=True, slots=True)
-class InstrumentRequest:
-    """The options of `--method instruments`, read and held against each other."""
+def read_experiment(
+    problem: Problem, source: Source, mapping: dict[str, str], resample: float | None
+) -> Experiment:
+    """One record in the problem's channels, those beside the model's left out where they cannot be.
 
-    method: str = "simulation"
-    reference: str | None = None
-    lag: float | None = None
-    free: str | None = None
+    Raises
+    ------
+    DataError
+        As `Problem.read`, and for two channels of one column or a channel of another clock.
+    """
+    from casid.diagnosis.refusals import left_out_by_clock, refuse_shared_columns
+    from casid.reading.columns import resolve
+    from casid.reading.tables import Table
 
-    def __post_init__(self) -> None:
-        if self.method != "instruments":
-            for option in ("reference", "lag", "free"):
-                if getattr(self, option) is not None:
-                    raise DataError(
-                        f"--{option} speaks of instruments; add --method instruments, or leave "
-                        f"--{option} out"
-                    )
-        elif self.reference is None:
-            raise DataError(
-                "--method instruments needs a signal that no disturbance reaches: name the "
-                "recorded channel with --reference, for example --reference ref"
-            )
+    table = Table(source.path)
+    _, clock = resolve(table, {}, problem.time)
+    problem = refuse_shared_columns(
+        problem, mapping, table.columns, None if clock is None else clock.column
+    )
 
-    def refuse(self, request: Request, starts: int | None, segments: int) -> None:
-        """Refuse what moment equations have no use for."""
-        for option, is_given in (
-            ("--hold-out", request.hold_out_files or request._share() != 0),
-            ("--starts", starts is not None),
-            ("--segments", segments != 1),
-        ):
-            if is_given:
-                raise DataError(
-                    f"{option} has no meaning for --method instruments, which solves moment "
-                    f"equations of whole records; leave {option} out"
-                )
-        for text in request.settings:
-            name, _ = parse_setting(text)
-            if self.free is not None and name in _names(self.free):
-                raise DataError(f"--set {text} and --free {name} contradict; leave one of them out")
-
-    def freed(self, problem: Problem) -> tuple[Problem, tuple[str, ...] | None]:
-        """The problem with the parameters of --free unknown, and their names (None: its own).
-
-        Raises
-        ------
-        DataError
-            If the problem has no such parameter, a value is no number, or it records no such
-            reference.
-        """
-        channels = [*problem.recorded, *problem.model.inputs, *problem.model.outputs]
-        if self.reference not in channels:
-            raise DataError(
-                f"--reference {self.reference}: problem {problem.name} reads no such channel; it "
-                f"has {', '.join(channels)}{near(str(self.reference), channels)}. Declare it in "
-                f"the problem file: casid.Problem(..., recorded={{{self.reference!r}: unit}})"
-            )
-        if self.free is None:
-            return problem, None
-        names, starts = [], {}
-        known = list(problem.model.parameters)
-        for part in self.free.split(","):
-            name, equals, text = (x.strip() for x in part.partition("="))
-            if name not in known:
-                raise DataError(
-                    f"--free {self.free}: problem {problem.name} has no parameter {name!r}; it has "
-                    f"{', '.join(known)}{near(name, known)}"
-                )
-            if equals:
-                if not _is_number(text) or not math.isfinite(float(text)):
-                    raise DataError(
-                        f"--free {part}: the start is no finite number; write NAME or NAME=START "
-                        "in SI units, as in --free I_x,d,m=0.1"
-                    )
-                starts[name] = float(text)
-            elif problem.model.parameters[name].value == 0.0:
-                raise DataError(
-                    f"--free {name}: its known value is 0, where other parameters may have no "
-                    f"effect; give a start in SI units, as in --free {name}=0.1"
-                )
-            names.append(name)
-        model = problem.model.with_unknown(*names, **starts)
-        return replace(problem, model=model), tuple(dict.fromkeys(names))
-
-    def estimate(self, problem: Problem, fitted: Sequence[Experiment], solver: str) -> Any:
-        """Joint instrumental variables on all records: a `casid.MomentEstimate`."""
-        from casid.instrumental.estimators import instrumental_variables
-        from casid.instrumental.instruments import Instruments
-        from casid.instrumental.moment_settings import MomentSettings
-        from casid.instrumental.reference_filter import ReferenceFilter
-        from casid.solving.nlp import Solver
-
-        problem, free = self.freed(problem)
-        for name in free or ():
-            if all(name in e.known for e in fitted):
-                raise DataError(
-                    f"--free {name}: the load case of every record knows it "
-                    f"({', '.join(e.name for e in fitted)}); name the record in which it is sought "
-                    "without its load case, as in b.csv for loaded=b.csv"
-                )
-        for p in problem.model.parameters.values():
-            left = [e.name for e in fitted if p.name not in e.known]
-            if free is not None and left and not p.is_known and p.name not in free:
-                raise DataError(
-                    f"--free {self.free} leaves out {p.name}, which nobody knows in "
-                    f"{', '.join(left)}; add it there, or give its value, --set {p.name}=..."
-                )
-        lag = ReferenceFilter.lag(self.lag) if self.lag else ReferenceFilter()
-        return instrumental_variables(
-            problem,
-            fitted,
-            Instruments(str(self.reference), lag),
-            free=free,
-            settings=MomentSettings(solver=Solver(solver)),
+    def read(problem: Problem) -> Experiment:
+        return problem.read(
+            source.path,
+            mapping=mapping,
+            window=source.window,
+            case=source.case,
+            resample=resample,
         )
+
+    try:
+        return read(problem)
+    except DataError:
+        # Only now: a second look at the whole file costs as much as the first.
+        there = {s.column for s in problem.columns(mapping).values()} & set(table.columns)
+        frame = table.read(sorted(there))
+        holes = {name: frame[name].isna().to_numpy() for name in there}
+        fewer, notes = left_out_by_clock(problem, mapping, holes)
+        if not notes:
+            raise
+    experiment = read(fewer)
+    record = experiment.record
+    provenance = (*record.provenance, *notes)
+    return replace(experiment, record=replace(record, provenance=provenance))
 
 
 def with_time(problem: Problem, mapping: dict[str, Mapping]) -> tuple[Problem, dict[str, Mapping]]:
@@ -362,12 +297,8 @@ def time_column(mapping: Mapping) -> Any:
     return mapping.column if mapping.unit is None else ColumnSpec(mapping.column, mapping.unit)
 
 
-def _names(free: str) -> list[str]:
-    """The parameters of --free."""
-    return [part.partition("=")[0].strip() for part in free.split(",")]
-
-
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """True if `text` reads as a number."""
     try:
         float(text)
     except ValueError:
@@ -446,37 +377,6 @@ FIT_OPTIONS = (
     ),
 )
 """How a fit is sought."""
-
-INSTRUMENT_OPTIONS = (
-    click.option(
-        "--method",
-        type=click.Choice(["simulation", "instruments"]),
-        default="simulation",
-        show_default=True,
-        help="Least squares of the simulation error, or instrumental variables: consistent in "
-        "closed loop and with noise on measured inputs, for linear models.",
-    ),
-    click.option(
-        "--reference",
-        metavar="CHANNEL",
-        help="Recorded channel that drives the system and that no disturbance reaches, from which "
-        "instruments are simulated.",
-    ),
-    click.option(
-        "--lag",
-        type=click.FloatRange(min=0),
-        metavar="S",
-        help="Time constant from the reference to the unknown input [s]; a guess will do. "
-        "Default 0.",
-    ),
-    click.option(
-        "--free",
-        metavar="NAME[=START],...",
-        help="Parameters to estimate with instruments; default those that the problem does not "
-        "know.",
-    ),
-)
-"""Which estimator, and what instrumental variables need to know."""
 
 OUTPUT_OPTIONS = (
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),

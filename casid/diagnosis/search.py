@@ -1,6 +1,6 @@
 """The search for causes: score, refit the best candidates, compare, adopt, until nothing is left.
 
-Each round tests every effect against the model as it stands (`casid.scores`), refits the most
+Each round tests every effect against the model as it stands (`scores`), refits the most
 promising ones jointly with all parameters under one whitening, ranks them by
 
     gain - k log N,   gain = 2 (J_model - J_extended)                                          (1)
@@ -11,20 +11,32 @@ if it is significant for the family and improves what was held out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from casid.data import Experiment
-from casid.diagnosis import Alternative
-from casid.effects import JUMP_TIMES, Effect, Sizes, Spread, catalogue, parameter_jump
+from casid.diagnosis.evidence.peaks import PeriodicCandidate, periodic_candidates
+from casid.diagnosis.evidence.runaway import destabilises
+from casid.diagnosis.evidence.scores import (
+    INVISIBLE,
+    Score,
+    ScoreTable,
+    scan,
+    score_test,
+    step_without_bias,
+)
+from casid.diagnosis.result import Alternative
+from casid.effects.catalogue import catalogue
+from casid.effects.effect import KINDS, Effect, Sizes, Spread
+from casid.effects.parameter_effects import JUMP_TIMES, parameter_jump
+from casid.effects.user_effects import UserEffect, user_effects
 from casid.errors import SolveError
 from casid.model import Model
 from casid.noise import NoiseModel, estimate_noise, input_noise_floor
-from casid.scores import INVISIBLE, Score, ScoreTable, scan, score_test, step_without_bias
 from casid.simulation_error import Fit, SimulationError, minimize_simulation_error
 from casid.solving.nlp import Solver
 from casid.uncertainty import bartlett_lags, long_run_covariance, sandwich
@@ -38,6 +50,29 @@ HIDDEN = 1.1
 
 More where the record is so short, or the resonance so sharp, that chance gives as much.
 """
+
+
+STRONG = 6.0
+"""Units of BIC that reject a rival."""
+
+
+NEAR = Solver(
+    max_iterations=25,
+    options={"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-7, "ipopt.tol": 1e-6},
+)
+"""For fits that start next to their minimum: a large barrier would only lead away from it."""
+
+IMITATORS = ("parameter_jump", "parameter_drift", "periodic_disturbance", "missing_mode")
+"""Kinds with a time or a frequency of their own."""
+
+SMALL = 0.0005
+"""Share of the misfit's rms that counts as white noise where the misfit is most of the residual."""
+
+PREDICTED = 10.0
+"""How far a predicted gain may be off, besides: chi^2 of one degree of freedom and more."""
+
+WORTH = 0.3
+"""Share of the best predicted or found gain below which a candidate cannot win."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +127,7 @@ class Adopted:
     candidate: Candidate
     p_value: float
     rivals: tuple[Rival, ...]
+    before: Weighted | None = None  # the model that it was adopted into
 
 
 def _keep_sign(model: Model, change: str, value: float, effect: Effect) -> None:
@@ -121,15 +157,47 @@ def _parameter_of(effect: Effect) -> str | None:
     """The parameter that an effect moves, if it moves one."""
     if effect.kind == "scheduled_parameter":
         return effect.where.partition("~")[0]
-    return effect.where if effect.kind == "parameter_jump" else None
+    return effect.where if effect.kind in ("parameter_jump", "parameter_drift") else None
 
 
-def _null_value(candidate: Candidate, name: str) -> float:
-    """The value at which an effect's parameter does nothing."""
-    if candidate.effect.test == "clip":
-        return 1e9
-    del name
-    return 0.0
+def null_values(candidate: Candidate) -> dict[str, float]:
+    """The values of an effect's parameters at which it does nothing."""
+    effect = candidate.effect
+    starts = [1e9 if effect.test == "clip" else p.start for p in effect.parameters]
+    return dict(zip(candidate.names, starts, strict=True))
+
+
+def _is_plausible(candidate: Candidate) -> bool:
+    """False for a hold that is neither the one nor the other: signals are held or they are not."""
+    share = candidate.fit.values.get(candidate.names[0], 1.0)
+    return candidate.effect.kind != "hold" or share > 0.5
+
+
+def _peak_score(found: PeriodicCandidate) -> Score:
+    """A line of the residual's spectrum as a candidate among the others."""
+    first = found.effect.parameters[0].name
+    return Score(
+        effect=found.effect,
+        z=float(np.sqrt(found.statistic)),
+        p_value=found.peak.p_value,
+        adjusted=found.peak.p_value,
+        energy=0.0,
+        step=found.starts[first],
+        unrobust=found.statistic,
+        visible=1.0,
+        starts=found.starts,
+    )
+
+
+def _not_below(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:
+    """The noise with a white floor that is small against the misfit.
+
+    Where sensors are all but free of noise, whitening would give the word to frequencies at which
+    hardly anything is left, and misfit of another kind, beside what is to be named.
+    """
+    parts = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
+    left = np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
+    return replace(noise, output_sd=np.maximum(noise.output_sd, SMALL * left))
 
 
 @dataclass(slots=True)
@@ -144,9 +212,12 @@ class Search:
     solver: Solver | None = None
     seed: int = 0
     progress: Progress = lambda _: None
+    effects: Sequence[UserEffect] = ()  # the user's own
+    without: Collection[str] = ()  # kinds left out
     first_table: ScoreTable | None = None
     first_candidates: list[Candidate] = field(default_factory=list)
     refused: list[tuple[Candidate, str]] = field(default_factory=list)
+    left_out: dict[tuple[str, str], str] = field(default_factory=dict)  # a user's effect -> why
     _events: list[float | None] = field(default_factory=list)
 
     # -- fitting -----------------------------------------------------------------------------
@@ -161,7 +232,7 @@ class Search:
         if found.is_hidden:
             at = self._without_bias(found)
             if at is None or at.is_hidden:
-                noise = found.full.quiet(found.input_sd)
+                noise = _not_below(found.full.quiet(found.input_sd), found.criterion, fit.x)
                 criterion = self._criterion(model, noise, fit.values, fit.criterion)
                 return replace(found, fit=self._minimum(criterion), noise=noise)
             found = at
@@ -179,7 +250,7 @@ class Search:
         )
 
     def _without_bias(self, found: Weighted, steps: int = 40) -> Weighted | None:
-        """The root of (2) in `casid.scores`, with the noise found there; None if none is near.
+        """The root of (2) in `scores`, with the noise found there; None if none is near.
 
         Where much is unexplained, the noise meanwhile is that of sensors and inputs alone.
         """
@@ -193,6 +264,8 @@ class Search:
                 mine.used[:] = other.used
             x, length = step_without_bias(criterion, criterion.start, at.input_sd, seed=self.seed)
             moved = replace(at.fit, criterion=criterion, solution=replace(at.fit.solution, x=x))
+            if not np.isfinite(criterion.evaluate(x).value):
+                return None
             at = self._estimate(moved)
             if length < 0.05:
                 return at
@@ -206,9 +279,13 @@ class Search:
         is_hidden = ratio > max(HIDDEN**2, 1 + 2 * spread)
         return Weighted(fit.criterion.model, fit, full, full, input_sd, is_hidden)
 
+    def fitted(self, model: Model, like: Weighted, start: Mapping[str, float]) -> Fit:
+        """Another model under the noise and the weights of one that was judged."""
+        return self._minimum(self._criterion(model, like.noise, start, like.criterion))
+
     def _minimum(self, criterion: SimulationError) -> Fit:
         return minimize_simulation_error(
-            criterion, solver=self.solver, check_rank=False, throw=False
+            criterion, solver=self.solver or NEAR, check_rank=False, throw=False
         )
 
     def _criterion(
@@ -271,7 +348,12 @@ class Search:
             },
             window=(float(d.t[0]), float(d.t[-1])),
             longest_delay=float(min(0.3, 0.02 * d.N * d.Ts)),
+            Ts=min(s.Ts for s in at.criterion.data),
             channels={c: self._spread(c) for c in self.recorded},
+            ranges={
+                n: (float(low), float(most))
+                for n, low, most in zip(at.model.states, x.min(axis=0), x.max(axis=0), strict=True)
+            },
         )
 
     def _spread(self, channel: str) -> Spread:
@@ -281,12 +363,24 @@ class Search:
 
     # -- one candidate -----------------------------------------------------------------------
 
-    def refit(self, at: Weighted, effect: Effect, step: float) -> Candidate | None:
-        """Fit the model with `effect` in it, from one or several starts of its parameter."""
+    def refit(
+        self,
+        at: Weighted,
+        effect: Effect,
+        step: float,
+        *,
+        starts: Mapping[str, float] | None = None,
+    ) -> Candidate | None:
+        """Fit the model with `effect` in it, from one or several starts of its first parameter.
+
+        `starts` of its further parameters, by the effect's own names.
+        """
         best: Candidate | None = None
+        if self._runs_away(at, effect):
+            return None
         for start, upper in self._starts(at, effect, step):
             model, names = effect.extended(
-                at.model, starts={effect.parameters[0].name: start}, upper=upper
+                at.model, starts={**(starts or {}), effect.parameters[0].name: start}, upper=upper
             )
             moved = _parameter_of(effect)
             if moved is not None:
@@ -298,9 +392,10 @@ class Search:
                 criterion = self._criterion(model, at.noise, values, at.criterion)
                 fit = minimize_simulation_error(
                     criterion,
-                    solver=self.solver or Solver(max_iterations=40),
+                    solver=self.solver or NEAR,
                     check_rank=False,
                     throw=False,
+                    retry=False,
                 )
             except SolveError:
                 continue  # this start diverges; the others decide
@@ -309,13 +404,29 @@ class Search:
                 best = found
         return best
 
+    def _runs_away(self, at: Weighted, effect: Effect) -> bool:
+        """True if a user's effect makes the simulation run away; `left_out` then says it."""
+        if effect.kind in KINDS:
+            return False
+        if effect.key not in self.left_out:
+            size, first = destabilises(at.fit, effect), effect.parameters[0]
+            self.left_out[effect.key] = (
+                f"{effect.kind} in {effect.where} was left out: its simulation runs away already "
+                f"at {first.name} = {size:.2g} {first.unit}: turn its sign round, bound it, or "
+                "state it so that it stays small"
+                if size is not None
+                else ""
+            )
+        return bool(self.left_out[effect.key])
+
     def _starts(
         self, at: Weighted, effect: Effect, step: float
     ) -> list[tuple[float, float | None]]:
         Ts = at.criterion.data[0].Ts
-        if effect.kind == "time_delay" and effect.limit is not None:
-            # A large delay is far from its linearised size, and the fit has local minima.
-            grid = {min(max(k * abs(step), 0.2 * Ts), effect.limit) for k in (0.5, 1.0, 2.0, 4.0)}
+        if effect.limit is not None:
+            # A large delay or lag is far from its linearised size, and the fit has local minima.
+            factors = (0.5, 1.0, 2.0, 4.0) if at.is_hidden or abs(step) > Ts else (1.0,)
+            grid = {min(max(k * abs(step), 0.2 * Ts), effect.limit) for k in factors}
             return [(g, min(2.0 * g + 4 * Ts, effect.limit)) for g in sorted(grid)]
         if effect.test == "clip" and effect.variant is not None:
             return [(effect.variant, None)]
@@ -329,7 +440,8 @@ class Search:
         if effect.span is not None and value != 0.0:
             low, high = _slopes_to_zero(effect.span, value)
             step = float(np.clip(step, 0.4 * low, 0.4 * high))
-        return [(step, None)] if effect.sided == "both" else [(max(step, 0.0), None)]
+        null = effect.parameters[0].start
+        return [(null + (step if effect.sided == "both" else max(step, 0.0)), None)]
 
     def _judge(
         self, at: Weighted, effect: Effect, names: tuple[str, ...], model: Model, fit: Fit
@@ -353,7 +465,7 @@ class Search:
             fit=fit,
             gain=2 * (before - after),
             cost=effect.cost * float(np.log(criterion.n_samples)),
-            wald=self.wald(fit, names[0]),
+            wald=self.wald(fit, names[0], effect.parameters[0].start),
         )
 
     def _base_value(self, at: Weighted) -> float:
@@ -364,14 +476,14 @@ class Search:
 
     _cache: dict[str, float] = field(default_factory=dict)
 
-    def wald(self, fit: Fit, name: str) -> float:
-        """Estimate over its robust standard error."""
+    def wald(self, fit: Fit, name: str, null: float = 0.0) -> float:
+        """Distance of an estimate from its null value in robust standard errors."""
         criterion = fit.criterion
         i = criterion.names.index(name)
         free = np.ones(len(fit.x), dtype=bool)
         covariance, _ = sandwich(fit.solution.hessian, criterion.scores(fit.x), free)
         sd = float(np.sqrt(max(covariance[i, i], 0.0)))
-        return float(fit.x[i] / sd) if sd > 0 else 0.0
+        return float((fit.x[i] - null) / sd) if sd > 0 else 0.0
 
     def std_error(self, at: Weighted, name: str) -> float:
         """Robust standard error of one variable."""
@@ -426,7 +538,7 @@ class Search:
         out = []
         settings = FitSettings(starts=1, substeps=fit.criterion.substeps, solver=self.solver)
         for a in adopted:
-            null = {n: _null_value(a.candidate, n) for n in a.candidate.names}
+            null = null_values(a.candidate)
             model = fit.criterion.model.with_known(**null)
             values = {k: v for k, v in fit.values.items() if k not in null}
             try:
@@ -489,9 +601,15 @@ class Search:
     def table(self, at: Weighted, adopted: Sequence[Candidate]) -> ScoreTable:
         """Score every effect not adopted yet."""
         taken = {c.effect.key for c in adopted}
-        effects = [
-            e for e in catalogue(at.model, self.sizes(at), self.recorded) if e.key not in taken
-        ]
+        sizes = self.sizes(at)
+        every = catalogue(
+            at.model,
+            sizes,
+            self.recorded,
+            extra=user_effects(at.model, self.effects),
+            without=self.without,
+        )
+        effects = [e for e in every if e.key not in taken]
         own = {n for c in adopted for n in c.names}
         self._events = [c.effect.variant for c in adopted if c.effect.kind == "parameter_jump"]
         effects = [
@@ -501,7 +619,12 @@ class Search:
         ]
         # A slope of a cause's own size would be a second effect in the place of a first one.
         effects = [e for e in effects if e.span is None or _parameter_of(e) not in own]
-        return score_test(at.unbiased or at.fit, effects, input_sd=at.input_sd, seed=self.seed)
+        judged = at.unbiased or at.fit
+        table = score_test(judged, effects, input_sd=at.input_sd, seed=self.seed)
+        if "periodic_disturbance" in self.without:
+            return table
+        found = periodic_candidates(judged, sizes.window)
+        return table.with_peaks([_peak_score(c) for c in found])
 
     def _is_known_event(self, at: Weighted, effect: Effect) -> bool:
         """True if a jump is already adopted at about the same instant: one event, named once."""
@@ -512,9 +635,16 @@ class Search:
             for t in self._events
         )
 
-    def shortlist(self, table: ScoreTable) -> list[Score]:
-        """The best six kinds by robust p and the best six by unrobust score, one variant each."""
-        visible = [s for s in table.scores if s.visible > INVISIBLE and s.unrobust > 0.0]
+    def shortlist(self, at: Weighted, table: ScoreTable) -> list[Score]:
+        """The best six kinds by robust p and the best six by unrobust score, one variant each.
+
+        Neighbours without a name come beside them, four of each order: they crowd out nobody.
+        """
+        visible = [s for s in table.tested if s.unrobust > 0.0]
+        if not at.is_hidden:
+            # Under the right noise the score predicts what a refit of a small effect gains.
+            least = WORTH * max((s.unrobust for s in visible), default=0.0) - PREDICTED
+            visible = [s for s in visible if s.unrobust > least]
         strongest: dict[tuple[str, str], Score] = {}
         for s in sorted(visible, key=lambda s: -s.unrobust):
             strongest.setdefault(s.effect.key, s)  # the variant that stands for its kind
@@ -523,28 +653,25 @@ class Search:
             sorted(visible, key=lambda s: (s.p_value, -s.unrobust)),
             sorted(visible, key=lambda s: -s.unrobust),
         ):
-            for key in list(dict.fromkeys(s.effect.key for s in order))[:6]:
+            keys = list(dict.fromkeys(s.effect.key for s in order))
+            named = [key for key in keys if key[0] != "unknown"]
+            for key in (*named[:6], *[key for key in keys if key[0] == "unknown"][:4]):
                 chosen.setdefault(key, strongest[key])
         return list(chosen.values())
 
-    def is_suspicious(self, at: Weighted, table: ScoreTable) -> bool:
-        """True if refits are worth it: an alarm, a large plain score, or much unexplained."""
-        if at.is_hidden:
-            return True
+    def has_alarm(self, at: Weighted, table: ScoreTable) -> bool:
+        """True if something is wrong: much is unexplained, or a test is significant."""
         best = table.smallest
-        robust = best is not None and best.adjusted < self.alpha
-        plain = max((s.unrobust for s in table.scores), default=0.0)
-        bonferroni = float(norm.isf(self.alpha / 2 / max(len(table.scores), 1))) ** 2
-        return bool(robust or plain > 1.5 * bonferroni)
+        return at.is_hidden or (best is not None and best.adjusted < self.alpha)
 
     def round(self, at: Weighted, table: ScoreTable) -> list[Candidate]:
         """Refit the shortlist; best first."""
         found: list[Candidate] = []
-        short = self.shortlist(table)
+        short = self.shortlist(at, table)
         for i, s in enumerate(short):
-            self.progress(f"refit {i + 1}/{len(short)}: {s.effect.kind} in {s.effect.where}")
-            candidate = self.refit(at, s.effect, s.step)
-            if candidate is not None:
+            self.progress(f"refit {i + 1}/{len(short)}: {s.effect.kind} in {s.effect.key[1]}")
+            candidate = self.refit(at, s.effect, s.step, starts=s.starts)
+            if candidate is not None and _is_plausible(candidate):
                 found.append(replace(candidate, score=s))
         if not found:
             return found
@@ -570,12 +697,11 @@ class Search:
             k = c.effect.cost
             gain = n * float(np.log(before / after))
             out.append(replace(c, gain=gain, cost=k * float(np.log(n)) + k))
-        # In a decay, time and amplitude go together and a jump imitates whatever depends on
-        # amplitude: it must explain clearly more than the best that does (a heuristic).
-        lasting = max((c.gain for c in out if c.effect.kind != "parameter_jump"), default=0.0)
-        out.sort(
-            key=lambda c: -(c.merit - (0.4 * lasting if c.effect.kind == "parameter_jump" else 0))
-        )
+        # In a decay, time and amplitude go together, and what happens in time, or rings on its own,
+        # imitates whatever depends on amplitude: it must explain clearly more than the best that
+        # does (a heuristic).
+        lasting = max((c.gain for c in out if c.effect.kind not in IMITATORS), default=0.0)
+        out.sort(key=lambda c: -(c.merit - (0.4 * lasting if c.effect.kind in IMITATORS else 0.0)))
         return out
 
     def rejudge(
@@ -589,18 +715,20 @@ class Search:
         noise = estimate_noise(best.fit.criterion, best.fit.x, known=self.known_noise)
         criterion = self._criterion(at.model, noise, at.fit.values, at.criterion)
         base_fit = minimize_simulation_error(
-            criterion, solver=self.solver, check_rank=False, throw=False
+            criterion, solver=self.solver or NEAR, check_rank=False, throw=False
         )
         again = replace(
             at, fit=base_fit, noise=noise, full=noise, input_sd=self._input_sd(noise, criterion)
         )
         out = []
         for c in found[:count]:
+            if c is not best and c.gain <= WORTH * best.gain:
+                continue
             criterion = self._criterion(c.model, noise, c.fit.values, at.criterion)
             for mine, other in zip(criterion.data, c.fit.criterion.data, strict=True):
                 mine.used[:] = other.used
             fit = minimize_simulation_error(
-                criterion, solver=self.solver, check_rank=False, throw=False
+                criterion, solver=self.solver or NEAR, check_rank=False, throw=False
             )
             judged = self._judge(again, c.effect, c.names, c.model, fit)
             out.append(replace(judged, score=c.score))
@@ -610,21 +738,32 @@ class Search:
         return out
 
     def p_value(self, table: ScoreTable, candidate: Candidate) -> float:
-        """Family-wise p: of the score, or of the refitted parameter where misfit hid the score."""
-        score = min(
-            (s.adjusted for s in table.scores if s.effect.key == candidate.effect.key), default=1.0
-        )
-        tested = sum(s.visible > INVISIBLE for s in table.scores)
-        if candidate.effect.test == "clip":
-            # A clipping has no null value to be far from: its gain is judged.
-            z = np.sqrt(max(candidate.gain, 0.0) / 3)
-        else:
-            z = abs(candidate.wald)
-        refit = min(1.0, 2 * tested * float(norm.sf(z)))
-        return float(max(min(score, refit), 1e-300))
+        """Family-wise p: of the score, or of the refit once something is known to be wrong.
 
-    def rivals(self, best: Candidate, found: Sequence[Candidate]) -> tuple[Rival, ...]:
-        """Candidates that the record cannot reject against the best one (Vuong 1989, (5.6))."""
+        A closed test: the family's smallest p, or misfit beyond the noise, tells that something is
+        missing; its refits then tell what. A large effect is far from its linearised size, and its
+        own score may be small.
+        """
+        score = table.adjusted(candidate.effect.key)
+        count, test = len(table.tested), candidate.effect.test
+        if test == "peak":
+            lines = sum(d.N for d in candidate.fit.criterion.data) / 2
+            refit = lines * float(chi2.sf(max(candidate.gain, 0.0), 3))
+        elif test == "clip":
+            # A clipping has no null value to be far from: its gain is judged.
+            refit = 2 * count * float(norm.sf(np.sqrt(max(candidate.gain, 0.0) / 3)))
+        else:
+            refit = 2 * count * float(norm.sf(abs(candidate.wald)))
+        return float(max(min(score, refit, 1.0), 1e-300))
+
+    def rivals(
+        self, at: Weighted, best: Candidate, found: Sequence[Candidate]
+    ) -> tuple[Rival, ...]:
+        """Candidates that the record cannot reject against the best one (Vuong 1989, (5.6)).
+
+        Where the noise is known, six units of BIC are Kass and Raftery's (1995) "strong" evidence;
+        where misfit hides it, gains are no likelihoods, and Vuong's test counts as well.
+        """
         out = []
         mine = self._losses(best)
         for c in found:
@@ -635,8 +774,8 @@ class Search:
             sd = float(np.sqrt(long_run_covariance(difference[:, None], lags)[0, 0]))
             total = float(difference.sum()) + 0.5 * (c.cost - best.cost)
             p = float(norm.sf(total / sd)) if sd > 0 else 1.0
-            # Six units of BIC are Kass and Raftery's (1995) "strong" evidence.
-            if c.merit > best.merit - 6 or (p > 0.05 and c.merit > 0.5 * best.merit):
+            is_open = at.is_hidden and p > 0.05 and c.merit > 0.5 * best.merit
+            if c.merit > best.merit - STRONG or is_open:
                 out.append(Rival(c, max(p, 1e-300)))
         return tuple(sorted(out, key=lambda r: -r.p_value))
 

@@ -22,16 +22,16 @@ covariance (Romano and Wolf 2005).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 
-from casid.effects import Effect, extend_all
-from casid.errors import ModelError
-from casid.model import Model
-from casid.simulation_error import Fit, SimulationError
+from casid.effects.effect import Effect, extend_all
+from casid.errors import ModelError, SolveError
+from casid.noise import GROUP
+from casid.simulation_error import Fit, SimulationError, widened
 from casid.uncertainty import bartlett_lags, long_run_covariance
 
 Array = np.ndarray[Any, Any]
@@ -49,6 +49,7 @@ class Score:
     step: float  # first guess of the parameter
     unrobust: float  # Lagrange multiplier statistic with unit variance, chi^2(1)
     visible: float  # share of the signature outside the baseline's tangent space
+    starts: Mapping[str, float] = field(default_factory=dict)  # first guesses beside `step`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,15 +59,76 @@ class ScoreTable:
     scores: tuple[Score, ...]
     cosines: Array  # (K, K) of whitened, projected signatures
     lags: int
+    family: Family
+    peaks: tuple[Score, ...] = ()  # lines of the residual's spectrum, tested beside the scores
+
+    @property
+    def tested(self) -> tuple[Score, ...]:
+        """Every candidate that this record could show, peaks among them."""
+        return tuple(s for s in (*self.scores, *self.peaks) if s.visible > INVISIBLE)
 
     @property
     def smallest(self) -> Score | None:
         """The most significant candidate."""
-        tested = [s for s in self.scores if s.visible > INVISIBLE]
-        return min(tested, key=lambda s: (s.adjusted, s.p_value), default=None)
+        return min(self.tested, key=lambda s: (s.adjusted, s.p_value), default=None)
+
+    def adjusted(self, key: tuple[str, str]) -> float:
+        """Smallest family-wise p of an effect, over its variants."""
+        return min((s.adjusted for s in self.tested if s.effect.key == key), default=1.0)
+
+    def with_peaks(self, peaks: Sequence[Score]) -> ScoreTable:
+        """The same with lines of the spectrum, whose own p is over all frequencies.
+
+        Scores and peaks are two families that hardly know of each other: the smallest p of both
+        together is as small as p with probability 1 - (1 - F(p)) (1 - p).
+        """
+        if not peaks:
+            return self
+
+        def both(p: float, one: float, other: float) -> float:
+            return float(
+                min(
+                    1.0,
+                    max(
+                        -np.expm1(np.log1p(-min(one, 0.999999)) + np.log1p(-min(other, 0.999999))),
+                        p,
+                    ),
+                )
+            )
+
+        return replace(
+            self,
+            scores=tuple(
+                replace(s, adjusted=both(s.p_value, s.adjusted, s.p_value)) for s in self.scores
+            ),
+            peaks=tuple(
+                replace(s, adjusted=both(s.p_value, self.family(s.p_value), s.p_value))
+                for s in peaks
+            ),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Family:
+    """How small the smallest p of all candidates is where nothing is missing."""
+
+    smallest: Array  # (draws,) sorted, of Gaussian scores with the candidates' covariance
+    count: int  # candidates
+
+    def __call__(self, p: float) -> float:
+        """Family-wise p; below the resolution of the draws, Bonferroni's bound."""
+        draws = len(self.smallest)
+        bound = min(1.0, self.count * p)
+        if not draws:
+            return bound
+        drawn = (int(np.searchsorted(self.smallest, p, side="right")) + 1) / (draws + 1)
+        return min(bound, drawn) if drawn > 20 / draws else bound
 
 
 INVISIBLE = 1e-4
+
+ROWS = 1 << 13
+"""Samples that are projected at once."""
 
 
 def score_test(
@@ -87,8 +149,9 @@ def score_test(
     base = fit.criterion
     smooth = [e for e in effects if e.test == "score"]
     clipped = [e for e in effects if e.test == "clip"]
+    effects = [*smooth, *clipped]  # the order of the columns below
     model, names = extend_all(base.model, smooth)
-    wide = _widened(fit, model)
+    wide = widened(fit, model)
     x = wide.start
     position = {n: i for i, n in enumerate(wide.names)}
     tangent = [position[n] for n in base.names]
@@ -106,36 +169,47 @@ def score_test(
         if np.any(sd > 0):
             drawn.append(_antithetic(wide, x, k, tangent, candidate, clipped, sd, rng))
     ny = len(wide.outputs)
-    e, t_all, psi = (np.concatenate(p) for p in (e_parts, tangent_parts, psi_parts))
-    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", psi, psi), 1e-300))
-    unit_psi = psi / size
+    e, t_all, rest = (_joined(p) for p in (e_parts, tangent_parts, psi_parts))
+    # Signatures are as long as all records: they are scaled and projected where they are.
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), 1e-300))
+    rest /= size
+    if not np.all(np.isfinite(t_all)):
+        raise SolveError(
+            f"{base.model.name}: its sensitivities overflow; no effect can be tested. Shorten the "
+            "window, or change the parameters that make it grow"
+        )
     # Columns of T may be nearly dependent: project by an orthonormal basis.
     t_size = np.sqrt(np.maximum(np.einsum("ij,ij->j", t_all, t_all), 1e-300))
     u, s, vt = np.linalg.svd(t_all / t_size, full_matrices=False)
     keep = s > 1e-8 * s[0]
-    gamma = (vt[keep].T / s[keep]) @ (u[:, keep].T @ unit_psi)
-    rest = unit_psi - (t_all / t_size) @ gamma
+    gamma = (vt[keep].T / s[keep]) @ (u[:, keep].T @ rest)
+    _take_out(rest, t_all / t_size, gamma)
     left = np.einsum("ij,ij->j", rest, rest)
     z = rest.T @ e
     # Score of the baseline itself, zero at its minimum except for the bias just corrected.
-    per_sample = np.add.reduceat(rest * e[:, None], np.arange(0, len(e), ny), axis=0)
+    per_sample = np.einsum("kij,ki->kj", rest.reshape(-1, ny, len(size)), e.reshape(-1, ny))
     visible = left > INVISIBLE
     lags = bartlett_lags(per_sample[:, visible]) if visible.any() else 0
+    n = len(per_sample)
     covariance = long_run_covariance(per_sample, lags)
+    del per_sample
     if drawn:
-        moved, turned, changed = (np.concatenate([d[i] for d in drawn]) for i in range(3))
-        given = (changed / size - (turned / t_size) @ gamma) * moved[:, None]
+        moved, turned, given = (_joined([d[i] for d in drawn]) for i in range(3))
+        drawn.clear()
+        given /= size
+        _take_out(given, turned / t_size, gamma)
+        given = np.einsum("kij,ki->kj", given.reshape(-1, ny, len(size)), moved.reshape(-1, ny))
         z -= given.sum(axis=0)
         # One draw is as far from its mean as chance has it: that is uncertainty, too.
-        given = np.add.reduceat(given, np.arange(0, len(e), ny), axis=0)
-        covariance = covariance + long_run_covariance(given - given.mean(axis=0), lags)
+        covariance = covariance + long_run_covariance(given, lags)
     sd_z = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     ratio = np.where(visible, z / sd_z, 0.0)
-    freedom = max(1.5 * len(per_sample) / (lags + 1), 4.0)
+    freedom = max(1.5 * n / (lags + 1), 4.0)
     one = np.array([eff.sided == "positive" or eff.test == "clip" for eff in effects])
     p = np.where(one, student.sf(ratio, freedom), 2 * student.sf(np.abs(ratio), freedom))
     p = np.where(visible, np.clip(p, 1e-300, 1.0), 1.0)
-    adjusted = _family_wise(p, covariance, visible, one, freedom, draws, seed)
+    family = _family_of(covariance, visible, one, freedom, draws, seed)
+    adjusted = np.where(visible, [family(float(each)) for each in p], 1.0)
     norms = np.sqrt(np.maximum(left, 1e-300))
     cosines = (rest.T @ rest) / np.outer(norms, norms)
     scores = tuple(
@@ -153,7 +227,7 @@ def score_test(
         )
         for j, eff in enumerate([*smooth, *clipped])
     )
-    return ScoreTable(scores, cosines, lags)
+    return ScoreTable(scores, cosines, lags, family)
 
 
 LONGEST = 25.0
@@ -202,40 +276,24 @@ def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
     """
     base = fit.criterion
     model, names = extend_all(base.model, effects)
-    wide = _widened(fit, model)
+    wide = widened(fit, model)
     position = {n: i for i, n in enumerate(wide.names)}
     tangent = [position[n] for n in base.names]
     candidate = [position[n] for n in names]
     parts = [
         _columns(wide, wide.start, k, tangent, candidate, [], None) for k in range(len(wide.data))
     ]
-    e, t_all, psi = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    e, t_all, psi = (_joined([part[i] for part in parts]) for i in range(3))
+    parts.clear()
     mine = base.names.index(own)
     e = e + t_all[:, mine] * fit.x[mine]
     rest = np.delete(t_all, mine, axis=1)
     rest = rest / np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), 1e-300))
     q, _ = np.linalg.qr(rest)
     e = e - q @ (q.T @ e)
-    psi = psi - q @ (q.T @ psi)
+    _take_out(psi, q, q.T @ psi)
     size = np.maximum(np.einsum("ij,ij->j", psi, psi), 1e-300)
     return np.asarray(e @ e - (psi.T @ e) ** 2 / size)
-
-
-def _widened(fit: Fit, model: Model) -> SimulationError:
-    """The criterion of a fit for a model with more parameters, all of them at their start."""
-    base = fit.criterion
-    wide = SimulationError(
-        model,
-        base.experiments,
-        own=base.own,
-        weights=base.weights,
-        whiten=base.whiten,
-        substeps=base.substeps,
-        start=fit.values,
-    )
-    for d, own in zip(wide.data, base.data, strict=True):
-        d.used[:] &= own.used
-    return wide
 
 
 def _antithetic(
@@ -256,7 +314,10 @@ def _antithetic(
     noisy = np.flatnonzero(sd > 0)
     w[:, noisy] = sd[noisy] * rng.standard_normal((len(w), len(noisy)))
     up, down = (_columns(wide, x, k, tangent, candidate, clipped, sign * w) for sign in (1.0, -1.0))
-    return 0.5 * (up[0] - down[0]), 0.5 * (up[1] - down[1]), 0.5 * (up[2] - down[2])
+    for above, below in zip(up, down, strict=True):
+        above -= below
+        above *= 0.5
+    return up
 
 
 def _columns(
@@ -280,30 +341,45 @@ def _columns(
         i = wide.outputs.index(effect.where)
         y = at.y[:, i]
         extra[:, i, j] = (np.clip(y, -effect.variant, effect.variant) - y) * d.used[:, i]
-    stack = np.concatenate([at.residual[:, :, None], at.jacobian, extra], axis=2)
-    stack *= wide.weights[None, :, None]
-    if wide.whiten is not None:
-        stack = wide.whiten(stack, k)
-    n = at.jacobian.shape[2]
-    flat = stack.reshape(-1, stack.shape[2])
-    columns = [1 + i for i in candidate] + [1 + n + j for j in range(len(clipped))]
-    return flat[:, 0], flat[:, [1 + i for i in tangent]], flat[:, columns]
+    ny, n = len(wide.outputs), len(candidate)
+    psi = np.empty((len(at.y), ny, n + len(clipped)))
+    for first in range(0, n, GROUP):
+        group = slice(first, min(first + GROUP, n))
+        psi[:, :, group] = _white(wide, at.jacobian[:, :, list(candidate[group])], k)
+    psi[:, :, n:] = _white(wide, extra, k)
+    both = _white(
+        wide, np.concatenate([at.residual[:, :, None], at.jacobian[:, :, list(tangent)]], axis=2), k
+    ).reshape(-1, 1 + len(tangent))
+    return both[:, 0].copy(), both[:, 1:].copy(), psi.reshape(len(both), psi.shape[2])
 
 
-def _family_wise(
-    p: Array,
-    covariance: Array,
-    visible: Array,
-    one_sided: Array,
-    freedom: float,
-    draws: int,
-    seed: int,
-) -> Array:
-    """Adjusted p-values by min-p draws; below their resolution, Bonferroni's bound."""
+def _white(wide: SimulationError, columns: Array, k: int) -> Array:
+    """Columns (N, ny, m) weighted and whitened; `columns` are used up."""
+    columns *= wide.weights[None, :, None]
+    return columns if wide.whiten is None else wide.whiten(columns, k)
+
+
+def _joined(parts: list[Array]) -> Array:
+    """Records one after another, the one itself where it is alone; empties the list."""
+    out = parts[0] if len(parts) == 1 else np.concatenate(parts)
+    parts.clear()
+    return out
+
+
+def _take_out(columns: Array, of: Array, gamma: Array) -> None:
+    """columns -= of @ gamma, in place, some rows at a time."""
+    for first in range(0, len(columns), ROWS):
+        rows = slice(first, first + ROWS)
+        columns[rows] -= of[rows] @ gamma
+
+
+def _family_of(
+    covariance: Array, visible: Array, one_sided: Array, freedom: float, draws: int, seed: int
+) -> Family:
+    """The smallest p among the visible candidates in Gaussian draws (Romano and Wolf 2005)."""
     index = np.flatnonzero(visible)
-    out = np.ones(len(p))
     if not index.size:
-        return out
+        return Family(np.zeros(0), 0)
     sd = np.sqrt(np.maximum(np.diag(covariance)[index], 1e-300))
     correlation = covariance[np.ix_(index, index)] / np.outer(sd, sd)
     values, vectors = np.linalg.eigh(correlation)
@@ -312,11 +388,11 @@ def _family_wise(
     normal = rng.standard_normal((draws, len(index))) @ root.T
     chi = np.sqrt(rng.chisquare(freedom, draws) / freedom)
     sample = normal / chi[:, None]
+    # The smallest p is that of the largest deviation of either kind: two tails are enough.
     one = one_sided[index]
-    worst = np.where(one, sample, np.abs(sample))
-    tail = np.where(one, student.sf(worst, freedom), 2 * student.sf(worst, freedom))
-    smallest = np.sort(tail.min(axis=1))
-    for i in index:
-        drawn = (np.searchsorted(smallest, p[i], side="right") + 1) / (draws + 1)
-        out[i] = min(1.0, len(index) * p[i], drawn if drawn > 20 / draws else 1.0)
-    return out
+    largest = np.where(one, sample, np.abs(sample))
+    tails = []
+    for part, sides in ((largest[:, one], 1), (largest[:, ~one], 2)):
+        if part.shape[1]:
+            tails.append(sides * student.sf(part.max(axis=1), freedom))
+    return Family(np.sort(np.min(tails, axis=0)), len(index))

@@ -6,11 +6,19 @@ import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from casid.diagnosis.remaining import Moved, Remaining
 from casid.estimate import Estimate, Estimated, RecordView
+
+if TYPE_CHECKING:
+    from casid.diagnosis.advice.invisible import Invisible
+    from casid.diagnosis.advice.isolability import Isolability
+    from casid.diagnosis.advice.next_experiment import Proposal
+    from casid.diagnosis.calibration.calibration import Calibration
+    from casid.diagnosis.unknown.unexplained import Unexplained
 
 Array = np.ndarray[Any, Any]
 Verdict = Literal["adequate", "deficient", "undecided"]
@@ -24,10 +32,23 @@ class Alternative:
     where: str
     p_value: float
     why: str
+    description: str = ""  # what it is like where the catalogue has no name: kind "unknown"
+
+    @property
+    def name(self) -> str:
+        """Kind and place; what has no name, with its description."""
+        like = f" ({self.description})" if self.kind == "unknown" and self.description else ""
+        return f"{self.kind} in {self.where}{like}"
 
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` has it."""
-        return {"kind": self.kind, "where": self.where, "p_value": self.p_value, "why": self.why}
+        return {
+            "kind": self.kind,
+            "where": self.where,
+            "p_value": self.p_value,
+            "why": self.why,
+            "description": self.description,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +62,9 @@ class Cause:
     alternatives: tuple[Alternative, ...] = ()
     share: float = 0.0  # of the misfit removed, 0..1
     sentence: str = ""
+    description: str = ""  # what is known of it where the catalogue has no name: kind "unknown"
+    by_record: Mapping[str, Mapping[str, Estimated]] = field(default_factory=dict, hash=False)
+    # record -> parameter -> value; empty where one value explains all records
 
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` has it."""
@@ -55,6 +79,14 @@ class Cause:
             "alternatives": [a.to_json() for a in self.alternatives],
             "share": self.share,
             "sentence": self.sentence,
+            "description": self.description,
+            "by_record": {
+                record: {
+                    n: {"value": p.value, "std_error": p.std_error, "unit": p.unit}
+                    for n, p in values.items()
+                }
+                for record, values in self.by_record.items()
+            },
         }
 
 
@@ -93,6 +125,13 @@ class Diagnosis:
     settings: Mapping[str, str] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     sources: tuple[str, ...] = ()
+    moved: tuple[Moved, ...] = ()  # parameters that the missing causes had biased
+    remaining: Remaining | None = None
+    unexplained: Unexplained | None = None  # what a cause of kind "unknown" looks like
+    isolability: Isolability | None = None
+    invisible: tuple[Invisible, ...] = ()
+    proposals: tuple[Proposal, ...] = ()  # next experiments, the best first
+    calibration: Calibration | None = None  # false alarms counted on simulated records
 
     def to_json(self) -> dict[str, Any]:
         """The content of `diagnosis.json` (schema casid.diagnosis/1)."""
@@ -125,6 +164,13 @@ class Diagnosis:
             "provenance": list(self.provenance),
             "settings": dict(self.settings),
             "versions": dict(self.versions),
+            "moved": [m.to_json() for m in self.moved],
+            "remaining": _plain(self.remaining),
+            "unexplained": _plain(self.unexplained),
+            "isolability": _plain(self.isolability),
+            "invisible": [i.to_json() for i in self.invisible],
+            "proposals": [p.to_json() for p in self.proposals],
+            "calibration": _plain(self.calibration),
         }
 
     def __repr__(self) -> str:
@@ -132,46 +178,37 @@ class Diagnosis:
         return f"<Diagnosis {self.problem}: {self.verdict}, {named}>"
 
     def __str__(self) -> str:
-        lines = [f"Diagnosis of {self.problem}: {self.verdict}", f"  {self.sentence}"]
-        for i, c in enumerate(self.causes, 1):
-            values = ", ".join(
-                f"{p.name} = {p.value:.4g}"
-                + (f" +- {p.std_error:.2g}" if p.std_error is not None else "")
-                + f" {p.unit}"
-                for p in c.parameters
-            )
-            lines.append(f"  {i}. {c.kind} in {c.where} (p = {c.p_value:.1e}): {values}")
-            for a in c.alternatives:
-                lines.append(f"     or {a.kind} in {a.where} (p = {a.p_value:.2g}): {a.why}")
-        lines.append(
-            f"  {'rms error':<22}{'output':<14}{'before':>12}{'after':>12}{'noise floor':>13}"
-        )
-        for label, part in (("fitted", self.fitted), ("held out", self.held_out)):
-            for output, before in part.get("baseline_rmse", {}).items():
-                after = part.get("extended_rmse", {}).get(output)
-                floor = part.get("noise_floor", {}).get(output)
-                lines.append(
-                    f"  {label:<22}{output:<14}{before:>12.4g}"
-                    f"{'' if after is None else format(after, '.4g'):>12}"
-                    f"{'' if floor is None else format(floor, '.4g'):>13}"
-                )
-        lines += [f"  noise         {k}: {v}" for k, v in self.noise.items()]
-        lines += [f"  note          {n}" for n in self.notes]
-        lines.append(f"  advice        {self.advice}")
-        return "\n".join(lines)
+        from casid.diagnosis.report.text import diagnosis_text
+
+        return diagnosis_text(self)
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(str(self))}</pre>"
 
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """The fits by label: baseline alone, or before and after."""
+        if self.extended is None:
+            return {"baseline": self.baseline}
+        return {"before": self.baseline, "after": self.extended}
+
+    @property
+    def output_units(self) -> dict[str, str]:
+        """Unit of every output that a record or the baseline names."""
+        units = {str(k): str(v) for k, v in self.baseline.units.items()}
+        for v in self.records:
+            units |= dict(zip(v.outputs, v.output_units, strict=True))
+        return units
+
     def plot(self) -> Any:
         """Measured against simulated, before and after, as a Plotly figure."""
-        from casid.plotting import simulation_figure
+        from casid.figures.simulated import simulation_figure
 
-        return simulation_figure(self)
+        return simulation_figure(self.records)
 
     def figures(self) -> Mapping[str, Any]:
         """Every figure of the report by name."""
-        from casid.plotting import diagnosis_figures
+        from casid.diagnosis.report.figures import diagnosis_figures
 
         return diagnosis_figures(self)
 
@@ -181,9 +218,13 @@ class Diagnosis:
 
     def write(self, folder: Path) -> Path:
         """Write `diagnosis.json` and `report.html` into `folder`; returns the report's path."""
-        from casid.report import diagnosis_page
+        from casid.diagnosis.report.page import diagnosis_page
         from casid.writing import write_json, write_text
 
         page = diagnosis_page(self)  # before anything is written: both files or none
         write_json(folder / "diagnosis.json", self.to_json())
         return write_text(folder / "report.html", page)
+
+
+def _plain(part: Any) -> Any:
+    return None if part is None else part.to_json()

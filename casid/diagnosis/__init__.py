@@ -1,0 +1,1 @@
+"""What the simulation of a model gets wrong, why, and what naming the cause gains."""

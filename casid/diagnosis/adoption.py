@@ -1,0 +1,127 @@
+"""Which causes are adopted: significant, and borne out by what was held out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from casid.diagnosis.open_set import is_more_than_noise
+from casid.diagnosis.search import Adopted, Candidate, Search, Weighted, null_values
+from casid.errors import SolveError
+from casid.holdout import Split, held_out_error, why_no_better, why_worse
+from casid.identification import FitSettings, fit_model
+from casid.simulation_error import Fit
+
+ON_THE_CLOCK = ("parameter_jump", "parameter_drift", "periodic_disturbance")
+"""Kinds that mean nothing in a record, or the end of one, whose clock starts anew."""
+
+
+LIKELY = 4.0
+"""Units of BIC by which a kind that is met less often must be better than one met more often."""
+
+
+def adopt_causes(
+    search: Search, at: Weighted, base_fit: Fit, split: Split, settings: FitSettings
+) -> tuple[list[Adopted], Weighted, Fit | None]:
+    """Adopt effects until nothing significant is left that improves what was held out.
+
+    Returns what was adopted, the last model under its noise, and its simulation-error fit.
+    """
+    adopted: list[Adopted] = []
+    extended: Fit | None = None
+    once = replace(settings, starts=1)
+    before = held_out_error(base_fit, split)
+    while len(adopted) < search.max_causes:
+        search.progress(f"test every effect (round {len(adopted) + 1})")
+        table = search.table(at, [a.candidate for a in adopted])
+        if search.first_table is None:
+            search.first_table = table
+        # A score is robust by what repeats: misfit in one short burst, which no score can see,
+        # shows in the residual's kind.
+        is_scored = search.has_alarm(at, table)
+        if not is_scored and not is_more_than_noise(at, search):
+            break
+        found = search.round(at, table)
+        if not found:
+            break
+        if not adopted:
+            search.first_candidates = found
+        taken: Adopted | None = None
+        for best in _named_first(search, at, found):
+            p = search.p_value(table, best)
+            # The first alarm has the rate that the user set, and is named unless the held-out data
+            # speak against it; a further cause has to earn its place there.
+            is_alarm = is_scored and not (adopted or at.is_hidden)
+            if p >= search.alpha or (best.merit <= 0 and not is_alarm):
+                continue
+            try:
+                fit = fit_model(
+                    best.model,
+                    split.fitted,
+                    once,
+                    start=best.fit.values,
+                    check_rank=False,
+                    throw=False,
+                )
+                new_error = held_out_error(fit, split)
+            except SolveError as error:
+                search.refused.append((best, f"its simulation diverges ({error})"))
+                continue
+            refuse = why_worse if is_alarm else why_no_better
+            why = refuse(before, new_error)
+            if why and best.effect.kind not in ON_THE_CLOCK:
+                # The errors that an integrator has gathered say little: judge the end anew as well.
+                again = [held_out_error(f, split, anew=True) for f in (extended or base_fit, fit)]
+                why = why and refuse(*again)
+            if why:
+                search.refused.append((best, why))
+                continue
+            taken = Adopted(best, p, search.rivals(at, best, found), at)
+            before, extended = new_error, fit
+            at = search.weigh(best.model, fit, rounds=1)
+            break
+        if taken is None:
+            break
+        adopted.append(taken)
+    if extended is not None and len(adopted) > 1:
+        extended = _eliminated(search, adopted, extended, split, once)
+        at = search.weigh(extended.criterion.model, extended, rounds=1)
+    return adopted, at, extended
+
+
+def _eliminated(
+    search: Search, adopted: list[Adopted], fit: Fit, split: Split, settings: FitSettings
+) -> Fit:
+    """Take back, last first, what later causes have made insignificant; refit what is left."""
+    for a in reversed(list(adopted)):
+        c = a.candidate
+        null = null_values(c)
+        first = c.names[0]
+        if len(adopted) == 1 or c.effect.test != "score":
+            continue
+        if abs(search.wald(fit, first, null[first])) > 2.0:
+            continue
+        search.refused.append((c, "the other causes together leave nothing for it to explain"))
+        adopted.remove(a)
+        model = fit.criterion.model.with_known(**null)
+        values = {k: v for k, v in fit.values.items() if k not in c.names}
+        fit = fit_model(model, split.fitted, settings, start=values, check_rank=False, throw=False)
+    return fit
+
+
+def _named_first(search: Search, at: Weighted, found: list[Candidate]) -> list[Candidate]:
+    """By merit; of those that are the same thing in this model, the one named by convention.
+
+    A neighbour without a name goes behind the best named one that the record cannot reject against
+    it: famous effects are famous for being met.
+    """
+    order = list(found)
+    for i in range(1, len(order)):
+        for j in range(i, 0, -1):
+            near = order[j - 1].merit - order[j].merit < LIKELY
+            if near and order[j].effect.priority < order[j - 1].effect.priority:
+                order[j - 1], order[j] = order[j], order[j - 1]
+    if order and order[0].effect.kind == "unknown" and order[0].effect.priority > 0:
+        open_ = {id(r.candidate) for r in search.rivals(at, order[0], order)}
+        named = [c for c in order if c.effect.kind != "unknown" and id(c) in open_]
+        order = [*named[:1], *[c for c in order if c not in named[:1]]]
+    return order

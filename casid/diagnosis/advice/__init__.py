@@ -1,0 +1,1 @@
+"""What a record cannot tell apart or show, and the experiment that would."""

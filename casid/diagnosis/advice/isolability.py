@@ -1,0 +1,299 @@
+"""Which causes a record can tell apart, and how visible one of them would have to be.
+
+Write e = sqrt(lambda) a + n for the whitened residual of the baseline when the cause A is at work:
+a is A's signature, the whitened sensitivity less its part in the baseline's tangent space, of unit
+length; n is white noise of unit variance; and lambda, the energy of the misfit that no baseline
+parameter can take up, is the cause's size squared times what one unit of its parameter gives. With
+b the signature of another cause B and c = a'b, refitting one or the other lowers the criterion by
+
+    G_A = (a'e)^2,   G_B = (b'e)^2,   D = G_A - G_B                                            (1)
+
+and D is, for these alternatives of one parameter each, twice the log likelihood ratio of two models
+that are not nested (Vuong 1989). Its sum and difference factors s = (a + b)'e / sqrt(2 (1 + c)) and
+t = (a - b)'e / sqrt(2 (1 - c)) are independent normals of unit variance, so that
+
+    D = 2 sqrt(1 - c^2) s t,   E D = (1 - c^2) lambda,   var D = 4 (1 - c^2) (lambda + 1)      (2)
+
+A is told from B when D exceeds the margin m within which causes count as tied. With x^2 =
+(1 - c^2) lambda and the 1 in the variance left out, that has the probability Phi(z) if
+
+    x^2 - 2 z x - m = 0,   so   lambda = (z + sqrt(z^2 + m))^2 / (1 - c^2)                     (3)
+
+For m = 6 units of BIC and a probability of 0.95 the numerator is 21.1; it is 4 z^2 = 10.8 where A
+need only come first (m = 0).
+
+Sources: Q. H. Vuong, Econometrica 57 (1989) 307-333, for (1); R. E. Kass and A. E. Raftery, J. Am.
+Stat. Assoc. 90 (1995) 773-795, for the margin.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import log, sqrt
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import norm
+
+from casid.diagnosis.evidence.scores import INVISIBLE, ScoreTable
+from casid.effects.effect import Effect
+from casid.errors import DataError
+
+Array = np.ndarray[Any, Any]
+Key = tuple[str, str]
+
+MARGIN = 6.0
+"""Units of BIC within which causes count as tied: the search's own (Kass and Raftery: strong)."""
+
+POWER = 0.95
+"""Probability with which the right cause is to win by the margin."""
+
+SAME = 0.995
+"""|cosine| from which two effects are one and the same in this record: a hundredfold energy."""
+
+
+def separation_constant(*, margin: float = MARGIN, power: float = POWER) -> float:
+    """Numerator of (3): energy that tells two causes apart whose signatures are at right angles.
+
+    Raises
+    ------
+    DataError
+        If the margin is negative or the power does not lie between 0.5 and 1.
+    """
+    if margin < 0 or not 0.5 <= power < 1:
+        raise DataError(
+            f"margin={margin:g}, power={power:g}: give a margin of 0 or more BIC units and a "
+            "power of at least 0.5 and below 1"
+        )
+    z = float(norm.isf(1 - power))
+    return (z + sqrt(z * z + margin)) ** 2
+
+
+def separation_energy(cosine: float, *, margin: float = MARGIN, power: float = POWER) -> float:
+    """Energy (3) of the misfit at which the record tells the right one of two causes; may be inf.
+
+    Parameters
+    ----------
+    cosine : of the causes' whitened, projected signatures.
+    """
+    apart = 1.0 - min(cosine * cosine, 1.0)
+    constant = separation_constant(margin=margin, power=power)
+    return constant / apart if apart > 1e-10 else float("inf")
+
+
+def win_probability(energy: float, cosine: float, *, margin: float = MARGIN) -> float:
+    """Probability that D of (2) exceeds the margin, without the approximations of (3).
+
+    The product of two independent normals is integrated over one of them.
+    """
+    scale = 2 * sqrt(max(1 - cosine * cosine, 1e-300))
+    s_mean, t_mean = sqrt(energy * (1 + cosine) / 2), sqrt(energy * (1 - cosine) / 2)
+    # Of the two factors, integrate over the one further from zero.
+    far, near = max(s_mean, t_mean), min(s_mean, t_mean)
+    s = far + np.linspace(-9, 9, 4001)
+    s = s[np.abs(s) > 1e-9]
+    limit = margin / scale / s
+    tail = np.where(s > 0, norm.sf(limit - near), norm.cdf(limit - near))
+    weight = norm.pdf(s - far)
+    return float(np.sum(tail * weight) / np.sum(weight))
+
+
+def exact_separation_energy(
+    cosine: float, *, margin: float = MARGIN, power: float = POWER
+) -> float:
+    """As `separation_energy`, from `win_probability`; how good (3) is, the tests say."""
+    about = separation_energy(cosine, margin=margin, power=power)
+    if not np.isfinite(about):
+        return about
+
+    def excess(logarithm: float) -> float:
+        return win_probability(float(np.exp(logarithm)), cosine, margin=margin) - power
+
+    return float(np.exp(brentq(excess, log(0.05 * about), log(20 * about), xtol=1e-4)))
+
+
+def likeness(first: Effect, second: Effect, cosine: float) -> float:
+    """The cosine with which one cause imitates the other; 0 where that takes an impossible sign."""
+    one_sided = all(e.sided == "positive" or e.test == "clip" for e in (first, second))
+    return 0.0 if one_sided and cosine < 0 else cosine
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """Two causes and what telling them apart takes."""
+
+    first: Key
+    second: Key
+    cosine: float
+    energy: float  # lambda of (3), with what the dearer of the two is charged for more parameters
+
+    @property
+    def is_same(self) -> bool:
+        """True if this record cannot tell them apart at any size worth thinking of."""
+        return abs(self.cosine) > SAME
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers; an infinite energy is None."""
+        return {
+            "first": list(self.first),
+            "second": list(self.second),
+            "cosine": self.cosine,
+            "energy": self.energy if np.isfinite(self.energy) else None,
+            "same": self.is_same,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Isolability:
+    """What a record can tell apart: the angles of all causes' signatures, and what they cost.
+
+    Attributes
+    ----------
+    keys : kind and place of the visible causes, the strongest variant of each.
+    cosines : (K, K) in that order.
+    pairs : all of them, the hardest first.
+    groups : causes that are the same in this record, |cosine| above `SAME`, two or more each.
+    unseen : causes that the baseline absorbs; `invisible` says why.
+    """
+
+    keys: tuple[Key, ...]
+    cosines: Array
+    pairs: tuple[Pair, ...]
+    groups: tuple[tuple[Key, ...], ...]
+    unseen: tuple[Key, ...] = ()
+    margin: float = MARGIN
+    power: float = POWER
+
+    def of(self, key: Key) -> tuple[Pair, ...]:
+        """The pairs that a cause stands in, its hardest rival first.
+
+        Raises
+        ------
+        DataError
+            If the cause is not among those compared.
+        """
+        if key not in self.keys:
+            known = ", ".join(f"{k} in {w}" for k, w in self.keys)
+            raise DataError(
+                f"{key!r} is not among the causes compared; ask for one of these: {known}"
+            )
+        return tuple(p for p in self.pairs if key in (p.first, p.second))
+
+    def to_json(self) -> dict[str, Any]:
+        """Part of `diagnosis.json`."""
+        return {
+            "margin": self.margin,
+            "power": self.power,
+            "effects": [list(k) for k in self.keys],
+            "cosines": np.round(self.cosines, 6).tolist(),
+            "pairs": [p.to_json() for p in self.pairs],
+            "groups": [[list(k) for k in g] for g in self.groups],
+            "unseen": [list(k) for k in self.unseen],
+        }
+
+    def table(self, most: int = 12) -> str:
+        """The closest pairs as text."""
+        lines = [
+            f"Hardest to tell apart: energy for a margin of {self.margin:g} BIC with "
+            f"probability {self.power:g}",
+            f"  {'cause':<40}{'or':<40}{'cosine':>8}{'energy':>10}",
+        ]
+        for p in self.pairs[:most]:
+            energy = "never" if not np.isfinite(p.energy) else f"{p.energy:.3g}"
+            lines.append(f"  {label(p.first):<40}{label(p.second):<40}{p.cosine:>8.3f}{energy:>10}")
+        lines += [f"  the same here: {', '.join(label(k) for k in g)}" for g in self.groups]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Isolability: {len(self.keys)} causes, {len(self.groups)} groups that are the same>"
+        )
+
+    def __str__(self) -> str:
+        return self.table()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+    def plot(self) -> Any:
+        """The angles as a heat map, a Plotly figure."""
+        from casid.diagnosis.advice.isolability_figures import isolability_figure
+
+        return isolability_figure(self)
+
+
+def label(key: Key) -> str:
+    """A cause as tables name it."""
+    return f"{key[0]} in {key[1]}"
+
+
+def strongest_variants(table: ScoreTable) -> list[int]:
+    """Places in the table, one a kind and place: the variant with the largest plain score.
+
+    Where nothing scores, the variant that one unit of shows most.
+    """
+    chosen: dict[Key, int] = {}
+    for i, s in enumerate(table.scores):
+        old = table.scores[chosen[s.effect.key]] if s.effect.key in chosen else None
+        if old is None or (s.unrobust, s.energy) > (old.unrobust, old.energy):
+            chosen[s.effect.key] = i
+    return list(chosen.values())
+
+
+def isolability(
+    table: ScoreTable,
+    *,
+    n_samples: int | None = None,
+    margin: float = MARGIN,
+    power: float = POWER,
+) -> Isolability:
+    """Compare every pair of causes of a score table.
+
+    Parameters
+    ----------
+    table : of `score_test`; of the variants of a kind in one place the strongest counts.
+    n_samples : samples that the fit counts; where given, a cause that is charged for more
+        parameters than its rival (by BIC) has to win by that much more.
+    margin, power : as in (3).
+
+    Returns
+    -------
+    Isolability
+        Causes that the baseline absorbs are set apart.
+    """
+    places = strongest_variants(table)
+    seen = [i for i in places if table.scores[i].visible > INVISIBLE]
+    unseen = tuple(table.scores[i].effect.key for i in places if i not in seen)
+    effects = [table.scores[i].effect for i in seen]
+    cosines = np.clip(np.asarray(table.cosines)[np.ix_(seen, seen)], -1.0, 1.0)
+    pairs = []
+    for i, first in enumerate(effects):
+        for j in range(i):
+            c = likeness(first, effects[j], float(cosines[i, j]))
+            extra = abs(first.cost - effects[j].cost) * log(n_samples) if n_samples else 0.0
+            energy = separation_energy(c, margin=margin + extra, power=power)
+            pairs.append(Pair(effects[j].key, first.key, c, energy))
+    pairs.sort(key=lambda p: (-abs(p.cosine), p.first, p.second))
+    return Isolability(
+        keys=tuple(e.key for e in effects),
+        cosines=cosines,
+        pairs=tuple(pairs),
+        groups=_groups([e.key for e in effects], pairs),
+        unseen=unseen,
+        margin=margin,
+        power=power,
+    )
+
+
+def _groups(keys: Sequence[Key], pairs: Sequence[Pair]) -> tuple[tuple[Key, ...], ...]:
+    """Causes joined by pairs that are the same, in the order of `keys`."""
+    home = {k: k for k in keys}
+    for p in pairs:
+        if p.is_same:
+            old, new = home[p.second], home[p.first]
+            home = {k: new if h == old else h for k, h in home.items()}
+    groups = {h: tuple(k for k in keys if home[k] == h) for h in home.values()}
+    return tuple(g for g in groups.values() if len(g) > 1)

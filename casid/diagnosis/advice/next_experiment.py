@@ -1,0 +1,348 @@
+"""What to record next, to tell tied causes apart.
+
+Each feasible experiment is predicted from the fitted model (`planned_records`); in it the tied
+causes have other signatures, whitened by the noise that is known and projected off the baseline's
+tangent as ever. Their cosine gives the energy needed to tell them (3) of `isolability`, and the
+energy that one unit of each gives, with the size estimated from the record at hand, how long the
+new record has to be. Linear in the causes' sizes, about the fitted model.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import inf, isfinite
+from typing import Any
+
+import numpy as np
+
+from casid.diagnosis.advice.fitted_motion import FittedMotion
+from casid.diagnosis.advice.isolability import (
+    MARGIN,
+    POWER,
+    Key,
+    label,
+    likeness,
+    separation_energy,
+)
+from casid.diagnosis.advice.planned_records import Planned, Planner, with_start
+from casid.diagnosis.evidence.scores import INVISIBLE, ScoreTable, score_test
+from casid.diagnosis.search import Weighted
+from casid.effects.effect import Effect
+from casid.errors import CasidError, DataError
+from casid.noise import NoiseModel, noise_response
+from casid.problem import Problem
+from casid.simulation_error import Fit, SimulationError
+
+SHORTEST = 0.05
+"""Share of the predicted record below which its length is not extrapolated."""
+
+CLEARER = 2.0
+"""Factor by which an experiment has to lower the energy needed, to be preferred for that."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspect:
+    """One of the tied causes, with the size that the record at hand gives it.
+
+    Attributes
+    ----------
+    size : of the effect's first parameter, its own unit; not used where the effect is a clipping.
+    """
+
+    effect: Effect
+    size: float
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A next experiment and what it would tell, of the pair that is hardest to tell in it.
+
+    Attributes
+    ----------
+    pair : that pair.
+    cosine : of its signatures, 0 where one would need an impossible sign to imitate the other.
+    energy_needed : of the misfit, (3) of `isolability`; inf where it does not tell them.
+    record_length : seconds of it (of all records analysed together) after which every pair is told
+        at the sizes estimated, whichever is the cause.
+    gain_factor : the energy needed in the record at hand over that needed here.
+    seconds : length of what was predicted.
+    bands : frequencies (from, to) that it excites [Hz], where it is an excitation of its own.
+    """
+
+    name: str
+    description: str
+    pair: tuple[Key, Key]
+    cosine: float
+    energy_needed: float
+    record_length: float
+    gain_factor: float
+    seconds: float
+    bands: tuple[tuple[float, float], ...] = ()
+
+    def is_clearer(self, now: Proposal) -> bool:
+        """True if it halves the energy needed, at least, and needs no longer record.
+
+        Signatures that are nearly the same are told by small differences, which a model that is
+        wrong elsewhere gets wrong first; so this goes before a short record.
+        """
+        return self.gain_factor >= CLEARER and self.record_length <= now.record_length
+
+    def to_json(self) -> dict[str, Any]:
+        """Part of `diagnosis.json`; None where nothing of that length or energy tells."""
+        return {
+            "name": self.name,
+            "description": self.description,
+            "pair": [list(k) for k in self.pair],
+            "cosine": self.cosine,
+            "energy_needed": _finite(self.energy_needed),
+            "record_length": _finite(self.record_length),
+            "gain_factor": _finite(self.gain_factor),
+            "bands": [list(b) for b in self.bands],
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Advice:
+    """Proposals beside the record at hand, the best first.
+
+    Those that are clearer go before (`Proposal.is_clearer`), by what they gain in energy times what
+    they gain in length; the others follow by length.
+
+    Attributes
+    ----------
+    now : the same experiment again.
+    sentence : the best of them in words.
+    """
+
+    tied: tuple[Key, ...]
+    now: Proposal
+    proposals: tuple[Proposal, ...]
+    sentence: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Part of `diagnosis.json`."""
+        return {
+            "tied": [list(k) for k in self.tied],
+            "now": self.now.to_json(),
+            "proposals": [p.to_json() for p in self.proposals],
+            "sentence": self.sentence,
+        }
+
+    def table(self) -> str:
+        """The proposals as text."""
+        lines = [
+            f"To tell {' / '.join(label(k) for k in self.tied)}",
+            f"  {'experiment':<26}{'cosine':>8}{'energy needed':>15}{'gain':>8}{'seconds':>10}",
+        ]
+        for p in (self.now, *self.proposals):
+            lines.append(
+                f"  {p.name:<26}{p.cosine:>8.3f}{_number(p.energy_needed):>15}"
+                f"{_number(p.gain_factor):>8}{_number(p.record_length):>10}"
+            )
+        return "\n".join([*lines, f"  {self.sentence}"])
+
+    def __repr__(self) -> str:
+        return f"<Advice: {len(self.proposals)} experiments for {len(self.tied)} tied causes>"
+
+    def __str__(self) -> str:
+        return self.table()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+
+def next_experiment(
+    problem: Problem,
+    at: Weighted,
+    suspects: Sequence[Suspect],
+    *,
+    margin: float = MARGIN,
+    power: float = POWER,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Advice:
+    """Weigh feasible next experiments by how soon they tell tied causes apart.
+
+    Parameters
+    ----------
+    problem : its load cases and recorded channels are what an experimenter may use.
+    at : the model without the suspects, fitted under its noise (`Search.weigh`).
+    suspects : two or more causes that the record cannot tell, with their sizes.
+    margin, power : as in `isolability`.
+    seed : of multisines.
+
+    Returns
+    -------
+    Advice
+        Free decays, wider and slower bands, twice the amplitude, a longer record, other loads and
+        further sensors, as far as the model allows each; those that diverge are left out. All but
+        the second load are analysed alone, without the record at hand.
+
+    Raises
+    ------
+    DataError
+        If fewer than two causes are given, or a cause is given twice.
+
+    Notes
+    -----
+    The noise of sensors, inputs and disturbances is taken to be that of the record at hand, and
+    independent from channel to channel.
+    """
+    keys = tuple(s.effect.key for s in suspects)
+    if len(set(keys)) < max(len(keys), 2):
+        raise DataError(
+            f"{len(set(keys))} different causes among {len(keys)} given; next_experiment needs at "
+            "least two, each once: one variant of each kind and place"
+        )
+    say = progress or (lambda _: None)
+    planner = Planner(FittedMotion(problem, at, seed), seed)
+    rule = _Rule(at, tuple(suspects), margin, power)
+    now = rule.judged(planner.again(), None)
+    proposals = []
+    for planned in planner.all():
+        say(f"predict: {planned.name}")
+        try:
+            proposals.append(rule.judged(planned, now))
+        except CasidError:
+            continue  # cannot be simulated with sensitivities: nothing to promise
+    # Both gains count among those that are clearer; of the others, the shortest goes first.
+    proposals.sort(
+        key=lambda p: (
+            not p.is_clearer(now),
+            p.record_length / (p.gain_factor if p.is_clearer(now) else 1.0),
+            p.energy_needed,
+        )
+    )
+    return Advice(keys, now, tuple(proposals), _sentence(keys, now, proposals))
+
+
+def predicted_table(planned: Planned, at: Weighted, effects: Sequence[Effect]) -> ScoreTable:
+    """Signatures of effects in a planned experiment: energies and cosines as in the search.
+
+    The scores themselves mean nothing here: the residual is drawn noise.
+    """
+    base = at.criterion
+    weights = np.concatenate([base.weights, 1 / np.array(planned.further_sd or [])])
+    if not planned.further_sd:
+        weights = base.weights
+    criterion = SimulationError(
+        planned.model,
+        planned.experiments,
+        own=[n for n in base.own if n in planned.model.parameters],
+        weights=weights,
+        substeps=base.substeps,
+        start=with_start(planned, at.fit.values, base.own),
+    )
+    x = criterion.start
+    responses = [noise_response(criterion, x, e) for e in range(len(criterion.data))]
+    noise = NoiseModel(
+        output_sd=np.concatenate([at.noise.output_sd, planned.further_sd]),
+        source_sd={s: at.noise.source_sd.get(s, 0.0) for s in responses[0].sources},
+        responses=responses,
+        weights=weights,
+    )
+    criterion.whiten = noise.whiten
+    fit = Fit(criterion, replace(at.fit.solution, x=x))
+    return score_test(fit, effects, input_sd={}, draws=50)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rule:
+    """How a planned experiment is judged."""
+
+    at: Weighted
+    suspects: tuple[Suspect, ...]
+    margin: float
+    power: float
+
+    def judged(self, planned: Planned, now: Proposal | None) -> Proposal:
+        """The proposal that a planned experiment makes."""
+        # A line in a spectrum is sought, not scored; in a record that is planned it is a force.
+        effects = [
+            s.effect if s.effect.test in ("score", "clip") else replace(s.effect, test="score")
+            for s in self.suspects
+        ]
+        table = predicted_table(planned, self.at, effects)
+        place = {s.effect.key: i for i, s in enumerate(table.scores)}
+        worst: tuple[float, float, tuple[Key, Key]] | None = None
+        longest = 0.0
+        for i, a in enumerate(self.suspects):
+            for b in self.suspects[:i]:
+                j, k = place[a.effect.key], place[b.effect.key]
+                cosine = likeness(a.effect, b.effect, float(table.cosines[j, k]))
+                energy = separation_energy(cosine, margin=self.margin, power=self.power)
+                given = [self._given(s, table, place) for s in (a, b)]
+                if min(given) <= 0.0:
+                    energy = inf  # one of them is not seen at all
+                if worst is None or energy > worst[0]:
+                    worst = energy, abs(cosine), (b.effect.key, a.effect.key)
+                long_enough = planned.seconds * energy / min(given) if isfinite(energy) else inf
+                # Much shorter records than that predicted have other tangents: nothing is promised.
+                longest = max(longest, long_enough, SHORTEST * planned.seconds)
+        assert worst is not None
+        energy, cosine, pair = worst
+        before = energy if now is None else now.energy_needed
+        gain = 1.0 if now is None else 0.0 if not isfinite(energy) else before / energy
+        return Proposal(
+            planned.name,
+            planned.description,
+            pair,
+            float(cosine),
+            energy,
+            longest,
+            gain,
+            planned.seconds,
+            planned.bands,
+        )
+
+    @staticmethod
+    def _given(s: Suspect, table: ScoreTable, place: dict[Key, int]) -> float:
+        """Energy of the misfit that the planned record has if `s` is the cause."""
+        score = table.scores[place[s.effect.key]]
+        if score.visible <= INVISIBLE:
+            return 0.0
+        return score.energy * (1.0 if s.effect.test == "clip" else s.size**2)
+
+
+def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal]) -> str:
+    who = " from ".join(label(k) for k in (tied[0], tied[1]))
+    if len(tied) > 2:
+        who = f"{label(tied[0])} from {', '.join(label(k) for k in tied[1:])}"
+    able = [p for p in proposals if isfinite(p.record_length)]
+    if not able:
+        return (
+            f"No experiment that was weighed tells {who}: in all of them they do the same to the "
+            "outputs. What is left is to know one of them apart from these records."
+        )
+    best = able[0]
+    shorter = best.is_clearer(now) or best.record_length <= 0.8 * now.record_length
+    if isfinite(now.record_length) and not shorter:
+        return (
+            f"To tell {who}, record the same for {_seconds(now.record_length)}: no other "
+            "experiment that was weighed is clearly shorter."
+        )
+    text = f"To tell {who}: {best.description}. About {_seconds(best.record_length)} of it would do"
+    if isfinite(now.record_length):
+        text += f", where the same again would take {_seconds(now.record_length)}"
+    if best.gain_factor > 1.5:
+        text += (
+            f"; the energy needed falls by a factor of {best.gain_factor:.2g} (cosine "
+            f"{best.cosine:.2f}, not {now.cosine:.2f})"
+        )
+    return text + "."
+
+
+def _seconds(value: float) -> str:
+    if value < 120:
+        return f"{value:.2g} s"
+    return f"{value / 60:.2g} min" if value < 7200 else f"{value / 3600:.2g} h"
+
+
+def _number(value: float) -> str:
+    return "never" if not isfinite(value) else f"{value:.3g}"
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if isfinite(value) else None

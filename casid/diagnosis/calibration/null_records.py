@@ -1,0 +1,222 @@
+"""Records as the fitted model would give them: the null of a diagnosis, drawn again and again.
+
+The model at its estimate is simulated on the record's own inputs, which are taken as the true ones,
+to the record's end and on the records held out. The estimated disturbances act in the simulation;
+the outputs get the sensors' noise, the measured inputs the noise that was found on them. So every
+drawn record has the length, the excitation, the gaps and the noise of the recorded one, and nothing
+that the model lacks (a parametric bootstrap: A. C. Davison, D. V. Hinkley, Bootstrap Methods and
+their Application, Cambridge 1997, section 4.2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from casid.data import Experiment, Record
+from casid.errors import SolveError
+from casid.holdout import Split
+from casid.model import Input, Model
+from casid.noise import NoiseModel
+from casid.simulation_error import Fit, SimulationError, minimize_simulation_error
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class NullNoise:
+    """White noise of every source, per sample, SI units.
+
+    Attributes
+    ----------
+    outputs : output -> of its sensor.
+    inputs : measured input -> of its sensor, so in the record and not in the motion.
+    disturbances : measured input or balance -> of what acts there, so in the motion and not in the
+        record.
+    """
+
+    outputs: Mapping[str, float]
+    inputs: Mapping[str, float]
+    disturbances: Mapping[str, float]
+
+
+def null_noise(
+    noise: NoiseModel, outputs: Sequence[str], input_sd: Mapping[str, float]
+) -> NullNoise:
+    """Divide the noise found into that of sensors and disturbances.
+
+    What the sensors of the inputs cannot account for is a disturbance, there where the residual's
+    spectrum shows it: with both, the drawn records have the spectrum of the residual.
+
+    Parameters
+    ----------
+    noise : with whatever passes for a disturbance.
+    input_sd : measured input -> noise of its sensor.
+    """
+    left = {}
+    for group in noise.alike:
+        found = sum(noise.source_sd[n] ** 2 * _gain(noise, n) for n in group)
+        used = sum(input_sd.get(n, 0.0) ** 2 * _gain(noise, n) for n in group)
+        gain = _gain(noise, group[0])
+        if gain > 0 and found > used * (1 + 1e-9):
+            left[group[0]] = float(np.sqrt((found - used) / gain))
+    sensors = {n: float(sd) for n, sd in input_sd.items() if sd > 0}
+    by_output = dict(zip(outputs, noise.output_sd.tolist(), strict=True))
+    return NullNoise(by_output, sensors, left)
+
+
+def _gain(noise: NoiseModel, source: str) -> float:
+    """Mean squared response of the outputs to a source, over the records."""
+    return sum(float(r.gain2[:, :, r.sources.index(source)].mean()) for r in noise.responses)
+
+
+class NullRecords:
+    """Draws the fitted and held-out records anew, as the model at its estimate would give them.
+
+    Parameters
+    ----------
+    model : as it is, without any cause.
+    whole, apart : the recorded experiments, to their end, and those held out as a whole.
+    values : variable -> estimate; those of initial states count for `whole`.
+    own : parameters that every experiment has for itself.
+    weights, substeps : of the fit.
+
+    Raises
+    ------
+    SolveError
+        If the simulation at the estimate diverges.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        whole: Sequence[Experiment],
+        apart: Sequence[Experiment],
+        values: Mapping[str, float],
+        noise: NullNoise,
+        *,
+        own: Sequence[str] = (),
+        weights: Array,
+        substeps: int,
+    ) -> None:
+        self.noise = noise
+        self.whole, self.apart = list(whole), list(apart)
+        disturbed = _with_disturbances(model, noise)
+        self._criteria: list[tuple[SimulationError, Array]] = []
+        settings: dict[str, Any] = {"weights": weights, "substeps": substeps}
+        channels = disturbed.inputs.keys() - model.inputs.keys()
+        added = {n: disturbed.inputs[n].unit for n in channels}
+        if whole:
+            criterion = SimulationError(
+                disturbed,
+                [_at_rest(e, added) for e in whole],
+                own=own,
+                start=values,
+                **settings,
+            )
+            self._criteria += [(criterion, criterion.start)]
+        for e in apart:
+            known = {n: v for n, v in values.items() if n in model.parameters}
+            for name in own:
+                of_each = [v for key, v in values.items() if key.startswith(f"{name}@")]
+                known[name] = float(np.mean(of_each)) if of_each else values.get(name, 0.0)
+            criterion = SimulationError(model.with_known(**known), [e], **settings)
+            point = criterion.start
+            if len(point):
+                point = minimize_simulation_error(criterion, check_rank=False, throw=False).x
+            wide = SimulationError(
+                disturbed.with_known(**known),
+                [_at_rest(e, added)],
+                start=dict(zip(criterion.names, point.tolist(), strict=True)),
+                **settings,
+            )
+            self._criteria += [(wide, wide.start)]
+
+    def draw(self, rng: np.random.Generator) -> tuple[list[Experiment], list[Experiment]]:
+        """The experiments `whole` and `apart` with outputs and measured inputs drawn anew."""
+        out: list[Experiment] = []
+        for criterion, x in self._criteria:
+            for e in range(len(criterion.data)):
+                recorded = (self.whole + self.apart)[len(out)]
+                out.append(self._drawn(criterion, x, e, recorded, rng))
+        return out[: len(self.whole)], out[len(self.whole) :]
+
+    def _drawn(
+        self,
+        criterion: SimulationError,
+        x: Array,
+        e: int,
+        recorded: Experiment,
+        rng: np.random.Generator,
+    ) -> Experiment:
+        d = criterion.data[e]
+        u = d.u.copy()
+        for name, sd in self.noise.disturbances.items():
+            u[:, _column(criterion.model, name)] += sd * rng.standard_normal(d.N)
+        with np.errstate(all="ignore"):
+            y, _, _ = criterion.simulate(x, e, signals=replace(d, u=u))
+        if not np.all(np.isfinite(y)):
+            raise SolveError(
+                f"{recorded.name}: the fitted model's simulation diverges under the noise that was "
+                "found; a null record cannot be drawn. Fit a shorter window"
+            )
+        record = recorded.record
+        for i, name in enumerate(criterion.outputs):
+            values = y[:, i] + self.noise.outputs[name] * rng.standard_normal(d.N)
+            record = _with(record, name, values)
+        for name, sd in self.noise.inputs.items():
+            record = _with(record, name, record[name] + sd * rng.standard_normal(d.N))
+        return Experiment(record, recorded.known, recorded.name)
+
+
+def null_records(
+    fit: Fit, split: Split, noise: NoiseModel, input_sd: Mapping[str, float]
+) -> NullRecords:
+    """The null of `fit` under the noise found, on everything that `split` has."""
+    c = fit.criterion
+    return NullRecords(
+        c.model,
+        split.whole,
+        split.apart,
+        fit.values,
+        null_noise(noise, c.outputs, input_sd),
+        own=c.own,
+        weights=c.weights,
+        substeps=c.substeps,
+    )
+
+
+def _with(record: Record, name: str, values: Array) -> Record:
+    """The record with other samples of a channel; those missing stay missing."""
+    missing = record.is_missing(name)
+    record = record.with_channel(name, values, record.units[name])
+    return record.mark_missing(name, missing) if missing.any() else record
+
+
+def _disturbance(balance: str) -> str:
+    return f"disturbance of {balance}"
+
+
+def _column(model: Model, source: str) -> int:
+    names = list(model.inputs)
+    return names.index(source if source in names else _disturbance(source))
+
+
+def _with_disturbances(model: Model, noise: NullNoise) -> Model:
+    new = model.copy()
+    for name in noise.disturbances:
+        if name in model.balances and name not in model.inputs:
+            balance = model.balances[name]
+            w = new.add_input(Input(_disturbance(name), balance.unit, "measured"))
+            new.add_term(name, w)
+    return new
+
+
+def _at_rest(experiment: Experiment, added: Mapping[str, str]) -> Experiment:
+    record = experiment.record
+    for name, unit in added.items():
+        record = record.with_channel(name, np.zeros(record.N), unit)
+    return Experiment(record, experiment.known, experiment.name)

@@ -1,0 +1,135 @@
+"""The causes as they are reported: sizes, contributions and what cannot be rejected."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from casid.diagnosis.evidence.spoilt_samples import Spoilt
+from casid.diagnosis.record_specific import Specific
+from casid.diagnosis.result import Alternative, Cause
+from casid.diagnosis.search import Adopted, Candidate, Search
+from casid.diagnosis.wording import says, says_kind, why_alternative
+from casid.estimate import Estimate, Estimated
+from casid.simulation_error import Fit
+from casid.wrong_signs import WrongSign
+
+
+def causes_of(
+    search: Search,
+    adopted: Sequence[Adopted],
+    spoilt: Spoilt,
+    estimate: Estimate,
+    fit: Fit,
+    specific: Sequence[Specific] = (),
+) -> list[Cause]:
+    """Causes in the order of their contribution: the misfit that returns when one is taken out."""
+    own = {found.key: found.by_record for found in specific}
+    rows: list[tuple[float, Cause]] = []
+    losses = search.contributions(adopted, fit)
+    outputs, weights = fit.criterion.outputs, fit.criterion.weights
+    scale = {o: weights[outputs.index(o)] ** 2 / 2 for o in outputs}
+    # Few and small spikes are left out of the fit, but are nothing that a user would miss.
+    least = 0.01 * fit.solution.value
+    spikes = [s for s in spoilt.spikes if s.energy * scale[s.channel] > least]
+    clipped = spoilt.plateaus  # a fact, however little it cuts off
+    lost = sum(s.energy * scale[s.channel] for s in spikes)
+    lost += sum(c.energy * scale[c.channel] for c in clipped)
+    total = max(sum(losses) + lost, 1e-300)
+    for a, loss in zip(adopted, losses, strict=True):
+        effect = a.candidate.effect
+        alternatives = tuple(
+            Alternative(
+                r.candidate.effect.kind,
+                r.candidate.effect.where,
+                r.p_value,
+                why_alternative(a.candidate, r.candidate),
+                r.candidate.effect.description,
+            )
+            for r in a.rivals
+        )
+        alternatives += tuple(search.aliases(effect))
+        rows.append(
+            (
+                loss,
+                Cause(
+                    kind=effect.kind,
+                    where=effect.where,
+                    p_value=a.p_value,
+                    parameters=_parameters_of(a.candidate, estimate),
+                    alternatives=alternatives,
+                    share=loss / total,
+                    sentence=says(effect),
+                    description=effect.description,
+                    by_record=own.get(effect.key, {}),
+                ),
+            )
+        )
+    for s in spikes:
+        rows.append(
+            (
+                s.energy * scale[s.channel],
+                Cause(
+                    kind="outliers",
+                    where=s.channel,
+                    p_value=s.p_value,
+                    parameters=(
+                        Estimated("share", s.share, "1"),
+                        Estimated("size", s.size, search_unit(search, s.channel)),
+                    ),
+                    share=s.energy * scale[s.channel] / total,
+                    sentence=says_kind("outliers", s.channel),
+                ),
+            )
+        )
+    for c in clipped:
+        unit = search_unit(search, c.channel)
+        share = c.energy * scale[c.channel] / total
+        rows.append(
+            (
+                c.energy * scale[c.channel],
+                Cause(
+                    kind="saturation",
+                    where=c.channel,
+                    p_value=c.p_value,
+                    parameters=(Estimated(f"limit_{c.channel}", c.limit, unit),),
+                    share=share,
+                    sentence=says_kind("saturation", c.channel),
+                    description=f"{c.count} samples stand exactly at the limit",
+                ),
+            )
+        )
+    rows.sort(key=lambda row: -row[0])
+    return [cause for _, cause in rows]
+
+
+def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated, ...]:
+    rows = [p for p in estimate.parameters if p.name in candidate.names]
+    if candidate.effect.kind == "parameter_jump" and candidate.effect.variant is not None:
+        rows.append(Estimated("time", candidate.effect.variant, "s", note="searched"))
+    return tuple(rows)
+
+
+def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fit) -> list[Cause]:
+    """The wrong sign in front of what was found with it mended."""
+    lost = max(before.solution.value - after.solution.value, 0.0)
+    share = lost / max(before.solution.value, 1e-300)
+    alternatives = tuple(
+        Alternative("sensor_scale", c, p, "negated, it fits as well: look at both sensors' axes")
+        for c, p in turned.rivals.items()
+    )
+    first = Cause(
+        kind="sensor_scale",
+        where=turned.channel,
+        p_value=turned.p_value,
+        parameters=(Estimated("scale", -1.0, "1", note="the sign alone was tried"),),
+        alternatives=alternatives,
+        share=share,
+        sentence=f"the channel {turned.channel} probably has the wrong sign, a scale of -1",
+    )
+    return [first, *(replace(c, share=(1 - share) * c.share) for c in causes)]
+
+
+def search_unit(search: Search, channel: str) -> str:
+    """Unit of a channel in the records searched."""
+    return str(search.experiments[0].record.units.get(channel, "1"))

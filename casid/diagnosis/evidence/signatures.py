@@ -1,0 +1,450 @@
+"""Signatures: what the simulation would do differently, were a signal added in one place.
+
+A place is a balance, where the signal is a force and acts through the dynamics linearised along the
+fitted trajectory,
+
+    dx[k+1] = A_k dx[k] + B0_k f[k] + B1_k f[k+1],   dy[k] = C_k dx[k] + D_k f[k]            (1)
+
+or an output, where it is added to what the sensor says. Signals are functions of what is known:
+states, inputs, recorded channels, time. Regressing the whitened residual on their signatures, off
+the baseline's own tangent and less what the inputs' noise gives to signature and residual alike
+((1) in `scores`), tells on what the missing part depends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.stats import f as fisher
+
+from casid.data import Experiment
+from casid.errors import ModelError
+from casid.lags import lag_columns
+from casid.model import Input, Model
+from casid.noise import NoiseModel
+from casid.simulate import rk4_sample
+from casid.simulation_error import Signals, Simulated, SimulationError, delay_columns
+from casid.uncertainty import bartlett_lags, long_run_covariance
+
+Array = np.ndarray[Any, Any]
+Table = Mapping[str, Array]  # variable -> (N,) of one record
+
+TIME = "time"
+"""Name of the variable that runs on from record to record."""
+
+VISIBLE = 1e-4
+"""Share of a signature's energy outside the tangent below which it is not seen at all."""
+
+
+# -- the linearised simulation --------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """Equation (1) along one record, for all balances of the model in order."""
+
+    A: Array  # (N, nx, nx)
+    B0: Array  # (N, nx, nb)
+    B1: Array  # (N, nx, nb)
+    C: Array  # (N, ny, nx)
+    D: Array  # (N, ny, nb)
+    inputs: Array  # (N, nx, nu): B0 + B1 of the model's own inputs
+    feedthrough: Array  # (N, ny, nu)
+
+    def respond(self, balance: int, force: Array) -> Array:
+        """Outputs (N, ny, m) to m forces (N, m) in one balance."""
+        n, m = force.shape
+        ahead = np.vstack([force[1:], force[-1:]])
+        push = self.B0[:, :, balance, None] * force[:, None, :]
+        push += self.B1[:, :, balance, None] * ahead[:, None, :]
+        states = np.empty((n, self.A.shape[1], m))
+        x = np.zeros((self.A.shape[1], m))
+        for k in range(n):
+            states[k] = x
+            x = self.A[k] @ x + push[k]
+        return np.asarray(self.C @ states + self.D[:, :, balance, None] * force[:, None, :])
+
+
+class Linearised:
+    """The simulation of a fitted model, linearised along its own trajectories."""
+
+    def __init__(self, criterion: SimulationError, x: Array) -> None:
+        self.criterion, self.x = criterion, x
+        self._functions: dict[float, Any] = {}
+
+    def path(self, experiment: int, states: Array, signals: Signals) -> Path:
+        """The derivatives of one sample's step and of the outputs at `states` (N, nx)."""
+        criterion = self.criterion
+        if signals.Ts not in self._functions:
+            self._functions[signals.Ts] = self._derivatives(signals.Ts)
+        function = self._functions[signals.Ts]
+        p, _ = criterion.parameter_vector(self.x, experiment)
+        n, nb = signals.N, len(criterion.model.balances)
+        u = np.hstack([signals.u, np.zeros((n, nb))])
+        ahead = np.vstack([u[1:], u[-1:]])
+        found = function.map(n)(states.T, u.T, ahead.T, np.tile(p[:, None], (1, n)))
+        a, b0, b1, c, d = (np.array(m).reshape(m.shape[0], n, -1).transpose(1, 0, 2) for m in found)
+        own = u.shape[1] - nb
+        return Path(
+            a,
+            b0[:, :, own:],
+            b1[:, :, own:],
+            c,
+            d[:, :, own:],
+            (b0 + b1)[:, :, :own],
+            d[:, :, :own],
+        )
+
+    def _derivatives(self, Ts: float) -> Any:
+        disturbed = self.criterion.model.copy()
+        disturbed.stages = ()
+        own = list(disturbed.inputs)
+        for name, balance in self.criterion.model.balances.items():
+            w = disturbed.add_input(Input(f"force in {name}", balance.unit, "unknown"))
+            disturbed.add_term(name, w)
+        e = disturbed.explicit()
+        assert list(e.inputs[: len(own)]) == own
+        ahead = ca.SX.sym("ahead", len(e.inputs))
+        step = rk4_sample(disturbed, e, ahead, Ts, self.criterion.substeps)
+        pairs = ((step, e.x), (step, e.u), (step, ahead), (e.h, e.x), (e.h, e.u))
+        return ca.Function(
+            "along", [e.x, e.u, ahead, e.p], [ca.densify(ca.jacobian(a, b)) for a, b in pairs]
+        )
+
+    def through_sensors(self, response: Array, y: Array, experiment: int) -> Array:
+        """Apply what the model's sensors do to a response (N, ny, m), in place."""
+        model, d = self.criterion.model, self.criterion.data[experiment]
+        p, _ = self.criterion.parameter_vector(self.x, experiment)
+        names = model.explicit().parameters
+        for stage in model.stages:
+            if stage.is_of_input:
+                continue
+            i, value = self.criterion.outputs.index(stage.channel), p[names.index(stage.parameter)]
+            if stage.kind == "delay":
+                response[:, i] = delay_columns(response[:, i], float(value) / d.Ts)
+            elif stage.kind == "lag":
+                response[:, i] = lag_columns(response[:, i], float(value) / d.Ts)[0]
+            else:
+                response[np.abs(y[:, i]) >= 0.999 * value, i] = 0.0
+        return response
+
+
+def require_place(criterion: SimulationError, place: str) -> None:
+    """Refuse what is neither a balance nor an output of the model.
+
+    Raises
+    ------
+    ModelError
+        With the places that there are.
+    """
+    model = criterion.model
+    if place not in model.balances and place not in criterion.outputs:
+        raise ModelError(
+            f"{model.name}: {place!r} is neither a balance nor an output; choose one of "
+            f"{', '.join([*model.balances, *criterion.outputs])}"
+        )
+
+
+# -- variables and their functions ----------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Some functions of one variable, or of a variable times functions of another."""
+
+    names: tuple[str, ...]  # (), (variable,) or (carrier, what its coefficient depends on)
+    columns: Callable[[Table], Array]  # table of one record -> (N, m)
+
+
+def variables_of(
+    criterion: SimulationError,
+    experiments: Sequence[Experiment],
+    recorded: Mapping[str, str],
+    experiment: int,
+    at: Simulated,
+    signals: Signals,
+) -> dict[str, Array]:
+    """What a missing force may depend on, of one record: name -> (N,)."""
+    model = criterion.model
+    out = {name: at.x[: signals.N, i] for i, name in enumerate(model.states)}
+    for i, name in enumerate(model.inputs):
+        if not name.startswith("slope of "):
+            out[name] = signals.u[:, i]
+            out[f"slope of {name}"] = np.gradient(signals.u[:, i], signals.Ts)
+    for name in recorded:
+        out.setdefault(name, np.asarray(experiments[experiment].record[name]))
+    before = sum(d.N * d.Ts for d in criterion.data[:experiment])
+    out[TIME] = before + signals.Ts * np.arange(signals.N)
+    return out
+
+
+def units_of(model: Model, recorded: Mapping[str, str]) -> dict[str, str]:
+    """Units of the variables of `variables_of`, and of outputs and their slopes."""
+    out = {name: state.unit for name, state in model.states.items()}
+    out |= {name: entry.unit for name, entry in model.inputs.items()}
+    out |= {name: unit for name, unit in recorded.items() if name not in out}
+    out |= {name: unit for name, (_, unit) in model.outputs.items()}
+    out |= {f"slope of {name}": f"({unit})/s" for name, unit in list(out.items())}
+    out[TIME] = "s"
+    return out
+
+
+def has_both_signs(values: Array) -> bool:
+    """True where a variable spends time on both sides of zero: oddness then means something."""
+    low, high = np.quantile(values, [0.01, 0.99])
+    return bool(min(-low, high) > 0.2 * max(-low, high))
+
+
+def knots_of(name: str, values: Array, count: int) -> Array:
+    """Where piecewise linear functions of a variable bend; symmetric where it has both signs."""
+    if name == TIME:
+        return np.linspace(values.min(), values.max(), 2 * count + 1)
+    if has_both_signs(values):
+        size = np.abs(values)
+        levels = np.append(np.linspace(0.25, 0.9, count), 1.0)  # the ends tell most of growth
+        half = np.unique(np.quantile(size, levels))
+        return np.concatenate([-half[::-1], [0.0], half])
+    return np.asarray(np.unique(np.quantile(values, np.linspace(0.02, 0.98, count + 2))))
+
+
+def hats(values: Array, knots: Array) -> Array:
+    """Piecewise linear functions, one at each knot and zero at the others, (N, K).
+
+    Beyond the ends they go on: a line is in their span, so that what a parameter absorbs is seen
+    to be absorbed.
+    """
+    i = np.clip(np.searchsorted(knots, values, "right") - 1, 0, len(knots) - 2)
+    share = (values - knots[i]) / (knots[i + 1] - knots[i])
+    out = np.zeros((len(values), len(knots)))
+    rows = np.arange(len(values))
+    out[rows, i] = 1.0 - share
+    out[rows, i + 1] = share
+    return out
+
+
+def splines(values: Array, knots: Array) -> Array:
+    """Cubic splines, one at each knot and zero at the others, (N, K); cubics are in their span."""
+    if len(knots) < 4:
+        return hats(values, knots)
+    return np.asarray(CubicSpline(knots, np.eye(len(knots)))(values))
+
+
+# -- the regression -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tested:
+    """One group of signatures against the residual."""
+
+    group: int
+    gain: float  # sum of squares that the group explains, less the baseline's part
+    chance: float  # of that, what noise alone is expected to give
+    rank: int  # functions that the record sees
+    p_value: float
+    adjusted: float  # for all groups together
+
+
+class Regression:
+    """The whitened residual on the signatures of groups of signals in one place.
+
+    Parameters
+    ----------
+    noise : whitens; `input_sd` is the white noise of each measured input.
+    place : a balance or an output of the model.
+    groups : functions of the variables, see `variables_of` and, for an output, the output's own
+        simulated value (under its name) and slope (under "slope of" its name).
+
+    Raises
+    ------
+    ModelError
+        If the model has no such place.
+    """
+
+    def __init__(
+        self,
+        criterion: SimulationError,
+        x: Array,
+        noise: NoiseModel,
+        place: str,
+        groups: Sequence[Group],
+        experiments: Sequence[Experiment],
+        *,
+        input_sd: Mapping[str, float],
+        recorded: Mapping[str, str],
+        linearised: Linearised | None = None,
+        seed: int = 0,
+    ) -> None:
+        model = criterion.model
+        require_place(criterion, place)
+        self.criterion, self.x, self.noise, self.place = criterion, x, noise, place
+        self.groups, self.experiments, self.recorded = list(groups), experiments, recorded
+        self.linearised = linearised or Linearised(criterion, x)
+        self.ny = len(criterion.outputs)
+        sd = np.array([input_sd.get(n, 0.0) for n in model.inputs])
+        rng = np.random.default_rng(seed)
+        parts, drawn = [], []
+        for k, d in enumerate(criterion.data):
+            parts.append(self._stack(k, d))
+            if np.any(sd > 0):
+                w = sd * rng.standard_normal((d.N, len(sd)))
+                up, down = (self._stack(k, replace(d, u=d.u + s * w)) for s in (1.0, -1.0))
+                drawn.append(0.5 * (up - down))
+        whole = np.concatenate(parts)
+        n = len(x)
+        self.e, self.tangent, self.psi = whole[:, 0], whole[:, 1 : 1 + n], whole[:, 1 + n :]
+        self.odd = np.concatenate(drawn) if drawn else None
+        edges = np.cumsum([0, *self._widths])
+        self.slices = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        self.size = np.sqrt(np.maximum(np.einsum("ij,ij->j", self.psi, self.psi), 1e-300))
+
+    def _stack(self, k: int, d: Signals) -> Array:
+        """Whitened residual, tangent and signatures of one record, (N ny, 1 + n + K)."""
+        criterion, model = self.criterion, self.criterion.model
+        at = criterion.simulated(self.x, k, signals=d)
+        table = dict(variables_of(criterion, self.experiments, self.recorded, k, at, d))
+        if self.place in criterion.outputs:
+            y = at.y[:, criterion.outputs.index(self.place)]
+            table |= {self.place: y, f"slope of {self.place}": np.gradient(y, d.Ts)}
+        made = [group.columns(table) for group in self.groups]
+        self._widths = [m.shape[1] for m in made]
+        signal = np.hstack(made) if made else np.zeros((d.N, 0))
+        if self.place in criterion.outputs:
+            out = np.zeros((d.N, self.ny, signal.shape[1]))
+            out[:, criterion.outputs.index(self.place)] = signal
+        else:
+            path = self.linearised.path(k, at.x[: d.N], d)
+            out = path.respond(list(model.balances).index(self.place), signal)
+            out = self.linearised.through_sensors(out, at.y, k)
+        out *= d.used[:, :, None]
+        stack = np.concatenate([at.residual[:, :, None], at.jacobian, out], axis=2)
+        stack *= criterion.weights[None, :, None]
+        return self.noise.whiten(stack, k).reshape(-1, stack.shape[2])
+
+    @property
+    def misfit(self) -> float:
+        """Sum of squares left beyond what the noise gives."""
+        used = sum(int(d.used.sum()) for d in self.criterion.data)
+        return float(self.e @ self.e) - (used - len(self.x))
+
+    @property
+    def misfit_sd(self) -> float:
+        """How far `misfit` is from zero by chance: sqrt(2 M) of M squares."""
+        return float(np.sqrt(2.0 * len(self.e)))
+
+    def _rest(self, chosen: Sequence[int]) -> tuple[Array, Array, Array | None]:
+        """Signatures off tangent and `chosen` groups, their scores, and the noise's part in them.
+
+        Returns rest (M, K), z (K,), given (M, K) or None; columns of unit size before projection.
+        """
+        n = len(self.x)
+        taken = [j for g in chosen for j in range(self.slices[g].start, self.slices[g].stop)]
+        base = np.hstack([self.tangent, self.psi[:, taken]])
+        base_size = np.sqrt(np.maximum(np.einsum("ij,ij->j", base, base), 1e-300))
+        u, s, vt = np.linalg.svd(base / base_size, full_matrices=False)
+        keep = s > 1e-6 * s[0]
+        unit = self.psi / self.size
+        gamma = (vt[keep].T / s[keep]) @ (u[:, keep].T @ unit)
+        rest = unit - (base / base_size) @ gamma
+        z = rest.T @ self.e
+        if self.odd is None:
+            return rest, z, None
+        turned = np.hstack([self.odd[:, 1 : 1 + n], self.odd[:, 1 + n :][:, taken]])
+        changed = self.odd[:, 1 + n :] / self.size
+        given = (changed - (turned / base_size) @ gamma) * self.odd[:, :1]
+        return rest, z - given.sum(axis=0), given
+
+    def test(
+        self,
+        chosen: Sequence[int] = (),
+        *,
+        draws: int = 2000,
+        seed: int = 0,
+        charge: float = 0.0,
+    ) -> list[Tested]:
+        """Test every group, given that those `chosen` are in the model.
+
+        The covariance is that of what the best group leaves: where much is missing, the missing
+        part itself would else pass for noise. Family-wise by min-p draws, as in `scores`.
+
+        Parameters
+        ----------
+        charge : what a function has to explain, in squares, to count in choosing the best group.
+        """
+        rest, z, given = self._rest(chosen)
+        roots, gains = [], []
+        for j in self.slices:
+            values, vectors = np.linalg.eigh(rest[:, j].T @ rest[:, j])
+            keep = values > max(VISIBLE, 1e-3 * values.max(initial=0.0))
+            roots.append(vectors[:, keep] / np.sqrt(values[keep]))
+            gains.append(float(np.sum((roots[-1].T @ z[j]) ** 2)))
+        merits = [g - charge * r.shape[1] for g, r in zip(gains, roots, strict=True)]
+        free = [i for i in range(len(self.slices)) if i not in chosen and roots[i].shape[1]]
+        if not free:
+            return []
+        best = max(free, key=lambda i: merits[i])
+        left = self.e - rest[:, self.slices[best]] @ (
+            roots[best] @ (roots[best].T @ z[self.slices[best]])
+        )
+        each = np.hstack([rest[:, self.slices[i]] @ roots[i] for i in free])
+        edges = np.cumsum([0, *(roots[i].shape[1] for i in free)])
+        starts = np.arange(0, len(left), self.ny)
+        per_sample = np.add.reduceat(each * left[:, None], starts, axis=0)
+        lags = bartlett_lags(per_sample)
+        covariance = long_run_covariance(per_sample, lags)
+        if given is not None:
+            own = np.hstack([given[:, self.slices[i]] @ roots[i] for i in free])
+            own = np.add.reduceat(own, starts, axis=0)
+            covariance = covariance + long_run_covariance(own - own.mean(axis=0), lags)
+        score = np.concatenate([roots[i].T @ z[self.slices[i]] for i in free])
+        freedom = max(1.5 * len(per_sample) / (lags + 1), 20.0)
+        values, vectors = np.linalg.eigh(covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        rng = np.random.default_rng(seed)
+        sample = rng.standard_normal((draws, len(score))) @ root.T
+        sample /= np.sqrt(rng.chisquare(freedom, draws) / freedom)[:, None]
+        p, drawn, chance = [], [], []
+        for a, b in zip(edges[:-1], edges[1:], strict=True):
+            own, rank = covariance[a:b, a:b], int(b - a)
+            inverse = np.linalg.pinv(own, rcond=1e-10, hermitian=True)
+            p.append(_hotelling(score[a:b] @ inverse @ score[a:b], rank, freedom))
+            quadratic = np.einsum("di,ij,dj->d", sample[:, a:b], inverse, sample[:, a:b])
+            drawn.append(_hotelling(quadratic, rank, freedom))
+            chance.append(float(np.trace(own)))
+        smallest = np.sort(np.min(drawn, axis=0))
+        out = []
+        for k, i in enumerate(free):
+            own_p = max(float(p[k]), 1e-300)
+            share = (np.searchsorted(smallest, own_p, side="right") + 1) / (draws + 1)
+            adjusted = min(1.0, len(free) * own_p, float(share) if share > 20 / draws else 1.0)
+            out.append(Tested(i, gains[i], chance[k], roots[i].shape[1], own_p, adjusted))
+        return out
+
+    def estimate(self, chosen: Sequence[int]) -> tuple[Array, Array]:
+        """Coefficients of the chosen groups' functions, together, and their covariance.
+
+        Directions that the record does not see are left at zero, with no uncertainty.
+        """
+        rest, z, _ = self._rest(())
+        index = np.concatenate([np.arange(len(self.size))[self.slices[g]] for g in chosen])
+        part = rest[:, index]
+        values, vectors = np.linalg.eigh(part.T @ part)
+        keep = values > max(VISIBLE, 1e-3 * values.max(initial=0.0))
+        root = vectors[:, keep] / np.sqrt(values[keep])
+        score = root.T @ z[index]
+        left = self.e - part @ (root @ score)
+        starts = np.arange(0, len(left), self.ny)
+        per_sample = np.add.reduceat((part @ root) * left[:, None], starts, axis=0)
+        covariance = long_run_covariance(per_sample, bartlett_lags(per_sample))
+        map_back = root / self.size[index][:, None]
+        return map_back @ score, map_back @ covariance @ map_back.T
+
+
+def _hotelling(statistic: Any, rank: int, freedom: float) -> Any:
+    """Tail of Hotelling's T^2 with `rank` components and `freedom` degrees of freedom."""
+    other = max(freedom - rank + 1, 1.0)
+    return fisher.sf(np.maximum(statistic, 0.0) * other / (freedom * rank), rank, other)

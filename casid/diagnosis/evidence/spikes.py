@@ -1,0 +1,188 @@
+"""Outliers: isolated spikes of a residual, found without a model of what else is missing.
+
+With d_k = r_k - (r_{k-1} + r_{k+1}) / 2 a smooth misfit cancels; under white noise of variance
+sigma^2, d has 1.5 sigma^2 and correlations -2/3 and 1/6. Large spikes stand out alone. Many small
+ones show in the fourth moment of d, whose mean Hermite polynomial has, under normal noise,
+
+    sqrt(N / (24 (1 + 2 (2/3)^4 + 2 (1/6)^4))) mean(h^4 - 6 h^2 + 3),   h = d / sd(d)         (1)
+
+with variance one (Isserlis), and in a mixture of normal distributions fitted to d.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import norm
+
+Array = np.ndarray[Any, Any]
+
+FAINTEST = 2.5
+"""Variance of the spikes in d over that of its noise, below which they are none (heuristic)."""
+
+LIKE_WHITE = 0.1
+"""How far the correlations of d may lie from those of white noise, -2/3 and 1/6."""
+
+LARGE = 5.0
+"""Standard deviations of d beyond which noise hardly hides what a spike leaves beside it."""
+
+_FARTHEST = 12.0  # standard deviations: what lies beyond stands out by itself
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spikes:
+    """Isolated spikes in one channel."""
+
+    channel: str
+    masks: tuple[Array, ...]  # a record (N,) bool
+    count: int
+    share: float
+    size: float  # median height, channel's unit
+    energy: float  # sum of squares that they carry
+    p_value: float
+
+
+def find_spikes(
+    channel: str, residuals: Sequence[Array], alpha: float, *, largest_share: float = 0.05
+) -> Spikes | None:
+    """Samples that differ from both neighbours more than noise ever would.
+
+    A sample is a spike when |d_k| exceeds the Gaussian threshold for all samples together at
+    `alpha`, and the neighbours show half of it, turned round. Where (1) exceeds its own threshold
+    and a mixture fits with few and clearly larger errors, samples that are rather of the larger
+    kind are spikes as well. Scale: the larger of the median absolute deviation and the spread of
+    the central 98 %, so that quantised records (many equal samples) do not count as noise-free.
+
+    Returns None where there are none, or so many that they are not exceptions.
+    """
+    total = sum(len(r) for r in residuals)
+    differences = [_from_neighbours(r) for r in residuals]
+    long = [d for d in differences if len(d) >= 20]
+    if not long:
+        return None
+    sds = [_scale(d) for d in differences]
+    threshold = float(norm.isf(alpha / (2 * total)))
+    p = min(
+        2
+        * total
+        * float(
+            norm.sf(max(_largest(d) / s for d, s in zip(long, map(_scale, long), strict=True)))
+        ),
+        1.0,
+    )
+    together = np.concatenate([d[1:-1] / s for d, s in zip(differences, sds, strict=True) if s > 0])
+    fourth = _fourth_moment(together)
+    if _is_white(differences) and float(norm.sf(fourth)) < alpha:
+        cut = _mixture_cut(together, largest_share)
+        if cut is not None:
+            threshold = min(threshold, cut)
+            p = min(p, float(norm.sf(fourth)))
+    masks, heights = [], []
+    for d, sd in zip(differences, sds, strict=True):
+        mask = np.zeros(len(d), dtype=bool)
+        # A spike's neighbours show half of it, with the other sign: keep the tops only.
+        for k in np.flatnonzero(np.abs(d) > threshold * sd) if sd > 0 else ():
+            near = d[max(k - 1, 0) : k + 2]
+            mask[k] = np.abs(d[k]) >= np.abs(near).max() and _stands_alone(near, d[k], sd)
+        heights.append(np.abs(d[mask]))
+        masks.append(mask)
+    count = int(sum(m.sum() for m in masks))
+    if count == 0 or count > largest_share * total:
+        return None
+    height = np.concatenate(heights)
+    return Spikes(
+        channel=channel,
+        masks=tuple(masks),
+        count=count,
+        share=count / total,
+        size=float(np.median(height)),
+        energy=float(np.sum(height**2)),
+        p_value=float(min(1.0, max(p, 1e-300))),
+    )
+
+
+def _from_neighbours(r: Array) -> Array:
+    """d (N,) of a residual; zero at the ends and in records too short to judge."""
+    d = np.zeros(len(r))
+    if len(r) >= 20:
+        d[1:-1] = r[1:-1] - 0.5 * (r[:-2] + r[2:])
+    return d
+
+
+def _is_white(differences: Sequence[Array]) -> bool:
+    """True if d has the correlations of white noise; a misfit has others."""
+    power = sum(float(d @ d) for d in differences)
+    one, two = (
+        sum(float(d[:-lag] @ d[lag:]) for d in differences if len(d) > lag) / max(power, 1e-300)
+        for lag in (1, 2)
+    )
+    return abs(one + 2 / 3) < LIKE_WHITE and abs(two - 1 / 6) < LIKE_WHITE
+
+
+def _stands_alone(near: Array, top: float, sd: float) -> bool:
+    """False where a large d has not half of it, with the other sign, on both sides on average."""
+    if len(near) < 3 or abs(top) < LARGE * sd:
+        return True
+    return -0.85 < float(near[0] + near[2]) / (2 * top) < -0.15
+
+
+def _largest(d: Array) -> float:
+    return float(np.max(np.abs(d), initial=0.0))
+
+
+def _scale(d: Array) -> float:
+    """Standard deviation of d without its tails."""
+    if len(d) < 20:
+        return 0.0
+    core = np.sort(np.abs(d[1:-1]))
+    mad = 1.4826 * float(np.median(core))
+    body = core[: int(0.96 * len(core))]
+    # Standard deviation of a normal cut off at its central 96 %, undone.
+    spread = float(np.sqrt(np.mean(body**2))) / 0.880
+    return max(mad, spread, 1e-300)
+
+
+def _fourth_moment(h: Array) -> float:
+    """(1) for standardised differences, the variance taken from themselves."""
+    h = h / max(float(np.std(h)), 1e-300)
+    spread = 24 * (1 + 2 * (2 / 3) ** 4 + 2 * (1 / 6) ** 4)
+    return float(np.sqrt(len(h) / spread) * np.mean(h**4 - 6 * h**2 + 3))
+
+
+def _mixture_cut(h: Array, largest_share: float) -> float | None:
+    """|h| beyond which a sample is rather an error than noise; None if errors are not few.
+
+    A spike of variance w shows in h with s + w where it stands and s + w / 4 beside it, twice.
+    Shares and variances by maximum likelihood; a tail that is merely heavy, or noise whose size
+    changes, fits with a large share of errors hardly larger.
+    """
+    counts, edges = np.histogram(np.minimum(np.abs(h), _FARTHEST), 600, (0.0, _FARTHEST))
+    square = (0.5 * (edges[1:] + edges[:-1])) ** 2
+
+    def parts(x: Array) -> tuple[float, float, list[Array]]:
+        """Share of spikes, w / s, and the log densities of noise, spikes and what is beside."""
+        share = 0.2 / (1 + float(np.exp(-x[0])))
+        s, w = float(np.exp(x[1])), float(np.exp(x[2]))
+        kinds = ((1 - 3 * share, s), (share, s + w), (2 * share, s + w / 4))
+        logs = [np.log(weight) - 0.5 * np.log(v) - 0.5 * square / v for weight, v in kinds]
+        return share, w / s, logs
+
+    def loss(x: Array) -> float:
+        return -float(counts @ np.logaddexp.reduce(parts(x)[2])) / len(h)
+
+    best = minimize(
+        loss,
+        np.array([-3.0, 0.0, 2.0]),
+        method="Nelder-Mead",
+        options={"maxiter": 400, "xatol": 1e-3, "fatol": 1e-8},
+    )
+    share, ratio, (noise, spike, beside) = parts(best.x)
+    # The largest share is of what is found; of those there are, not all rise from the noise.
+    if share > 1.4 * largest_share or ratio < FAINTEST:
+        return None
+    is_spike = spike > np.logaddexp(noise, beside)
+    return float(edges[int(np.argmax(is_spike))]) if np.any(is_spike) else None

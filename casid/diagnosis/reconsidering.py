@@ -1,0 +1,79 @@
+"""Rivals judged once more when everything that is missing has been named.
+
+In the round that adopts a cause the others are still missing: their misfit passes for noise, and
+what imitates several causes at once looks like a rival of each. With the others in the model, and
+under the noise that is then left, a rival must stand in for its cause alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from casid.diagnosis.search import Adopted, Candidate, Search, Weighted
+from casid.effects.effect import Effect
+from casid.errors import CasidError
+from casid.model import Model
+
+MOST = 4
+"""Rivals of one cause that are refitted."""
+
+
+def reconsidered(
+    search: Search, adopted: Sequence[Adopted], start: Weighted, at: Weighted
+) -> list[Adopted]:
+    """The causes with the rivals that the record cannot reject in the end.
+
+    Parameters
+    ----------
+    start, at : the model as it is and with all causes, under the noise found there.
+    """
+    out = []
+    for a in adopted:
+        judged_under_misfit = len(adopted) > 1 or (a.before is not None and a.before.is_hidden)
+        rivals = a.rivals
+        if rivals and judged_under_misfit and not at.is_hidden:
+            search.progress(f"judge the rivals of {a.candidate.effect.kind} again")
+            others = [b.candidate for b in adopted if b is not a]
+            try:
+                again = _without(search, others, start, at)
+                found = [
+                    c
+                    for b in (a.candidate, *(r.candidate for r in rivals[:MOST]))
+                    if (c := _refitted(search, again, b)) is not None
+                ]
+            except CasidError:
+                found = []
+            if found and found[0].effect is a.candidate.effect:
+                rivals = search.rivals(again, found[0], found)
+        out.append(replace(a, rivals=rivals))
+    return out
+
+
+def _without(
+    search: Search, others: Sequence[Candidate], start: Weighted, at: Weighted
+) -> Weighted:
+    """The model with all causes but one, fitted under the last noise."""
+    model: Model = start.model
+    values = dict(at.fit.values)
+    for c in others:
+        model, names = c.effect.extended(model, starts=_values(c.effect, c))
+        values |= {
+            new: at.fit.values.get(old, 0.0) for new, old in zip(names, c.names, strict=True)
+        }
+    return replace(at, model=model, fit=search.fitted(model, at, values), unbiased=None)
+
+
+def _refitted(search: Search, at: Weighted, old: Candidate) -> Candidate | None:
+    effect, values = old.effect, _values(old.effect, old)
+    first = effect.parameters[0]
+    return search.refit(at, effect, values[first.name] - first.start, starts=values)
+
+
+def _values(effect: Effect, c: Candidate) -> dict[str, float]:
+    """What the effect's parameters were found to be, by their own names."""
+    return {
+        p.name: c.fit.values[name]
+        for p, name in zip(effect.parameters, c.names, strict=True)
+        if name in c.fit.values
+    }

@@ -1,0 +1,1 @@
+"""The diagnosis on a page, in figures and as text."""

@@ -1,0 +1,69 @@
+"""What `diagnose` is asked beside its records: its own options."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+
+class _Count(click.IntRange):
+    """A number that may be left out, and then takes what stands behind it for itself."""
+
+    name = "count"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The number, or a refusal that tells where the option may stand without one."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            self.fail(
+                f"{value!r} is no number of records from 1 on; give one, as in --calibrate 200, or "
+                "put --calibrate alone behind the data",
+                param,
+                ctx,
+            )
+
+
+DIAGNOSIS_OPTIONS = (
+    click.option(
+        "--false-alarm-rate",
+        type=float,
+        default=0.05,
+        show_default=True,
+        metavar="RATE",
+        help="How often a model that lacks nothing may be called deficient: one rate for the whole "
+        "catalogue of effects.",
+    ),
+    click.option(
+        "--calibrate",
+        is_flag=False,
+        flag_value=200,
+        type=_Count(min=1),
+        metavar="[N]",
+        help="Hold that rate on this very record: draw N records as the fitted model would give "
+        "them, diagnose each, and judge at the threshold that they set. Default 200; the time it "
+        "takes is told first, and Ctrl-C goes on with what is done.",
+    ),
+    click.option(
+        "--jobs",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Processes that calibrate; default one for every core.",
+    ),
+    click.option(
+        "--max-causes",
+        type=click.IntRange(min=1),
+        default=4,
+        show_default=True,
+        metavar="N",
+        help="Stop the search there.",
+    ),
+    click.option(
+        "--without",
+        multiple=True,
+        metavar="KIND",
+        help="Leave a kind of effect out of the catalogue, as in --without offset. Repeatable.",
+    ),
+)
+"""How the search for causes is held."""
