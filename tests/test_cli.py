@@ -381,8 +381,10 @@ def test_options_about_a_file_need_one(here: Path) -> None:
 
 
 def test_false_alarm_rates_are_between_none_and_all(here: Path) -> None:
-    refused(casid("diagnose", "mass.py", "run.csv", "--false-alarm-rate", "1"), "0<x<1")
-    refused(casid("diagnose", "mass.py", "run.csv", "--max-causes", "0"), "x>=1")
+    run = ("diagnose", "mass.py", "run.csv")
+    for rate in ("1", "0", "-0.1", "nan"):
+        refused(casid(*run, "--false-alarm-rate", rate), "between 0 and 1", "0.05")
+    refused(casid(*run, "--max-causes", "0"), "x>=1")
 
 
 # ---------------------------------------------------------------------- refusals: the problem

@@ -52,10 +52,12 @@ def record_of(hidden: truth.TruthRecord, **rename: str) -> casid.Record:
 
 @functools.cache
 def on_the_pendulum(
-    kind: str, strength: float, seed: int, where: str | None = None, duration: float = 60.0
+    kind: str, strength: float, seed: int, where: str | None = None, duration: float = 30.0
 ) -> tuple[truth.TruthRecord, casid.Diagnosis]:
-    hidden = truth.cart_pendulum(kind, strength, seed=seed, where=where, duration=duration)
-    return hidden, casid.diagnose(pendulum.problem, record_of(hidden))
+    hidden = truth.cart_pendulum(
+        kind, strength, seed=seed, where=where, duration=duration, Ts=0.02, step_grid=0.02
+    )
+    return hidden, casid.diagnose(pendulum.problem, record_of(hidden), advise=False)
 
 
 def floor_of(hidden: truth.TruthRecord, d: casid.Diagnosis) -> float:
@@ -70,17 +72,12 @@ def gains(before: float, after: float, floor: float) -> bool:
 
 HIDDEN = [
     ("quadratic_damping", 1.2, 100, None),
-    ("quadratic_damping", 1.2, 200, None),
     ("coulomb_friction", 1.2, 101, None),
-    ("coulomb_friction", 1.2, 201, None),
     ("cubic_stiffness", 1.2, 102, None),
-    ("cubic_stiffness", 1.2, 202, None),
     ("sensor_bias", 1.2, 103, None),
     ("extra_input", 1.2, 105, None),
-    ("extra_input", 1.2, 205, None),
     ("parameter_jump", 1.2, 106, "m"),
     ("parameter_jump", 1.2, 206, "k"),
-    ("parameter_jump", 1.2, 306, "d"),
     ("saturation", 1.2, 301, None),
     ("outliers", 1.2, 108, None),
 ]
@@ -95,7 +92,9 @@ HIDDEN = [
 def test_a_hidden_effect_is_the_first_cause_named_with_place_size_and_gain(
     kind, strength, seed, where
 ):
-    hidden, d = on_the_pendulum(kind, strength, seed, where)
+    # The yaw rate's periods are up to 50 s long: 9 s held out would tell little of it.
+    duration = 60.0 if kind == "extra_input" else 30.0
+    hidden, d = on_the_pendulum(kind, strength, seed, where, duration)
     assert d.verdict == "deficient"
     first = d.causes[0]
     assert first.kind == kind
@@ -118,11 +117,11 @@ def test_a_hidden_effect_is_the_first_cause_named_with_place_size_and_gain(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [104, 204, 404])
+@pytest.mark.parametrize("seed", [104])
 def test_a_gyro_that_comes_late_is_a_delay_and_the_accelerometer_may_be_early_instead(seed):
     """Only the difference of two clocks is in the data."""
-    hidden = truth.cart_pendulum("time_delay", 1.2, seed=seed)
-    d = casid.diagnose(pendulum.problem, record_of(hidden).without("ref"))
+    hidden = truth.cart_pendulum("time_delay", 1.2, seed=seed, duration=30.0, Ts=0.02)
+    d = casid.diagnose(pendulum.problem, record_of(hidden).without("ref"), advise=False)
     first = d.causes[0]
     assert (first.kind, first.where) == ("time_delay", "gyro")
     assert ("time_delay", "accel") in {(a.kind, a.where) for a in first.alternatives}
@@ -133,7 +132,7 @@ def test_a_gyro_that_comes_late_is_a_delay_and_the_accelerometer_may_be_early_in
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [204, 404])
+@pytest.mark.parametrize("seed", [204])
 def test_a_delay_is_not_taken_for_the_reference_that_drives_the_cart(seed):
     """a_y' = (ref - a_y) / T: late by tau, a_y is (1 + tau / T) a_y - tau / T ref."""
     _, d = on_the_pendulum("time_delay", 1.2, seed)
@@ -163,11 +162,20 @@ def test_outliers_are_counted():
     assert share == pytest.approx(0.01, rel=0.1)
 
 
-def test_a_model_that_fails_on_its_held_out_end_is_not_called_adequate():
-    """All clipped samples of this record lie in its last 30 %, where the error doubles."""
-    hidden, d = on_the_pendulum("saturation", 1.2, 107)
-    assert d.held_out["baseline_rmse"]["gyro"] > 2 * floor_of(hidden, d)
-    assert d.verdict != "adequate"
+def test_what_spoils_the_held_out_end_alone_is_found_as_well():
+    """All clipped samples of this record lie in its last 30 %: nothing of them is fitted."""
+    hidden = truth.cart_pendulum("saturation", 1.2, seed=107)
+    d = casid.diagnose(pendulum.problem, record_of(hidden), advise=False)
+    level = hidden.truth["level"]
+    clipped = np.flatnonzero(np.abs(hidden.columns["gyro"]) >= level)
+    assert clipped.min() > 0.7 * len(hidden.columns["t"])
+    (cause,) = d.causes
+    assert (cause.kind, cause.where) == ("saturation", "gyro")
+    (limit,) = cause.parameters
+    assert limit.name == "limit_gyro"
+    assert limit.value == pytest.approx(level, rel=1e-12)
+    # The samples are left out, before and after: what is left is as good as the sensor.
+    assert d.held_out["extended_rmse"]["gyro"] < 1.05 * floor_of(hidden, d)
 
 
 # -- another model, written here ------------------------------------------------------------------
@@ -188,8 +196,8 @@ def mass_on_a_spring() -> casid.Problem:
 
 @pytest.mark.slow
 def test_drag_on_a_mass_on_a_spring_is_named_and_sized():
-    hidden = truth.mass_spring_damper("quadratic_damping", 1.2, seed=11)
-    d = casid.diagnose(mass_on_a_spring(), record_of(hidden))
+    hidden = truth.mass_spring_damper("quadratic_damping", 1.2, seed=11, duration=30.0)
+    d = casid.diagnose(mass_on_a_spring(), record_of(hidden), advise=False)
     first = d.causes[0]
     assert (first.kind, first.where) == ("quadratic_damping", "force balance")
     p, size = first.parameters[0], hidden.truth["size"]
@@ -200,8 +208,8 @@ def test_drag_on_a_mass_on_a_spring_is_named_and_sized():
 @pytest.mark.slow
 def test_a_constant_force_is_a_bias_of_either_sensor_as_well():
     """F_0 in the balance, k x_0 of the position and -F_0 of the force are one thing at rest."""
-    hidden = truth.mass_spring_damper("offset", 1.2, seed=12)
-    d = casid.diagnose(mass_on_a_spring(), record_of(hidden))
+    hidden = truth.mass_spring_damper("offset", 1.2, seed=12, duration=30.0)
+    d = casid.diagnose(mass_on_a_spring(), record_of(hidden), advise=False)
     first = d.causes[0]
     assert first.kind in ("offset", "sensor_bias")
     kinds = {(first.kind, first.where), *((a.kind, a.where) for a in first.alternatives)}
@@ -215,7 +223,7 @@ def test_a_constant_force_is_a_bias_of_either_sensor_as_well():
 @pytest.mark.slow
 def test_two_effects_at_once_are_both_named():
     hidden = truth.roll_decay("both", 3.0, seed=3)
-    d = casid.diagnose(roll_decay.problem, record_of(hidden))
+    d = casid.diagnose(roll_decay.problem, record_of(hidden), advise=False)
     # The catalogue's cubic is about zero, the truth's about the heel: a bias may follow.
     assert {c.kind for c in d.causes[:2]} == {"quadratic_damping", "cubic_stiffness"}
     assert {c.kind for c in d.causes[2:]} <= {"sensor_bias", "offset"}
@@ -227,12 +235,13 @@ def test_two_effects_at_once_are_both_named():
 
 @pytest.mark.slow
 def test_records_without_a_hidden_effect_raise_few_alarms():
-    """At most two of 12: P(more | 5 %) = 2 % (binomial); 60 are in `analysis/null_records.py`."""
+    """At most one of four: P(more | 5 %) = 1.4 %; 60 are in `analysis/null_records.py`."""
     alarms = 0
-    for seed in range(1000, 1012):
-        hidden = truth.cart_pendulum(seed=seed, duration=30.0)
-        alarms += casid.diagnose(pendulum.problem, record_of(hidden)).verdict == "deficient"
-    assert alarms <= 2
+    for seed in range(1000, 1004):
+        hidden = truth.cart_pendulum(seed=seed, duration=30.0, Ts=0.02)
+        d = casid.diagnose(pendulum.problem, record_of(hidden), advise=False)
+        alarms += d.verdict == "deficient"
+    assert alarms <= 1
 
 
 def test_a_record_of_noise_alone_is_undecided():
@@ -286,7 +295,7 @@ def test_the_json_has_its_fixed_fields():
 @pytest.mark.slow
 def test_the_same_record_and_seed_give_the_same_answer():
     hidden, d = on_the_pendulum("quadratic_damping", 1.2, 100)
-    again = casid.diagnose(pendulum.problem, record_of(hidden))
+    again = casid.diagnose(pendulum.problem, record_of(hidden), advise=False)
     assert json.dumps(again.to_json()) == json.dumps(d.to_json())
 
 
@@ -308,8 +317,8 @@ def test_the_extended_model_can_be_used_where_the_model_was():
         channels=pendulum.problem.channels,
         recorded=pendulum.problem.recorded,
     )
-    hidden = truth.cart_pendulum("quadratic_damping", 1.2, seed=100)
-    d = casid.diagnose(problem, record_of(hidden))
+    hidden = truth.cart_pendulum("quadratic_damping", 1.2, seed=100, duration=30.0, Ts=0.02)
+    d = casid.diagnose(problem, record_of(hidden), advise=False)
     assert d.verdict == "adequate"
     c = d.baseline.parameter("c")
     size = hidden.truth["size"]
@@ -328,7 +337,7 @@ def test_a_user_sees_verdict_cause_and_gain_in_the_text():
 
 def test_a_recorded_channel_named_like_the_eliminated_input_is_no_candidate():
     """a_y is in the model already, behind the accelerometer that took its place."""
-    from casid.diagnosing import _recorded
+    from casid.diagnosis.findings import recorded_beside
 
     rng = np.random.default_rng(1)
     channels = {n: rng.standard_normal(50) for n in ("gyro", "accel", "a_y", "yaw_rate")}
@@ -336,4 +345,4 @@ def test_a_recorded_channel_named_like_the_eliminated_input_is_no_candidate():
     problem = dataclasses.replace(
         pendulum.problem, recorded={"a_y": "m/s^2", "yaw_rate": "rad/s", "gyro": "rad/s"}
     )
-    assert _recorded(problem, [casid.Experiment(record)]) == {"yaw_rate": "rad/s"}
+    assert recorded_beside(problem, [casid.Experiment(record)]) == {"yaw_rate": "rad/s"}

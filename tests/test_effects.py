@@ -8,17 +8,32 @@ import numpy as np
 import pytest
 
 import casid
-from casid import effects
+from casid.effects.balance_effects import (
+    coulomb_friction,
+    cubic_stiffness,
+    extra_input,
+    offset,
+    quadratic_damping,
+)
+from casid.effects.catalogue import catalogue
+from casid.effects.channel_effects import saturation, sensor_bias, time_delay
+from casid.effects.effect import Sizes, Spread, extend_all
+from casid.effects.parameter_effects import (
+    JUMP_TIMES,
+    jump_times,
+    parameter_jump,
+    scheduled_parameter,
+)
 from casid.simulation_error import SimulationError
 from problems import pendulum
 
-SIZES = effects.Sizes(
+SIZES = Sizes(
     rates={"phi": 0.1, "p": 0.5, "v": 1.0}, largest={"gyro": 2.0}, window=(0.0, 60.0),
     longest_delay=0.1,
 )  # fmt: skip
 
 
-SPREAD = effects.Spread(1.5, 1.0, 2.0)
+SPREAD = Spread(1.5, 1.0, 2.0)
 
 
 def oscillator(hold: str = "foh") -> casid.Model:
@@ -45,33 +60,48 @@ def simulated(model: casid.Model, force: np.ndarray, Ts: float = 0.01, **values:
 
 
 def test_the_catalogue_has_every_kind_in_every_place_that_the_structure_allows():
-    found = {
-        e.key
-        for e in effects.catalogue(pendulum.problem.model, SIZES, {"ref": "m/s^2", "speed": "m/s"})
-    }
-    torque = {"quadratic_damping", "coulomb_friction", "cubic_stiffness", "offset"}
+    """Of balances and parameters: effects in channels and in the structure have their own tests."""
+    effects = catalogue(pendulum.problem.model, SIZES, {"ref": "m/s^2", "speed": "m/s"})
+    found = {e.key for e in effects}
+    torque = {"quadratic_damping", "coulomb_friction", "cubic_stiffness", "deadzone", "offset"}
     wanted = {(kind, "torque") for kind in torque}
-    wanted |= {("extra_input", "ref"), ("extra_input", "speed"), ("saturation", "gyro")}
-    wanted |= {(kind, c) for kind in ("sensor_bias", "time_delay") for c in ("gyro", "accel")}
+    shapes = ("p^3", "p^2", "sqrt|p|", "phi^2", "phi^5", "phi p", "phi^2 p")
+    wanted |= {("unknown", f"torque: {shape}") for shape in shapes}
+    wanted |= {("extra_input", "ref"), ("extra_input", "speed")}
     # A known load may still appear; constants of nature and of geometry never jump.
     wanted |= {("parameter_jump", name) for name in ("k", "d", "I_x", "m")}
-    assert found == wanted
+    wanted |= {("parameter_drift", name) for name in ("k", "d", "I_x")}
+    families = {kind for kind, _ in wanted}
+    assert {key for key in found if key[0] in families} == wanted
+    wanted = {("saturation", "gyro")}
+    wanted |= {(kind, c) for kind in ("sensor_bias", "time_delay") for c in ("gyro", "accel")}
+    assert found >= wanted
+
+
+def test_kinds_are_left_out_and_effects_of_a_users_own_put_in():
+    model = pendulum.problem.model
+    mine = dataclasses.replace(offset(model, "torque"), kind="my_own")
+    every = catalogue(model, SIZES, {}, extra=[mine], without=["parameter_jump", "unknown"])
+    kinds = {e.kind for e in every}
+    assert "my_own" in kinds
+    assert not kinds & {"parameter_jump", "unknown"}
+    assert "deadzone" in kinds
 
 
 def test_every_parameter_that_is_there_may_depend_on_every_recorded_channel():
     """The load is known to be absent: its product with a channel would be another effect."""
     sizes = dataclasses.replace(SIZES, channels={"speed": SPREAD})
-    found = effects.catalogue(pendulum.problem.model, sizes, {"speed": "m/s"})
+    found = catalogue(pendulum.problem.model, sizes, {"speed": "m/s"})
     places = [e.where for e in found if e.kind == "scheduled_parameter"]
     assert sorted(places) == ["I_x~speed", "d~speed", "k~speed"]
     known = pendulum.problem.model.with_known(k=10.0)
-    again = effects.catalogue(known, sizes, {"speed": "m/s"})
+    again = catalogue(known, sizes, {"speed": "m/s"})
     assert ("scheduled_parameter", "k~speed") in {e.key for e in again}
 
 
 def test_jumps_are_searched_evenly_inside_the_window():
-    times = effects.jump_times((10.0, 36.0))
-    assert len(times) == effects.JUMP_TIMES
+    times = jump_times((10.0, 36.0))
+    assert len(times) == JUMP_TIMES
     assert np.diff([10.0, *times, 36.0]) == pytest.approx(2.0)
 
 
@@ -80,21 +110,21 @@ def test_a_balance_without_a_position_has_no_stiffness():
     v = m.state("v", "m/s")
     m.balance(v, "force", inertia=1.0, terms=[-m.parameter("d", "N s/m") * v])
     m.output("speed", v, "m/s")
-    assert effects.cubic_stiffness(m, "force") is None
+    assert cubic_stiffness(m, "force") is None
 
 
 @pytest.mark.parametrize(
     ("make", "unit"),
     [
-        (lambda m: effects.quadratic_damping(m, "torque"), "N m s^2/rad^2"),
-        (lambda m: effects.coulomb_friction(m, "torque", 0.01), "N m"),
-        (lambda m: effects.cubic_stiffness(m, "torque"), "N m/rad^3"),
-        (lambda m: effects.offset(m, "torque"), "N m"),
-        (lambda m: effects.time_delay(m, "accel", 0.1), "s"),
-        (lambda m: effects.sensor_bias(m, "gyro"), "rad/s"),
-        (lambda m: effects.sensor_bias(m, "accel"), "m/s^2"),
-        (lambda m: effects.parameter_jump(m, "k", 3.0), "N m/rad"),
-        (lambda m: effects.scheduled_parameter(m, "d", "speed", "m/s", SPREAD), "N s^2/rad"),
+        (lambda m: quadratic_damping(m, "torque"), "N m s^2/rad^2"),
+        (lambda m: coulomb_friction(m, "torque", 0.01), "N m"),
+        (lambda m: cubic_stiffness(m, "torque"), "N m/rad^3"),
+        (lambda m: offset(m, "torque"), "N m"),
+        (lambda m: time_delay(m, "accel", 0.1), "s"),
+        (lambda m: sensor_bias(m, "gyro"), "rad/s"),
+        (lambda m: sensor_bias(m, "accel"), "m/s^2"),
+        (lambda m: parameter_jump(m, "k", 3.0), "N m/rad"),
+        (lambda m: scheduled_parameter(m, "d", "speed", "m/s", SPREAD), "N s^2/rad"),
     ],
 )
 def test_parameters_of_effects_have_the_unit_that_their_balance_needs(make, unit):
@@ -107,18 +137,18 @@ def test_parameters_of_effects_have_the_unit_that_their_balance_needs(make, unit
 def test_dissipation_and_delays_have_one_sign():
     model = pendulum.problem.model
     for effect in (
-        effects.quadratic_damping(model, "torque"),
-        effects.coulomb_friction(model, "torque", 0.01),
-        effects.time_delay(model, "gyro", 0.1),
+        quadratic_damping(model, "torque"),
+        coulomb_friction(model, "torque", 0.01),
+        time_delay(model, "gyro", 0.1),
     ):
         assert effect.sided == "positive"
         assert effect.parameters[0].lower == 0.0
-    assert effects.cubic_stiffness(model, "torque").sided == "both"  # softening exists
+    assert cubic_stiffness(model, "torque").sided == "both"  # softening exists
 
 
 def test_a_constant_force_at_rest_moves_the_mass_by_its_static_deflection():
     m = oscillator()
-    model = m.extend(effects.offset(m, "force balance"))
+    model = m.extend(offset(m, "force balance"))
     y = simulated(model, np.zeros(3000), F_0=5.0)
     assert y[-1] == pytest.approx(5.0 / 50.0, rel=1e-4)  # exp(-0.375 * 30) = 1e-5 is left
 
@@ -126,7 +156,7 @@ def test_a_constant_force_at_rest_moves_the_mass_by_its_static_deflection():
 def test_dry_friction_stops_a_decay_and_drag_never_does():
     """Friction takes 4 F_c / k an oscillation, drag a share that falls with the amplitude."""
     m = oscillator()
-    frictional = m.extend(effects.coulomb_friction(m, "force balance", 1e-3))
+    frictional = m.extend(coulomb_friction(m, "force balance", 1e-3))
     force = np.zeros(600)
     y = simulated(frictional, force, F_c=0.5)
     free = simulated(m, force)
@@ -137,7 +167,7 @@ def test_dry_friction_stops_a_decay_and_drag_never_does():
 
 def test_a_delayed_output_is_the_output_moved():
     m = oscillator()
-    model = m.extend(effects.time_delay(m, "position", 0.2))
+    model = m.extend(time_delay(m, "position", 0.2))
     force = np.sin(np.arange(400) * 0.03)
     y, late = simulated(m, force), simulated(model, force, delay_position=0.05)
     assert late[20:] == pytest.approx(y[15:-5], abs=1e-12)
@@ -145,7 +175,7 @@ def test_a_delayed_output_is_the_output_moved():
 
 def test_an_input_that_was_recorded_late_is_moved_back():
     m = oscillator()
-    model = m.extend(effects.time_delay(m, "force", 0.2))
+    model = m.extend(time_delay(m, "force", 0.2))
     force = np.sin(np.arange(400) * 0.03)
     recorded = np.concatenate([np.zeros(5), force[:-5]])
     y, back = simulated(m, force), simulated(model, recorded, delay_force=0.05)
@@ -154,7 +184,7 @@ def test_an_input_that_was_recorded_late_is_moved_back():
 
 def test_an_output_is_clipped_at_plus_and_minus_its_limit():
     m = oscillator()
-    model = m.extend(effects.saturation(m, "position", 0.05))
+    model = m.extend(saturation(m, "position", 0.05))
     y = simulated(m, np.zeros(300))
     clipped = simulated(model, np.zeros(300), limit_position=0.05)
     assert clipped == pytest.approx(np.clip(y, -0.05, 0.05), abs=1e-12)
@@ -162,7 +192,7 @@ def test_an_output_is_clipped_at_plus_and_minus_its_limit():
 
 def test_a_parameter_jumps_at_its_instant_and_not_before():
     m = oscillator()
-    model = m.extend(effects.parameter_jump(m, "k", 1.5))
+    model = m.extend(parameter_jump(m, "k", 1.5))
     force = np.ones(300)
     y, jumped = simulated(m, force), simulated(model, force, jump_k=10.0)
     assert jumped[:150] == pytest.approx(y[:150], abs=1e-12)
@@ -172,7 +202,7 @@ def test_a_parameter_jumps_at_its_instant_and_not_before():
 
 def test_a_recorded_channel_acts_with_its_gain():
     m = oscillator()
-    effect = effects.extra_input(m, "force balance", "wind", "m/s")
+    effect = extra_input(m, "force balance", "wind", "m/s")
     model = m.extend(effect)
     assert model.inputs["wind"].kind == "known"
     e = model.explicit()
@@ -188,7 +218,7 @@ def test_a_parameter_follows_a_channel_about_its_mean():
     import casadi as ca
 
     m = oscillator()
-    effect = effects.scheduled_parameter(m, "k", "wind", "m/s", effects.Spread(3.0, 1.0, 6.0))
+    effect = scheduled_parameter(m, "k", "wind", "m/s", Spread(3.0, 1.0, 6.0))
     model = m.extend(effect)
     e = model.explicit()
     stiffness = -2.0 * ca.jacobian(e.f, e.x[e.states.index("x")])[1]
@@ -203,7 +233,7 @@ def test_a_parameter_follows_a_channel_about_its_mean():
 
 def test_a_bias_of_an_input_is_taken_off_before_the_input_acts():
     m = oscillator()
-    model = m.extend(effects.sensor_bias(m, "force"))
+    model = m.extend(sensor_bias(m, "force"))
     force = np.sin(np.arange(200) * 0.05)
     y = simulated(m, force)
     assert simulated(model, force + 0.7, bias_force=0.7) == pytest.approx(y, abs=1e-12)
@@ -211,16 +241,16 @@ def test_a_bias_of_an_input_is_taken_off_before_the_input_acts():
 
 def test_an_effect_added_twice_gets_names_of_its_own():
     m = oscillator()
-    once, first = effects.offset(m, "force balance").extended(m)
-    _, second = effects.offset(once, "force balance").extended(once)
+    once, first = offset(m, "force balance").extended(m)
+    _, second = offset(once, "force balance").extended(once)
     assert first == ("F_0",)
     assert second == ("F_0_2",)
 
 
 def test_all_effects_together_at_their_null_values_are_the_model():
     m = oscillator()
-    sizes = effects.Sizes({"x": 0.1, "v": 1.0}, {}, (0.0, 3.0), 0.1)
-    model, names = effects.extend_all(m, effects.catalogue(m, sizes, {}))
+    sizes = Sizes({"x": 0.1, "v": 1.0}, {}, (0.0, 3.0), 0.1, Ts=0.01)
+    model, names = extend_all(m, catalogue(m, sizes, {}))
     assert len(set(names)) == len(names)
     force = np.sin(np.arange(300) * 0.05)
     assert simulated(model, force) == pytest.approx(simulated(m, force), abs=1e-9)
@@ -229,5 +259,5 @@ def test_all_effects_together_at_their_null_values_are_the_model():
 def test_extending_leaves_the_model_alone():
     m = oscillator()
     before = dict(m.parameters)
-    m.extend(effects.quadratic_damping(m, "force balance"))
+    m.extend(quadratic_damping(m, "force balance"))
     assert m.parameters == before

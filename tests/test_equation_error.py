@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from casid.data import Experiment, Record
-from casid.effects import coulomb_friction, offset, quadratic_damping, time_delay
+from casid.effects.balance_effects import coulomb_friction, offset, quadratic_damping
+from casid.effects.channel_effects import hold, time_delay
 from casid.equation_error import Butterworth, equation_error
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.model import Model
@@ -147,6 +148,8 @@ def test_what_a_balance_cannot_show_is_refused():
     e = Experiment(sine_record(), {}, "sines")
     with pytest.raises(ModelError, match=r"delay.*casid\.identify"):
         equation_error(m, e, prefilter=None, effects=[time_delay(m, "q", 0.1)])
+    with pytest.raises(ModelError, match=r"F does between its samples.*leave that effect out"):
+        equation_error(m, e, prefilter=None, effects=[hold(m, "F")])
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 import casid
-from casid.effects import parameter_jump, saturation, sensor_bias, time_delay
+from casid.effects.channel_effects import hold, saturation, sensor_bias, sensor_lag, time_delay
+from casid.effects.parameter_effects import parameter_jump
+from casid.effects.structure_effects import actuator_lag
 from casid.errors import DataError, ModelError
 from casid.identifiability.equations.model_system import left_out, system_of, systems_of, translated
 from casid.identifiability.rank.system import System
@@ -171,6 +173,33 @@ def test_delays_and_clipping_are_left_out_and_said_to_be():
         "the clipping of position is left out, and limit_position is not asked about",
     )
     assert left_out(model) == ()
+
+
+def test_lags_and_blends_of_inputs_are_left_out_and_said_to_be():
+    """What carries their tangents is no input, and their parameters are not called unidentifiable.
+
+    A carrier that counted as an input of its own would seem to tell the lag's time constant.
+    """
+    model = casid.Model("driven spring")
+    x, v = model.state("position", "m"), model.state("rate", "m/s")
+    force = model.input("force", "N")
+    k = model.parameter("k", "N/m", start=10.0)
+    model.derivative(x, v)
+    model.balance(v, "forces", inertia=1.0, terms=[-k * x, -v, force])
+    model.output("position", x, "m")
+    felt = sensor_lag(model, "position", 1.0).extend(model)
+    late = sensor_lag(felt, "force", 1.0).extend(felt)
+    slow = actuator_lag(late, "force", 1.0).extend(late)
+    blended = hold(slow, "force").extend(slow)
+    system = system_of(blended)
+    assert system.parameters == ("k",)
+    assert system.inputs == ("force",)
+    assert left_out(blended) == (
+        "the sensor's lag of position is left out, and lag_position is not asked about",
+        "the sensor's lag of force is left out, and lag_force is not asked about",
+        "the actuator's lag of force is left out, and tau_force is not asked about",
+        "what force does between its samples is left out, and ramp_force is not asked about",
+    )
 
 
 def test_a_delayed_input_leaves_the_model_without_the_delay():

@@ -10,14 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from casid.effects import (
-    coulomb_friction,
-    offset,
-    parameter_jump,
-    quadratic_damping,
-    sensor_bias,
-    time_delay,
-)
+from casid.effects.balance_effects import coulomb_friction, offset, quadratic_damping
+from casid.effects.channel_effects import sensor_bias, time_delay
+from casid.effects.parameter_effects import parameter_jump
 from casid.errors import ModelError
 from casid.linear.linear_model import LinearModel, faddeev_leverrier, linearise
 from casid.model import Model

@@ -6,7 +6,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casid.effects import coulomb_friction, cubic_stiffness, offset, quadratic_damping
+from casid.effects.balance_effects import (
+    coulomb_friction,
+    cubic_stiffness,
+    offset,
+    quadratic_damping,
+)
 from casid.errors import ModelError
 from casid.model import Model, Parameter
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import casid
+from casid.effects.channel_effects import sensor_lag
+from casid.effects.structure_effects import actuator_lag
 from casid.noise import NoiseModel, Response, estimate_noise, input_noise_floor, noise_response
 from casid.simulation_error import SimulationError, minimize_simulation_error, signals_of
 from problems import pendulum
@@ -127,3 +131,80 @@ def test_the_bound_on_an_inputs_noise_is_that_of_white_noise_however_short_the_r
         found.append(input_noise_floor(made, list(model.inputs))["accel"])
     # sd of one bound is near 4 %, of the mean of twenty 1 %
     assert np.mean(found) == pytest.approx(1.0, abs=0.04)
+
+
+def driven(extend=lambda m: m) -> SimulationError:
+    """A damped mass driven by a measured force, its position measured; 60 s at 50 Hz."""
+    m = casid.Model("damped mass")
+    x, v = m.state("x", "m", initial=0.0), m.state("v", "m/s", initial=0.0)
+    force = m.input("force", "N", hold="foh")
+    k = m.parameter("k", "N/m", start=40.0)
+    m.derivative(x, v)
+    m.balance(v, "forces", inertia=1.0, terms=[-k * x, -3.0 * v, force])
+    m.output("position", x, "m")
+    columns = {"force": np.zeros(3000), "position": np.zeros(3000)}
+    record = casid.Record(columns, {"force": "N", "position": "m"}, Ts=0.02)
+    return SimulationError(extend(m), [casid.Experiment(record, {}, "r")], weights=np.ones(1))
+
+
+def at(criterion: SimulationError, value: float) -> np.ndarray:
+    return np.array([v.start if v.name == "k" else value for v in criterion.variables])
+
+
+TAU = 0.15
+STAGES = {
+    "actuator lag": (lambda m: actuator_lag(m, "force", 1.0).extend(m), -1),
+    "sensor lag of the input": (lambda m: sensor_lag(m, "force", 1.0).extend(m), +1),
+    "sensor lag of the output": (lambda m: sensor_lag(m, "position", 1.0).extend(m), -1),
+}
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_what_lags_passes_noise_as_its_equation_says(stage):
+    """|G|^2 is that without the lag times (1 + w^2 tau^2) to the power -1, or +1 where undone."""
+    extend, power = STAGES[stage]
+    bare, lagging = driven(), driven(extend)
+    before = noise_response(bare, bare.start, 0)
+    after = noise_response(lagging, at(lagging, TAU), 0)
+    w = before.omega / 0.02
+    low = w < 20.0  # samples a tenth of that period: joined by lines they are 2 % short there
+    expected = (1 + (w * TAU) ** 2) ** power
+    found = after.gain2[:, 0, 0] / before.gain2[:, 0, 0]
+    assert found[low] == pytest.approx(expected[low], rel=0.06)
+    # A force that nobody models knows of the output's sensor, and of no input's.
+    force = after.gain2[:, 0, 1] / before.gain2[:, 0, 1]
+    assert force[low] == pytest.approx(
+        expected[low] if stage == "sensor lag of the output" else np.ones(low.sum()), rel=0.06
+    )
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_the_response_with_a_lag_is_that_of_the_simulation(stage):
+    """One noisy sample, simulated, has |G|^2 for its periodogram at every frequency."""
+    lagging = driven(STAGES[stage][0])
+    x = at(lagging, TAU)
+    r = noise_response(lagging, x, 0)
+    d = lagging.data[0]
+    u = np.zeros_like(d.u)
+    u[1000, list(lagging.model.inputs).index("force")] = 1.0
+    y = lagging.simulate(x, 0, signals=replace(d, u=u))[0][:, 0]
+    spectrum = np.abs(np.fft.rfft(y, 6000)) ** 2
+    # What rings on at the end, 40 s later, is exp(-1.5 * 40) of it.
+    assert r.gain2[1:, 0, 0] == pytest.approx(spectrum[1:], rel=1e-6, abs=1e-9 * spectrum.max())
+
+
+def test_a_sensor_that_lags_does_not_filter_its_own_noise():
+    lagging = driven(STAGES["sensor lag of the output"][0])
+    r = noise_response(lagging, at(lagging, TAU), 0)
+    noise = NoiseModel(np.array([0.1]), {"force": 0.0, "forces": 0.0}, [r], np.ones(1))
+    assert noise.spectrum(0) == pytest.approx(np.full((3001, 1), 0.01))
+
+
+def test_whitening_in_groups_is_whitening_column_by_column():
+    _, fit = fitted(41, duration=20.0)
+    noise = estimate_noise(fit.criterion, fit.x)
+    columns = np.random.default_rng(0).standard_normal((2000, 1, 19))
+    once = noise.whiten(columns, 0)
+    each = [noise.whiten(columns[:, :, [j]], 0) for j in range(19)]
+    assert any(noise.source_sd.values())
+    assert once == pytest.approx(np.concatenate(each, axis=2), abs=1e-12)

@@ -32,59 +32,70 @@ HEAVY = "casadi numpy scipy sympy control pandas pyarrow pint joblib plotly rich
 # from below (`record.lowpass`, `diagnosis.write`) it imports when it is called. A module without a
 # line here is free, as long as there is no circle. An indented line goes on with the one above.
 LAYERS = """
-asymptotics.remedy_text campaigns.dask_backend campaigns.progress errors identifiability.assessment
+asymptotics.remedy_text campaigns.dask_backend campaigns.progress diagnosis.evidence.plateaus
+  diagnosis.evidence.spikes diagnosis_options errors figures.look identifiability.assessment
   identifiability.combinations.readable identifiability.combinations.scalar_flow
   identifiability.rank.program identifiability.records.profile_result instrumental.columns
-  instrumental.lag_products instrumental.switching linear.loop_text local_rank observers.subspaces
-  spikes transfer.polynomial transfer.roots uncertainty
+  instrumental.lag_products instrumental.switching lags linear.loop_text local_rank
+  observers.subspaces pages.drawing pages.style transfer.polynomial transfer.roots uncertainty
 asymptotics.asymptotics asymptotics.exact_field asymptotics.filters asymptotics.linear_expressions
-  asymptotics.regression campaigns.manifest estimate expressions identifiability.assessment_text
-  identifiability.rank.prime_field identifiability.rank.terms instrumental.change_detection
-  instrumental.column_products instrumental.gram instrumental.long_run instrumental.reference_filter
-  linear.linear_constraints linear.symbolic linear.transfer_text local_polynomial model options
-  prediction.extended_smoother prediction.polynomial_orders prediction.polynomial_residuals
-  reading.sources reading.tables solving.nlp_solution solving.nlp_solver terminal transfer.rational
-  transfer.text units writing
+  asymptotics.regression asymptotics.remedy_figures campaigns.manifest estimate expressions
+  identifiability.assessment_text identifiability.rank.prime_field identifiability.rank.terms
+  instrumental.change_detection instrumental.column_products instrumental.gram instrumental.long_run
+  instrumental.reference_filter linear.linear_constraints linear.symbolic linear.transfer_text
+  local_polynomial model options pages.markup prediction.extended_smoother
+  prediction.polynomial_orders prediction.polynomial_residuals reading.sources reading.tables
+  solving.nlp_solution solving.nlp_solver terminal transfer.rational transfer.text units writing
 asymptotics.comparison asymptotics.decision_map asymptotics.linear_signals
-  asymptotics.module_response asymptotics.state_space campaigns.parts data diagnosis dimensions
-  effects identifiability.combinations.matroid identifiability.combinations.rational_degrees
+  asymptotics.module_response asymptotics.state_space campaigns.parts data diagnosis.remaining
+  diagnosis.report.text dimensions effects.effect figures.record_views figures.thinning
+  identifiability.combinations.matroid identifiability.combinations.rational_degrees
   identifiability.inputs.generic_zero identifiability.rank.error_bound
   identifiability.rank.immersion identifiability.rank.row_basis identifiability.rank.system
-  identifiability_options instrumental.moments linear.discrete_loop linear.inverse_map
-  linear.laplace linear.parameter_draws linear.vanishing networks.estimation.module_fit
-  prediction.input_models reading.columns simulate solving.nlp_criterion solving.nlp_values
-  transfer.matrix transfer.minors transfer.reading
+  identifiability_options instrument_options instrumental.moments linear.discrete_loop
+  linear.inverse_map linear.laplace linear.parameter_draws linear.vanishing
+  networks.estimation.module_fit pages.numbers pages.page prediction.input_models reading.columns
+  simulate solving.nlp_criterion solving.nlp_values stages transfer.matrix transfer.minors
+  transfer.reading
 asymptotics.estimated_row asymptotics.input_measurement asymptotics.second_moments
-  campaigns.campaign derived identifiability.combinations.interpolation
-  identifiability.combinations.subsets identifiability.equations.formula_scope
-  identifiability.inputs.signals identifiability.mends.candidates
-  identifiability.rank.program_reader identifiability.rank.rank_result
-  identifiability.records.excitation indirect.blocks instrumental.exogeneity
-  instrumental.windowed_moments linear.closed_loop linear.linear_model linear.symbolic_hull
-  networks.network observers.input_estimate plotting prediction.coordinated_turn
-  prediction.excitation prediction.noisy_system prediction.polynomial_data
-  prediction.polynomial_start prepare reading.faults solving.compiled solving.nlp
-  transfer.from_control transfer.realisation
-asymptotics.limits asymptotics.prediction_criterion asymptotics.remedy_figures
-  identifiability.combinations.null_direction identifiability.equations.equation_text
-  identifiability.equations.model_system identifiability.inputs.input_classes
-  identifiability.inputs.structure_algorithm identifiability.rank.series
-  identifiability.symbolic.symbolic_rank indirect.direct_model indirect.free_gain linear.discretise
-  networks.dynamics networks.equations networks.estimation.reference_responses networks.graph
-  networks.separators observers.unknown_input_system prediction.kalman
-  prediction.polynomial_criterion prediction.polynomial_model reading.cells reading.clocks
-  reconciliation regression report simulation_error solving.contenders solving.null_space
+  campaigns.campaign cli derived diagnosis.result effects.balance_effects effects.channel_effects
+  effects.checking effects.decoys effects.parameter_effects effects.periodic effects.user_effects
+  figures.panels identifiability.combinations.interpolation identifiability.combinations.subsets
+  identifiability.equations.formula_scope identifiability.inputs.signals
+  identifiability.mends.candidates identifiability.rank.program_reader
+  identifiability.rank.rank_result identifiability.records.excitation indirect.blocks
+  instrumental.exogeneity instrumental.windowed_moments linear.closed_loop linear.linear_model
+  linear.symbolic_hull networks.network observers.input_estimate pages.estimates
+  prediction.coordinated_turn prediction.excitation prediction.noisy_system
+  prediction.polynomial_data prediction.polynomial_start prepare reading.faults solving.compiled
+  solving.nlp transfer.from_control transfer.realisation
+__main__ asymptotics.limits asymptotics.prediction_criterion campaigns.monte_carlo_page
+  diagnosis.advice.isolability_figures diagnosis.calibration.calibration_figure
+  diagnosis.report.by_record_figure diagnosis.report.cause_parts diagnosis.report.limit_parts
+  diagnosis.report.moved_figure diagnosis.report.ranking_figure diagnosis.report.remaining_figure
+  diagnosis.report.remaining_parts diagnosis.report.unknown_parts effects.structure_effects
+  figures.estimates figures.residuals figures.simulated identifiability.combinations.null_direction
+  identifiability.equations.equation_text identifiability.equations.model_system
+  identifiability.inputs.input_classes identifiability.inputs.structure_algorithm
+  identifiability.rank.series identifiability.symbolic.symbolic_rank indirect.direct_model
+  indirect.free_gain linear.discretise networks.dynamics networks.equations
+  networks.estimation.reference_responses networks.graph networks.separators
+  observers.unknown_input_system prediction.kalman prediction.polynomial_criterion
+  prediction.polynomial_model reading.cells reading.clocks reconciliation regression
+  simulation_error solving.contenders solving.null_space
 asymptotics.network_signals asymptotics.prediction_limit asymptotics.remedies
-  campaigns.monte_carlo_page identifiability.combinations.family
-  identifiability.equations.equation_file identifiability.inputs.elimination
-  identifiability.rank.observability identifiability.symbolic.reduced_form indirect.from_model
-  indirect.left_inverse indirect.special_cases instrumental.instruments linear.structural_relations
-  networks.elimination networks.estimation.exact_reach networks.left_inverse networks.network_text
-  networks.node_sets networks.prediction.error_variance networks.residues networks.simulation noise
+  diagnosis.evidence.peaks diagnosis.evidence.runaway diagnosis.report.figures effects.catalogue
+  identifiability.combinations.family identifiability.equations.equation_file
+  identifiability.inputs.elimination identifiability.rank.observability
+  identifiability.symbolic.reduced_form indirect.from_model indirect.left_inverse
+  indirect.special_cases instrumental.instruments linear.structural_relations networks.elimination
+  networks.estimation.exact_reach networks.left_inverse networks.network_text networks.node_sets
+  networks.prediction.error_variance networks.residues networks.simulation noise
   observers.equivalent_model observers.output_window observers.read_system observers.split_dynamics
-  prediction.noisy_model prediction.polynomial reading.chunks reading.resampling scores
+  pages.estimate_page prediction.noisy_model prediction.polynomial reading.chunks reading.resampling
   solving.scipy_solvers
-asymptotics.two_stage_limit identifiability.combinations.along_family
+asymptotics.two_stage_limit diagnosis.evidence.scores diagnosis.evidence.signatures
+  diagnosis.report.page identifiability.combinations.along_family
   identifiability.combinations.closed_form identifiability.inputs.experiments
   identifiability.inputs.unknown_jets identifiability.mends.output_spans
   identifiability.mends.replicas identifiability.mends.screening
@@ -93,33 +104,38 @@ asymptotics.two_stage_limit identifiability.combinations.along_family
   linear.affine linear.difference_equation networks.confounding networks.indirect_equations
   networks.prediction.node_predictor networks.principal_minors observers.decoupled_observer
   observers.input_smoother observers.noncausal_inverse prediction.arma prediction.likelihood
-  reading.surveying search solving.solvers
-asymptotics.polynomial_regression checking identifiability.mends.sensor_subsets
-  identifiability.requirement identifiability.symbolic.observability_matrix indirect.feedforward
-  indirect.output_choice instrumental.image instrumental.moment_equations linear.discretisation_bias
-  networks.drawing networks.estimation.module_regression networks.prediction.row_predictor
-  networks.propositions networks.rings networks.well_posed observers.figures reading.record_file
-asymptotics.module_remedies identifiability.mends.cheapest instrumental.moment_nlp
-  instrumental.prefilters instrumental.seen_directions instrumental.stage_instruments
-  networks.prediction.observation_choice networks.predictor_inputs networks.ring_figure problem
-equation_error identifiability.asked identifiability.invariants identification
-  instrumental.moment_settings networks.estimation.module_equation networks.prediction.eiv_filter
-  networks.prediction.predictors
-asymptotics.network_relations campaigns.monte_carlo holdout identifiability.answers
-  identifiability.records.planned instrumental.stage_programs networks.estimation.consistency
-  networks.estimation.module_data prediction.grey_box
-asymptotics.network_remedies identifiability.assess identifiability.records.practical_result
-  identifiability.records.profiles identifiability.records.reference_excitation instrumental.stage
-  networks.estimation.direct networks.estimation.joint networks.estimation.module_estimate
+  reading.surveying solving.solvers
+asymptotics.polynomial_regression checking diagnosis.advice.isolability diagnosis.search
+  diagnosis.unknown.smoothed_force identifiability.mends.sensor_subsets identifiability.requirement
+  identifiability.symbolic.observability_matrix indirect.feedforward indirect.output_choice
+  instrumental.image instrumental.moment_equations linear.discretisation_bias networks.drawing
+  networks.estimation.module_regression networks.prediction.row_predictor networks.propositions
+  networks.rings networks.well_posed observers.figures reading.record_file
+asymptotics.module_remedies diagnosis.advice.invisible diagnosis.evidence.residual_tests
+  diagnosis.ranking diagnosis.reconsidering diagnosis.unknown.missing_force
+  identifiability.mends.cheapest instrumental.moment_nlp instrumental.prefilters
+  instrumental.seen_directions instrumental.stage_instruments networks.prediction.observation_choice
+  networks.predictor_inputs networks.ring_figure problem
+diagnosis.advice.fitted_motion diagnosis.unknown.unexplained diagnosis.wording equation_error
+  identifiability.asked identifiability.invariants identification instrumental.moment_settings
+  networks.estimation.module_equation networks.prediction.eiv_filter networks.prediction.predictors
+asymptotics.network_relations campaigns.monte_carlo diagnosis.advice.planned_records
+  diagnosis.open_set diagnosis.record_specific diagnosis.unknown.unexplained_figures holdout
+  identifiability.answers identifiability.records.planned instrumental.stage_programs
+  networks.estimation.consistency networks.estimation.module_data prediction.grey_box
+asymptotics.network_remedies diagnosis.adoption diagnosis.advice.next_experiment
+  diagnosis.calibration.null_records diagnosis.evidence.spoilt_samples diagnosis.refusals
+  identifiability.assess identifiability.records.practical_result identifiability.records.profiles
+  identifiability.records.reference_excitation instrumental.stage networks.estimation.direct
+  networks.estimation.joint networks.estimation.module_estimate
   networks.estimation.reference_instruments networks.estimation.two_stage prediction.unknown_input
   wrong_signs
-diagnosing identifiability.figures identifiability.records.practical instrumental.convergence
+diagnosis.calibration.calibration diagnosis.causes diagnosis.findings diagnosis.gain
+  identifiability.figures identifiability.records.practical instrumental.convergence
   instrumental.propagation networks.estimation.by_instruments networks.estimation.response_figure
-identifiability.page instrumental.estimators networks.estimation.estimate
-instrumental.iterative_joint instrumental.monitoring instrumental.resampling instrumental.streamed
-  sign_flips
-cli
-__main__
+diagnosis.reporting identifiability.page instrumental.estimators networks.estimation.estimate
+diagnosis.diagnosing instrumental.iterative_joint instrumental.monitoring instrumental.resampling
+  instrumental.streamed sign_flips
 """
 
 

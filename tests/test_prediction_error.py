@@ -11,11 +11,12 @@ import pytest
 from scipy.stats import chi2
 
 import casid
+from casid.effects.channel_effects import hold
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.prediction.grey_box import Prediction, minimize_prediction_error
 from casid.prediction.kalman import time_varying
 from casid.prediction.likelihood import PredictionError
-from casid.prediction.noisy_model import White
+from casid.prediction.noisy_model import NoisyModel, White
 from casid.simulation_error import SimulationError, minimize_simulation_error
 from casid.solving.nlp import Solver
 from problems.pendulum import direct_model
@@ -480,3 +481,13 @@ def test_the_page_shows_the_starts_that_were_given() -> None:
     assert not any(p.note for p in kept.estimate.parameters if not p.known)
     assert repr(found).startswith("<Prediction <Estimate lag: converged")
     assert "\n" not in repr(found)
+
+
+def test_an_input_blended_of_both_holds_is_refused_by_name() -> None:
+    model = lag_model()
+    blended = hold(model, "u").extend(model)
+    noise = [White("w", 0.5), White("y", 0.4)]
+    with pytest.raises(
+        ModelError, match=r"input u blends both holds .*declare the hold .*casid.identify"
+    ):
+        NoisyModel(blended, noise)

@@ -16,9 +16,9 @@ from scipy.stats import binom
 
 import casid
 from analysis.ship_bias_records import CASES, SHIP, UNITS, load
+from casid.diagnosis.evidence.scores import ScoreTable
+from casid.diagnosis.search import Search, Weighted
 from casid.identification import FitSettings, fit_model
-from casid.scores import ScoreTable
-from casid.search import Search, Weighted
 from problems import ship
 from problems.ship import LOAD_CASES, TABLE_8_2
 from problems.ship_4dof import linearised

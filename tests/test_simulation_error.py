@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import cont2discrete
 
 import casid
-from casid import effects
+from casid.effects.channel_effects import saturation, time_delay
 from casid.simulation_error import (
     SimulationError,
     delay_columns,
@@ -106,17 +106,17 @@ def test_ipopt_and_sqpmethod_find_the_same_optimum():
 
 
 def with_delay() -> casid.Model:
-    return oscillator().extend(effects.time_delay(oscillator(), "position", 0.2))
+    return oscillator().extend(time_delay(oscillator(), "position", 0.2))
 
 
 def with_input_delay() -> casid.Model:
     m = oscillator()
     m.inputs["force"] = replace(m.inputs["force"], hold="foh")
-    return m.extend(effects.time_delay(m, "force", 0.2))
+    return m.extend(time_delay(m, "force", 0.2))
 
 
 def with_clipping() -> casid.Model:
-    return oscillator().extend(effects.saturation(oscillator(), "position", 0.08))
+    return oscillator().extend(saturation(oscillator(), "position", 0.08))
 
 
 @pytest.mark.parametrize(

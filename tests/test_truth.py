@@ -285,7 +285,7 @@ def test_csv_returns_the_columns_to_nine_digits(tmp_path):
 
 
 def test_unknown_effects_are_refused_with_the_list():
-    with pytest.raises(ValueError, match="choose one of none, coulomb_friction"):
+    with pytest.raises(ValueError, match="choose one of none, amplitude_damping"):
         cart_pendulum("gremlins", 1.0)
     with pytest.raises(ValueError, match="choose k, d, m"):
         cart_pendulum("parameter_jump", 1.0, where="g")

@@ -10,20 +10,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from casid.diagnosis import Ranked
-from casid.plotting import (
-    POINTS,
-    diagnosis_figures,
-    figure_text,
-    gain_figure,
-    parameter_figure,
-    ranking_figure,
-    residual_against_figure,
-    residual_spectrum_figure,
-    residual_time_figure,
-    simulation_figure,
-    thinned,
-)
+from casid.diagnosis.remaining import Moved, what_remains
+from casid.diagnosis.report.by_record_figure import by_record_figure
+from casid.diagnosis.report.figures import diagnosis_figures, gain_figure
+from casid.diagnosis.report.moved_figure import moved_figure
+from casid.diagnosis.report.ranking_figure import ranking_figure
+from casid.diagnosis.report.remaining_figure import remaining_figure
+from casid.diagnosis.result import Ranked
+from casid.figures.estimates import parameter_figure
+from casid.figures.look import figure_text
+from casid.figures.residuals import residual_against_figure, residual_spectrum_figure
+from casid.figures.simulated import residual_time_figure, simulation_figure
+from casid.figures.thinning import POINTS, thinned
 from tests import samples
 
 
@@ -60,7 +58,7 @@ def test_thinning_keeps_gaps_as_gaps_and_ignores_infinities(n):
 def test_simulation_shows_data_as_points_and_both_simulations_as_lines():
     d = samples.deficient(N=3000)
     v = d.records[0]
-    figure = simulation_figure(d)
+    figure = simulation_figure(d.records)
     measured, before, after = (trace(figure, n) for n in ("measured", "before", "after"))
     assert (measured.mode, before.mode, after.mode) == ("markers", "lines", "lines")
     assert before.line.dash != after.line.dash  # told apart without colour
@@ -85,16 +83,18 @@ def test_fitted_and_held_out_parts_are_labelled_and_only_the_held_out_is_shaded(
 
 def test_long_records_are_thinned_for_drawing_and_the_caption_says_so():
     d = samples.deficient()
-    figure = simulation_figure(d)
+    figure = simulation_figure(d.records)
     for t in figure.data:
         assert len(t.x) <= POINTS + 2
     assert "from 6000 samples" in figure.layout.meta["caption"]
-    assert "Thinned" not in simulation_figure(samples.deficient(N=3000)).layout.meta["caption"]
+    assert (
+        "Thinned" not in simulation_figure(samples.deficient(N=3000).records).layout.meta["caption"]
+    )
 
 
 def test_each_of_several_records_is_chosen_from_a_menu():
     d = samples.deficient(records=3, N=500)
-    figure = simulation_figure(d)
+    figure = simulation_figure(d.records)
     buttons = figure.layout.updatemenus[0].buttons
     assert [b.label for b in buttons] == [
         "record: swing-07",
@@ -129,7 +129,7 @@ def test_the_error_is_measured_minus_simulated():
 def test_error_against_rate_shows_the_missing_damping_and_nothing_after_naming_it():
     """Where the model lacks -d_2 |p| p, the error falls with the rate; after, it is noise alone."""
     d = samples.deficient()
-    figure = residual_against_figure(d)
+    figure = residual_against_figure(d.records)
     titles = [getattr(figure.layout, f"xaxis{i}").title.text for i in ("", 2, 3)]
     assert titles == ["phi [rad]", "p [rad/s]", "accel [m/s^2]"]
     means = {t.name: t for t in figure.data if t.mode == "lines+markers" and t.xaxis == "x2"}
@@ -222,15 +222,63 @@ def test_gain_shows_both_parts_and_the_noise_floor_where_it_is_known():
     assert figure.layout.yaxis.title.text == "rms of gyro [rad/s]"
 
 
+def test_moved_parameters_are_drawn_from_before_to_after_each_in_its_own_unit():
+    d = samples.rich()
+    figure = moved_figure(d.moved, d.problem)
+    assert [m.name for m in d.moved] == ["d", "k", "s"]
+    before, after, line = (trace(figure, n, row=1) for n in ("before", "after", "moved"))
+    assert (list(before.x), list(after.x)) == ([10.52], [10.41])
+    assert list(line.x) == [10.52, 10.41]
+    assert after.error_x.array[0] == pytest.approx(1.96 * 0.02)
+    assert figure.layout.yaxis2.ticktext[0] == "k<br>[N m/rad]"
+    low, high = figure.layout.xaxis2.range
+    assert low < 10.41 - 1.96 * 0.02 < 10.52 + 1.96 * 0.02 < high
+
+
+def test_a_hopeless_interval_does_not_hide_a_move():
+    figure = moved_figure([Moved("k", "N m", 1.0, 2.0, 0.1, 1e6)], "pendulum")
+    low, high = figure.layout.xaxis.range
+    assert high - low < 20
+    with pytest.raises(ValueError, match="no parameter moved"):
+        moved_figure([], "pendulum")
+
+
+def test_what_remains_is_drawn_with_the_causes_shares_and_sums_to_a_whole():
+    r = samples.rich().remaining
+    explained, left = remaining_figure(r).data
+    assert list(explained.x) == pytest.approx([100 * e.share for e in r.explained])
+    assert list(left.x) == pytest.approx([100 * r.unexplained])
+    assert sum(explained.x) + sum(left.x) == pytest.approx(100.0)
+    assert remaining_figure(r).layout.yaxis.ticktext[-1] == "unexplained"
+
+
+def test_nothing_explained_leaves_everything():
+    r = what_remains([], {"baseline_rmse": {"gyro": 2.0}, "noise_floor": {"gyro": 1.0}})
+    (bars,) = remaining_figure(r).data
+    assert list(bars.x) == [100.0]
+
+
+def test_values_by_record_have_a_row_a_record_and_the_common_value():
+    cause = samples.rich().causes[1]
+    figure = by_record_figure(cause)
+    values = trace(figure, "value in this record")
+    assert list(values.x) == [found["h"].value for found in cause.by_record.values()]
+    assert values.error_x.array[0] == pytest.approx(1.96 * 0.008)
+    assert list(trace(figure, "one value for all").x) == [0.064, 0.064]
+    assert list(figure.layout.yaxis.ticktext) == list(cause.by_record)
+    with pytest.raises(ValueError, match="one value explains all"):
+        by_record_figure(samples.rich().causes[0])
+
+
 @pytest.mark.parametrize(
-    "make", [samples.deficient, samples.adequate, samples.undecided, samples.hostile]
+    "make", [samples.rich, samples.deficient, samples.adequate, samples.undecided, samples.hostile]
 )
 def test_every_figure_has_a_caption_and_its_legend_above(make):
     d = make()
     for name, figure in diagnosis_figures(d).items():
         assert figure.layout.meta["caption"].strip(), name
         assert figure.layout.autosize
-        assert figure.layout.legend.orientation == "h"
+        assert figure.layout.legend.orientation == "h", name
         json.loads(figure.to_json())
 
 
@@ -238,7 +286,7 @@ def test_an_undecided_diagnosis_without_records_has_only_the_figures_it_can_fill
     d = replace(samples.undecided(), records=())
     assert list(diagnosis_figures(d)) == ["parameters"]
     with pytest.raises(ValueError, match="no record"):
-        simulation_figure(d)
+        simulation_figure(d.records)
 
 
 @pytest.mark.parametrize("n", [0, 1, 20])
@@ -266,7 +314,7 @@ def test_names_from_files_reach_plotly_as_plain_text():
 
     for figure in diagnosis_figures(samples.hostile()).values():
         for text in texts(json.loads(figure.to_json())):
-            rest = re.sub(r"<br>|<extra>(%{fullData.name})?</extra>", "", text)
+            rest = re.sub(r"<br>|<b>\d+</b>|<extra>(%{fullData.name})?</extra>", "", text)
             assert "<" not in rest, text
             assert "&amp;%{" not in text
             assert "\u202e" not in text

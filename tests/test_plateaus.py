@@ -1,0 +1,176 @@
+"""Clipping: equal samples at an end of a channel's range that are no rest of the motion.
+
+Chance, or a coarse converter, would not repeat the end that often; and the fitted motion goes on
+beyond it, or the channel runs into the end and out of it at its usual speed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from casid.diagnosis.evidence.plateaus import FEWEST, find_plateaus
+
+Array = np.ndarray
+
+ALPHA = 0.001
+NOISE = 0.05
+
+
+def motion(seed: int = 0, N: int = 3000) -> Array:
+    """A sum of incommensurate sines of unit size: it comes near its ends at many heights."""
+    t = 0.01 * np.arange(N)
+    phase = np.random.default_rng(seed).uniform(0, 2 * np.pi, 3)
+    parts = [np.sin(w * t + p) for w, p in zip((2.1, 5.3, 9.7), phase, strict=True)]
+    return np.sqrt(2 / 3) * np.sum(parts, axis=0)
+
+
+def noisy(seed: int, y: Array) -> Array:
+    return y + NOISE * np.random.default_rng(100 + seed).standard_normal(len(y))
+
+
+def find(measured: Array, simulated: Array, used: Array | None = None):
+    used = np.ones(len(measured), dtype=bool) if used is None else used
+    return find_plateaus("y", [measured], [simulated], [used], ALPHA)
+
+
+def rounded(y: Array, step: float) -> Array:
+    return step * np.round(y / step)
+
+
+def test_a_clipped_channel_is_found_with_limit_samples_and_what_was_cut_off():
+    """Continuous values: every sample at the limit is one of the plateau, and none besides."""
+    y = motion()
+    full = noisy(0, y)
+    found = find(np.minimum(full, 1.2), y)
+    assert found is not None
+    assert (found.lower, found.upper, found.limit) == (None, 1.2, 1.2)
+    cut = full >= 1.2
+    assert np.array_equal(found.masks[0], cut)
+    assert found.count == cut.sum()
+    assert found.p_value < 1e-12
+    # sum (y - 1.2)^2 over the samples cut off, where the motion is beyond the limit
+    assert found.energy == pytest.approx(np.sum(np.maximum(y[cut] - 1.2, 0) ** 2))
+
+
+def test_both_ends_may_be_cut_at_limits_of_their_own():
+    y = motion()
+    full = noisy(0, y)
+    found = find(np.clip(full, -1.5, 1.2), y)
+    assert found is not None
+    assert (found.lower, found.upper) == (-1.5, 1.2)
+    assert found.limit == 1.5
+    assert np.array_equal(found.masks[0], (full >= 1.2) | (full <= -1.5))
+    below = find(np.maximum(full, -1.2), y)
+    assert below is not None
+    assert (below.lower, below.upper, below.limit) == (-1.2, None, 1.2)
+
+
+@pytest.mark.parametrize("step", [0.0, 0.01, 0.05, 0.2], ids=lambda s: f"step {s:g}")
+def test_a_channel_that_is_not_clipped_has_no_plateaus_however_coarse_it_is(step):
+    """A converter repeats all values; those at its ends are then no exception."""
+    for seed in range(20):
+        y = motion(seed)
+        measured = noisy(seed, y)
+        assert find(rounded(measured, step) if step else measured, y) is None
+
+
+@pytest.mark.parametrize("step", [0.01, 0.02])
+def test_a_coarse_channel_is_clipped_where_its_end_repeats_more_than_what_is_next_to_it(step):
+    y = motion()
+    full = rounded(noisy(0, y), step)
+    found = find(np.minimum(full, 1.2), y)
+    assert found is not None
+    assert found.upper == pytest.approx(1.2)
+    assert np.array_equal(found.masks[0], full >= 1.2 - 1e-9)
+
+
+def resting(N: int = 3000, step: float = 0.002) -> Array:
+    """A slide between its ends, at rest on each for a while: the motion slows down before."""
+    t = 0.01 * np.arange(N)
+    return rounded(np.tanh(2.5 * np.sin(1.3 * t + 0.4)), step)
+
+
+def test_a_channel_at_rest_at_its_end_has_no_plateau():
+    """One value repeats exactly there, but it is reached and left slowly, and simulated alike."""
+    y = resting()
+    assert np.sum(y == y.max()) > 100
+    assert find(y, y) is None
+    # Nor where the simulation rests a little further out, by a gain or a bias that is wrong.
+    assert find(y, y + 0.1) is None
+    assert find(y, np.where(np.abs(y) == y.max(), 1.1 * y, y)) is None
+
+
+def test_a_body_that_hits_its_stop_at_speed_and_leaves_it_slowly_is_at_rest():
+    """It runs into the limit, but not out of it."""
+    since = (0.01 * np.arange(3000)) % 3.0
+    start = np.where(since < 1.0, since, 1.0)  # at constant speed onto the stop
+    y = np.where(since < 2.0, start, 1.0 - (since - 2.0) ** 2)  # off it from rest
+    y = rounded(y + 1e-4 * np.random.default_rng(1).standard_normal(3000) * (y < 1.0), 1e-4)
+    y = np.minimum(y, 1.0)
+    assert np.sum(y == 1.0) > 900
+    assert find(y, y) is None
+
+
+def test_a_channel_that_keeps_its_speed_up_to_its_end_is_clipped_whatever_the_simulation():
+    """No motion goes at full speed into a rest and at full speed out of it.
+
+    The simulation of a model that lacks something may well stay below the limit.
+    """
+    y = motion()
+    full = noisy(0, y)
+    found = find(np.minimum(full, 1.2), np.minimum(y, 1.1))
+    assert found is not None
+    assert found.upper == 1.2
+    assert found.energy == 0.0  # nothing is cut off of that simulation
+
+
+def test_a_motion_of_another_size_is_no_plateau_without_ties():
+    """The simulation goes beyond the record's end everywhere: that is a scale and no limit."""
+    y = motion()
+    assert find(noisy(0, y), 1.5 * y) is None
+
+
+def test_samples_that_are_not_used_neither_count_nor_are_marked():
+    y = motion()
+    full = noisy(0, y)
+    used = full < 1.2
+    assert find(np.minimum(full, 1.2), y, used) is None
+    used[:] = np.arange(len(y)) < 2000
+    found = find(np.minimum(full, 1.2), y, used)
+    assert found is not None
+    assert np.array_equal(found.masks[0], used & (full >= 1.2))
+
+
+def test_one_limit_is_sought_in_all_records_together():
+    y = [motion(1), motion(2)]
+    full = [noisy(1, y[0]), noisy(2, y[1])]
+    limit = 1.4
+    found = find_plateaus(
+        "y",
+        [np.minimum(x, limit) for x in full],
+        y,
+        [np.ones(len(x), dtype=bool) for x in y],
+        ALPHA,
+    )
+    assert found is not None
+    assert found.upper == limit
+    for mask, x in zip(found.masks, full, strict=True):
+        assert np.array_equal(mask, x >= limit)
+
+
+def test_fewer_equal_samples_than_four_are_no_plateau():
+    y = motion()
+    full = noisy(0, y)
+    limit = float(np.sort(full)[-(FEWEST - 1)])
+    assert find(np.minimum(full, limit), y) is None
+
+
+@pytest.mark.parametrize("values", [np.zeros(200), np.arange(30.0)], ids=["constant", "short"])
+def test_a_channel_without_motion_or_with_few_samples_is_not_judged(values):
+    assert find(values, values) is None
+
+
+def test_a_simulation_that_diverged_tells_nothing():
+    y = motion()
+    assert find(np.minimum(noisy(0, y), 1.2), np.full(len(y), np.inf)) is None

@@ -1,0 +1,140 @@
+"""Outliers: silence under normal noise and smooth misfit, and errors found one by one or by many.
+
+With d_k = r_k - (r_{k-1} + r_{k+1}) / 2, white noise of variance sigma^2 has Var(d) = 1.5 sigma^2
+and correlations -2/3 and 1/6 at lags 1 and 2; by Isserlis's theorem the mean of the fourth Hermite
+polynomial of d over its standard deviation has the variance 24 (1 + 2 (2/3)^4 + 2 (1/6)^4) / N.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import norm
+
+from casid.diagnosis.evidence.spikes import _fourth_moment, _from_neighbours, find_spikes
+
+Array = np.ndarray
+
+ALPHA = 0.001
+"""Of one test in one channel: 1/50 of a false-alarm rate of 5 %."""
+
+
+def spoilt(seed: int, *, size: float = 4.0, share: float = 0.01, N: int = 6000):
+    """Unit white noise with `share` errors of `size` and either sign; no two are neighbours."""
+    rng = np.random.default_rng(seed)
+    r = rng.standard_normal(N)
+    at = 2 + 4 * np.sort(rng.choice(N // 4 - 1, round(share * N), replace=False))
+    r[at] += size * rng.choice([-1.0, 1.0], len(at))
+    return r, at
+
+
+def test_a_difference_from_the_neighbours_has_one_and_a_half_variances_and_no_smooth_part():
+    N = 200_000
+    d = _from_neighbours(np.random.default_rng(1).standard_normal(N))[1:-1]
+    # Var of a sample variance of d: 2 (1.5)^2 (1 + 2 (4/9 + 1/36)) / N.
+    assert d.var() == pytest.approx(1.5, abs=4 * 1.5 * np.sqrt(2 * 1.95 / N))
+    rho = [np.mean(d[: N - 2 - m] * d[m : N - 2]) / d.var() for m in (1, 2)]
+    assert rho == pytest.approx([-2 / 3, 1 / 6], abs=4 * 2 / np.sqrt(N))
+    line = _from_neighbours(3.0 + 0.2 * np.arange(100.0))
+    assert line == pytest.approx(np.zeros(100), abs=1e-12)
+
+
+def test_the_fourth_moment_of_normal_noise_is_standard_normal():
+    """400 records: mean and variance within four of their standard errors, and the rate at 5 %."""
+    z = np.array(
+        [
+            _fourth_moment(_from_neighbours(np.random.default_rng(s).standard_normal(4000))[1:-1])
+            for s in range(400)
+        ]
+    )
+    assert z.mean() == pytest.approx(0.0, abs=4 / np.sqrt(400))
+    assert z.var() == pytest.approx(1.0, abs=4 * np.sqrt(2 / 400))
+    # 20 of 400 expected; 33 or more, or 8 or fewer, come with 0.3 % each (binomial).
+    assert 8 < np.sum(z > norm.isf(0.05)) < 33
+
+
+def test_normal_noise_has_no_outliers_more_often_than_alpha():
+    """400 records at 1 %: the Bonferroni bound keeps the rate below it; 12 or more: 0.1 %."""
+    found = [
+        find_spikes("y", [np.random.default_rng(s).standard_normal(2000)], 0.01) for s in range(400)
+    ]
+    assert sum(f is not None for f in found) < 12
+
+
+def test_noise_that_is_not_normal_is_not_taken_for_a_few_errors():
+    """Laplace's tails and a size that changes by half show in the fourth moment, too."""
+    k = np.arange(6000)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        changing = (1 + 0.5 * np.sin(k / 300)) * rng.standard_normal(6000)
+        for r in (rng.laplace(size=6000), changing):
+            assert _fourth_moment(_from_neighbours(r)[1:-1]) > 5.0
+            found = find_spikes("y", [r], ALPHA)
+            # Single samples may exceed the normal threshold; the many that are merely large may not
+            # be left out.
+            assert found is None or found.count <= 5
+
+
+def test_one_per_cent_of_errors_of_four_standard_deviations_is_found():
+    """Hardly one exceeds the threshold for all samples: their number gives them away.
+
+    E(d^4) - 3 Var(d)^2 is 0.01 (4^4 + 2 * 2^4) less 3 (0.24)^2: (1) is about 12.
+    """
+    found, hits, false = [], 0, 0
+    for seed in range(20):
+        r, at = spoilt(seed)
+        assert _fourth_moment(_from_neighbours(r)[1:-1]) > 8.0
+        spikes = find_spikes("y", [r], ALPHA)
+        if spikes is None or spikes.p_value > 1e-6:
+            continue  # single ones, or a mixture that cannot be told from a heavy tail
+        found.append(spikes)
+        hits += int(spikes.masks[0][at].sum())
+        false += spikes.count - int(spikes.masks[0][at].sum())
+    assert len(found) >= 10
+    # Each is larger than what stands beside it by two only: a third is marked, few besides.
+    assert hits > len(found) * 60 / 3
+    assert false < 0.3 * hits
+    assert np.median([s.size for s in found]) == pytest.approx(4.0, rel=0.25)
+
+
+def test_large_errors_are_all_found_whatever_smooth_misfit_they_stand_on():
+    r, at = spoilt(3, size=12.0)
+    smooth = lfilter([1.0], [1.0, -1.9, 0.905], np.random.default_rng(5).standard_normal(6000))
+    smooth = lfilter(np.ones(40) / 40, [1.0], smooth)
+    spikes = find_spikes("y", [r + 10 * smooth / smooth.std()], ALPHA)
+    assert spikes is not None
+    assert np.flatnonzero(spikes.masks[0]) == pytest.approx(at)
+    assert spikes.share == pytest.approx(0.01)
+    assert spikes.size == pytest.approx(12.0, rel=0.05)
+    # Each height has the variance of d: 60 (144 + 1.5).
+    assert spikes.energy == pytest.approx(60 * 145.5, rel=0.1)
+
+
+def test_a_quantised_record_is_not_free_of_noise():
+    """Most differences are zero exactly: their median would make a spike of every step."""
+    r = np.round(0.4 * np.random.default_rng(2).standard_normal(4000))
+    assert np.median(np.abs(_from_neighbours(r))) <= 0.5
+    assert find_spikes("y", [r], ALPHA) is None
+
+
+def test_each_record_is_judged_by_its_own_noise():
+    rng = np.random.default_rng(4)
+    quiet, loud = rng.standard_normal(2000), 20 * rng.standard_normal(2000)
+    assert find_spikes("y", [quiet, loud], ALPHA) is None
+    quiet[1000] += 15.0
+    spikes = find_spikes("y", [quiet, loud], ALPHA)
+    assert spikes is not None
+    assert [list(np.flatnonzero(m)) for m in spikes.masks] == [[1000], []]
+
+
+def test_what_happens_all_the_time_is_no_outlier():
+    r, _ = spoilt(6, size=30.0, share=0.08)
+    assert find_spikes("y", [r], ALPHA) is None
+    assert find_spikes("y", [r], ALPHA, largest_share=0.1) is not None
+
+
+def test_records_too_short_to_judge_have_no_outliers():
+    r = np.zeros(19)
+    r[9] = 100.0
+    assert find_spikes("y", [r], ALPHA) is None
