@@ -29,7 +29,7 @@ import numpy as np
 
 import casid
 from analysis.targets import Target, at_most, conclude, near, shared_folder
-from casid.effects import cubic_stiffness, quadratic_damping
+from casid.effects.balance_effects import cubic_stiffness, quadratic_damping
 from casid.equation_error import Butterworth, equation_error
 from casid.estimate import Estimate
 from casid.instrumental.exogeneity import reference_depends_on

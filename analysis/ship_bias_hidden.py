@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 import casid
 from analysis.ship_bias_records import CASES, SHIP, TS, Rudder, load
-from casid.diagnosis import Diagnosis
+from casid.diagnosis.result import Diagnosis
 from casid.estimate import Estimated
 from problems import ship
 from problems.ship_4dof import LOG_NOISE, PolynomialArm, Ship, simulate
