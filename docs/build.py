@@ -36,6 +36,7 @@ PAGES = (
     "report",
     "records",
     "diagnosis",
+    "diagnosis_power",
     "identifiability",
     "linear_models",
     "instruments",
