@@ -80,6 +80,38 @@ def _rises(model: Model, e: Explicit, u_next: Any) -> list[Any]:
     return out
 
 
+class _Step:
+    """One sample as a function of state, inputs, inputs a sample later, and parameters.
+
+    What depends on the parameters alone is computed once a simulation, by the same operations.
+    """
+
+    def __init__(
+        self, name: str, state: Any, u: Any, u_next: Any, p: Any, after: Any, out: Any
+    ) -> None:
+        self.n_state, self.n_out = after.numel(), out.numel()
+        both, symbols, constants = ca.extract_parametric(ca.veccat(after, out), p)
+        left = ca.which_depends(both, p, 1, False)
+        bare = [s for s, is_met in zip(ca.vertsplit(p), left, strict=True) if is_met]
+        self._constants = ca.Function("constants", [p], [ca.densify(ca.vertcat(*constants, *bare))])
+        results = [ca.densify(each) for each in ca.vertsplit(both, [0, self.n_state, both.numel()])]
+        arguments = [state, u, u_next, ca.vertcat(*symbols, *bare)]
+        self._function = ca.Function(name, arguments, results)
+        self._blocks: dict[int, Any] = {}
+
+    def constants(self, p: Array) -> Array:
+        """What the function takes in the place of all parameters `p` (np,)."""
+        return np.asarray(self._constants(np.asarray(p, dtype=float)), dtype=float).ravel()
+
+    def block(self, n: int) -> tuple[Any, Any]:
+        """Buffer and trigger of the function mapped over `n` samples."""
+        if n not in self._blocks:
+            function = self._function.mapaccum("block", n)
+            self._blocks[n] = (function, *function.buffer())
+        _, buffer, trigger = self._blocks[n]
+        return buffer, trigger
+
+
 class Simulator:
     """Simulates one model at one sample time, differentiated in chosen parameters.
 
@@ -109,16 +141,12 @@ class Simulator:
         self.nv = len(self.free) + self.nx
         felt = _felt(e, pinned or {})
         self._felt = [i for i, name in enumerate(e.states) if name in felt]
-        self._plain: dict[int, Any] = {}
-        self._tangent: dict[int, Any] = {}
         u_next = ca.SX.sym("u_next", self.nu)
         x_next = rk4_sample(model, e, u_next, Ts, substeps)
-        self._plain_step = ca.Function(
-            "step", [e.x, e.u, u_next, e.p], [ca.densify(x_next), ca.densify(e.h)]
-        )
+        self._plain_step = _Step("step", e.x, e.u, u_next, e.p, x_next, e.h)
         self._tangent_step = self._differentiate(e, u_next, x_next)
 
-    def _differentiate(self, e: Explicit, u_next: Any, x_next: Any) -> Any:
+    def _differentiate(self, e: Explicit, u_next: Any, x_next: Any) -> _Step:
         columns = [e.parameters.index(name) for name in self.free]
         p_free = ca.vertcat(*[e.p[i] for i in columns])
         nf = len(self._felt)
@@ -134,17 +162,18 @@ class Simulator:
             b, d = zeros, direct
         s_next = ca.jacobian(felt_next, felt) @ s + b
         dy = ca.jacobian(e.h, felt) @ s + d
-        return ca.Function(
+        return _Step(
             "tangent",
-            [ca.vertcat(e.x, ca.vec(s)), e.u, u_next, e.p],
-            [
-                ca.densify(ca.vertcat(x_next, ca.vec(s_next))),
-                ca.densify(ca.vertcat(e.h, ca.vec(dy))),
-            ],
+            ca.vertcat(e.x, ca.vec(s)),
+            e.u,
+            u_next,
+            e.p,
+            ca.vertcat(x_next, ca.vec(s_next)),
+            ca.vertcat(e.h, ca.vec(dy)),
         )
 
     def _run(
-        self, cache: dict[int, Any], step: Any, start: Array, u: Array, after: Array, p: Array
+        self, step: _Step, start: Array, u: Array, after: Array, p: Array
     ) -> tuple[Array, Array, Array]:
         """States after each sample (N, nx), outputs (N, ...), and all that the last sample left.
 
@@ -152,19 +181,16 @@ class Simulator:
         Sensitivities of states are as many as those of outputs and more, and serve the next step
         alone: they are not kept.
         """
-        n_state, n_out = step.numel_out(0), step.numel_out(1)
+        n_state, n_out = step.n_state, step.n_out
         states, outputs = np.empty((len(u), self.nx)), np.empty((len(u), n_out))
         state = np.ascontiguousarray(start, dtype=float)
         u, after = np.ascontiguousarray(u), np.ascontiguousarray(after)
         inside = np.empty((min(BLOCK, len(u)), n_state))
-        repeated = np.tile(np.asarray(p, dtype=float), (len(inside), 1))
+        repeated = np.tile(step.constants(p), (len(inside), 1))
         for first in range(0, len(u), BLOCK):
             last = min(first + BLOCK, len(u))
             n = last - first
-            if n not in cache:
-                function = step.mapaccum("block", n)
-                cache[n] = (function, *function.buffer())
-            _, buffer, trigger = cache[n]
+            buffer, trigger = step.block(n)
             arguments = [state, u[first:last], after[first:last], repeated[:n]]
             for i, argument in enumerate(arguments):
                 if argument.size:
@@ -187,7 +213,7 @@ class Simulator:
 
         Values that overflow come back as inf or NaN: the caller knows what diverged.
         """
-        x, y, _ = self._run(self._plain, self._plain_step, np.ravel(x0), u, self._next(u), p)
+        x, y, _ = self._run(self._plain_step, np.ravel(x0), u, self._next(u), p)
         return Trajectory(y, np.vstack([np.reshape(x0, (1, self.nx)), x]))
 
     def sensitivities(
@@ -201,7 +227,6 @@ class Simulator:
         start = np.zeros((nv - nx + nf, nf))
         start[nv - nx :, :] = np.eye(nf)
         xs, yd, end = self._run(
-            self._tangent,
             self._tangent_step,
             np.concatenate([np.ravel(x0), start.ravel()]),
             u,
