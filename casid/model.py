@@ -459,17 +459,20 @@ class Model:
         self._swap(self._symbols[name], expression)
 
     def _swap(self, old: Any, expression: Expr) -> None:
-        def swap(expr: Expr) -> Expr:
-            return ca.substitute(ca.SX(expr), old, expression)
-
+        stated = [t for b in self.balances.values() for t in (b.inertia, *b.terms)]
+        stated += [*self._rates.values(), *(e for e, _ in self.outputs.values())]
+        stated += [r for _, _, r in self._eliminations]
+        stated += [m.residual for m in self._measured]
+        # All in one call: it costs the same for many expressions as for one.
+        new = iter(ca.substitute([ca.SX(e) for e in stated], [old], [ca.SX(expression)]))
         self.balances = {
-            key: replace(b, inertia=swap(b.inertia), terms=tuple(swap(t) for t in b.terms))
+            key: replace(b, inertia=next(new), terms=tuple(next(new) for _ in b.terms))
             for key, b in self.balances.items()
         }
-        self._rates = {key: swap(e) for key, e in self._rates.items()}
-        self.outputs = {key: (swap(e), unit) for key, (e, unit) in self.outputs.items()}
-        self._eliminations = [(w, y, swap(r)) for w, y, r in self._eliminations]
-        self._measured = [replace(m, residual=swap(m.residual)) for m in self._measured]
+        self._rates = {key: next(new) for key in self._rates}
+        self.outputs = {key: (next(new), unit) for key, (_, unit) in self.outputs.items()}
+        self._eliminations = [(w, y, next(new)) for w, y, _ in self._eliminations]
+        self._measured = [replace(m, residual=next(new)) for m in self._measured]
         self._explicit = None
 
     def free_name(self, wanted: str) -> str:
