@@ -14,7 +14,7 @@ residual; the square root of S whitens residuals and sensitivities alike.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -162,6 +162,7 @@ class NoiseModel:
     responses: Sequence[Response]  # one an experiment
     weights: Array
     alike: Sequence[tuple[str, ...]] = ()  # sources of one shape; the first carries the variance
+    _gains: dict[tuple[int, int], Array] = field(default_factory=dict, init=False, repr=False)
 
     def quiet(self, input_sd: Mapping[str, float]) -> NoiseModel:
         """The same without disturbances: sensors and measured inputs only."""
@@ -229,12 +230,9 @@ class NoiseModel:
         if not any(self.source_sd.values()):
             return np.asarray(columns / (self.output_sd * self.weights)[None, :, None])
         size = next_fast_len(2 * n, real=True)
-        s = self.spectrum(experiment) * self.weights[None, :] ** 2
-        grid = np.linspace(0, np.pi, size // 2 + 1)
-        omega = self.responses[experiment].omega
+        gains = self._gains_of(experiment, size)
         out = np.empty(columns.shape)
-        for i in range(columns.shape[1]):
-            gain = 1 / np.sqrt(np.interp(grid, omega, s[:, i]))
+        for i, gain in enumerate(gains):
             for first in range(0, columns.shape[2], GROUP):
                 group = slice(first, first + GROUP)
                 # Along the last axis: each column lies in one piece while it is transformed.
@@ -242,6 +240,17 @@ class NoiseModel:
                 spectrum *= gain
                 out[:, i, group] = irfft(spectrum, size, overwrite_x=True)[:, :n].T
         return out
+
+    def _gains_of(self, experiment: int, size: int) -> Array:
+        """S^(-1/2) (ny, size // 2 + 1) of the weighted outputs on the grid of a transform."""
+        if (experiment, size) not in self._gains:
+            s = self.spectrum(experiment) * self.weights[None, :] ** 2
+            grid = np.linspace(0, np.pi, size // 2 + 1)
+            omega = self.responses[experiment].omega
+            self._gains[experiment, size] = np.array(
+                [1 / np.sqrt(np.interp(grid, omega, column)) for column in s.T]
+            )
+        return self._gains[experiment, size]
 
 
 def estimate_noise(
@@ -297,13 +306,13 @@ def estimate_noise(
     offset = design @ value
     free = design[:, ~fixed]
     s = np.maximum(power, 1e-12 * max(float(power.max(initial=0.0)), 1e-300)) + offset
-    solution = np.zeros(free.shape[1])
+    solution = new = np.zeros(free.shape[1])
     floor = 1e-8 * max(float(np.average(power, weights=count)), 1e-300)
     for k in range(60):
         weight = np.sqrt(count) / s
         scale = np.sqrt(np.sum((free * weight[:, None]) ** 2, axis=0)) + 1e-300
         new = (
-            nnls(free * (weight[:, None] / scale), np.maximum(power - offset, 0.0) * weight)[0]
+            _least(free * (weight[:, None] / scale), np.maximum(power - offset, 0.0) * weight, new)
             / scale
         )
         solution = new if k == 0 else 0.5 * (solution + new)
@@ -318,6 +327,19 @@ def estimate_noise(
         weights=criterion.weights,
         alike=tuple(alike),
     )
+
+
+def _least(a: Array, b: Array, near: Array) -> Array:
+    """Non-negative x that minimises |a x - b|; the one with the zeros of `near`, if it is."""
+    held = near <= 0.0
+    if not held.all():
+        x = np.zeros(a.shape[1])
+        x[~held], _, rank, _ = np.linalg.lstsq(a[:, ~held], b, rcond=None)
+        if rank == np.sum(~held) and np.all(x[~held] > 0.0):
+            # Lawson and Hanson's condition, columns of unit size: none held at zero would grow.
+            if np.all(a[:, held].T @ (b - a @ x) <= 1e-12 * np.linalg.norm(b)):
+                return x
+    return np.asarray(nnls(a, b)[0])
 
 
 def _alike(

@@ -448,14 +448,13 @@ class Search:
     ) -> Candidate:
         """Gain over the model without the effect, on the samples that both use."""
         criterion = fit.criterion
-        base = self._criterion(at.model, at.noise, at.fit.values, at.criterion)
-        same = True
-        for mine, other in zip(base.data, criterion.data, strict=True):
-            same = same and bool(np.array_equal(mine.used, other.used))
-            mine.used[:] = other.used
-        if same:
+        pairs = list(zip(at.criterion.data, criterion.data, strict=True))
+        if all(np.array_equal(mine.used, other.used) for mine, other in pairs):
             before = self._base_value(at)
         else:
+            base = self._criterion(at.model, at.noise, at.fit.values, at.criterion)
+            for mine, other in zip(base.data, criterion.data, strict=True):
+                mine.used[:] = other.used
             before = self.compensated(at, base, base.start)
         after = self.compensated(at, criterion, fit.x)
         return Candidate(
