@@ -111,31 +111,34 @@ asymptotics.polynomial_regression checking diagnosis.advice.isolability diagnosi
   instrumental.image instrumental.moment_equations linear.discretisation_bias networks.drawing
   networks.estimation.module_regression networks.prediction.row_predictor networks.propositions
   networks.rings networks.well_posed observers.figures reading.record_file
-asymptotics.module_remedies diagnosis.advice.invisible diagnosis.evidence.residual_tests
+asymptotics.module_remedies diagnosis.advice.invisible diagnosis.evidence.functions
   diagnosis.ranking diagnosis.reconsidering diagnosis.unknown.missing_force
   identifiability.mends.cheapest instrumental.moment_nlp instrumental.prefilters
   instrumental.seen_directions instrumental.stage_instruments networks.prediction.observation_choice
   networks.predictor_inputs networks.ring_figure problem
-diagnosis.advice.fitted_motion diagnosis.unknown.unexplained diagnosis.wording equation_error
-  identifiability.asked identifiability.invariants identification instrumental.moment_settings
-  networks.estimation.module_equation networks.prediction.eiv_filter networks.prediction.predictors
+diagnosis.advice.fitted_motion diagnosis.evidence.residual_tests diagnosis.open_rivals
+  diagnosis.wording equation_error identifiability.asked identifiability.invariants identification
+  instrumental.moment_settings networks.estimation.module_equation networks.prediction.eiv_filter
+  networks.prediction.predictors
 asymptotics.network_relations campaigns.monte_carlo diagnosis.advice.planned_records
-  diagnosis.open_set diagnosis.record_specific diagnosis.unknown.unexplained_figures holdout
-  identifiability.answers identifiability.records.planned instrumental.stage_programs
-  networks.estimation.consistency networks.estimation.module_data prediction.grey_box
-asymptotics.network_remedies diagnosis.adoption diagnosis.advice.next_experiment
-  diagnosis.calibration.null_records diagnosis.evidence.spoilt_samples diagnosis.refusals
-  identifiability.assess identifiability.records.practical_result identifiability.records.profiles
+  diagnosis.record_specific diagnosis.unknown.unexplained holdout identifiability.answers
+  identifiability.records.planned instrumental.stage_programs networks.estimation.consistency
+  networks.estimation.module_data prediction.grey_box
+asymptotics.network_remedies diagnosis.advice.next_experiment diagnosis.calibration.null_records
+  diagnosis.evidence.spoilt_samples diagnosis.open_set diagnosis.refusals
+  diagnosis.unknown.unexplained_figures identifiability.assess
+  identifiability.records.practical_result identifiability.records.profiles
   identifiability.records.reference_excitation instrumental.stage networks.estimation.direct
   networks.estimation.joint networks.estimation.module_estimate
   networks.estimation.reference_instruments networks.estimation.two_stage prediction.unknown_input
   wrong_signs
-diagnosis.calibration.calibration diagnosis.causes diagnosis.findings diagnosis.gain
+diagnosis.adoption diagnosis.calibration.calibration diagnosis.causes diagnosis.gain
   identifiability.figures identifiability.records.practical instrumental.convergence
   instrumental.propagation networks.estimation.by_instruments networks.estimation.response_figure
-diagnosis.reporting identifiability.page instrumental.estimators networks.estimation.estimate
-diagnosis.diagnosing instrumental.iterative_joint instrumental.monitoring instrumental.resampling
+diagnosis.findings identifiability.page instrumental.estimators networks.estimation.estimate
+diagnosis.reporting instrumental.iterative_joint instrumental.monitoring instrumental.resampling
   instrumental.streamed sign_flips
+diagnosis.diagnosing
 """
 
 

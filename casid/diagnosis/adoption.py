@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from casid.diagnosis.open_set import is_more_than_noise
-from casid.diagnosis.search import Adopted, Candidate, Search, Weighted, null_values
+from casid.diagnosis.reconsidering import better_rivals
+from casid.diagnosis.search import Adopted, Candidate, Rival, Search, Weighted, null_values
 from casid.errors import SolveError
 from casid.holdout import Split, held_out_error, why_no_better, why_worse
 from casid.identification import FitSettings, fit_model
@@ -28,7 +29,7 @@ def adopt_causes(
     """
     adopted: list[Adopted] = []
     extended: Fit | None = None
-    once = replace(settings, starts=1)
+    start, once = at, replace(settings, starts=1)
     before = held_out_error(base_fit, split)
     while len(adopted) < search.max_causes:
         search.progress(f"test every effect (round {len(adopted) + 1})")
@@ -54,14 +55,7 @@ def adopt_causes(
             if p >= search.alpha or (best.merit <= 0 and not is_alarm):
                 continue
             try:
-                fit = fit_model(
-                    best.model,
-                    split.fitted,
-                    once,
-                    start=best.fit.values,
-                    check_rank=False,
-                    throw=False,
-                )
+                fit = _whole_fit(best, split, once)
                 new_error = held_out_error(fit, split)
             except SolveError as error:
                 search.refused.append((best, f"its simulation diverges ({error})"))
@@ -82,10 +76,37 @@ def adopt_causes(
         if taken is None:
             break
         adopted.append(taken)
+        is_open = taken.rivals and taken.before is not None and taken.before.is_hidden
+        if is_open and not at.is_hidden and is_more_than_noise(at, search):
+            search.progress(f"judge the rivals of {taken.candidate.effect.kind} by what is left")
+            for other in better_rivals(search, adopted, start, at):
+                fit = _whole_fit(other, split, once)
+                instead = search.weigh(other.model, fit, rounds=1)
+                if not is_more_than_noise(instead, search):
+                    adopted[-1] = replace(taken, candidate=other, rivals=_others(taken, other))
+                    before, extended, at = held_out_error(fit, split), fit, instead
+                    break
     if extended is not None and len(adopted) > 1:
         extended = _eliminated(search, adopted, extended, split, once)
         at = search.weigh(extended.criterion.model, extended, rounds=1)
     return adopted, at, extended
+
+
+def _whole_fit(candidate: Candidate, split: Split, settings: FitSettings) -> Fit:
+    return fit_model(
+        candidate.model,
+        split.fitted,
+        settings,
+        start=candidate.fit.values,
+        check_rank=False,
+        throw=False,
+    )
+
+
+def _others(taken: Adopted, chosen: Candidate) -> tuple[Rival, ...]:
+    """The rivals of one that was exchanged for one of them; all are judged once more."""
+    first = Rival(taken.candidate, 1.0)
+    return (first, *(r for r in taken.rivals if r.candidate.effect is not chosen.effect))
 
 
 def _eliminated(

@@ -9,9 +9,15 @@ among the alternatives only.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from casid.diagnosis.evidence.residual_tests import DISTURBANCE, NOISE, residual_tests
+from casid.diagnosis.evidence.residual_tests import (
+    DISTURBANCE,
+    NOISE,
+    ResidualTests,
+    residual_tests,
+)
+from casid.diagnosis.open_rivals import OpenRival
 from casid.diagnosis.remaining import Remaining
 from casid.diagnosis.result import Alternative, Cause
 from casid.diagnosis.search import Adopted, Search, Weighted
@@ -36,19 +42,63 @@ class Left:
 
 def is_more_than_noise(at: Weighted, search: Search) -> bool:
     """True if the residual depends on states and inputs, or changes in time."""
-    tests = residual_tests(at, search.experiments, alpha=SHARE * search.alpha, seed=search.seed)
+    tests = _tested(at, search, SHARE * search.alpha)
     return tests.verdict not in (NOISE, DISTURBANCE)
+
+
+def _tested(at: Weighted, search: Search, level: float) -> ResidualTests:
+    return residual_tests(at, search.experiments, search.recorded, alpha=level, seed=search.seed)
 
 
 def what_is_left(at: Weighted, search: Search, adopted: Sequence[Adopted]) -> Left:
     """Test the residual of the last model; describe it where it is deterministic or changes."""
     level = (2 if adopted else 1) * SHARE * search.alpha
-    tests = residual_tests(at, search.experiments, alpha=level, seed=search.seed)
+    tests = _tested(at, search, level)
     if tests.verdict in (NOISE, DISTURBANCE) and not (at.is_hidden and not adopted):
         return Left(tests.adjusted, level)
     search.progress("describe what is left unexplained")
     told = unexplained(at, search.experiments, search.recorded, alpha=level, seed=search.seed)
     return Left(tests.adjusted, level, told if told.is_something else None)
+
+
+def described(start: Weighted, search: Search, level: float, p_value: float) -> Left:
+    """All that the model as it is leaves, described: what was named explains it worse."""
+    search.progress("describe what no effect of the catalogue explains as well")
+    told = unexplained(start, search.experiments, search.recorded, alpha=level, seed=search.seed)
+    return Left(p_value, level, told if told.is_something else None)
+
+
+def with_the_open_rival(
+    causes: Sequence[Cause], rival: OpenRival, left: Left | None = None
+) -> list[Cause]:
+    """The causes with a function of no name among the alternatives of the first, or before them.
+
+    Parameters
+    ----------
+    left : the description of the whole, where the function is better: what was named then stands
+        among the alternatives only.
+    """
+    named = [c for c in causes if c.kind not in ("outliers", "saturation")]
+    others = [c for c in causes if c not in named]
+    if not rival.is_better:
+        first = named[0]
+        with_it = replace(first, alternatives=(*first.alternatives, rival.alternative()))
+        return [with_it if c is first else c for c in causes]
+    why = f"{rival.function} in {rival.place}, which is no effect of the catalogue, explains more"
+    alternatives = tuple(Alternative(c.kind, c.where, c.p_value, why) for c in named)
+    found = left.unexplained if left is not None else None
+    cause = Cause(
+        kind="unknown",
+        where=rival.place,
+        p_value=min(c.p_value for c in named),
+        parameters=(),
+        alternatives=alternatives,
+        share=sum(c.share for c in named),
+        sentence=f"{rival.place} lacks something that no effect of the catalogue explains as well "
+        f"as {rival.function} does",
+        description=found.sentence if found is not None else "",
+    )
+    return [cause, *others]
 
 
 def with_the_unknown(

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from casid.diagnosis.search import Adopted, Candidate, Search, Weighted
+from casid.diagnosis.search import STRONG, Adopted, Candidate, Search, Weighted
 from casid.effects.effect import Effect
 from casid.errors import CasidError
 from casid.model import Model
@@ -48,6 +48,29 @@ def reconsidered(
                 rivals = search.rivals(again, found[0], found)
         out.append(replace(a, rivals=rivals))
     return out
+
+
+def better_rivals(
+    search: Search, adopted: Sequence[Adopted], start: Weighted, at: Weighted
+) -> list[Candidate]:
+    """Rivals of the last cause that are better under the noise found with it, famous ones first.
+
+    Where misfit passed for noise, gains were no likelihoods: one that imitates the cause, and
+    leaves a little, may have come first. Which of these to take is told by what it leaves.
+    """
+    last = adopted[-1]
+    try:
+        again = _without(search, [a.candidate for a in adopted[:-1]], start, at)
+        first = _refitted(search, again, last.candidate)
+        found = [
+            c
+            for r in last.rivals[:MOST]
+            if (c := _refitted(search, again, r.candidate)) is not None
+        ]
+    except CasidError:
+        return []
+    better = [c for c in found if first is not None and c.merit > first.merit + STRONG]
+    return sorted(better, key=lambda c: (c.effect.priority, -c.merit))
 
 
 def _without(

@@ -20,7 +20,14 @@ from casid.diagnosis.gain import (
     unlike_held_out,
     views,
 )
-from casid.diagnosis.open_set import what_is_left, with_the_unknown
+from casid.diagnosis.open_rivals import open_rivals
+from casid.diagnosis.open_set import (
+    Left,
+    described,
+    what_is_left,
+    with_the_open_rival,
+    with_the_unknown,
+)
 from casid.diagnosis.ranking import ranking
 from casid.diagnosis.refusals import weak_parameters
 from casid.diagnosis.remaining import moved_parameters, what_remains
@@ -83,6 +90,7 @@ def report(
     if left is not None and left.unexplained is not None and not (bounds and not causes):
         # A parameter held at its bound leaves misfit of its own: it is told first.
         causes = with_the_unknown(causes, left, remaining)
+    causes, left = _held_against_functions(found, causes, left)
     if turned is not None:
         causes = with_the_sign(turned, causes, base_fit, best_fit)
     why_undecided = found.why_undecided or unlike_held_out(fitted, held)
@@ -149,6 +157,23 @@ def _errors(found: Findings) -> tuple[Errors, Errors]:
         held["extended_rmse"] = rmse(best_fit, best_fit, split, limits, held=True)
     fitted["noise_floor"] = held["noise_floor"] = noise_floor(found.search, found.at)
     return fitted, {} if split.is_empty else held
+
+
+def _held_against_functions(
+    found: Findings, causes: list[Cause], left: Left | None
+) -> tuple[list[Cause], Left | None]:
+    """The causes, if what was named is no worse than functions without a name."""
+    if left is None or any(c.kind == "unknown" for c in causes):
+        return causes, left
+    found.search.progress("hold the causes against functions without a name")
+    rivals = open_rivals(found.search, found.start, found.at, found.adopted)
+    if not rivals:
+        return causes, left
+    best = rivals[0]
+    if not best.is_better:
+        return with_the_open_rival(causes, best), left
+    whole = described(found.start, found.search, left.level, left.p_value)
+    return with_the_open_rival(causes, best, whole), whole
 
 
 def _plan(

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from casid.errors import ModelError
 from casid.model import Model, Parameter
 
 Array = np.ndarray[Any, Any]
@@ -96,7 +97,13 @@ class Effect:
                 p = replace(p, upper=upper, start=min(p.start, upper))
             new.parameter(name, p.unit, start=p.start, lower=p.lower, upper=p.upper, value=p.value)
             names.append(name)
-        self.apply(new, names)
+        try:
+            self.apply(new, names)
+        except KeyError as error:
+            raise ModelError(
+                f"{model.name}: {self.kind} in {self.where} needs {error}, which the model does "
+                "not have; apply the effect that brings it first"
+            ) from error
         return new, tuple(names)
 
 

@@ -6,17 +6,17 @@ Three questions, each answered at one false-alarm rate and then put together by 
 - Spectrum. The whitened residual's periodogram has independent exponential ordinates of mean one.
   Sums over bands are Gamma distributed; the normalised cumulative periodogram is a Brownian bridge
   (Bartlett 1954); the largest ordinate has the law of the largest of exponentials (Fisher 1929).
-- Dependence. Scores of powers, signs and products of states and inputs, as forces in every balance
-  and as errors of every output, off the baseline's tangent (`signatures`).
+- Dependence. Scores of powers, signs and products of states, inputs and channels recorded beside
+  them, and of each growing in time, as forces in every balance and as errors of every output, off
+  the baseline's tangent (`signatures`).
 - Time. Cumulative sums of the residual and of its square are Brownian bridges, each in units of its
   own long-run deviation (Inclan & Tiao 1994; Sanso, Arago & Carrion 2004, their kappa_2).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
@@ -25,7 +25,8 @@ from scipy.special import kolmogorov
 from scipy.stats import gamma, norm
 
 from casid.data import Experiment
-from casid.diagnosis.evidence.signatures import Group, Linearised, Regression, Table
+from casid.diagnosis.evidence.functions import regressions
+from casid.diagnosis.evidence.signatures import Regression
 from casid.diagnosis.search import Weighted
 from casid.uncertainty import bartlett_lags, long_run_covariance
 
@@ -120,12 +121,18 @@ class ResidualTests:
 
 
 def residual_tests(
-    at: Weighted, experiments: Sequence[Experiment], *, alpha: float = 0.05, seed: int = 0
+    at: Weighted,
+    experiments: Sequence[Experiment],
+    recorded: Mapping[str, str] | None = None,
+    *,
+    alpha: float = 0.05,
+    seed: int = 0,
 ) -> ResidualTests:
     """Test the residual of a model fitted under its noise.
 
     Parameters
     ----------
+    recorded : channels beside the model's on which it may depend, name -> unit.
     alpha : rate at which a residual that is noise is called something else.
     seed : of the antithetic draw and of the draws that give the family's threshold.
 
@@ -136,26 +143,10 @@ def residual_tests(
     """
     fit = at.unbiased or at.fit
     criterion, x = fit.criterion, fit.x
-    linearised = Linearised(criterion, x)
-    variables = [*criterion.model.states, *criterion.model.inputs]
-    variables = [v for v in variables if not v.startswith("slope of ")]
-    named = _functions(variables)
     places = [*criterion.model.balances, *criterion.outputs]
     whitened: list[Array] = []
     p_dependence, correlated = 1.0, None
-    for place in places:
-        regression = Regression(
-            criterion,
-            x,
-            at.noise,
-            place,
-            [g for _, g in named],
-            experiments,
-            input_sd=at.input_sd,
-            recorded={},
-            linearised=linearised,
-            seed=seed,
-        )
+    for place, named, regression in regressions(at, experiments, recorded, seed=seed):
         if not whitened:
             ends = np.cumsum([0, *(d.N * len(criterion.outputs) for d in criterion.data)])
             whitened = [
@@ -171,7 +162,7 @@ def residual_tests(
         better = correlated is None or (p, -share) < (correlated.p_value, -correlated.share)
         if better:
             p_dependence = p
-            correlated = Correlated(place, named[best.group][0], p, share)
+            correlated = Correlated(place, named[best.group], p, share)
     bands, p_spectrum = _spectrum(criterion.outputs, whitened, [d.Ts for d in criterion.data])
     p_mean, p_power, p_amplitude = _changes(
         whitened, [criterion.simulated(x, k).y for k in range(len(criterion.data))]
@@ -213,40 +204,6 @@ def _holm(p: Sequence[float], alpha: float) -> list[bool]:
 
 
 # -- dependence -----------------------------------------------------------------------------------
-
-
-def _functions(variables: Sequence[str]) -> list[tuple[str, Group]]:
-    """Powers, signs and products, named."""
-    kinds: list[tuple[str, Callable[[Array], Array]]] = [
-        ("{0}", lambda v: v),
-        ("{0}^2", lambda v: v**2),
-        ("{0} |{0}|", lambda v: v * np.abs(v)),
-        ("{0}^3", lambda v: v**3),
-        ("sign({0})", np.sign),
-    ]
-    out = []
-    for v in variables:
-        for text, function in kinds:
-            out.append((text.format(v), _single((v,), function)))
-    for a, b in combinations(variables, 2):
-        out.append((f"{a} {b}", _product((a, b), lambda f, g: f * g)))
-        out.append((f"|{a}| {b}", _product((a, b), lambda f, g: np.abs(f) * g)))
-        out.append((f"{a} |{b}|", _product((a, b), lambda f, g: f * np.abs(g))))
-    return out
-
-
-def _single(names: tuple[str, ...], function: Callable[[Array], Array]) -> Group:
-    def columns(table: Table) -> Array:
-        return np.asarray(function(table[names[0]]))[:, None]
-
-    return Group(names, columns)
-
-
-def _product(names: tuple[str, ...], function: Callable[[Array, Array], Array]) -> Group:
-    def columns(table: Table) -> Array:
-        return np.asarray(function(table[names[0]], table[names[1]]))[:, None]
-
-    return Group(names, columns)
 
 
 def _share(regression: Regression, seed: int) -> float:

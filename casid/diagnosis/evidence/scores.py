@@ -146,6 +146,8 @@ def score_test(
     fit : whitened simulation error of the model without the effects, near its minimum.
     input_sd : standard deviation of the white noise of each measured input.
     """
+    if not effects:
+        return ScoreTable((), np.empty((0, 0)), 0, Family(np.empty(0), 0))
     base = fit.criterion
     smooth = [e for e in effects if e.test == "score"]
     clipped = [e for e in effects if e.test == "clip"]

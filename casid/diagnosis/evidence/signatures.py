@@ -336,6 +336,12 @@ class Regression:
         """How far `misfit` is from zero by chance: sqrt(2 M) of M squares."""
         return float(np.sqrt(2.0 * len(self.e)))
 
+    def energies(self) -> Array:
+        """Sum of squares of each group's signatures off the tangent, for functions of unit size."""
+        rest, _, _ = self._rest(())
+        own = np.einsum("ij,ij->j", rest, rest) * self.size**2
+        return np.array([float(own[j].sum()) for j in self.slices])
+
     def _rest(self, chosen: Sequence[int]) -> tuple[Array, Array, Array | None]:
         """Signatures off tangent and `chosen` groups, their scores, and the noise's part in them.
 
@@ -420,7 +426,9 @@ class Regression:
         for k, i in enumerate(free):
             own_p = max(float(p[k]), 1e-300)
             share = (np.searchsorted(smallest, own_p, side="right") + 1) / (draws + 1)
-            adjusted = min(1.0, len(free) * own_p, float(share) if share > 20 / draws else 1.0)
+            adjusted = min(
+                1.0, len(free) * own_p, float(share) if share > 20 / max(draws, 1) else 1.0
+            )
             out.append(Tested(i, gains[i], chance[k], roots[i].shape[1], own_p, adjusted))
         return out
 

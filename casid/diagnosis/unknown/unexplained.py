@@ -123,7 +123,7 @@ def unexplained(
     time where the tests and the terms find nothing.
     """
     recorded = dict(recorded or {})
-    tests = residual_tests(at, experiments, alpha=alpha, seed=seed)
+    tests = residual_tests(at, experiments, recorded, alpha=alpha, seed=seed)
     model = at.model
     places = [*model.balances, *at.criterion.outputs]
     found = [

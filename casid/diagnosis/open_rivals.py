@@ -1,0 +1,103 @@
+"""Functions without a name that explain the misfit as well as what was named, or better.
+
+A cause that is not in the catalogue may lie so near to one that is that nothing is left beside it.
+The record may still say that a function which the catalogue does not have explains as much. Every
+function of states, inputs, channels and time (`functions`) is therefore held against the causes
+that were adopted, on the model as it was, by
+
+    gain - k log N                                                                             (1)
+
+with the gain linear in the function's size, and for the causes the larger of the linear one and
+their refits'. A function that the causes themselves express is none of these: with them in the
+model, little of its signature is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.diagnosis.evidence.functions import regressions
+from casid.diagnosis.result import Alternative
+from casid.diagnosis.search import STRONG, Adopted, Search, Weighted
+
+NEAR = -STRONG
+"""Units of BIC by which a function may be worse than the causes, and is still not rejected."""
+
+EXPRESSED = 0.03
+"""Share of a signature, in squares, left beside the causes below which they express it: 1 - cos^2
+of the two. Linear signatures of one thing at two sizes of it differ by as much."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenRival:
+    """A function of what is known, in one place."""
+
+    place: str  # balance or output
+    function: str  # in words, like "time phi"
+    gain: float  # sum of squares that it explains
+    ahead: float  # units of BIC by which it is better than the causes
+    own: float  # share of its signature that the causes do not express
+
+    @property
+    def is_better(self) -> bool:
+        """True if the causes are rejected against it."""
+        return self.ahead > STRONG
+
+    def alternative(self) -> Alternative:
+        """As one of the things that a cause may be."""
+        return Alternative(
+            "unknown",
+            self.place,
+            1.0,
+            f"{self.function} in {self.place}, which is no effect of the catalogue, explains as "
+            "much",
+            f"{self.function} in {self.place}",
+        )
+
+
+def open_rivals(
+    search: Search,
+    start: Weighted,
+    at: Weighted,
+    adopted: Sequence[Adopted],
+    *,
+    ahead: float = NEAR,
+    expressed: float = EXPRESSED,
+) -> tuple[OpenRival, ...]:
+    """Functions that the record cannot reject against the causes together, best first.
+
+    None where misfit passes for noise: (1) is no likelihood there, and what is left tells more.
+
+    Parameters
+    ----------
+    start, at : the model as it is and with the causes, under the noise found there.
+    ahead : units of BIC by which a function must be better.
+    expressed : share of its signature that the causes must leave.
+    """
+    if not adopted or start.is_hidden or adopted[0].candidate.effect.kind == "unknown":
+        return ()
+    table = adopted[0].candidate.score
+    linear = table.unrobust if table is not None else 0.0
+    merit = -sum(a.candidate.cost for a in adopted) + max(
+        sum(a.candidate.gain for a in adopted), linear
+    )
+    cost = float(np.log(start.criterion.n_samples))
+    found = []
+    under = replace(at, noise=start.noise)
+    beside = {
+        place: dict(zip(names, regression.energies(), strict=True))
+        for place, names, regression in regressions(under, search.experiments, search.recorded)
+    }
+    for place, names, regression in regressions(start, search.experiments, search.recorded):
+        alone = regression.energies()
+        for t in regression.test(draws=0):
+            name, by = names[t.group], t.gain - cost - merit
+            if by <= ahead:
+                continue
+            own = float(beside[place][name] / alone[t.group])
+            if own > expressed:
+                found.append(OpenRival(place, name, t.gain, by, own))
+    return tuple(sorted(found, key=lambda r: -r.ahead))
