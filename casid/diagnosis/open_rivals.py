@@ -85,19 +85,19 @@ def open_rivals(
         sum(a.candidate.gain for a in adopted), linear
     )
     cost = float(np.log(start.criterion.n_samples))
+    near: dict[str, dict[str, tuple[float, float, float]]] = {}
+    for place, names, regression in regressions(start, search.experiments, search.recorded):
+        for name, gain, energy in zip(names, *regression.seen(), strict=True):
+            if gain - cost - merit > ahead:
+                near.setdefault(place, {})[name] = gain, gain - cost - merit, energy
     found = []
     under = replace(at, noise=start.noise)
-    beside = {
-        place: dict(zip(names, regression.energies(), strict=True))
-        for place, names, regression in regressions(under, search.experiments, search.recorded)
-    }
-    for place, names, regression in regressions(start, search.experiments, search.recorded):
-        alone = regression.energies()
-        for t in regression.test(draws=0):
-            name, by = names[t.group], t.gain - cost - merit
-            if by <= ahead:
-                continue
-            own = float(beside[place][name] / alone[t.group])
+    for place, names, regression in regressions(
+        under, search.experiments, search.recorded, places=tuple(near)
+    ):
+        beside = dict(zip(names, regression.seen()[1], strict=True))
+        for name, (gain, by, alone) in near[place].items():
+            own = float(beside[name] / alone)
             if own > expressed:
-                found.append(OpenRival(place, name, t.gain, by, own))
+                found.append(OpenRival(place, name, gain, by, own))
     return tuple(sorted(found, key=lambda r: -r.ahead))

@@ -47,7 +47,13 @@ def is_more_than_noise(at: Weighted, search: Search) -> bool:
 
 
 def _tested(at: Weighted, search: Search, level: float) -> ResidualTests:
-    return residual_tests(at, search.experiments, search.recorded, alpha=level, seed=search.seed)
+    """The residual's tests; those of the last model asked for are kept."""
+    if search.tested is None or search.tested[0] is not at:
+        found = residual_tests(
+            at, search.experiments, search.recorded, alpha=level, seed=search.seed
+        )
+        search.tested = at, found
+    return search.tested[1].at_level(level)
 
 
 def what_is_left(at: Weighted, search: Search, adopted: Sequence[Adopted]) -> Left:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -40,6 +40,9 @@ from casid.noise import NoiseModel, estimate_noise, input_noise_floor
 from casid.simulation_error import Fit, SimulationError, minimize_simulation_error
 from casid.solving.nlp import Solver
 from casid.uncertainty import bartlett_lags, long_run_covariance, sandwich
+
+if TYPE_CHECKING:
+    from casid.diagnosis.evidence.residual_tests import ResidualTests
 
 Array = np.ndarray[Any, Any]
 Progress = Callable[[str], None]
@@ -214,6 +217,7 @@ class Search:
     progress: Progress = lambda _: None
     effects: Sequence[UserEffect] = ()  # the user's own
     without: Collection[str] = ()  # kinds left out
+    tested: tuple[Weighted, ResidualTests] | None = None  # the last model whose residual was tested
     first_table: ScoreTable | None = None
     first_candidates: list[Candidate] = field(default_factory=list)
     refused: list[tuple[Candidate, str]] = field(default_factory=list)

@@ -1,13 +1,13 @@
 """Functions on which what is missing may depend, and their regressions, place by place.
 
 They are the same for every model and whatever its catalogue: powers, signs and products of states
-and inputs, channels recorded beside them, each growing in time or other in its second half, slopes
-of inputs and of the output itself. Which of them is an effect with a name is not asked here.
+and inputs, channels recorded beside them, each growing in time or other in its second half, and
+the slope of the output itself. Which of them is an effect with a name is not asked here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -25,9 +25,13 @@ def regressions(
     experiments: Sequence[Experiment],
     recorded: Mapping[str, str] | None = None,
     *,
+    places: Collection[str] | None = None,
     seed: int = 0,
 ) -> Iterator[tuple[str, list[str], Regression]]:
-    """Every balance and output with the names of its functions and their regression."""
+    """Every balance and output with the names of its functions and their regression.
+
+    `places` are those asked for; all without.
+    """
     fit = at.unbiased or at.fit
     model, outputs = fit.criterion.model, fit.criterion.outputs
     linearised = Linearised(fit.criterion, fit.x)
@@ -35,6 +39,8 @@ def regressions(
     own = {*model.states, *inputs}
     beside = {name: unit for name, unit in (recorded or {}).items() if name not in own}
     for place in (*model.balances, *outputs):
+        if places is not None and place not in places:
+            continue
         named = functions_of(
             list(model.states), inputs, list(beside), place if place in outputs else None
         )
@@ -80,11 +86,10 @@ def functions_of(
             out.append((text.format(v), _single((v,), function)))
         out.append((f"{TIME} {v}", _product((TIME, v), _growing)))
         out.append((f"late {v}", _product((TIME, v), _late)))
-    for v in (*inputs, output):
-        if v is not None:
-            slope = f"slope of {v}"
-            out.append((slope, _single((slope,), lambda f: f)))
-            out.append((f"{TIME} {slope}", _product((TIME, slope), _growing)))
+    if output is not None:
+        slope = f"slope of {output}"
+        out.append((slope, _single((slope,), lambda f: f)))
+        out.append((f"{TIME} {slope}", _product((TIME, slope), _growing)))
     for a, b in combinations(own, 2):
         out.append((f"{a} {b}", _product((a, b), lambda f, g: f * g)))
         out.append((f"|{a}| {b}", _product((a, b), lambda f, g: np.abs(f) * g)))

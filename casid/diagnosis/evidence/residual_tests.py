@@ -16,7 +16,7 @@ Three questions, each answered at one false-alarm rate and then put together by 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -45,6 +45,9 @@ IN_TIME: Left = "changes in time (mean or power)"
 
 BANDS = 12
 BLOCKS = 20
+
+TOLD = 0.05
+"""p of the dependence up to which its share is found out, whatever the rate."""
 
 ENOUGH = 0.15
 """Share of what is left that functions of inputs and states have to explain to be called its cause.
@@ -90,6 +93,12 @@ class ResidualTests:
     p_mean: float  # that the residual's mean changes by chance
     p_power: float  # that its power changes over time by chance
     p_amplitude: float  # that its power goes with the outputs' amplitude by chance
+
+    def at_level(self, alpha: float) -> ResidualTests:
+        """The same numbers judged at another rate."""
+        share = self.correlated.share if self.correlated is not None else 0.0
+        ps = (self.p_spectrum, self.p_dependence, self.p_time)
+        return replace(self, verdict=_verdict(*ps, share, alpha))
 
     @property
     def loudest(self) -> Band:
@@ -158,7 +167,7 @@ def residual_tests(
             continue
         best = min(tested, key=lambda t: t.p_value)
         p = min(1.0, len(places) * best.adjusted)
-        share = _share(regression, seed) if p < alpha else 0.0
+        share = _share(regression, seed) if p < max(alpha, TOLD) else 0.0
         better = correlated is None or (p, -share) < (correlated.p_value, -correlated.share)
         if better:
             p_dependence = p
@@ -168,18 +177,9 @@ def residual_tests(
         whitened, [criterion.simulated(x, k).y for k in range(len(criterion.data))]
     )
     p_time = min(1.0, 3 * min(p_mean, p_power, p_amplitude))
-    is_spectral, is_dependent, is_changing = _holm([p_spectrum, p_dependence, p_time], alpha)
-    verdict: Left = NOISE
-    if is_dependent and correlated is not None and correlated.share >= ENOUGH:
-        verdict = DETERMINISTIC
-    elif is_changing:
-        verdict = IN_TIME
-    elif is_spectral:
-        verdict = DISTURBANCE
-    elif is_dependent:
-        verdict = DETERMINISTIC
+    share_told = correlated.share if correlated is not None else 0.0
     return ResidualTests(
-        verdict=verdict,
+        verdict=_verdict(p_spectrum, p_dependence, p_time, share_told, alpha),
         p_spectrum=p_spectrum,
         p_dependence=p_dependence,
         p_time=p_time,
@@ -191,6 +191,19 @@ def residual_tests(
         p_power=p_power,
         p_amplitude=p_amplitude,
     )
+
+
+def _verdict(
+    p_spectrum: float, p_dependence: float, p_time: float, share: float, alpha: float
+) -> Left:
+    is_spectral, is_dependent, is_changing = _holm([p_spectrum, p_dependence, p_time], alpha)
+    if is_dependent and share >= ENOUGH:
+        return DETERMINISTIC
+    if is_changing:
+        return IN_TIME
+    if is_spectral:
+        return DISTURBANCE
+    return DETERMINISTIC if is_dependent else NOISE
 
 
 def _holm(p: Sequence[float], alpha: float) -> list[bool]:
@@ -217,7 +230,9 @@ def _share(regression: Regression, seed: int) -> float:
         best = max(tested, key=lambda t: t.gain)
         if k and best.gain < 2 * best.chance:
             break
-        gain += max(best.gain - best.chance, 0.0)
+        # The best of K explains 2 log K times what each of them does by chance.
+        by_choice = best.chance * max(2 * np.log(len(tested)), 1.0)
+        gain += max(best.gain - by_choice, 0.0)
         chosen.append(best.group)
     return float(np.clip(gain / max(regression.misfit, regression.misfit_sd), 0.0, 1.0))
 

@@ -13,7 +13,7 @@ the baseline's own tangent and less what the inputs' noise gives to signature an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -336,11 +336,22 @@ class Regression:
         """How far `misfit` is from zero by chance: sqrt(2 M) of M squares."""
         return float(np.sqrt(2.0 * len(self.e)))
 
-    def energies(self) -> Array:
-        """Sum of squares of each group's signatures off the tangent, for functions of unit size."""
-        rest, _, _ = self._rest(())
+    def seen(self) -> tuple[Array, Array]:
+        """Of each group, what it explains and its signatures' energy, both off the tangent, (G,).
+
+        The first is a sum of squares less the baseline's part, for what the noise leaves of each.
+        """
+        rest, z, _ = self._rest(())
+        gains = [float(np.sum((root.T @ z[j]) ** 2)) for j, root in self._roots(rest)]
         own = np.einsum("ij,ij->j", rest, rest) * self.size**2
-        return np.array([float(own[j].sum()) for j in self.slices])
+        return np.array(gains), np.array([float(own[j].sum()) for j in self.slices])
+
+    def _roots(self, rest: Array) -> Iterator[tuple[slice, Array]]:
+        """Of each group, the directions that the record sees, of unit length."""
+        for j in self.slices:
+            values, vectors = np.linalg.eigh(rest[:, j].T @ rest[:, j])
+            keep = values > max(VISIBLE, 1e-3 * values.max(initial=0.0))
+            yield j, vectors[:, keep] / np.sqrt(values[keep])
 
     def _rest(self, chosen: Sequence[int]) -> tuple[Array, Array, Array | None]:
         """Signatures off tangent and `chosen` groups, their scores, and the noise's part in them.
@@ -383,11 +394,9 @@ class Regression:
         """
         rest, z, given = self._rest(chosen)
         roots, gains = [], []
-        for j in self.slices:
-            values, vectors = np.linalg.eigh(rest[:, j].T @ rest[:, j])
-            keep = values > max(VISIBLE, 1e-3 * values.max(initial=0.0))
-            roots.append(vectors[:, keep] / np.sqrt(values[keep]))
-            gains.append(float(np.sum((roots[-1].T @ z[j]) ** 2)))
+        for j, root in self._roots(rest):
+            roots.append(root)
+            gains.append(float(np.sum((root.T @ z[j]) ** 2)))
         merits = [g - charge * r.shape[1] for g, r in zip(gains, roots, strict=True)]
         free = [i for i in range(len(self.slices)) if i not in chosen and roots[i].shape[1]]
         if not free:
@@ -413,15 +422,18 @@ class Regression:
         rng = np.random.default_rng(seed)
         sample = rng.standard_normal((draws, len(score))) @ root.T
         sample /= np.sqrt(rng.chisquare(freedom, draws) / freedom)[:, None]
-        p, drawn, chance = [], [], []
+        p, chance = [], []
+        largest: dict[int, Array] = {}  # of the drawn statistics, by rank: p falls with them
         for a, b in zip(edges[:-1], edges[1:], strict=True):
             own, rank = covariance[a:b, a:b], int(b - a)
             inverse = np.linalg.pinv(own, rcond=1e-10, hermitian=True)
             p.append(_hotelling(score[a:b] @ inverse @ score[a:b], rank, freedom))
             quadratic = np.einsum("di,ij,dj->d", sample[:, a:b], inverse, sample[:, a:b])
-            drawn.append(_hotelling(quadratic, rank, freedom))
+            largest[rank] = np.maximum(quadratic, largest.get(rank, 0.0))
             chance.append(float(np.trace(own)))
-        smallest = np.sort(np.min(drawn, axis=0))
+        smallest = np.sort(
+            np.min([_hotelling(most, rank, freedom) for rank, most in largest.items()], axis=0)
+        )
         out = []
         for k, i in enumerate(free):
             own_p = max(float(p[k]), 1e-300)
