@@ -539,6 +539,7 @@ def minimize_simulation_error(
     check_rank: bool = True,
     throw: bool = True,
     retry: bool = True,
+    near: bool = False,
 ) -> Fit:
     """Minimise (1), from the declared start and `starts - 1` random ones; the best is kept.
 
@@ -547,6 +548,7 @@ def minimize_simulation_error(
     constraints : each takes a mapping of variable names to CasADi symbols and returns an expression
         that is to be zero (linear or not).
     retry : whether a start that does not converge is tried once more from where it ended.
+    near : the start is next to its minimum: a solver that succeeds there is not asked again.
 
     Raises
     ------
@@ -584,7 +586,13 @@ def minimize_simulation_error(
         except SolveError as error:
             failures.append(str(error))
             continue
-        if retry and not solution.is_converged:
+        is_done = solution.is_converged or (
+            near
+            and solution.status == "Solve_Succeeded"
+            and solution.value > 0.5 * first.value
+            and k == 0
+        )
+        if retry and not is_done:
             # The natural scales of a far start are wrong at the end: once more from there.
             solution = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
         values.append(solution.value)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from casid.diagnosis.open_set import is_more_than_noise
 from casid.diagnosis.reconsidering import better_rivals
-from casid.diagnosis.search import Adopted, Candidate, Rival, Search, Weighted, null_values
+from casid.diagnosis.search import EXACT, Adopted, Candidate, Rival, Search, Weighted, null_values
 from casid.errors import SolveError
 from casid.holdout import Split, held_out_error, why_no_better, why_worse
 from casid.identification import FitSettings, fit_model
@@ -29,7 +29,7 @@ def adopt_causes(
     """
     adopted: list[Adopted] = []
     extended: Fit | None = None
-    start, once = at, replace(settings, starts=1)
+    start, once = at, replace(settings, starts=1, solver=settings.solver or EXACT)
     before = held_out_error(base_fit, split)
     while len(adopted) < search.max_causes:
         search.progress(f"test every effect (round {len(adopted) + 1})")

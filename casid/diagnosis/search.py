@@ -23,6 +23,7 @@ from casid.diagnosis.evidence.peaks import PeriodicCandidate, periodic_candidate
 from casid.diagnosis.evidence.runaway import destabilises
 from casid.diagnosis.evidence.scores import (
     INVISIBLE,
+    LONGEST,
     Score,
     ScoreTable,
     scan,
@@ -64,6 +65,9 @@ NEAR = Solver(
     options={"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-7, "ipopt.tol": 1e-6},
 )
 """For fits that start next to their minimum: a large barrier would only lead away from it."""
+
+EXACT = Solver(options={**NEAR.options, "ipopt.mu_init": 1e-6, "ipopt.tol": 1e-8})
+"""The same for fits that are reported."""
 
 IMITATORS = ("parameter_jump", "parameter_drift", "periodic_disturbance", "missing_mode")
 """Kinds with a time or a frequency of their own."""
@@ -253,14 +257,16 @@ class Search:
             unbiased=None if at is found else at.fit,
         )
 
-    def _without_bias(self, found: Weighted, steps: int = 40) -> Weighted | None:
+    def _without_bias(self, found: Weighted, steps: int = 40, patience: int = 8) -> Weighted | None:
         """The root of (2) in `scores`, with the noise found there; None if none is near.
 
-        Where much is unexplained, the noise meanwhile is that of sensors and inputs alone.
+        Where much is unexplained, the noise meanwhile is that of sensors and inputs alone. Given up
+        where as many steps as `patience` come no nearer: a bound holds a parameter back, say.
         """
         if not any(found.input_sd.values()):
             return None
         at = found
+        shortest, since = np.inf, 0
         for _ in range(steps):
             noise = at.full.quiet(at.input_sd) if at.is_hidden else at.full
             criterion = self._criterion(at.model, noise, at.fit.values, found.criterion)
@@ -273,6 +279,9 @@ class Search:
             at = self._estimate(moved)
             if length < 0.05:
                 return at
+            shortest, since = (length, 0) if length < 0.98 * shortest else (shortest, since + 1)
+            if since >= patience and length < LONGEST:
+                return None
         return None
 
     def _estimate(self, fit: Fit) -> Weighted:
@@ -289,7 +298,7 @@ class Search:
 
     def _minimum(self, criterion: SimulationError) -> Fit:
         return minimize_simulation_error(
-            criterion, solver=self.solver or NEAR, check_rank=False, throw=False
+            criterion, solver=self.solver or NEAR, check_rank=False, throw=False, near=True
         )
 
     def _criterion(
@@ -539,7 +548,8 @@ class Search:
         from casid.identification import FitSettings, fit_model
 
         out = []
-        settings = FitSettings(starts=1, substeps=fit.criterion.substeps, solver=self.solver)
+        substeps, solver = fit.criterion.substeps, self.solver or EXACT
+        settings = FitSettings(starts=1, substeps=substeps, solver=solver)
         for a in adopted:
             null = null_values(a.candidate)
             model = fit.criterion.model.with_known(**null)
@@ -717,9 +727,7 @@ class Search:
         best = found[0]
         noise = estimate_noise(best.fit.criterion, best.fit.x, known=self.known_noise)
         criterion = self._criterion(at.model, noise, at.fit.values, at.criterion)
-        base_fit = minimize_simulation_error(
-            criterion, solver=self.solver or NEAR, check_rank=False, throw=False
-        )
+        base_fit = self._minimum(criterion)
         again = replace(
             at, fit=base_fit, noise=noise, full=noise, input_sd=self._input_sd(noise, criterion)
         )
@@ -730,9 +738,7 @@ class Search:
             criterion = self._criterion(c.model, noise, c.fit.values, at.criterion)
             for mine, other in zip(criterion.data, c.fit.criterion.data, strict=True):
                 mine.used[:] = other.used
-            fit = minimize_simulation_error(
-                criterion, solver=self.solver or NEAR, check_rank=False, throw=False
-            )
+            fit = self._minimum(criterion)
             judged = self._judge(again, c.effect, c.names, c.model, fit)
             out.append(replace(judged, score=c.score))
         out.sort(key=lambda c: -c.merit)
