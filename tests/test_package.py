@@ -58,8 +58,9 @@ asymptotics.comparison asymptotics.decision_map asymptotics.linear_signals
   simulate solving.nlp_criterion solving.nlp_values stages transfer.matrix transfer.minors
   transfer.reading
 asymptotics.estimated_row asymptotics.input_measurement asymptotics.second_moments
-  campaigns.campaign cli derived diagnosis.result effects.balance_effects effects.channel_effects
-  effects.checking effects.decoys effects.parameter_effects effects.periodic effects.user_effects
+  campaigns.campaign cli derived diagnosis.preselection diagnosis.result effects.balance_effects
+  effects.channel_effects effects.checking effects.decoys effects.parameter_effects effects.periodic
+  effects.user_effects
   figures.panels identifiability.combinations.interpolation identifiability.combinations.subsets
   identifiability.equations.formula_scope identifiability.inputs.signals
   identifiability.mends.candidates identifiability.rank.program_reader

@@ -30,6 +30,7 @@ from casid.diagnosis.evidence.scores import (
     score_test,
     step_without_bias,
 )
+from casid.diagnosis.preselection import preselected
 from casid.diagnosis.result import Alternative
 from casid.effects.catalogue import catalogue
 from casid.effects.effect import KINDS, Effect, Sizes, Spread
@@ -383,15 +384,17 @@ class Search:
         step: float,
         *,
         starts: Mapping[str, float] | None = None,
+        near: bool = False,
     ) -> Candidate | None:
         """Fit the model with `effect` in it, from one or several starts of its first parameter.
 
-        `starts` of its further parameters, by the effect's own names.
+        `starts` of its further parameters, by the effect's own names; `near` where `step` and those
+        are known to be right: no others are tried.
         """
         best: Candidate | None = None
         if self._runs_away(at, effect):
             return None
-        for start, upper in self._starts(at, effect, step):
+        for start, upper in self._starts(at, effect, step, near=near):
             model, names = effect.extended(
                 at.model, starts={**(starts or {}), effect.parameters[0].name: start}, upper=upper
             )
@@ -417,6 +420,18 @@ class Search:
                 best = found
         return best
 
+    def again(self, at: Weighted, found: Candidate) -> Candidate | None:
+        """A candidate refitted into another model or on other records, from what it was."""
+        effect = found.effect
+        values = {
+            p.name: found.fit.values[name]
+            for p, name in zip(effect.parameters, found.names, strict=True)
+            if name in found.fit.values
+        }
+        first = effect.parameters[0]
+        step = values[first.name] - first.start
+        return self.refit(at, effect, step, starts=values, near=True)
+
     def _runs_away(self, at: Weighted, effect: Effect) -> bool:
         """True if a user's effect makes the simulation run away; `left_out` then says it."""
         if effect.kind in KINDS:
@@ -433,14 +448,17 @@ class Search:
         return bool(self.left_out[effect.key])
 
     def _starts(
-        self, at: Weighted, effect: Effect, step: float
+        self, at: Weighted, effect: Effect, step: float, *, near: bool = False
     ) -> list[tuple[float, float | None]]:
         Ts = at.criterion.data[0].Ts
         if effect.limit is not None:
             # A large delay or lag is far from its linearised size, and the fit has local minima.
             factors = (0.5, 1.0, 2.0, 4.0) if at.is_hidden or abs(step) > Ts else (1.0,)
+            factors = (1.0,) if near else factors
             grid = {min(max(k * abs(step), 0.2 * Ts), effect.limit) for k in factors}
             return [(g, min(2.0 * g + 4 * Ts, effect.limit)) for g in sorted(grid)]
+        if near:
+            return [(effect.parameters[0].start + step, None)]
         if effect.test == "clip" and effect.variant is not None:
             return [(effect.variant, None)]
         if effect.kind == "parameter_jump":
@@ -680,10 +698,15 @@ class Search:
     def round(self, at: Weighted, table: ScoreTable) -> list[Candidate]:
         """Refit the shortlist; best first."""
         found: list[Candidate] = []
-        short = self.shortlist(at, table)
-        for i, s in enumerate(short):
+        short = preselected(self, at, self.shortlist(at, table))
+        for i, start in enumerate(short):
+            s = start.score
             self.progress(f"refit {i + 1}/{len(short)}: {s.effect.kind} in {s.effect.key[1]}")
-            candidate = self.refit(at, s.effect, s.step, starts=s.starts)
+            candidate = (
+                self.refit(at, s.effect, s.step, starts=s.starts)
+                if start.found is None
+                else self.again(at, start.found)
+            )
             if candidate is not None and _is_plausible(candidate):
                 found.append(replace(candidate, score=s))
         if not found:
