@@ -464,7 +464,8 @@ class Model:
         stated += [r for _, _, r in self._eliminations]
         stated += [m.residual for m in self._measured]
         # All in one call: it costs the same for many expressions as for one.
-        new = iter(ca.substitute([ca.SX(e) for e in stated], [old], [ca.SX(expression)]))
+        stated = [e if isinstance(e, ca.SX) else ca.SX(e) for e in stated]
+        new = iter(ca.substitute(stated, [old], [ca.SX(expression)]))
         self.balances = {
             key: replace(b, inertia=next(new), terms=tuple(next(new) for _ in b.terms))
             for key, b in self.balances.items()
