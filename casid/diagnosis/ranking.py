@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from casid.diagnosis.evidence.scores import INVISIBLE
 from casid.diagnosis.result import Cause, Ranked
 from casid.diagnosis.search import Adopted, Search
 
@@ -31,7 +30,7 @@ def ranking(
         why = refused.get(key, "")
         if key in named:
             status = "named"
-        elif s.visible <= INVISIBLE:
+        elif not s.is_visible:
             status = "invisible"
             why = "the baseline's own parameters and initial state absorb it in this record"
         elif key in tied:

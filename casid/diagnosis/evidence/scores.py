@@ -51,6 +51,12 @@ class Score:
     visible: float  # share of the signature outside the baseline's tangent space
     starts: Mapping[str, float] = field(default_factory=dict)  # first guesses beside `step`
 
+    @property
+    def is_visible(self) -> bool:
+        """True if the record shows it, or shows little of it that explains what noise cannot."""
+        hardly = self.visible > HARDLY_VISIBLE and self.unrobust > MUCH
+        return self.visible > INVISIBLE or hardly
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoreTable:
@@ -65,7 +71,7 @@ class ScoreTable:
     @property
     def tested(self) -> tuple[Score, ...]:
         """Every candidate that this record could show, peaks among them."""
-        return tuple(s for s in (*self.scores, *self.peaks) if s.visible > INVISIBLE)
+        return tuple(s for s in (*self.scores, *self.peaks) if s.is_visible)
 
     @property
     def smallest(self) -> Score | None:
@@ -126,6 +132,14 @@ class Family:
 
 
 INVISIBLE = 1e-4
+"""Share of a signature, in squares, outside the baseline's tangent space; less is none."""
+
+HARDLY_VISIBLE = 1e-5
+"""The same where what is left of the signature explains `MUCH`: dry friction beside viscous and
+quadratic damping in a long swing. Below it, a linear signature no longer tells how it would fit."""
+
+MUCH = 100.0
+"""Lagrange multiplier statistic that noise of the size assumed does not reach: chi^2(1)."""
 
 ROWS = 1 << 13
 """Samples that are projected at once."""
@@ -190,7 +204,7 @@ def score_test(
     z = rest.T @ e
     # Score of the baseline itself, zero at its minimum except for the bias just corrected.
     per_sample = np.einsum("kij,ki->kj", rest.reshape(-1, ny, len(size)), e.reshape(-1, ny))
-    visible = left > INVISIBLE
+    visible = (left > INVISIBLE) | ((left > HARDLY_VISIBLE) & (z**2 > MUCH * left))
     lags = bartlett_lags(per_sample[:, visible]) if visible.any() else 0
     n = len(per_sample)
     covariance = long_run_covariance(per_sample, lags)
