@@ -6,7 +6,16 @@ from dataclasses import replace
 
 from casid.diagnosis.open_set import is_more_than_noise
 from casid.diagnosis.reconsidering import better_rivals
-from casid.diagnosis.search import EXACT, Adopted, Candidate, Rival, Search, Weighted, null_values
+from casid.diagnosis.search import (
+    EXACT,
+    IMITATORS,
+    Adopted,
+    Candidate,
+    Rival,
+    Search,
+    Weighted,
+    null_values,
+)
 from casid.errors import SolveError
 from casid.holdout import Split, held_out_error, why_no_better, why_worse
 from casid.identification import FitSettings, fit_model
@@ -138,11 +147,12 @@ def _named_first(search: Search, at: Weighted, found: list[Candidate]) -> list[C
     order = list(found)
     for i in range(1, len(order)):
         for j in range(i, 0, -1):
-            near = order[j - 1].merit - order[j].merit < LIKELY
+            near = abs(order[j - 1].merit - order[j].merit) < LIKELY
             if near and order[j].effect.priority < order[j - 1].effect.priority:
                 order[j - 1], order[j] = order[j], order[j - 1]
     if order and order[0].effect.kind == "unknown" and order[0].effect.priority > 0:
         open_ = {id(r.candidate) for r in search.rivals(at, order[0], order)}
-        named = [c for c in order if c.effect.kind != "unknown" and id(c) in open_]
+        famous = [c for c in order if c.effect.kind not in ("unknown", *IMITATORS)]
+        named = [c for c in famous if id(c) in open_]
         order = [*named[:1], *[c for c in order if c not in named[:1]]]
     return order

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -531,7 +532,7 @@ class Search:
         """Effects that the baseline's own parameters absorb in these records."""
         if self.first_table is None:
             return set()
-        seen = {s.effect.key for s in self.first_table.scores if s.visible > INVISIBLE}
+        seen = {s.effect.key for s in self.first_table.scores if s.is_visible}
         return {s.effect.key for s in self.first_table.scores} - seen
 
     def aliases(self, effect: Effect) -> list[Alternative]:
@@ -562,21 +563,34 @@ class Search:
         return out[:3]
 
     def contributions(self, adopted: Sequence[Adopted], fit: Fit) -> list[float]:
-        """Sum of squares that returns when each effect is taken out and the rest refitted."""
-        from casid.identification import FitSettings, fit_model
+        """Sum of squares that returns when each effect is taken out and the rest refitted.
 
+        The rest starts where it is and, should that leave more than the model as it was before any
+        effect, there: far from its minimum the fit of a long swing has others.
+        """
+        c = fit.criterion
+        start = adopted[0].before.fit.values if adopted and adopted[0].before else fit.values
+        nothing = {k: v for a in adopted for k, v in null_values(a.candidate).items()}
         out = []
-        substeps, solver = fit.criterion.substeps, self.solver or EXACT
-        settings = FitSettings(starts=1, substeps=substeps, solver=solver)
         for a in adopted:
             null = null_values(a.candidate)
-            model = fit.criterion.model.with_known(**null)
-            values = {k: v for k, v in fit.values.items() if k not in null}
+            less = partial(
+                SimulationError,
+                c.model.with_known(**null),
+                self.experiments,
+                own=[n for n in c.own if n not in null],
+                weights=c.weights,
+                substeps=c.substeps,
+            )
+            bare = less(start={**start, **nothing})
+            most = bare.evaluate(bare.start).value
             try:
-                less = fit_model(model, self.experiments, settings, start=values, check_rank=False)
-                out.append(max(less.solution.value - fit.solution.value, 0.0))
+                left = self._minimum(less(start=fit.values)).solution.value
+                if left > most:
+                    left = min(self._minimum(bare).solution.value, most)
             except SolveError:
-                out.append(0.0)
+                left = most if np.isfinite(most) else fit.solution.value
+            out.append(max(left - fit.solution.value, 0.0))
         return out
 
     def placed(self, at: Weighted, found: list[Candidate]) -> list[Candidate]:
@@ -735,9 +749,9 @@ class Search:
             out.append(replace(c, gain=gain, cost=k * float(np.log(n)) + k))
         # In a decay, time and amplitude go together, and what happens in time, or rings on its own,
         # imitates whatever depends on amplitude: it must explain clearly more than the best that
-        # does (a heuristic).
+        # does, half as much again (a heuristic).
         lasting = max((c.gain for c in out if c.effect.kind not in IMITATORS), default=0.0)
-        out.sort(key=lambda c: -(c.merit - (0.4 * lasting if c.effect.kind in IMITATORS else 0.0)))
+        out.sort(key=lambda c: -(c.merit - (0.5 * lasting if c.effect.kind in IMITATORS else 0.0)))
         return out
 
     def rejudge(
