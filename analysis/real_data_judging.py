@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,11 @@ def named(
         f"{' and '.join(sorted(wanted))} {'first' if first else 'named'}, at most {most}",
         met,
     )
+
+
+def few_causes(most: int, quick: bool) -> dict[str, Any]:
+    """Settings of a diagnosis in short order: at most so many causes, and no plans."""
+    return {"max_causes": most, "advise": False} if quick else {}
 
 
 def keep(diagnosis: casid.Diagnosis, out: Path | None, name: str) -> None:
