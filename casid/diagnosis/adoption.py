@@ -28,6 +28,10 @@ ON_THE_CLOCK = ("parameter_jump", "parameter_drift", "periodic_disturbance")
 LIKELY = 4.0
 """Units of BIC by which a kind that is met less often must be better than one met more often."""
 
+LIKELY_SHARE = 0.015
+"""The same as a share of the better one's merit, where misfit passes for noise: there (1) counts
+misfit of another kind as well, to which the two may be no equals (a heuristic)."""
+
 
 def adopt_causes(
     search: Search, at: Weighted, base_fit: Fit, split: Split, settings: FitSettings
@@ -145,9 +149,12 @@ def _named_first(search: Search, at: Weighted, found: list[Candidate]) -> list[C
     it: famous effects are famous for being met.
     """
     order = list(found)
+    likely = LIKELY
+    if at.is_hidden:
+        likely = max(LIKELY, LIKELY_SHARE * max((c.merit for c in order), default=0.0))
     for i in range(1, len(order)):
         for j in range(i, 0, -1):
-            near = abs(order[j - 1].merit - order[j].merit) < LIKELY
+            near = abs(order[j - 1].merit - order[j].merit) < likely
             if near and order[j].effect.priority < order[j - 1].effect.priority:
                 order[j - 1], order[j] = order[j], order[j - 1]
     if order and order[0].effect.kind == "unknown" and order[0].effect.priority > 0:

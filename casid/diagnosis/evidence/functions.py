@@ -35,7 +35,7 @@ def regressions(
     fit = at.unbiased or at.fit
     model, outputs = fit.criterion.model, fit.criterion.outputs
     linearised = Linearised(fit.criterion, fit.x)
-    inputs = [name for name in model.inputs if not name.startswith("slope of ")]
+    inputs = [name for name, u in model.inputs.items() if u.kind != "generated"]
     own = {*model.states, *inputs}
     beside = {name: unit for name, unit in (recorded or {}).items() if name not in own}
     for place in (*model.balances, *outputs):
