@@ -104,6 +104,8 @@ def _energies(problem: casid.Problem, hidden: Hidden) -> Row:
         return visible_energy(problem, clean, hidden.sd, hidden.start)
 
     case = hidden.case
+    if case.kind == "none":
+        return {"energy": 0.0}
     if hidden.second is None:
         return {"energy": of(case.kind, hidden.strength, hidden.clean)}
     first, other = hidden.alone
