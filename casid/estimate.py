@@ -261,8 +261,8 @@ class Estimate:
 
         return parameter_figure({"estimate": self})
 
-    def write(self, folder: Path) -> Path:
+    def write(self, folder: str | Path) -> Path:
         """Write `estimate.json` into `folder`, whole or not at all; returns its path."""
         from casid.writing import write_json
 
-        return write_json(folder / "estimate.json", self.to_json())
+        return write_json(Path(folder) / "estimate.json", self.to_json())

@@ -70,25 +70,25 @@ CAUSE = Cause("parameter_jump", "k", 1e-6, (), share=1.0, sentence="k jumps")
 
 
 def test_a_function_as_good_as_the_cause_is_one_of_its_alternatives():
-    rival = OpenRival("torque", "time phi", gain=50.0, ahead=STRONG, own=0.2)
+    rival = OpenRival("torque", "phi growing in time", gain=50.0, ahead=STRONG, own=0.2)
     (cause,) = with_the_open_rival([CAUSE], rival)
     assert cause.kind == "parameter_jump"
     (other,) = cause.alternatives
     assert (other.kind, other.where) == ("unknown", "torque")
-    assert "time phi" in other.why
+    assert "phi growing in time" in other.why
 
 
 def test_a_function_better_than_the_cause_takes_its_place():
-    rival = OpenRival("torque", "time phi", gain=50.0, ahead=STRONG + 1, own=0.2)
+    rival = OpenRival("torque", "phi growing in time", gain=50.0, ahead=STRONG + 1, own=0.2)
     (cause,) = with_the_open_rival([CAUSE], rival)
     assert (cause.kind, cause.where) == ("unknown", "torque")
     assert [(a.kind, a.where) for a in cause.alternatives] == [("parameter_jump", "k")]
-    assert "time phi" in cause.sentence
+    assert "phi growing in time" in cause.sentence
 
 
 def test_what_was_spoilt_stays_beside_the_function():
     outliers = Cause("outliers", "gyro", 1e-6, (), share=0.1, sentence="outliers in gyro")
-    rival = OpenRival("torque", "time phi", gain=50.0, ahead=STRONG + 1, own=0.2)
+    rival = OpenRival("torque", "phi growing in time", gain=50.0, ahead=STRONG + 1, own=0.2)
     assert with_the_open_rival([CAUSE, outliers], rival)[1:] == [outliers]
 
 
@@ -99,9 +99,9 @@ def test_functions_are_evaluated_as_they_are_named():
     expected = {
         "x |x|": [-4.0, -1.0, 0.0, 1.0, 4.0],
         "sign(x)": [-1.0, -1.0, 0.0, 1.0, 1.0],
-        "time x": [4.0, 1.0, 0.0, 1.0, 4.0],
-        "late x": [2.0, 1.0, 0.0, 1.0, 2.0],
-        "time slope of y": [-2.0, -1.0, 0.0, 1.0, 2.0],
+        "x growing in time": [4.0, 1.0, 0.0, 1.0, 4.0],
+        "x turned at half time": [2.0, 1.0, 0.0, 1.0, 2.0],
+        "slope of y growing in time": [-2.0, -1.0, 0.0, 1.0, 2.0],
         "|x| u": [0.0, -1.0, 0.0, -3.0, -8.0],
     }
     for name, values in expected.items():

@@ -263,14 +263,14 @@ class MonteCarlo:
 
         return histogram_figure(self)
 
-    def write(self, folder: Path) -> Path:
+    def write(self, folder: str | Path) -> Path:
         """Write `montecarlo.json` and `report.html` into `folder`; returns the former's path."""
         from casid.campaigns.monte_carlo_page import montecarlo_page
         from casid.writing import write_json, write_text
 
         page = montecarlo_page(self)  # before anything is written: both files or none
-        path = write_json(folder / "montecarlo.json", self.to_json())
-        write_text(folder / "report.html", page)
+        path = write_json(Path(folder) / "montecarlo.json", self.to_json())
+        write_text(Path(folder) / "report.html", page)
         return path
 
 

@@ -36,7 +36,7 @@ class OpenRival:
     """A function of what is known, in one place."""
 
     place: str  # balance or output
-    function: str  # in words, like "time phi"
+    function: str  # in words, like "phi growing in time"
     gain: float  # sum of squares that it explains
     ahead: float  # units of BIC by which it is better than the causes
     own: float  # share of its signature that the causes do not express
@@ -52,9 +52,8 @@ class OpenRival:
             "unknown",
             self.place,
             1.0,
-            f"{self.function} in {self.place}, which is no effect of the catalogue, explains as "
-            "much",
-            f"{self.function} in {self.place}",
+            f"{self.function}, which is no effect of the catalogue, explains as much",
+            self.function,
         )
 
 

@@ -90,7 +90,7 @@ def with_the_open_rival(
         first = named[0]
         with_it = replace(first, alternatives=(*first.alternatives, rival.alternative()))
         return [with_it if c is first else c for c in causes]
-    why = f"{rival.function} in {rival.place}, which is no effect of the catalogue, explains more"
+    why = f"{rival.function}, which is no effect of the catalogue, explains more"
     alternatives = tuple(Alternative(c.kind, c.where, c.p_value, why) for c in named)
     found = left.unexplained if left is not None else None
     cause = Cause(

@@ -216,14 +216,14 @@ class Diagnosis:
         """The papers behind the methods used."""
         return self.sources
 
-    def write(self, folder: Path) -> Path:
+    def write(self, folder: str | Path) -> Path:
         """Write `diagnosis.json` and `report.html` into `folder`; returns the report's path."""
         from casid.diagnosis.report.page import diagnosis_page
         from casid.writing import write_json, write_text
 
         page = diagnosis_page(self)  # before anything is written: both files or none
-        write_json(folder / "diagnosis.json", self.to_json())
-        return write_text(folder / "report.html", page)
+        write_json(Path(folder) / "diagnosis.json", self.to_json())
+        return write_text(Path(folder) / "report.html", page)
 
 
 def _plain(part: Any) -> Any:

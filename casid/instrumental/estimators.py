@@ -206,11 +206,11 @@ class MomentEstimate:
             },
         }
 
-    def write(self, folder: Path) -> Path:
+    def write(self, folder: str | Path) -> Path:
         """Write `estimate.json` into `folder`, whole or not at all; returns its path."""
         from casid.writing import write_json
 
-        return write_json(folder / "estimate.json", self.to_json())
+        return write_json(Path(folder) / "estimate.json", self.to_json())
 
     def _repr_html_(self) -> str:
         import html

@@ -84,12 +84,12 @@ def functions_of(
     for v in (*own, *recorded):
         for text, function in kinds:
             out.append((text.format(v), _single((v,), function)))
-        out.append((f"{TIME} {v}", _product((TIME, v), _growing)))
-        out.append((f"late {v}", _product((TIME, v), _late)))
+        out.append((f"{v} growing in time", _product((TIME, v), _growing)))
+        out.append((f"{v} turned at half time", _product((TIME, v), _late)))
     if output is not None:
         slope = f"slope of {output}"
         out.append((slope, _single((slope,), lambda f: f)))
-        out.append((f"{TIME} {slope}", _product((TIME, slope), _growing)))
+        out.append((f"{slope} growing in time", _product((TIME, slope), _growing)))
     for a, b in combinations(own, 2):
         out.append((f"{a} {b}", _product((a, b), lambda f, g: f * g)))
         out.append((f"|{a}| {b}", _product((a, b), lambda f, g: np.abs(f) * g)))
