@@ -83,7 +83,7 @@ def tanks(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
     fit = _fit(problem, model, data, start={"k_1": 0.05, "k_3": 0.08, "k_4": 0.07})
     root = fit.rmse["estimation"]["y"]
     yield near("tanks: square roots, rms of the whole record", root, 0.603, 0.005, "V")
-    d = casid.diagnose(problem, data, **few_causes(4, quick))
+    d = casid.diagnose(problem, data, **few_causes(2, quick))
     keep(d, out, "cascaded_tanks")
     names = [c.kind for c in d.causes]
     yield Target(
@@ -143,7 +143,7 @@ def swing(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
         "the last below the others: both are there",
         total["viscous, drag and dry"] < 0.75 * min(list(total.values())[:3]),
     )
-    d = casid.diagnose(problem, runs, hold_out=0.0, **few_causes(3, quick))
+    d = casid.diagnose(problem, runs, hold_out=0.0, **few_causes(2, quick))
     keep(d, out, "multiarm_pendulum")
     # Drag by its name, or a force that grows with the cube of the rate.
     told = {c.kind if c.kind != "unknown" else c.description for c in d.causes}
