@@ -36,7 +36,7 @@ from analysis.targets import Target, report
 from casid.diagnosis.advice.isolability import MARGIN, POWER, likeness, separation_energy
 from casid.diagnosis.advice.next_experiment import Advice, Suspect, next_experiment
 from casid.diagnosis.evidence.scores import ScoreTable, score_test
-from casid.diagnosis.search import Search, Weighted
+from casid.diagnosis.weighting import Weighing, Weighted
 from casid.effects.balance_effects import cubic_stiffness, extra_input, offset, quadratic_damping
 from casid.effects.channel_effects import sensor_bias, time_delay
 from casid.effects.effect import Effect, Spread
@@ -106,7 +106,7 @@ class Setting:
 
     drive: Drive
     at: Weighted
-    search: Search
+    weighing: Weighing
     table: ScoreTable
 
     def place(self, key: Key) -> int:
@@ -181,9 +181,8 @@ def setting_of(drive: Drive) -> Setting:
     input_sd = {"accel": records.NOISE}
     fit = Fit(white, replace(there.solution, x=white.start))
     at = Weighted(model, fit, noise, noise, input_sd, is_hidden=False)
-    search = Search(experiments=[experiment], recorded={"yaw_rate": "rad/s", "speed": "m/s"})
     table = score_test(fit, effects_of(model, drive), input_sd={}, draws=50)
-    return Setting(drive, at, search, table)
+    return Setting(drive, at, Weighing([experiment]), table)
 
 
 # -- simulated ----------------------------------------------------------------------------------
@@ -224,7 +223,7 @@ class Duel:
             r.data[0] = replace(signals_of(r.model, record_of(channels)), used=r.data[0].used)
             r._last.clear()  # what was simulated of the record before
             fit = minimize_simulation_error(r, check_rank=False, throw=False)
-            left.append(self.setting.search.compensated(self.setting.at, r, fit.x))
+            left.append(self.setting.weighing.compensated(self.setting.at, r, fit.x))
         return 2 * (left[1] - left[0])
 
 

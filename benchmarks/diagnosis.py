@@ -86,7 +86,8 @@ def scores(duration: float) -> dict[str, Any]:
     """The score stage at the fitted model: candidates, CPU seconds, MB a candidate."""
     import casid
     from casid.diagnosis.evidence.scores import score_test
-    from casid.diagnosis.search import Search
+    from casid.diagnosis.sizes import sizes_of
+    from casid.diagnosis.weighting import Weighing
     from casid.effects.catalogue import catalogue
     from casid.holdout import split_records
     from casid.identification import FitSettings, fit_model
@@ -94,9 +95,8 @@ def scores(duration: float) -> dict[str, Any]:
     problem, record = example(duration)
     split = split_records([casid.Experiment(record, {}, "r")], 0.3)
     fit = fit_model(problem.model, split.fitted, FitSettings(starts=1))
-    search = Search(split.fitted, {})
-    at = search.weigh(problem.model, fit)
-    effects = catalogue(at.model, search.sizes(at), {})
+    at = Weighing(split.fitted).weigh(problem.model, fit)
+    effects = catalogue(at.model, sizes_of(at, {}), {})
     began = time.process_time()
     score_test(at.fit, effects, input_sd=at.input_sd)
     taken = time.process_time() - began

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 import casid
-from casid.diagnosis.search import Search, Weighted
+from casid.diagnosis.weighting import Weighing, Weighted
 from casid.identification import FitSettings, fit_model
 
 Force = Callable[[float, float, float, float], float]  # x, v, speed, t -> N
@@ -99,8 +99,7 @@ def record(
 def weighted(experiments: list[casid.Experiment], m: casid.Model) -> Weighted:
     """The model fitted under its noise."""
     fit = fit_model(m, experiments, FitSettings(starts=1), throw=False)
-    search = Search(experiments=experiments, recorded=RECORDED, known_noise={"F": 0.02})
-    return search.weigh(m, fit)
+    return Weighing(experiments, known_noise={"F": 0.02}).weigh(m, fit)
 
 
 @functools.cache

@@ -20,7 +20,7 @@ import casid
 from casid.diagnosis.calibration.calibration import Calibration, calibrate, require_runs
 from casid.diagnosis.calibration.null_records import null_records
 from casid.diagnosis.diagnosing import diagnose
-from casid.diagnosis.search import Search
+from casid.diagnosis.weighting import Weighing
 from casid.errors import DataError, SolveError
 from casid.holdout import split_records
 from casid.identification import FitSettings, experiments_of, fit_model
@@ -32,8 +32,8 @@ def pieces(problem, record, hold_out=0.3):
     """Split, weighted fit and fit, as `diagnose` has them when it calibrates."""
     split = split_records(experiments_of(problem, record), hold_out)
     fit = fit_model(problem.model, split.fitted, FitSettings(starts=1))
-    search = Search(experiments=split.fitted, recorded={}, known_noise=problem.noise)
-    return split, search.weigh(problem.model, fit), fit
+    weighing = Weighing(split.fitted, known_noise=problem.noise)
+    return split, weighing.weigh(problem.model, fit), fit
 
 
 @functools.cache

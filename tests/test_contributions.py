@@ -5,7 +5,10 @@ from __future__ import annotations
 import pytest
 
 import casid
-from casid.diagnosis.search import Adopted, Search
+from casid.diagnosis.candidates import Adopted
+from casid.diagnosis.contributions import contributions_of
+from casid.diagnosis.refitting import Refitting
+from casid.diagnosis.weighting import Weighing
 from casid.effects.balance_effects import cubic_stiffness, quadratic_damping
 from casid.identification import fit_model
 from problems import roll_decay
@@ -37,14 +40,15 @@ def fits():
 @pytest.fixture(scope="module")
 def contributions(fits):
     experiments, found = fits
-    search = Search(experiments, {})
-    start = search.weigh(found["linear"].criterion.model, found["linear"])
+    weighing = Weighing(experiments)
+    refitting = Refitting(weighing)
+    start = weighing.weigh(found["linear"].criterion.model, found["linear"])
     hardening = cubic_stiffness(start.model, "torque")
-    first = search.refit(start, hardening, 4.0)
-    beside = search.weigh(first.model, first.fit)
-    second = search.refit(beside, quadratic_damping(first.model, "torque"), 0.07)
+    first = refitting.refit(start, hardening, 4.0)
+    beside = weighing.weigh(first.model, first.fit)
+    second = refitting.refit(beside, quadratic_damping(first.model, "torque"), 0.07)
     adopted = [Adopted(first, 0.0, (), start), Adopted(second, 0.0, (), beside)]
-    return search.contributions(adopted, found["both"])
+    return contributions_of(weighing, adopted, found["both"])
 
 
 def test_a_contribution_is_the_loss_of_the_model_without_that_cause(fits, contributions):

@@ -7,7 +7,8 @@ import pytest
 
 import casid
 from casid.diagnosis.evidence.scores import score_test
-from casid.diagnosis.search import Search
+from casid.diagnosis.sizes import sizes_of
+from casid.diagnosis.weighting import Weighing
 from casid.dimensions import check_units
 from casid.effects.catalogue import catalogue
 from casid.effects.decoys import decoys, power_law
@@ -98,9 +99,8 @@ def test_no_two_effects_of_the_pendulums_torque_have_one_signature():
     experiments = [casid.Experiment(record, {}, "r")]
     model = pendulum.problem.model.with_known(m=0.0)
     fit = fit_model(model, experiments, FitSettings(starts=1))
-    search = Search(experiments, {})
-    at = search.weigh(model, fit, rounds=1)
-    every = [e for e in catalogue(model, search.sizes(at), {}) if e.key[1].startswith("torque")]
+    at = Weighing(experiments).weigh(model, fit, rounds=1)
+    every = [e for e in catalogue(model, sizes_of(at, {}), {}) if e.key[1].startswith("torque")]
     every = [e for e in every if e.kind != "offset"]  # the initial angle absorbs it
     table = score_test(at.fit, every, input_sd=at.input_sd, draws=200)
     assert len(every) >= 11

@@ -9,11 +9,8 @@ import pytest
 
 from casid.diagnosis.calibration.calibration import Calibration
 from casid.diagnosis.result import Alternative, Cause
-from casid.diagnosis.search import Search
 from casid.diagnosis.wording import advice
 from tests.samples import deficient as small
-
-SEARCH = Search([], {})
 
 
 @pytest.mark.parametrize(
@@ -27,13 +24,13 @@ SEARCH = Search([], {})
     ],
 )
 def test_where_the_reason_carries_its_own_mend_no_longer_record_is_asked_for(why):
-    said = advice("undecided", [], SEARCH, why)
+    said = advice("undecided", [], None, why)
     assert said == "Mend what the reason names, then diagnose again."
 
 
 def test_where_the_record_says_too_little_more_of_it_is_asked_for():
     why = "12 samples are too few to judge a model with 4 unknowns; 40 are the least"
-    assert advice("undecided", [], SEARCH, why).startswith("Record longer")
+    assert advice("undecided", [], None, why).startswith("Record longer")
 
 
 UNKNOWN = Alternative("unknown", "torque", 0.2, "explains as much", "p^3")
@@ -43,9 +40,9 @@ NAMED = Cause(
 
 
 def test_a_rival_without_a_name_is_told_by_what_it_is_like():
-    assert "from unknown in torque (p^3):" in advice("deficient", [NAMED], SEARCH, "")
+    assert "from unknown in torque (p^3):" in advice("deficient", [NAMED], None, "")
     famous = replace(UNKNOWN, kind="coulomb_friction", description="friction")
-    said = advice("deficient", [replace(NAMED, alternatives=(famous,))], SEARCH, "")
+    said = advice("deficient", [replace(NAMED, alternatives=(famous,))], None, "")
     assert "from coulomb_friction in torque:" in said
 
 

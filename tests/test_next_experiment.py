@@ -13,7 +13,7 @@ from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.advice.next_experiment import Suspect, next_experiment, predicted_table
 from casid.diagnosis.advice.planned_records import Planner
 from casid.diagnosis.evidence.scores import score_test
-from casid.diagnosis.search import Search, Weighted
+from casid.diagnosis.weighting import Weighing, Weighted
 from casid.effects.balance_effects import coulomb_friction, cubic_stiffness, quadratic_damping
 from casid.effects.channel_effects import time_delay
 from casid.effects.effect import Spread
@@ -33,7 +33,7 @@ def weighed(problem: casid.Problem, hidden: truth.TruthRecord, known: dict) -> W
     )
     experiments = [casid.Experiment(record, known)]
     fit = fit_model(problem.model, experiments, FitSettings(starts=1))
-    return Search(experiments=experiments, recorded={}).weigh(problem.model, fit)
+    return Weighing(experiments).weigh(problem.model, fit)
 
 
 @pytest.fixture(scope="module")

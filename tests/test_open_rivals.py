@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import casid
+from casid.diagnosis.comparing import STRONG
 from casid.diagnosis.evidence.functions import functions_of
 from casid.diagnosis.open_rivals import OpenRival
 from casid.diagnosis.open_set import with_the_open_rival
 from casid.diagnosis.result import Cause
-from casid.diagnosis.search import STRONG
 from casid.effects.balance_effects import extra_input
 from casid.effects.effect import KINDS
 from casid.effects.structure_effects import actuator_lag

@@ -58,9 +58,8 @@ asymptotics.comparison asymptotics.decision_map asymptotics.linear_signals
   simulate solving.nlp_criterion solving.nlp_values stages transfer.matrix transfer.minors
   transfer.reading
 asymptotics.estimated_row asymptotics.input_measurement asymptotics.second_moments
-  campaigns.campaign cli derived diagnosis.preselection diagnosis.result effects.balance_effects
-  effects.channel_effects effects.checking effects.decoys effects.parameter_effects effects.periodic
-  effects.user_effects
+  campaigns.campaign cli derived diagnosis.result effects.balance_effects effects.channel_effects
+  effects.checking effects.decoys effects.parameter_effects effects.periodic effects.user_effects
   figures.panels identifiability.combinations.interpolation identifiability.combinations.subsets
   identifiability.equations.formula_scope identifiability.inputs.signals
   identifiability.mends.candidates identifiability.rank.program_reader
@@ -106,39 +105,43 @@ asymptotics.two_stage_limit diagnosis.evidence.scores diagnosis.evidence.signatu
   networks.prediction.node_predictor networks.principal_minors observers.decoupled_observer
   observers.input_smoother observers.noncausal_inverse prediction.arma prediction.likelihood
   reading.surveying solving.solvers
-asymptotics.polynomial_regression checking diagnosis.advice.isolability diagnosis.search
-  diagnosis.unknown.smoothed_force identifiability.mends.sensor_subsets identifiability.requirement
-  identifiability.symbolic.observability_matrix indirect.feedforward indirect.output_choice
-  instrumental.image instrumental.moment_equations linear.discretisation_bias networks.drawing
-  networks.estimation.module_regression networks.prediction.row_predictor networks.propositions
-  networks.rings networks.well_posed observers.figures reading.record_file
-asymptotics.module_remedies diagnosis.advice.invisible diagnosis.evidence.functions
-  diagnosis.ranking diagnosis.reconsidering diagnosis.unknown.missing_force
+asymptotics.polynomial_regression checking diagnosis.advice.isolability
+  diagnosis.unknown.smoothed_force diagnosis.weighting identifiability.mends.sensor_subsets
+  identifiability.requirement identifiability.symbolic.observability_matrix indirect.feedforward
+  indirect.output_choice instrumental.image instrumental.moment_equations linear.discretisation_bias
+  networks.drawing networks.estimation.module_regression networks.prediction.row_predictor
+  networks.propositions networks.rings networks.well_posed observers.figures reading.record_file
+asymptotics.module_remedies diagnosis.advice.invisible diagnosis.candidates
+  diagnosis.evidence.functions diagnosis.sizes diagnosis.unknown.missing_force
   identifiability.mends.cheapest instrumental.moment_nlp instrumental.prefilters
   instrumental.seen_directions instrumental.stage_instruments networks.prediction.observation_choice
   networks.predictor_inputs networks.ring_figure problem
-diagnosis.advice.fitted_motion diagnosis.evidence.residual_tests diagnosis.open_rivals
-  diagnosis.wording equation_error identifiability.asked identifiability.invariants identification
-  instrumental.moment_settings networks.estimation.module_equation networks.prediction.eiv_filter
-  networks.prediction.predictors
+diagnosis.advice.fitted_motion diagnosis.contributions diagnosis.evidence.residual_tests
+  diagnosis.refitting diagnosis.wording equation_error identifiability.asked
+  identifiability.invariants identification instrumental.moment_settings
+  networks.estimation.module_equation networks.prediction.eiv_filter networks.prediction.predictors
 asymptotics.network_relations campaigns.monte_carlo diagnosis.advice.planned_records
-  diagnosis.record_specific diagnosis.unknown.unexplained holdout identifiability.answers
-  identifiability.records.planned instrumental.stage_programs networks.estimation.consistency
-  networks.estimation.module_data prediction.grey_box
+  diagnosis.comparing diagnosis.jumps diagnosis.preselection diagnosis.record_specific
+  diagnosis.unknown.unexplained holdout identifiability.answers identifiability.records.planned
+  instrumental.stage_programs networks.estimation.consistency networks.estimation.module_data
+  prediction.grey_box
 asymptotics.network_remedies diagnosis.advice.next_experiment diagnosis.calibration.null_records
-  diagnosis.evidence.spoilt_samples diagnosis.open_set diagnosis.refusals
+  diagnosis.evidence.spoilt_samples diagnosis.refusals diagnosis.search
   diagnosis.unknown.unexplained_figures identifiability.assess
   identifiability.records.practical_result identifiability.records.profiles
   identifiability.records.reference_excitation instrumental.stage networks.estimation.direct
   networks.estimation.joint networks.estimation.module_estimate
   networks.estimation.reference_instruments networks.estimation.two_stage prediction.unknown_input
   wrong_signs
-diagnosis.adoption diagnosis.calibration.calibration diagnosis.causes diagnosis.gain
-  identifiability.figures identifiability.records.practical instrumental.convergence
-  instrumental.propagation networks.estimation.by_instruments networks.estimation.response_figure
-diagnosis.findings identifiability.page instrumental.estimators networks.estimation.estimate
-diagnosis.reporting instrumental.iterative_joint instrumental.monitoring instrumental.resampling
+diagnosis.calibration.calibration diagnosis.causes diagnosis.gain diagnosis.open_rivals
+  diagnosis.ranking diagnosis.reconsidering identifiability.figures
+  identifiability.records.practical instrumental.convergence instrumental.propagation
+  networks.estimation.by_instruments networks.estimation.response_figure
+diagnosis.open_set identifiability.page instrumental.estimators networks.estimation.estimate
+diagnosis.adoption instrumental.iterative_joint instrumental.monitoring instrumental.resampling
   instrumental.streamed sign_flips
+diagnosis.findings
+diagnosis.reporting
 diagnosis.diagnosing
 """
 

@@ -9,7 +9,7 @@ from scipy.stats import binom
 
 import casid
 from casid.diagnosis.evidence.peaks import find_peaks, periodic_candidates, tail
-from casid.diagnosis.search import Search
+from casid.diagnosis.weighting import Weighing
 from casid.identification import FitSettings, fit_model
 from problems import pendulum
 from tests import truth
@@ -91,12 +91,12 @@ def test_a_periodic_torque_is_found_and_recovered_from_a_record():
     units = {n: u for n, u in record.units.items() if n != "t"}
     experiments = [casid.Experiment(casid.Record(channels, units, Ts=Ts), {}, "record")]
     model = pendulum.problem.model.with_known(m=0.0)
-    search = Search(experiments, {})
-    at = search.weigh(model, fit_model(model, experiments, FitSettings(starts=1)))
+    weighing = Weighing(experiments)
+    at = weighing.weigh(model, fit_model(model, experiments, FitSettings(starts=1)))
     (found,) = periodic_candidates(at.fit, (0.0, 40.0))
     assert found.peak.p_value < 1e-6
     extended, names = found.effect.extended(model, starts=found.starts)
-    fit = search._minimum(search._criterion(extended, at.noise, at.fit.values, at.criterion))
+    fit = weighing.minimum(weighing.criterion(extended, at.noise, at.fit.values, at.criterion))
     a, b, f = (fit.values[n] for n in names)
     assert f == pytest.approx(record.truth["frequency"], abs=0.1 / 40.0)
     assert np.hypot(a, b) == pytest.approx(abs(record.truth["size"]), rel=0.1)
@@ -111,6 +111,6 @@ def test_a_record_without_a_line_gives_no_candidate():
     record = pendulum.simulate(duration=20.0, seed=4)
     experiments = [casid.Experiment(record, {}, "record")]
     model = pendulum.problem.model.with_known(m=0.0)
-    search = Search(experiments, {})
-    at = search.weigh(model, fit_model(model, experiments, FitSettings(starts=1)))
+    weighing = Weighing(experiments)
+    at = weighing.weigh(model, fit_model(model, experiments, FitSettings(starts=1)))
     assert periodic_candidates(at.fit, (0.0, 20.0), alpha=0.01) == []

@@ -17,7 +17,8 @@ from scipy.stats import binom
 import casid
 from analysis.ship_bias_records import CASES, SHIP, UNITS, load
 from casid.diagnosis.evidence.scores import ScoreTable
-from casid.diagnosis.search import Search, Weighted
+from casid.diagnosis.search import Search
+from casid.diagnosis.weighting import Weighing, Weighted
 from casid.identification import FitSettings, fit_model
 from problems import ship
 from problems.ship import LOAD_CASES, TABLE_8_2
@@ -67,9 +68,9 @@ def scored(seed: int, late: int = 0, seconds: float = 28.0) -> tuple[Weighted, S
     )
     made = [record(case, seed, seconds, late) for case in CASES]
     fit = fit_model(problem.model, made, FitSettings(starts=1), throw=False)
-    search = Search(experiments=made, recorded={}, known_noise={"delta": 0.0})
-    at = search.weigh(problem.model, fit)
-    return at, search.table(at, [])
+    weighing = Weighing(made, known_noise={"delta": 0.0})
+    at = weighing.weigh(problem.model, fit)
+    return at, Search(weighing, {}).table(at, [])
 
 
 def test_alarms_on_records_without_an_effect_are_no_more_than_stated():

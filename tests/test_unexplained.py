@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.search import Search
 from casid.diagnosis.unknown.unexplained import Unexplained, unexplained
 from casid.diagnosis.unknown.unexplained_figures import (
     dependence_figure,
     missing_spectrum_figure,
     missing_time_figure,
 )
+from casid.diagnosis.weighting import Weighing
 from casid.identification import FitSettings, fit_model
 from problems import pendulum
 from tests import truth
@@ -31,8 +31,7 @@ def on_the_pendulum(kind: str, strength: float, seed: int) -> Unexplained:
     )
     made = [casid.Experiment(record, {}, "run")]
     fit = fit_model(pendulum.problem.model, made, FitSettings(starts=1), throw=False)
-    search = Search(experiments=made, recorded=pendulum.problem.recorded)
-    at = search.weigh(pendulum.problem.model, fit)
+    at = Weighing(made).weigh(pendulum.problem.model, fit)
     return unexplained(at, made, pendulum.problem.recorded)
 
 

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from casid.diagnosis.candidates import Adopted, Candidate, Rival, null_values
+from casid.diagnosis.comparing import IMITATORS, p_value, rivals_of
 from casid.diagnosis.open_set import is_more_than_noise
 from casid.diagnosis.reconsidering import better_rivals
-from casid.diagnosis.search import (
-    EXACT,
-    IMITATORS,
-    Adopted,
-    Candidate,
-    Rival,
-    Search,
-    Weighted,
-    null_values,
-)
+from casid.diagnosis.refitting import wald
+from casid.diagnosis.search import Search
+from casid.diagnosis.weighting import EXACT, Weighted
 from casid.errors import SolveError
 from casid.holdout import Split, held_out_error, why_no_better, why_worse
 from casid.identification import FitSettings, fit_model
@@ -46,7 +41,8 @@ def adopt_causes(
     before = held_out_error(base_fit, split)
     while len(adopted) < search.max_causes:
         search.progress(f"test every effect (round {len(adopted) + 1})")
-        table = search.table(at, [a.candidate for a in adopted])
+        named = [a.candidate for a in adopted]
+        table = search.table(at, named)
         if search.first_table is None:
             search.first_table = table
         # A score is robust by what repeats: misfit in one short burst, which no score can see,
@@ -54,14 +50,14 @@ def adopt_causes(
         is_scored = search.has_alarm(at, table)
         if not is_scored and not is_more_than_noise(at, search):
             break
-        found = search.round(at, table)
+        found = search.round(at, table, named)
         if not found:
             break
         if not adopted:
             search.first_candidates = found
         taken: Adopted | None = None
-        for best in _named_first(search, at, found):
-            p = search.p_value(table, best)
+        for best in _named_first(at, found):
+            p = p_value(table, best)
             # The first alarm has the rate that the user set, and is named unless the held-out data
             # speak against it; a further cause has to earn its place there.
             is_alarm = is_scored and not (adopted or at.is_hidden)
@@ -82,9 +78,9 @@ def adopt_causes(
             if why:
                 search.refused.append((best, why))
                 continue
-            taken = Adopted(best, p, search.rivals(at, best, found), at)
+            taken = Adopted(best, p, rivals_of(at, best, found), at)
             before, extended = new_error, fit
-            at = search.weigh(best.model, fit, rounds=1)
+            at = search.weighing.weigh(best.model, fit, rounds=1)
             break
         if taken is None:
             break
@@ -94,14 +90,14 @@ def adopt_causes(
             search.progress(f"judge the rivals of {taken.candidate.effect.kind} by what is left")
             for other in better_rivals(search, adopted, start, at):
                 fit = _whole_fit(other, split, once)
-                instead = search.weigh(other.model, fit, rounds=1)
+                instead = search.weighing.weigh(other.model, fit, rounds=1)
                 if not is_more_than_noise(instead, search):
                     adopted[-1] = replace(taken, candidate=other, rivals=_others(taken, other))
                     before, extended, at = held_out_error(fit, split), fit, instead
                     break
     if extended is not None and len(adopted) > 1:
         extended = _eliminated(search, adopted, extended, split, once)
-        at = search.weigh(extended.criterion.model, extended, rounds=1)
+        at = search.weighing.weigh(extended.criterion.model, extended, rounds=1)
     return adopted, at, extended
 
 
@@ -132,7 +128,7 @@ def _eliminated(
         first = c.names[0]
         if len(adopted) == 1 or c.effect.test != "score":
             continue
-        if abs(search.wald(fit, first, null[first])) > 2.0:
+        if abs(wald(fit, first, null[first])) > 2.0:
             continue
         search.refused.append((c, "the other causes together leave nothing for it to explain"))
         adopted.remove(a)
@@ -142,7 +138,7 @@ def _eliminated(
     return fit
 
 
-def _named_first(search: Search, at: Weighted, found: list[Candidate]) -> list[Candidate]:
+def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
     """By merit; of those that are the same thing in this model, the one named by convention.
 
     A neighbour without a name goes behind the best named one that the record cannot reject against
@@ -158,7 +154,7 @@ def _named_first(search: Search, at: Weighted, found: list[Candidate]) -> list[C
             if near and order[j].effect.priority < order[j - 1].effect.priority:
                 order[j - 1], order[j] = order[j], order[j - 1]
     if order and order[0].effect.kind == "unknown" and order[0].effect.priority > 0:
-        open_ = {id(r.candidate) for r in search.rivals(at, order[0], order)}
+        open_ = {id(r.candidate) for r in rivals_of(at, order[0], order)}
         famous = [c for c in order if c.effect.kind not in ("unknown", *IMITATORS)]
         named = [c for c in famous if id(c) in open_]
         order = [*named[:1], *[c for c in order if c not in named[:1]]]

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from casid.diagnosis.candidates import Adopted, Candidate
+from casid.diagnosis.contributions import contributions_of
+from casid.diagnosis.evidence.scores import INVISIBLE
 from casid.diagnosis.evidence.spoilt_samples import Spoilt
 from casid.diagnosis.record_specific import Specific
 from casid.diagnosis.result import Alternative, Cause
-from casid.diagnosis.search import Adopted, Candidate, Search
+from casid.diagnosis.search import Search
 from casid.diagnosis.wording import says, says_kind, why_alternative
+from casid.effects.effect import Effect
 from casid.estimate import Estimate, Estimated
 from casid.simulation_error import Fit
 from casid.wrong_signs import WrongSign
@@ -26,7 +30,7 @@ def causes_of(
     """Causes in the order of their contribution: the misfit that returns when one is taken out."""
     own = {found.key: found.by_record for found in specific}
     rows: list[tuple[float, Cause]] = []
-    losses = search.contributions(adopted, fit)
+    losses = contributions_of(search.weighing, adopted, fit)
     outputs, weights = fit.criterion.outputs, fit.criterion.weights
     scale = {o: weights[outputs.index(o)] ** 2 / 2 for o in outputs}
     # Few and small spikes are left out of the fit, but are nothing that a user would miss.
@@ -48,7 +52,7 @@ def causes_of(
             )
             for r in a.rivals
         )
-        alternatives += tuple(search.aliases(effect))
+        alternatives += tuple(_aliases(search, effect))
         rows.append(
             (
                 loss,
@@ -110,6 +114,34 @@ def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated,
     return tuple(rows)
 
 
+def _aliases(search: Search, effect: Effect) -> list[Alternative]:
+    """Effects whose signature is that of `effect`, or turned round: the same in this model.
+
+    Parameters that depend on one channel may act alike; those refitted are judged by `rivals_of`.
+    """
+    table = search.first_table
+    if table is None:
+        return []
+    keys = [s.effect.key for s in table.scores]
+    refitted = {c.effect.key for c in search.first_candidates}
+    out: list[Alternative] = []
+    for i, key in enumerate(keys):
+        if key != effect.key:
+            continue
+        for j, other in enumerate(keys):
+            c = float(table.cosines[i, j])
+            if other == key or table.scores[j].visible <= INVISIBLE or abs(c) < 0.99:
+                continue
+            kind, where = other
+            if kind == effect.kind == "scheduled_parameter" and other not in refitted:
+                why = f"with this record, {where} acts as {effect.where} does"
+                out.append(Alternative(kind, where, 1.0, why))
+            if kind == effect.kind == "time_delay" and c < 0.0:
+                why = f"an advance of {where} looks the same as a delay of {effect.where}"
+                out.append(Alternative(kind, where, 1.0, why))
+    return out[:3]
+
+
 def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fit) -> list[Cause]:
     """The wrong sign in front of what was found with it mended."""
     lost = max(before.solution.value - after.solution.value, 0.0)
@@ -132,4 +164,4 @@ def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fi
 
 def search_unit(search: Search, channel: str) -> str:
     """Unit of a channel in the records searched."""
-    return str(search.experiments[0].record.units.get(channel, "1"))
+    return str(search.weighing.experiments[0].record.units.get(channel, "1"))

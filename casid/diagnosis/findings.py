@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from casid.data import Experiment
 from casid.diagnosis.adoption import adopt_causes
+from casid.diagnosis.candidates import Adopted
 from casid.diagnosis.evidence.spoilt_samples import Spoilt, without_spoilt
 from casid.diagnosis.reconsidering import reconsidered
 from casid.diagnosis.record_specific import Specific, record_specific
+from casid.diagnosis.refitting import std_error
 from casid.diagnosis.refusals import (
     fit_in_vain,
     unweighed,
@@ -19,7 +22,8 @@ from casid.diagnosis.refusals import (
     why_silent,
     why_undecided,
 )
-from casid.diagnosis.search import Adopted, Progress, Search, Weighted
+from casid.diagnosis.search import Progress, Search
+from casid.diagnosis.weighting import Weighing, Weighted
 from casid.errors import SolveError
 from casid.holdout import Split
 from casid.identification import FitSettings, fit_model
@@ -88,24 +92,24 @@ def find_causes(
         say(f"leave out {spoilt.count} clipped samples or outliers and fit again")
         base_fit = fit_model(problem.model, split.fitted, settings, start=base_fit.values)
     recorded, notes = usable_beside(recorded_beside(problem, split.fitted), split.apart)
+    weighing = Weighing(
+        split.fitted, known_noise=problem.noise, solver=settings.solver, seed=settings.seed
+    )
     search = Search(
-        experiments=split.fitted,
-        recorded=recorded,
+        weighing,
+        recorded,
         alpha=alpha,
         max_causes=max_causes,
-        known_noise=problem.noise,
         without=without,
         effects=problem.effects,
-        solver=settings.solver,
-        seed=settings.seed,
         progress=say,
     )
     say("estimate the noise")
-    start = at = search.weigh(problem.model, base_fit)
+    start = at = weighing.weigh(problem.model, base_fit)
     adopted: list[Adopted] = []
     specific: tuple[Specific, ...] = ()
     extended: Fit | None = None
-    undecided = why_undecided(base_fit, at, lambda name: search.std_error(start, name))
+    undecided = why_undecided(base_fit, at, partial(std_error, start.fit))
     if not undecided:
         if not base_fit.solution.is_converged:
             raise SolveError(
@@ -116,7 +120,7 @@ def find_causes(
         adopted = reconsidered(search, adopted, start, at)
         if extended is not None and len(split.fitted) > 1:
             say("ask whether one size of each cause explains every record")
-            specific, extended, at = record_specific(search, adopted, extended, at, settings)
+            specific, extended, at = record_specific(weighing, adopted, extended, at, settings)
     if turned is not None and as_recorded is not None:
         extended, base_fit = extended or base_fit, as_recorded
     return Findings(
@@ -148,7 +152,7 @@ def _undecided(
     """Nothing can be fitted: a baseline for the report all the same."""
     fit = fit_in_vain(problem.model, split.fitted)
     at = unweighed(fit)
-    search = Search(split.fitted, {}, alpha=alpha, solver=settings.solver, progress=say)
+    search = Search(Weighing(split.fitted, solver=settings.solver), {}, alpha=alpha, progress=say)
     return Findings(split, split, search, at, at, fit, None, (), Spoilt(), why, None)
 
 

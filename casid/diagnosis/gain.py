@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.diagnosis.search import Search, Weighted
+from casid.diagnosis.weighting import Weighted
 from casid.estimate import RecordView
 from casid.holdout import Split, record_views, simulate_apart, whole_simulation
 from casid.identification import rms
@@ -49,9 +49,11 @@ def clipping_limits(fit: Fit) -> dict[str, float]:
     return {s.channel: values[s.parameter] for s in fit.criterion.model.stages if s.kind == "clip"}
 
 
-def noise_floor(search: Search, at: Weighted) -> dict[str, float]:
+def noise_floor(at: Weighted) -> dict[str, float]:
     """Rms that the best possible model would leave: output noise and measured inputs' noise."""
-    measured = {s: search.input_floor(at, s) for s in at.full.source_sd if s in at.model.inputs}
+    measured = {
+        s: float(at.input_sd.get(s, 0.0)) for s in at.full.source_sd if s in at.model.inputs
+    }
     quiet = at.full.quiet(measured)
     floors = np.array([quiet.floor(e) for e in range(len(at.criterion.data))])
     weight = np.array([d.N for d in at.criterion.data], dtype=float)

@@ -19,9 +19,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casid.diagnosis.candidates import Adopted
+from casid.diagnosis.comparing import STRONG
 from casid.diagnosis.evidence.functions import regressions
 from casid.diagnosis.result import Alternative
-from casid.diagnosis.search import STRONG, Adopted, Search, Weighted
+from casid.diagnosis.search import Search
+from casid.diagnosis.weighting import Weighted
 
 NEAR = -STRONG
 """Units of BIC by which a function may be worse than the causes, and is still not rejected."""
@@ -85,14 +88,15 @@ def open_rivals(
     )
     cost = float(np.log(start.criterion.n_samples))
     near: dict[str, dict[str, tuple[float, float, float]]] = {}
-    for place, names, regression in regressions(start, search.experiments, search.recorded):
+    experiments = search.weighing.experiments
+    for place, names, regression in regressions(start, experiments, search.recorded):
         for name, gain, energy in zip(names, *regression.seen(), strict=True):
             if gain - cost - merit > ahead:
                 near.setdefault(place, {})[name] = gain, gain - cost - merit, energy
     found = []
     under = replace(at, noise=start.noise)
     for place, names, regression in regressions(
-        under, search.experiments, search.recorded, places=tuple(near)
+        under, experiments, search.recorded, places=tuple(near)
     ):
         beside = dict(zip(names, regression.seen()[1], strict=True))
         for name, (gain, by, alone) in near[place].items():

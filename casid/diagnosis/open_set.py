@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from casid.diagnosis.candidates import Adopted
 from casid.diagnosis.evidence.residual_tests import (
     DISTURBANCE,
     NOISE,
@@ -20,8 +21,9 @@ from casid.diagnosis.evidence.residual_tests import (
 from casid.diagnosis.open_rivals import OpenRival
 from casid.diagnosis.remaining import Remaining
 from casid.diagnosis.result import Alternative, Cause
-from casid.diagnosis.search import Adopted, Search, Weighted
+from casid.diagnosis.search import Search
 from casid.diagnosis.unknown.unexplained import Unexplained, unexplained
+from casid.diagnosis.weighting import Weighted
 
 SHARE = 0.2
 """Of the false-alarm rate, for the test of what is left where nothing was named: it comes on top of
@@ -49,9 +51,8 @@ def is_more_than_noise(at: Weighted, search: Search) -> bool:
 def _tested(at: Weighted, search: Search, level: float) -> ResidualTests:
     """The residual's tests; those of the last model asked for are kept."""
     if search.tested is None or search.tested[0] is not at:
-        found = residual_tests(
-            at, search.experiments, search.recorded, alpha=level, seed=search.seed
-        )
+        of = search.weighing
+        found = residual_tests(at, of.experiments, search.recorded, alpha=level, seed=of.seed)
         search.tested = at, found
     return search.tested[1].at_level(level)
 
@@ -63,15 +64,22 @@ def what_is_left(at: Weighted, search: Search, adopted: Sequence[Adopted]) -> Le
     if tests.verdict in (NOISE, DISTURBANCE) and not (at.is_hidden and not adopted):
         return Left(tests.adjusted, level)
     search.progress("describe what is left unexplained")
-    told = unexplained(at, search.experiments, search.recorded, alpha=level, seed=search.seed)
-    return Left(tests.adjusted, level, told if told.is_something else None)
+    told = _description(at, search, level)
+    return Left(tests.adjusted, level, told)
 
 
 def described(start: Weighted, search: Search, level: float, p_value: float) -> Left:
     """All that the model as it is leaves, described: what was named explains it worse."""
     search.progress("describe what no effect of the catalogue explains as well")
-    told = unexplained(start, search.experiments, search.recorded, alpha=level, seed=search.seed)
-    return Left(p_value, level, told if told.is_something else None)
+    told = _description(start, search, level)
+    return Left(p_value, level, told)
+
+
+def _description(at: Weighted, search: Search, level: float) -> Unexplained | None:
+    """What a model leaves, in words and figures, if it is anything."""
+    of = search.weighing
+    told = unexplained(at, of.experiments, search.recorded, alpha=level, seed=of.seed)
+    return told if told.is_something else None
 
 
 def with_the_open_rival(

@@ -8,17 +8,16 @@ of the whole.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casid.data import Experiment
-
-if TYPE_CHECKING:
-    from casid.diagnosis.evidence.scores import Score
-    from casid.diagnosis.search import Candidate, Search, Weighted
+from casid.diagnosis.candidates import Candidate
+from casid.diagnosis.evidence.scores import Score
+from casid.diagnosis.refitting import Refitting
+from casid.diagnosis.weighting import Weighted
 
 LONG = 30_000
 """Samples beyond which candidates are compared on a part first."""
@@ -29,7 +28,7 @@ PART = 20_000
 KEPT = 0.2
 """Share of the best gain on the part below which a candidate is left out.
 
-Less than `search.WORTH`: on the whole the shares are not quite the same.
+Less than `comparing.WORTH`: on the whole the shares are not quite the same.
 """
 
 BY_CHANCE = 10.0
@@ -47,7 +46,12 @@ class Start:
     found: Candidate | None = None  # on the part
 
 
-def preselected(search: Search, at: Weighted, short: Sequence[Score]) -> list[Start]:
+def preselected(
+    refitting: Refitting,
+    at: Weighted,
+    short: Sequence[Score],
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[Start]:
     """The scores whose candidates are to be refitted on the whole, with what the part found.
 
     All of them, without anything found, where the records are short, where the misfit hardly shows
@@ -61,12 +65,13 @@ def preselected(search: Search, at: Weighted, short: Sequence[Score]) -> list[St
         return everything
     if _misfit_in_head(at, share) < 0.5 * share:
         return everything
-    heads = [_head(e, share) for e in search.experiments]
-    small = replace(search, experiments=heads, _cache={})
-    part = replace(at, fit=small.fitted(at.model, at, at.fit.values), unbiased=None)
+    heads = [_head(e, share) for e in refitting.weighing.experiments]
+    weighing = replace(refitting.weighing, experiments=heads)
+    small = Refitting(weighing, refitting.left_out)
+    part = replace(at, fit=weighing.fitted(at.model, at, at.fit.values), unbiased=None)
     found: dict[tuple[str, str], Candidate | None] = {}
     for i, s in enumerate(compared):
-        search.progress(f"refit on a part {i + 1}/{len(compared)}: {s.effect!r}")
+        progress(f"refit on a part {i + 1}/{len(compared)}: {s.effect!r}")
         found[s.effect.key] = small.refit(part, s.effect, s.step, starts=s.starts)
     best = max((c.gain for c in found.values() if c is not None), default=0.0)
     out = []

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from casid.diagnosis.candidates import Adopted
 from casid.diagnosis.result import Cause, Ranked
-from casid.diagnosis.search import Adopted, Search
+from casid.diagnosis.search import Search
 
 
 def ranking(

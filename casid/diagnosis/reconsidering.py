@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from casid.diagnosis.search import STRONG, Adopted, Candidate, Search, Weighted
-from casid.effects.effect import Effect
+from casid.diagnosis.candidates import Adopted, Candidate, found_values
+from casid.diagnosis.comparing import STRONG, rivals_of
+from casid.diagnosis.search import Search
+from casid.diagnosis.weighting import Weighted
 from casid.errors import CasidError
 from casid.model import Model
 
@@ -40,12 +42,12 @@ def reconsidered(
                 found = [
                     c
                     for b in (a.candidate, *(r.candidate for r in rivals[:MOST]))
-                    if (c := _refitted(search, again, b)) is not None
+                    if (c := search.refitting.again(again, b, near=False)) is not None
                 ]
             except CasidError:
                 found = []
             if found and found[0].effect is a.candidate.effect:
-                rivals = search.rivals(again, found[0], found)
+                rivals = rivals_of(again, found[0], found)
         out.append(replace(a, rivals=rivals))
     return out
 
@@ -61,11 +63,11 @@ def better_rivals(
     last = adopted[-1]
     try:
         again = _without(search, [a.candidate for a in adopted[:-1]], start, at)
-        first = _refitted(search, again, last.candidate)
+        first = search.refitting.again(again, last.candidate, near=False)
         found = [
             c
             for r in last.rivals[:MOST]
-            if (c := _refitted(search, again, r.candidate)) is not None
+            if (c := search.refitting.again(again, r.candidate, near=False)) is not None
         ]
     except CasidError:
         return []
@@ -80,23 +82,8 @@ def _without(
     model: Model = start.model
     values = dict(at.fit.values)
     for c in others:
-        model, names = c.effect.extended(model, starts=_values(c.effect, c))
+        model, names = c.effect.extended(model, starts=found_values(c))
         values |= {
             new: at.fit.values.get(old, 0.0) for new, old in zip(names, c.names, strict=True)
         }
-    return replace(at, model=model, fit=search.fitted(model, at, values), unbiased=None)
-
-
-def _refitted(search: Search, at: Weighted, old: Candidate) -> Candidate | None:
-    effect, values = old.effect, _values(old.effect, old)
-    first = effect.parameters[0]
-    return search.refit(at, effect, values[first.name] - first.start, starts=values)
-
-
-def _values(effect: Effect, c: Candidate) -> dict[str, float]:
-    """What the effect's parameters were found to be, by their own names."""
-    return {
-        p.name: c.fit.values[name]
-        for p, name in zip(effect.parameters, c.names, strict=True)
-        if name in c.fit.values
-    }
+    return replace(at, model=model, fit=search.weighing.fitted(model, at, values), unbiased=None)

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from casid.diagnosis.search import Adopted, Search, Weighted
+from casid.diagnosis.candidates import Adopted
+from casid.diagnosis.weighting import Weighing, Weighted
 from casid.errors import SolveError
 from casid.estimate import Estimated
 from casid.identification import FitSettings, fit_model
@@ -40,7 +41,7 @@ class Specific:
 
 
 def record_specific(
-    search: Search,
+    weighing: Weighing,
     adopted: Sequence[Adopted],
     fit: Fit,
     at: Weighted,
@@ -61,7 +62,7 @@ def record_specific(
         return (), fit, at
     once = replace(settings, starts=1)
     try:
-        apart = _fit(fit, own, search, once)
+        apart = _fit(fit, own, weighing, once)
     except SolveError:
         return (), fit, at
     different = {key: _wald(apart, names[0]) for key, names in asked.items()}
@@ -71,16 +72,16 @@ def record_specific(
         return (), fit, at
     own = [asked[key][0] for key in kept]
     try:
-        apart = _fit(fit, own, search, once)
+        apart = _fit(fit, own, weighing, once)
     except SolveError:
         return (), fit, at
     specific = tuple(
         Specific(key, max(p, 1e-300), _values(apart, asked[key][0])) for key, p in kept.items()
     )
-    return specific, apart, search.weigh(apart.criterion.model, apart, rounds=1)
+    return specific, apart, weighing.weigh(apart.criterion.model, apart, rounds=1)
 
 
-def _fit(fit: Fit, own: Sequence[str], search: Search, settings: FitSettings) -> Fit:
+def _fit(fit: Fit, own: Sequence[str], weighing: Weighing, settings: FitSettings) -> Fit:
     c = fit.criterion
     start = dict(fit.values)
     for name in own:
@@ -88,7 +89,7 @@ def _fit(fit: Fit, own: Sequence[str], search: Search, settings: FitSettings) ->
     both = tuple(dict.fromkeys([*c.own, *own]))
     return fit_model(
         c.model,
-        search.experiments,
+        weighing.experiments,
         replace(settings, own=both, substeps=c.substeps),
         start=start,
         check_rank=False,

@@ -18,7 +18,7 @@ from scipy.signal import correlate
 from scipy.stats import norm
 
 from casid.data import Experiment
-from casid.diagnosis.search import Weighted
+from casid.diagnosis.weighting import Weighted
 from casid.effects.effect import KINDS
 from casid.effects.user_effects import user_effects
 from casid.errors import DataError
@@ -312,7 +312,7 @@ def why_undecided(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> 
     Parameters
     ----------
     fit, at : the model as it is, and under its noise.
-    std_error : of a variable by name, robust (`Search.std_error`).
+    std_error : of a variable by name, robust (`refitting.std_error`).
     """
     c = fit.criterion
     few = why_too_few(c)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from casid.diagnosis.open_set import (
     with_the_unknown,
 )
 from casid.diagnosis.ranking import ranking
+from casid.diagnosis.refitting import std_error
 from casid.diagnosis.refusals import weak_parameters
 from casid.diagnosis.remaining import moved_parameters, what_remains
 from casid.diagnosis.result import Cause, Diagnosis, Verdict
@@ -99,16 +101,16 @@ def report(
     else:
         bounds = {}
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
+    table = search.first_table
     planned = _plan(problem, found, causes, say) if advise else None
     if turned is not None:
         text = turned.mend
     elif bounds and verdict == "undecided":
         text = bound_advice(problem, bounds)
     else:
-        text = advice(verdict, causes, search, why_undecided)
+        text = advice(verdict, causes, table, why_undecided)
         if planned is not None:
             text = planned.sentence
-    table = search.first_table
     return Diagnosis(
         problem=problem.name,
         verdict=verdict,
@@ -121,7 +123,7 @@ def report(
         fitted=fitted,
         held_out=held,
         advice=text,
-        noise=noise_text(search, found.at),
+        noise=noise_text(found.at),
         false_alarm_rate=false_alarm_rate,
         notes=_notes(problem, found),
         provenance=baseline.provenance,
@@ -155,7 +157,7 @@ def _errors(found: Findings) -> tuple[Errors, Errors]:
     if found.extended_fit is not None or found.spoilt.count:
         fitted["extended_rmse"] = rmse(best_fit, best_fit, split, limits, held=False)
         held["extended_rmse"] = rmse(best_fit, best_fit, split, limits, held=True)
-    fitted["noise_floor"] = held["noise_floor"] = noise_floor(found.search, found.at)
+    fitted["noise_floor"] = held["noise_floor"] = noise_floor(found.at)
     return fitted, {} if split.is_empty else held
 
 
@@ -203,7 +205,7 @@ def _notes(problem: Problem, found: Findings) -> tuple[str, ...]:
     notes = standing_channels(problem.model, [*found.recorded.whole, *found.recorded.apart])
     notes += found.notes
     if not found.why_undecided:
-        notes += weak_parameters(found.at, lambda name: search.std_error(found.at, name))
+        notes += weak_parameters(found.at, partial(std_error, found.at.fit))
     if turned is not None and turned.reference:
         notes.append(
             f"the sign of {turned.channel} was told by instruments from {turned.reference}: "
@@ -214,7 +216,7 @@ def _notes(problem: Problem, found: Findings) -> tuple[str, ...]:
         f"{c.effect.kind} in {c.effect.where} was significant but refused: {why}"
         for c, why in search.refused
     ]
-    notes += [why for why in search.left_out.values() if why]
+    notes += [why for why in search.refitting.left_out.values() if why]
     return tuple(notes)
 
 

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from casid.diagnosis.candidates import Candidate
+from casid.diagnosis.evidence.scores import ScoreTable
 from casid.diagnosis.result import Cause, Verdict
-from casid.diagnosis.search import Candidate, Search, Weighted
+from casid.diagnosis.weighting import Weighted
 from casid.effects.effect import Effect
 from casid.problem import Problem
 
@@ -119,7 +121,9 @@ _MENDS = (": check ", ": fit ", ": diagnose ")
 """How a reason goes on that says what to do itself (`refusals`, `gain`)."""
 
 
-def advice(verdict: Verdict, causes: list[Cause], search: Search, why_undecided: str) -> str:
+def advice(
+    verdict: Verdict, causes: list[Cause], table: ScoreTable | None, why_undecided: str
+) -> str:
     """What to do next, in a sentence."""
     if verdict == "undecided":
         if any(mend in why_undecided for mend in _MENDS):
@@ -136,9 +140,11 @@ def advice(verdict: Verdict, causes: list[Cause], search: Search, why_undecided:
             f"with "
             f"{separates(causes[0].kind)}."
         )
-    invisible = search.invisible()
+    scores = table.scores if table is not None else ()
+    seen = {s.effect.key for s in scores if s.is_visible}
+    invisible = {s.effect.key for s in scores} - seen
     if invisible:
-        names = ", ".join(sorted({f"{k} in {w}" for k, w in invisible}))
+        names = ", ".join(sorted(f"{k} in {w}" for k, w in invisible))
         return f"The model may be used. This set-up cannot show: {names}."
     return "The model may be used for motions like those recorded."
 
@@ -156,7 +162,7 @@ def bound_advice(problem: Problem, bounds: Mapping[str, str]) -> str:
     )
 
 
-def noise_text(search: Search, at: Weighted) -> dict[str, str]:
+def noise_text(at: Weighted) -> dict[str, str]:
     """Channel or balance -> what the noise found there is."""
     out = {
         name: f"white output noise {sd:.3g} {at.model.outputs[name][1]}"
@@ -168,7 +174,7 @@ def noise_text(search: Search, at: Weighted) -> dict[str, str]:
         if source in at.model.inputs:
             own, unit = at.input_sd.get(source, 0.0), at.model.inputs[source].unit
             text = f"white input noise {own:.3g} {unit}"
-            moves = max(float(np.std(e.record[source])) for e in search.experiments)
+            moves = max(float(np.std(e.record[source])) for e in at.criterion.experiments)
             if sd > moves:
                 text += (
                     f"; the residual shows more than {source} itself moves ({moves:.3g} {unit}): "

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.fft import rfft, rfftfreq
 
 from casid.data import Experiment, Record
-from casid.diagnosis.search import Weighted
+from casid.diagnosis.weighting import Weighted
 from casid.errors import CasidError
 from casid.model import Model
 from casid.problem import Problem

@@ -28,7 +28,7 @@ from casid.diagnosis.advice.isolability import (
 )
 from casid.diagnosis.advice.planned_records import Planned, Planner, with_start
 from casid.diagnosis.evidence.scores import INVISIBLE, ScoreTable, score_test
-from casid.diagnosis.search import Weighted
+from casid.diagnosis.weighting import Weighted
 from casid.effects.effect import Effect
 from casid.errors import CasidError, DataError
 from casid.noise import NoiseModel, noise_response
@@ -168,7 +168,7 @@ def next_experiment(
     Parameters
     ----------
     problem : its load cases and recorded channels are what an experimenter may use.
-    at : the model without the suspects, fitted under its noise (`Search.weigh`).
+    at : the model without the suspects, fitted under its noise (`Weighing.weigh`).
     suspects : two or more causes that the record cannot tell, with their sizes.
     margin, power : as in `isolability`.
     seed : of multisines.

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from numpy.random import SeedSequence
 
     from casid.diagnosis.result import Diagnosis
-    from casid.diagnosis.search import Weighted
+    from casid.diagnosis.weighting import Weighted
 
 Array = np.ndarray[Any, Any]
 Diagnose = Callable[..., "Diagnosis"]

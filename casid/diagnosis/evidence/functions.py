@@ -15,7 +15,7 @@ import numpy as np
 
 from casid.data import Experiment
 from casid.diagnosis.evidence.signatures import TIME, Group, Linearised, Regression, Table
-from casid.diagnosis.search import Weighted
+from casid.diagnosis.weighting import Weighted
 
 Array = np.ndarray[Any, Any]
 

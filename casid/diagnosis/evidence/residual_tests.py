@@ -27,7 +27,7 @@ from scipy.stats import gamma, norm
 from casid.data import Experiment
 from casid.diagnosis.evidence.functions import regressions
 from casid.diagnosis.evidence.signatures import Regression
-from casid.diagnosis.search import Weighted
+from casid.diagnosis.weighting import Weighted
 from casid.uncertainty import bartlett_lags, long_run_covariance
 
 Array = np.ndarray[Any, Any]

@@ -31,8 +31,8 @@ from casid.diagnosis.evidence.signatures import (
     units_of,
     variables_of,
 )
-from casid.diagnosis.search import Weighted
 from casid.diagnosis.unknown.smoothed_force import SmoothedForce, smoothed_force
+from casid.diagnosis.weighting import Weighted
 from casid.noise import NoiseModel
 from casid.simulation_error import Fit
 

@@ -17,9 +17,9 @@ from scipy.stats import spearmanr
 from casid.data import Experiment
 from casid.diagnosis.evidence.residual_tests import IN_TIME, NOISE, ResidualTests, residual_tests
 from casid.diagnosis.evidence.signatures import TIME, variables_of
-from casid.diagnosis.search import Weighted
 from casid.diagnosis.unknown.missing_force import MissingForce, missing_force, quiet_fit
 from casid.diagnosis.unknown.smoothed_force import ForceSeries, smoothed_force
+from casid.diagnosis.weighting import Weighted
 
 Array = np.ndarray[Any, Any]
 
