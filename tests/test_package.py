@@ -94,11 +94,10 @@ asymptotics.network_signals asymptotics.prediction_limit asymptotics.remedies
   observers.equivalent_model observers.output_window observers.read_system observers.split_dynamics
   pages.estimate_page prediction.noisy_model prediction.polynomial reading.chunks reading.resampling
   solving.scipy_solvers
-asymptotics.two_stage_limit diagnosis.evidence.scores diagnosis.evidence.signatures
-  diagnosis.report.page identifiability.combinations.along_family
-  identifiability.combinations.closed_form identifiability.inputs.experiments
-  identifiability.inputs.unknown_jets identifiability.mends.output_spans
-  identifiability.mends.replicas identifiability.mends.screening
+asymptotics.two_stage_limit diagnosis.evidence.scores diagnosis.report.page
+  identifiability.combinations.along_family identifiability.combinations.closed_form
+  identifiability.inputs.experiments identifiability.inputs.unknown_jets
+  identifiability.mends.output_spans identifiability.mends.replicas identifiability.mends.screening
   identifiability.symbolic.lie_derivatives indirect.approximate_inverse indirect.indirect_model
   instrumental.black_box_reference instrumental.estimated_filter instrumental.validation
   linear.affine linear.difference_equation networks.confounding networks.indirect_equations
@@ -106,19 +105,19 @@ asymptotics.two_stage_limit diagnosis.evidence.scores diagnosis.evidence.signatu
   observers.input_smoother observers.noncausal_inverse prediction.arma prediction.likelihood
   reading.surveying solving.solvers
 asymptotics.polynomial_regression checking diagnosis.advice.isolability
-  diagnosis.unknown.smoothed_force diagnosis.weighting identifiability.mends.sensor_subsets
+  diagnosis.evidence.signatures diagnosis.weighting identifiability.mends.sensor_subsets
   identifiability.requirement identifiability.symbolic.observability_matrix indirect.feedforward
   indirect.output_choice instrumental.image instrumental.moment_equations linear.discretisation_bias
   networks.drawing networks.estimation.module_regression networks.prediction.row_predictor
   networks.propositions networks.rings networks.well_posed observers.figures reading.record_file
 asymptotics.module_remedies diagnosis.advice.invisible diagnosis.candidates
-  diagnosis.evidence.functions diagnosis.sizes diagnosis.unknown.missing_force
+  diagnosis.evidence.functions diagnosis.sizes diagnosis.unknown.smoothed_force
   identifiability.mends.cheapest instrumental.moment_nlp instrumental.prefilters
   instrumental.seen_directions instrumental.stage_instruments networks.prediction.observation_choice
   networks.predictor_inputs networks.ring_figure problem
 diagnosis.advice.fitted_motion diagnosis.contributions diagnosis.evidence.residual_tests
-  diagnosis.refitting diagnosis.wording equation_error identifiability.asked
-  identifiability.invariants identification instrumental.moment_settings
+  diagnosis.refitting diagnosis.unknown.missing_force diagnosis.wording equation_error
+  identifiability.asked identifiability.invariants identification instrumental.moment_settings
   networks.estimation.module_equation networks.prediction.eiv_filter networks.prediction.predictors
 asymptotics.network_relations campaigns.monte_carlo diagnosis.advice.planned_records
   diagnosis.comparing diagnosis.jumps diagnosis.preselection diagnosis.record_specific

@@ -23,6 +23,7 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import f as fisher
 
 from casid.data import Experiment
+from casid.diagnosis.evidence.scores import BETWEEN_SAMPLES
 from casid.errors import ModelError
 from casid.lags import lag_columns
 from casid.model import Input, Model
@@ -297,6 +298,7 @@ class Regression:
         whole = np.concatenate(parts)
         n = len(x)
         self.e, self.tangent, self.psi = whole[:, 0], whole[:, 1 : 1 + n], whole[:, 1 + n :]
+        self.between = np.concatenate([self._between(k, d) for k, d in enumerate(criterion.data)])
         self.odd = np.concatenate(drawn) if drawn else None
         edges = np.cumsum([0, *self._widths])
         self.slices = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
@@ -324,6 +326,24 @@ class Regression:
         stack = np.concatenate([at.residual[:, :, None], at.jacobian, out], axis=2)
         stack *= criterion.weights[None, :, None]
         return self.noise.whiten(stack, k).reshape(-1, stack.shape[2])
+
+    def _between(self, k: int, d: Signals) -> Array:
+        """What measured inputs do as late as `BETWEEN_SAMPLES` allows, whitened, (N ny, inputs)."""
+        late = BETWEEN_SAMPLES * np.gradient(d.u, axis=0)
+        columns = []
+        for i, entry in enumerate(self.criterion.model.inputs.values()):
+            if entry.kind == "measured" and entry.hold == "foh":
+                moved = np.zeros_like(d.u)
+                moved[:, i] = late[:, i]
+                up, down = (
+                    self.criterion.simulated(self.x, k, signals=replace(d, u=d.u + s * moved))
+                    for s in (1.0, -1.0)
+                )
+                columns.append(0.5 * (up.residual - down.residual))
+        if not columns:
+            return np.zeros((d.N * self.ny, 0))
+        stack = np.stack(columns, axis=2) * self.criterion.weights[None, :, None]
+        return self.noise.whiten(stack, k).reshape(-1, len(columns))
 
     @property
     def misfit(self) -> float:
@@ -385,6 +405,8 @@ class Regression:
     ) -> list[Tested]:
         """Test every group, given that those `chosen` are in the model.
 
+        What measured inputs could give that are no lines between their samples is taken off the
+        scores (`BETWEEN_SAMPLES` in `scores`).
         The covariance is that of what the best group leaves: where much is missing, the missing
         part itself would else pass for noise. Family-wise by min-p draws, as in `scores`.
 
@@ -415,7 +437,9 @@ class Regression:
             own = np.hstack([given[:, self.slices[i]] @ roots[i] for i in free])
             own = np.add.reduceat(own, starts, axis=0)
             covariance = covariance + long_run_covariance(own - own.mean(axis=0), lags)
-        score = np.concatenate([roots[i].T @ z[self.slices[i]] for i in free])
+        possible = np.abs(rest.T @ self.between).sum(axis=1)
+        certain = np.sign(z) * np.maximum(np.abs(z) - possible, 0.0)
+        score = np.concatenate([roots[i].T @ certain[self.slices[i]] for i in free])
         freedom = max(1.5 * len(per_sample) / (lags + 1), 20.0)
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
