@@ -15,9 +15,9 @@ little. So it is first moved to the root of
     T' e + c_T = 0                                                                             (2)
 
 whose left side has mean zero at the truth. Between its samples a measured input is not known: a
-line misses a first-order response of time constant T as a delay of Ts^2 / 12 T would. What a delay
-of up to `BETWEEN_SAMPLES` could give to a score is taken off it (Armstrong and Kolesar 2018: a test
-that is aware of a bounded bias).
+line misses a first-order response of time constant T as a delay of Ts^2 / 12 T would. The p of a
+score is the largest under what a delay of up to `BETWEEN_SAMPLES` could give to it (Armstrong and
+Kolesar, Econometrica 86 (2018) 655-683: tests that are aware of a bounded bias).
 
 The scores' covariance is robust to what whitening left (Newey and West 1987); the threshold for the
 whole family comes from Gaussian draws with that covariance (Romano and Wolf 2005).
@@ -229,11 +229,13 @@ def score_test(
     sd_z = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     gram = rest.T @ rest
     possible = _between_samples(base, effects, np.abs(gram) * size)
-    certain = np.sign(z) * np.maximum(np.abs(z) - possible, 0.0)
-    ratio = np.where(visible, certain / sd_z, 0.0)
+    ratio, bias = (np.where(visible, a / sd_z, 0.0) for a in (z, possible))
     freedom = max(1.5 * n / (lags + 1), 4.0)
     one = np.array([eff.sided == "positive" or eff.test == "clip" for eff in effects])
-    p = np.where(one, student.sf(ratio, freedom), 2 * student.sf(np.abs(ratio), freedom))
+    # P(|t + b| > |z|) at the largest bias b, whichever its sign.
+    near, far = np.abs(ratio) - bias, np.abs(ratio) + bias
+    both = student.sf(near, freedom) + student.sf(far, freedom)
+    p = np.where(one, student.sf(ratio - bias, freedom), np.minimum(both, 1.0))
     p = np.where(visible, np.clip(p, 1e-300, 1.0), 1.0)
     family = _family_of(covariance, visible, one, freedom, draws, seed)
     adjusted = np.where(visible, [family(float(each)) for each in p], 1.0)
