@@ -119,8 +119,10 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
     """
     visible = [s for s in table.tested if s.unrobust > 0.0]
     if not at.is_hidden:
-        # Under the right noise the score predicts what a refit of a small effect gains.
-        least = WORTH * max((s.unrobust for s in visible), default=0.0) - PREDICTED
+        # Under the right noise the score predicts what a refit of a small effect gains. A line is
+        # an estimate at its best frequency already, which a score at a guessed one is far from.
+        scored = [s.unrobust for s in visible if s.effect.test != "peak"]
+        least = WORTH * max(scored, default=0.0) - PREDICTED
         visible = [s for s in visible if s.unrobust > least]
     strongest: dict[tuple[str, str], Score] = {}
     for s in sorted(visible, key=lambda s: -s.unrobust):
