@@ -120,25 +120,25 @@ diagnosis.advice.fitted_motion diagnosis.contributions diagnosis.evidence.residu
   identifiability.asked identifiability.invariants identification instrumental.moment_settings
   networks.estimation.module_equation networks.prediction.eiv_filter networks.prediction.predictors
 asymptotics.network_relations campaigns.monte_carlo diagnosis.advice.planned_records
-  diagnosis.comparing diagnosis.jumps diagnosis.preselection diagnosis.record_specific
-  diagnosis.unknown.unexplained holdout identifiability.answers identifiability.records.planned
-  instrumental.stage_programs networks.estimation.consistency networks.estimation.module_data
-  prediction.grey_box
+  diagnosis.comparing diagnosis.jumps diagnosis.record_specific diagnosis.unknown.unexplained
+  holdout identifiability.answers identifiability.records.planned instrumental.stage_programs
+  networks.estimation.consistency networks.estimation.module_data prediction.grey_box
 asymptotics.network_remedies diagnosis.advice.next_experiment diagnosis.calibration.null_records
-  diagnosis.evidence.spoilt_samples diagnosis.refusals diagnosis.search
+  diagnosis.evidence.spoilt_samples diagnosis.preselection diagnosis.refusals
   diagnosis.unknown.unexplained_figures identifiability.assess
   identifiability.records.practical_result identifiability.records.profiles
   identifiability.records.reference_excitation instrumental.stage networks.estimation.direct
   networks.estimation.joint networks.estimation.module_estimate
   networks.estimation.reference_instruments networks.estimation.two_stage prediction.unknown_input
   wrong_signs
-diagnosis.calibration.calibration diagnosis.causes diagnosis.gain diagnosis.open_rivals
-  diagnosis.ranking diagnosis.reconsidering identifiability.figures
+diagnosis.calibration.calibration diagnosis.gain diagnosis.search identifiability.figures
   identifiability.records.practical instrumental.convergence instrumental.propagation
   networks.estimation.by_instruments networks.estimation.response_figure
-diagnosis.open_set identifiability.page instrumental.estimators networks.estimation.estimate
-diagnosis.adoption instrumental.iterative_joint instrumental.monitoring instrumental.resampling
+diagnosis.causes diagnosis.open_rivals diagnosis.ranking diagnosis.reconsidering
+  identifiability.page instrumental.estimators networks.estimation.estimate
+diagnosis.open_set instrumental.iterative_joint instrumental.monitoring instrumental.resampling
   instrumental.streamed sign_flips
+diagnosis.adoption
 diagnosis.findings
 diagnosis.reporting
 diagnosis.diagnosing

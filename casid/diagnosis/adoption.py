@@ -11,14 +11,11 @@ from casid.diagnosis.reconsidering import better_rivals
 from casid.diagnosis.refitting import wald
 from casid.diagnosis.search import Search
 from casid.diagnosis.weighting import EXACT, Weighted
+from casid.effects.effect import ON_THE_CLOCK
 from casid.errors import SolveError
 from casid.holdout import Split, held_out_error, why_no_better, why_worse
 from casid.identification import FitSettings, fit_model
 from casid.simulation_error import Fit
-
-ON_THE_CLOCK = ("parameter_jump", "parameter_drift", "periodic_disturbance")
-"""Kinds that mean nothing in a record, or the end of one, whose clock starts anew."""
-
 
 LIKELY = 4.0
 """Units of BIC by which a kind that is met less often must be better than one met more often."""
@@ -72,9 +69,10 @@ def adopt_causes(
             refuse = why_worse if is_alarm else why_no_better
             why = refuse(before, new_error)
             if why and best.effect.kind not in ON_THE_CLOCK:
-                # The errors that an integrator has gathered say little: judge the end anew as well.
+                # The errors that an integrator has gathered say little: judge the end anew as well,
+                # where the cause means something on a clock that starts anew.
                 again = [held_out_error(f, split, anew=True) for f in (extended or base_fit, fit)]
-                why = why and refuse(*again)
+                why = refuse(*again)
             if why:
                 search.refused.append((best, why))
                 continue

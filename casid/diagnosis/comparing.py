@@ -20,6 +20,7 @@ from casid.diagnosis.candidates import Candidate, Rival
 from casid.diagnosis.evidence.scores import ScoreTable
 from casid.diagnosis.refitting import Refitting
 from casid.diagnosis.weighting import Weighted, use_samples_of
+from casid.effects.effect import ON_THE_CLOCK
 from casid.uncertainty import bartlett_lags, long_run_covariance
 
 Array = np.ndarray[Any, Any]
@@ -27,11 +28,14 @@ Array = np.ndarray[Any, Any]
 STRONG = 6.0
 """Units of BIC that reject a rival."""
 
-IMITATORS = ("parameter_jump", "parameter_drift", "periodic_disturbance", "missing_mode")
+IMITATORS = (*ON_THE_CLOCK, "missing_mode")
 """Kinds with a time or a frequency of their own."""
 
 WORTH = 0.3
 """Share of the best predicted or found gain below which a candidate cannot win."""
+
+BY_CHANCE = 10.0
+"""How far a gain predicted, or found on a part, may be off: chi^2(1) and more."""
 
 
 def by_what_is_left(refitting: Refitting, at: Weighted, found: list[Candidate]) -> list[Candidate]:

@@ -65,9 +65,6 @@ def open_rivals(
     start: Weighted,
     at: Weighted,
     adopted: Sequence[Adopted],
-    *,
-    ahead: float = NEAR,
-    expressed: float = EXPRESSED,
 ) -> tuple[OpenRival, ...]:
     """Functions that the record cannot reject against the causes together, best first.
 
@@ -76,8 +73,6 @@ def open_rivals(
     Parameters
     ----------
     start, at : the model as it is and with the causes, under the noise found there.
-    ahead : units of BIC by which a function must be better.
-    expressed : share of its signature that the causes must leave.
     """
     if not adopted or start.is_hidden or adopted[0].candidate.effect.kind == "unknown":
         return ()
@@ -91,8 +86,9 @@ def open_rivals(
     experiments = search.weighing.experiments
     for place, names, regression in regressions(start, experiments, search.recorded):
         for name, gain, energy in zip(names, *regression.seen(), strict=True):
-            if gain - cost - merit > ahead:
-                near.setdefault(place, {})[name] = gain, gain - cost - merit, energy
+            by = gain - cost - merit
+            if by > NEAR:
+                near.setdefault(place, {})[name] = gain, by, energy
     found = []
     under = replace(at, noise=start.noise)
     for place, names, regression in regressions(
@@ -101,6 +97,6 @@ def open_rivals(
         beside = dict(zip(names, regression.seen()[1], strict=True))
         for name, (gain, by, alone) in near[place].items():
             own = float(beside[name] / alone)
-            if own > expressed:
+            if own > EXPRESSED:
                 found.append(OpenRival(place, name, gain, by, own))
     return tuple(sorted(found, key=lambda r: -r.ahead))

@@ -24,6 +24,7 @@ from casid.diagnosis.result import Alternative, Cause
 from casid.diagnosis.search import Search
 from casid.diagnosis.unknown.unexplained import Unexplained, unexplained
 from casid.diagnosis.weighting import Weighted
+from casid.effects.effect import OF_SAMPLES
 
 SHARE = 0.2
 """Of the false-alarm rate, for the test of what is left where nothing was named: it comes on top of
@@ -92,7 +93,7 @@ def with_the_open_rival(
     left : the description of the whole, where the function is better: what was named then stands
         among the alternatives only.
     """
-    named = [c for c in causes if c.kind not in ("outliers", "saturation")]
+    named = [c for c in causes if c.kind not in OF_SAMPLES]
     others = [c for c in causes if c not in named]
     if not rival.is_better:
         first = named[0]
@@ -122,7 +123,7 @@ def with_the_unknown(
     found = left.unexplained
     assert found is not None
     share = remaining.unexplained if remaining is not None else 1.0
-    named = [c for c in causes if c.kind not in ("outliers", "saturation")]
+    named = [c for c in causes if c.kind not in OF_SAMPLES]
     if named and share < DOUBTFUL:
         return list(causes)
     where = found.where or (named[0].where if named else "model")

@@ -15,9 +15,11 @@ import numpy as np
 
 from casid.data import Experiment
 from casid.diagnosis.candidates import Candidate
+from casid.diagnosis.comparing import BY_CHANCE
 from casid.diagnosis.evidence.scores import Score
 from casid.diagnosis.refitting import Refitting
 from casid.diagnosis.weighting import Weighted
+from casid.effects.effect import ON_THE_CLOCK
 
 LONG = 30_000
 """Samples beyond which candidates are compared on a part first."""
@@ -30,12 +32,6 @@ KEPT = 0.2
 
 Less than `comparing.WORTH`: on the whole the shares are not quite the same.
 """
-
-BY_CHANCE = 10.0
-"""How far a gain on the part may be off besides: chi^2 of one degree of freedom and more."""
-
-ON_THE_CLOCK = ("parameter_jump", "parameter_drift", "periodic_disturbance")
-"""Kinds that the part says nothing of: they are refitted on the whole."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +54,7 @@ def preselected(
     in their first part, or where fewer than three would be compared.
     """
     everything = [Start(s) for s in short]
+    # Of kinds on the clock the part says nothing: they are refitted on the whole.
     compared = [s for s in short if s.effect.kind not in ON_THE_CLOCK]
     samples = [d.N for d in at.criterion.data]
     share = PART / sum(samples)

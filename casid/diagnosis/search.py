@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casid.diagnosis.candidates import Candidate, is_plausible
-from casid.diagnosis.comparing import WORTH, by_what_is_left, rejudge
+from casid.diagnosis.comparing import BY_CHANCE, WORTH, by_what_is_left, rejudge
 from casid.diagnosis.evidence.peaks import PeriodicCandidate, periodic_candidates
 from casid.diagnosis.evidence.scores import Score, ScoreTable, score_test
 from casid.diagnosis.jumps import events_of, is_known_event, placed
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from casid.diagnosis.evidence.residual_tests import ResidualTests
 
 Progress = Callable[[str], None]
-
-PREDICTED = 10.0
-"""How far a predicted gain may be off, besides: chi^2 of one degree of freedom and more."""
 
 
 @dataclass(slots=True)
@@ -122,7 +119,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
         # Under the right noise the score predicts what a refit of a small effect gains. A line is
         # an estimate at its best frequency already, which a score at a guessed one is far from.
         scored = [s.unrobust for s in visible if s.effect.test != "peak"]
-        least = WORTH * max(scored, default=0.0) - PREDICTED
+        least = WORTH * max(scored, default=0.0) - BY_CHANCE
         visible = [s for s in visible if s.unrobust > least]
     strongest: dict[tuple[str, str], Score] = {}
     for s in sorted(visible, key=lambda s: -s.unrobust):

@@ -27,6 +27,12 @@ KINDS = frozenset(
 )
 """Names of kinds that mean what `diagnosis.json` says they mean, and nothing else."""
 
+ON_THE_CLOCK = ("parameter_jump", "parameter_drift", "periodic_disturbance")
+"""Kinds with an instant, a span or a phase on the clock of the record that they were found in."""
+
+OF_SAMPLES = ("outliers", "saturation")
+"""Kinds that spoil samples, and leave the rest of the record as it is."""
+
 
 @dataclass(frozen=True, slots=True)
 class Spread:

@@ -13,6 +13,7 @@ the baseline's own tangent and less what the inputs' noise gives to signature an
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -298,7 +299,6 @@ class Regression:
         whole = np.concatenate(parts)
         n = len(x)
         self.e, self.tangent, self.psi = whole[:, 0], whole[:, 1 : 1 + n], whole[:, 1 + n :]
-        self.between = np.concatenate([self._between(k, d) for k, d in enumerate(criterion.data)])
         self.odd = np.concatenate(drawn) if drawn else None
         edges = np.cumsum([0, *self._widths])
         self.slices = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
@@ -326,6 +326,12 @@ class Regression:
         stack = np.concatenate([at.residual[:, :, None], at.jacobian, out], axis=2)
         stack *= criterion.weights[None, :, None]
         return self.noise.whiten(stack, k).reshape(-1, stack.shape[2])
+
+    @functools.cached_property
+    def between(self) -> Array:
+        """`_between` of all records; only a test needs it."""
+        data = self.criterion.data
+        return np.concatenate([self._between(k, d) for k, d in enumerate(data)])
 
     def _between(self, k: int, d: Signals) -> Array:
         """What measured inputs do as late as `BETWEEN_SAMPLES` allows, whitened, (N ny, inputs)."""
