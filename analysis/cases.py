@@ -20,7 +20,7 @@ from typing import Any
 
 import casid
 from analysis.targets import Target, conclude, shared_folder
-from casid.diagnosis.result import Cause
+from casid.diagnosis.diagnosis import Cause
 from problems import pendulum
 
 KINDS = {

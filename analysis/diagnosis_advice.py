@@ -35,19 +35,24 @@ from analysis.output import Output
 from analysis.targets import Target, report
 from casid.diagnosis.advice.isolability import MARGIN, POWER, likeness, separation_energy
 from casid.diagnosis.advice.next_experiment import Advice, Suspect, next_experiment
-from casid.diagnosis.evidence.scores import ScoreTable, score_test
-from casid.diagnosis.weighting import Weighing, Weighted
-from casid.effects.balance_effects import cubic_stiffness, extra_input, offset, quadratic_damping
-from casid.effects.channel_effects import sensor_bias, time_delay
-from casid.effects.effect import Effect, Spread
-from casid.effects.parameter_effects import parameter_jump, scheduled_parameter
-from casid.noise import NoiseModel, noise_response
-from casid.simulation_error import (
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
+from casid.estimation.noise import NoiseModel, noise_response
+from casid.estimation.simulation.simulation_error import (
     Fit,
     SimulationError,
     minimize_simulation_error,
     signals_of,
 )
+from casid.model.effects.balance_effects import (
+    cubic_stiffness,
+    extra_input,
+    offset,
+    quadratic_damping,
+)
+from casid.model.effects.channel_effects import sensor_bias, time_delay
+from casid.model.effects.effect import Effect, Spread
+from casid.model.effects.parameter_effects import parameter_jump, scheduled_parameter
 from problems import pendulum
 
 Array = np.ndarray[Any, Any]

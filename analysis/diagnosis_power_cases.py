@@ -91,7 +91,7 @@ def draw_case(part: str, number: int) -> Case:
 
 def make(case: Case) -> Hidden:
     """Simulate a case. An effect that cannot be so strong is made half as strong, and again."""
-    from tests.truth import UnreachableStrength
+    from tests.support.truth import UnreachableStrength
 
     while True:
         try:
@@ -300,7 +300,7 @@ def _record(columns: Mapping[str, Any], units: Mapping[str, str], name: str) -> 
 
 
 def _pendulum(case: Case) -> Hidden:
-    from tests import truth
+    from tests.support import truth
 
     second = None
     if case.second is not None:
@@ -323,7 +323,7 @@ def _pendulum(case: Case) -> Hidden:
 
 
 def _roll_decay(case: Case) -> Hidden:
-    from tests import truth
+    from tests.support import truth
 
     made = truth.roll_decay(
         case.kind,

@@ -34,10 +34,10 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 import casid
-from casid.data import Experiment
-from casid.identification import FitSettings, fit_model
-from casid.noise import NoiseModel, noise_response
-from casid.simulation_error import SimulationError, minimize_simulation_error
+from casid.data.record import Experiment
+from casid.estimation.noise import NoiseModel, noise_response
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.simulation_error import SimulationError, minimize_simulation_error
 
 FITTED = 0.7
 """Share of a record that is fitted, as `diagnose` has it by default."""

@@ -14,14 +14,14 @@ import numpy as np
 import casid
 from analysis.diagnosis_power_cases import Hidden
 from analysis.diagnosis_power_energy import FITTED
-from casid.data import Experiment
-from casid.effects.catalogue import catalogue
-from casid.effects.effect import Effect, Sizes, Spread
-from casid.effects.parameter_effects import parameter_jump
-from casid.effects.periodic import periodic_disturbance
-from casid.holdout import held_out_error, split_records
-from casid.identification import FitSettings, fit_model
-from casid.simulation_error import Fit
+from casid.data.record import Experiment
+from casid.estimation.holdout import held_out_error, split_records
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.simulation_error import Fit
+from casid.model.effects.catalogue import catalogue
+from casid.model.effects.effect import Effect, Sizes, Spread
+from casid.model.effects.parameter_effects import parameter_jump
+from casid.model.effects.periodic import periodic_disturbance
 
 Row = dict[str, Any]
 

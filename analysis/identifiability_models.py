@@ -14,7 +14,7 @@ from typing import Any
 
 import casadi as ca
 
-from casid.identifiability.combinations.subsets import Exclusion, count_not_identifiable, joined
+from casid.identifiability.combinations.fixing_sets import Exclusion, count_not_identifiable, joined
 from casid.identifiability.equations.model_system import system_of
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability

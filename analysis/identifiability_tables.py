@@ -46,11 +46,11 @@ from analysis.identifiability_models import (
     with_sought,
 )
 from analysis.targets import Target, conclude, shared_folder
-from casid.identifiability.combinations.subsets import Exclusion, fixing_sets
+from casid.algebra.prime_field import random_prime, to_field
+from casid.identifiability.combinations.fixing_sets import Exclusion, fixing_sets
 from casid.identifiability.equations.equation_file import read_equations
 from casid.identifiability.equations.model_system import systems_of
 from casid.identifiability.rank.observability import observability, rank_at
-from casid.identifiability.rank.prime_field import random_prime, to_field
 from casid.identifiability.rank.system import System
 from problems import ship
 from problems.ship import NINE, FreeTurn

@@ -29,13 +29,13 @@ import numpy as np
 
 import casid
 from analysis.targets import Target, at_most, conclude, near, shared_folder
-from casid.effects.balance_effects import cubic_stiffness, quadratic_damping
-from casid.equation_error import Butterworth, equation_error
-from casid.estimate import Estimate
-from casid.instrumental.exogeneity import reference_depends_on
-from casid.model import Input
-from casid.prediction.coordinated_turn import rounding_error
-from casid.uncertainty import autocorrelation
+from casid.estimation.covariance import autocorrelation
+from casid.estimation.equation_error import Butterworth, equation_error
+from casid.estimation.estimate import Estimate
+from casid.estimation.moments.exogeneity import reference_depends_on
+from casid.estimation.prediction_error.coordinated_turn import rounding_error
+from casid.model.effects.balance_effects import cubic_stiffness, quadratic_damping
+from casid.model.model import Input
 from problems import kvlcc2_zigzag
 from problems.kvlcc2_zigzag import OMEGA_0
 

@@ -4,7 +4,7 @@
 
 A model ship (1:24, 22 kg) zigzags by 10 deg every 10 s in waves of a significant height of 0.3 m
 at full scale. It was calibrated once, empty and with 0.2 kg; it sails with these, and another
-0.2 kg (0.9 %) come aboard. A monitor (`casid.instrumental.monitoring`) gets the moments of every
+0.2 kg (0.9 %) come aboard. A monitor (`parameter_monitor`) gets the moments of every
 20 s, reports m, zbar_m, GM and k + S g with 95 % intervals every minute, and raises an alarm where
 the load has changed or where k + S g may be below 3 N m/rad.
 
@@ -32,9 +32,9 @@ from numpy.typing import NDArray
 
 from analysis.load_monitoring_records import ABOARD, PERIOD, TS, Calibration, calibrate, instruments
 from analysis.targets import Target, at_most, conclude
-from casid.instrumental.change_detection import ChangeDetector
-from casid.instrumental.gram import Moments
-from casid.instrumental.monitoring import Derived, Monitor, MonitorSettings, Status
+from casid.estimation.moments.change_detection import ChangeDetector
+from casid.estimation.moments.gram import Moments
+from casid.identification.parameter_monitor import Derived, Monitor, MonitorSettings, Status
 from problems import ship
 from problems.ship_4dof import Load, Ship, stability
 

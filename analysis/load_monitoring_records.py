@@ -19,17 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import casid
-from casid.instrumental.columns import Column
-from casid.instrumental.estimators import Prior
-from casid.instrumental.gram import Moments
-from casid.instrumental.moment_equations import MomentEquations, Part
-from casid.instrumental.moment_settings import MomentSettings
-from casid.instrumental.moments import moments
-from casid.instrumental.propagation import propagate
-from casid.instrumental.stage import Stage
-from casid.instrumental.windowed_moments import Simulated, WindowedMoments, on_simulated
+from casid.estimation.moments.gram import Moments
+from casid.estimation.moments.moment_equations import MomentEquations, Part
+from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.moments import moments
+from casid.estimation.moments.propagation import propagate
+from casid.estimation.moments.stage import Stage
+from casid.estimation.moments.windowed_moments import Simulated, WindowedMoments, on_simulated
+from casid.estimation.prediction_error.polynomial_estimation import oe
+from casid.identification.moment_estimators import Prior
 from casid.linear.difference_equation import difference_equation
-from casid.prediction.polynomial import oe
+from casid.linear.lagged_columns import Column
 from problems import ship, ship_sensors, ship_waves
 from problems.ship_4dof import LOAD_CASES, Load, random_steps, simulate, zigzag
 

@@ -34,16 +34,17 @@ from analysis.network_examples_feedforward import compared
 from analysis.network_examples_figures import predictions, rings, signals
 from analysis.output import Output
 from analysis.targets import Target, at_most, near, report
-from casid.networks.confounding import confounders
-from casid.networks.drawing import network_figure
-from casid.networks.dynamics import network_states
-from casid.networks.elimination import immerse
-from casid.networks.equations import NodeEquations
-from casid.networks.indirect_equations import indirect_equations
-from casid.networks.network import Network, Signal, dynamic_network
-from casid.networks.node_sets import node_sets, signal_table
-from casid.networks.prediction.eiv_filter import eiv_filter
-from casid.networks.prediction.predictors import (
+from casid.algebra.rational import Rational
+from casid.report.figures.network_drawing import network_figure
+from casid.unknown_inputs.networks.confounders import confounders
+from casid.unknown_inputs.networks.dynamics import network_states
+from casid.unknown_inputs.networks.elimination import immerse
+from casid.unknown_inputs.networks.equations import NodeEquations
+from casid.unknown_inputs.networks.indirect_equations import indirect_equations
+from casid.unknown_inputs.networks.network import Network, Signal, dynamic_network
+from casid.unknown_inputs.networks.node_sets import node_sets, signal_table
+from casid.unknown_inputs.networks.prediction.eiv_filter import eiv_filter
+from casid.unknown_inputs.networks.prediction.predictors import (
     IMMERSED,
     IMMERSED_ALL,
     INDIRECT,
@@ -51,9 +52,8 @@ from casid.networks.prediction.predictors import (
     PredictorTable,
     compare_predictors,
 )
-from casid.networks.propositions import proposition_3_1, proposition_4_1
-from casid.networks.rings import eliminate_recursively
-from casid.transfer.rational import Rational
+from casid.unknown_inputs.networks.propositions import proposition_3_1, proposition_4_1
+from casid.unknown_inputs.networks.rings import eliminate_recursively
 from problems import network8
 
 SETTLE = 300  # samples of a record that a predictor started from rest is not judged by

@@ -14,16 +14,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from analysis.targets import Target, near
-from casid.asymptotics.limits import regression_limit
-from casid.asymptotics.linear_signals import LinearSignals
-from casid.asymptotics.regression import Regression, Term, lags
+from casid.algebra.rational import Rational
 from casid.errors import ModelError
-from casid.indirect.direct_model import direct_model
-from casid.indirect.feedforward import feedforward
-from casid.indirect.indirect_model import indirect_model
-from casid.networks.network import Signal
-from casid.networks.prediction.error_variance import variance
-from casid.transfer.rational import Rational
+from casid.unknown_inputs.indirect.direct_model import direct_model
+from casid.unknown_inputs.indirect.feedforward import feedforward
+from casid.unknown_inputs.indirect.indirect_model import indirect_model
+from casid.unknown_inputs.limits.linear_signals import LinearSignals
+from casid.unknown_inputs.limits.regression import Regression, Term, lags
+from casid.unknown_inputs.limits.regression_limit import regression_limit
+from casid.unknown_inputs.networks.network import Signal
+from casid.unknown_inputs.networks.prediction.error_variance import variance
 
 q = Rational.shift(Ts=1.0)
 POLE, GAIN, COLOUR = 0.7, 0.5, 0.9  # of G_K and G_I; G_I's gain; of u_I

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from casid.data import Record
-from casid.networks.prediction.node_predictor import NodePredictor
-from casid.networks.rings import RecursiveElimination
+from casid.data.record import Record
+from casid.unknown_inputs.networks.prediction.node_predictor import NodePredictor
+from casid.unknown_inputs.networks.rings import RecursiveElimination
 
 COLOURS = ("#E69F00", "#CC79A7", "#56B4E9", "#0072B2", "#D55E00")
 

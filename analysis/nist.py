@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.errors import CasidError
-from casid.expressions import parse
-from casid.regression import RegressionEstimate, regress
-from casid.solving.nlp import Solver
+from casid.estimation.nlp.nlp import Solver
+from casid.estimation.regression import RegressionEstimate, regress
+from casid.model.expressions import parse
 
 Array = NDArray[Any]
 STARTS = ("start1", "start2")

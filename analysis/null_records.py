@@ -24,7 +24,7 @@ LARGEST = {60: 6, 12: 2}  # records -> alarms that chance explains at 5 % a reco
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print a line for each alarm and the count; 1 if there are too many."""
-    from tests import truth
+    from tests.support import truth
 
     parser = argparse.ArgumentParser(prog="python -m analysis.null_records", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="12 records of 30 s")

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import casid
-from casid.prepare import FirFilter, equiripple
+from casid.data.preparation import FirFilter, equiripple
 from problems.pendulum import CART_LAG, TABLE_7_2, motion, telegraph
 
 Array = NDArray[np.float64]

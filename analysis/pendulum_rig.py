@@ -61,11 +61,11 @@ from analysis.pendulum_rig_tables import (
 )
 from analysis.targets import Target, at_most, near, report
 from casid.campaigns.campaign import campaign
-from casid.data import Experiment
-from casid.instrumental.estimators import MomentEstimate, multistage
-from casid.instrumental.moment_settings import MomentSettings
-from casid.instrumental.validation import validate
-from casid.prepare import align
+from casid.data.preparation import align
+from casid.data.record import Experiment
+from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.validation import validate
+from casid.identification.moment_estimators import MomentEstimate, multistage
 from problems import pendulum_rig as rig
 
 BASE = {n: p.value or 0.0 for n, p in MODEL.parameters.items()}

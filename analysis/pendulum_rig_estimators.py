@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.instrumental.estimators import MomentEstimate, Prior, Reusable, StageSpec
-from casid.instrumental.instruments import Instruments
-from casid.instrumental.moment_settings import MomentSettings
-from casid.instrumental.propagation import jacobian_of
+from casid.estimation.moments.instruments import Instruments
+from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.propagation import jacobian_of
+from casid.identification.moment_estimators import MomentEstimate, Prior, Reusable, StageSpec
 from problems import pendulum_rig as rig
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import casid
-from casid.prepare import equiripple
+from casid.data.preparation import equiripple
 from problems import pendulum_rig as rig
 
 Array = NDArray[np.float64]

@@ -23,9 +23,9 @@ from analysis.pendulum_rig_estimators import (
 )
 from analysis.pendulum_rig_records import AMPLITUDE, Draws
 from analysis.targets import Target, at_most, near
-from casid.instrumental.estimators import multistage
-from casid.instrumental.moment_settings import MomentSettings
-from casid.instrumental.validation import validate
+from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.validation import validate
+from casid.identification.moment_estimators import multistage
 from problems import pendulum_rig as rig
 
 LOAD = ("m", "z_m")

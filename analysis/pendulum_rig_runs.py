@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from analysis.pendulum_rig_estimators import FREE, TILTED, TRUTH, joint, staged
 from analysis.pendulum_rig_records import Draws
 from casid.campaigns.campaign import Campaign
-from casid.instrumental.estimators import Prior, Reusable
+from casid.identification.moment_estimators import Prior, Reusable
 
 Array = NDArray[np.float64]
 

@@ -24,15 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.pendulum_records import INSTRUMENT_LAG, Study
-from casid.instrumental.column_products import column_products
-from casid.instrumental.estimators import Reusable, StageSpec
-from casid.instrumental.instruments import Instruments
-from casid.instrumental.moment_equations import Part, moment_covariance, parts_of
-from casid.instrumental.moment_settings import MomentSettings
-from casid.instrumental.propagation import Propagated, propagate
-from casid.instrumental.reference_filter import ReferenceFilter
-from casid.instrumental.resampling import profile
-from casid.instrumental.stage import Stage, StageFit
+from casid.estimation.moments.column_products import column_products
+from casid.estimation.moments.instruments import Instruments
+from casid.estimation.moments.moment_equations import Part, moment_covariance, parts_of
+from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.propagation import Propagated, propagate
+from casid.estimation.moments.reference_filter import ReferenceFilter
+from casid.estimation.moments.stage import Stage, StageFit
+from casid.identification.moment_estimators import Reusable, StageSpec
+from casid.identification.resampling import profile
 from problems.pendulum import TABLE_7_2, indirect_model
 
 Array = NDArray[Any]

@@ -24,15 +24,15 @@ import casid
 from analysis.real_data_benchmarks import circuit, swing, tanks
 from analysis.real_data_judging import few_causes, keep, named, rms_by_record
 from analysis.targets import Target, at_most, conclude, near, shared_folder
-from casid.effects.balance_effects import (
+from casid.data.preparation import decimate
+from casid.estimation.equation_error import Butterworth, equation_error
+from casid.model.effects.balance_effects import (
     coulomb_friction,
     cubic_stiffness,
     offset,
     quadratic_damping,
 )
-from casid.effects.decoys import decoys
-from casid.equation_error import Butterworth, equation_error
-from casid.prepare import decimate
+from casid.model.effects.decoys import decoys
 from problems import emps, roll_decay
 
 STUDIES = ("roll", "circuit", "tanks", "swing", "positioning")

@@ -16,8 +16,8 @@ import numpy as np
 import casid
 from analysis.real_data_judging import few_causes, keep, rms_after
 from analysis.targets import Target, at_most, near
-from casid.effects.balance_effects import coulomb_friction, cubic_stiffness, quadratic_damping
-from casid.effects.decoys import power_law
+from casid.model.effects.balance_effects import coulomb_friction, cubic_stiffness, quadratic_damping
+from casid.model.effects.decoys import power_law
 from problems import cascaded_tanks, multiarm_pendulum, silverbox
 
 ONCE = casid.FitSettings(starts=1)

@@ -56,8 +56,8 @@ from analysis.ship_basin_runs import (
     estimated,
 )
 from analysis.targets import Target, at_most, report
-from casid.instrumental.convergence import Convergence
-from casid.instrumental.estimators import MomentEstimate
+from casid.estimation.moments.convergence import Convergence
+from casid.identification.moment_estimators import MomentEstimate
 from problems.ship import TABLE_8_2
 
 LIGHTER = (0.4, 0.2, 0.1, 0.05)

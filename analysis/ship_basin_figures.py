@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from analysis.ship_basin_runs import LOAD, Found
-from casid.instrumental.convergence import Convergence
+from casid.estimation.moments.convergence import Convergence
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73")
 AXES = {"m": "weight m [kg]", "zbar_m": "height zbar_m [m]"}

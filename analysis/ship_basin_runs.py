@@ -20,9 +20,9 @@ from analysis.ship_algorithm import SETTINGS as ALGORITHM
 from analysis.ship_basin_records import CASES, Basin, basin, experiments_of, halves, truth_of
 from casid.campaigns.campaign import Campaign, campaign
 from casid.errors import CasidError
-from casid.instrumental.black_box_reference import black_box_instruments, black_box_references
-from casid.instrumental.convergence import Convergence
-from casid.instrumental.estimators import MomentEstimate, Reusable, StageSpec
+from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
+from casid.estimation.moments.convergence import Convergence
+from casid.identification.moment_estimators import MomentEstimate, Reusable, StageSpec
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence

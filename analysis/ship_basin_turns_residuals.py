@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 import casid
 from analysis.ship_basin_turns_records import Sailed, changes, near_changes
-from casid.instrumental.moment_equations import Part, parts_of
-from casid.model import Model
+from casid.estimation.moments.moment_equations import Part, parts_of
+from casid.model.model import Model
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import casid
 from analysis.ship_algorithm_records import TS
 from analysis.ship_basin_turns_records import Sailed
-from casid.prediction.coordinated_turn import Track
+from casid.estimation.prediction_error.coordinated_turn import Track
 
 Array = NDArray[np.float64]
 

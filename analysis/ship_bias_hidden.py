@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 import casid
 from analysis.ship_bias_records import CASES, SHIP, TS, Rudder, load
-from casid.diagnosis.result import Diagnosis
-from casid.estimate import Estimated
+from casid.diagnosis.diagnosis import Diagnosis
+from casid.estimation.estimate import Estimated
 from problems import ship
 from problems.ship_4dof import LOG_NOISE, PolynomialArm, Ship, simulate
 from problems.ship_sensors import Channel, InertialUnit, for_roll, measure

@@ -8,9 +8,9 @@ from dataclasses import replace
 import casid
 from analysis.ship_bias_records import IMPERFECTIONS, Rudder, answers
 from analysis.ship_bias_table import LAGS, SOUGHT, Estimator, with_background
-from casid.instrumental.black_box_reference import black_box_instruments, black_box_references
-from casid.instrumental.estimators import instrumental_variables, least_squares
-from casid.sign_flips import sign_flips
+from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
+from casid.identification.moment_estimators import instrumental_variables, least_squares
+from casid.identification.sign_flips import sign_flips
 from problems import ship
 
 CHANNELS = ("r", "accel", "gyro", "delta")

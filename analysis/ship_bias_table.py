@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 import casid
 from analysis.ship_bias_records import IMPERFECTIONS, Imperfection, Rudder, answers
 from casid.errors import IdentifiabilityError, SolveError
-from casid.instrumental.black_box_reference import black_box_instruments, black_box_references
-from casid.instrumental.estimators import Reusable, StageSpec
-from casid.instrumental.moment_settings import MomentSettings
+from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
+from casid.estimation.moments.moment_settings import MomentSettings
+from casid.identification.moment_estimators import Reusable, StageSpec
 from problems import ship
 from problems.ship import TABLE_8_2
 

@@ -25,7 +25,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.instrumental.columns import Column
+from casid.linear.lagged_columns import Column
 from problems.ship import LOAD_CASES, TABLE_8_2
 
 Array = NDArray[Any]

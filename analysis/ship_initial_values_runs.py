@@ -33,11 +33,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.ship_initial_values_records import TS, Integrator, instruments, of_case, record
-from casid.instrumental.moment_equations import MomentEquations
-from casid.instrumental.moment_nlp import Condensed, PhysicalNlp
-from casid.instrumental.moments import moments
+from casid.estimation.moments.moment_equations import MomentEquations
+from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
+from casid.estimation.moments.moments import moments
+from casid.estimation.nlp.nlp import Solution, Solver
 from casid.linear.difference_equation import DifferenceEquation, difference_equation
-from casid.solving.nlp import Solution, Solver
 from problems.ship import LOAD_CASES, NINE, TABLE_8_2, indirect_model
 
 Array = NDArray[Any]

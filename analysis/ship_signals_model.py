@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import casid
-from casid.linear.symbolic import to_sympy
+from casid.algebra.symbolic import to_sympy
 from problems.ship import TABLE_8_2
 from problems.ship_4dof import LOAD_CASES, Coefficients, Load, Ship
 

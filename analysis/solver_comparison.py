@@ -32,15 +32,15 @@ import numpy as np
 
 from analysis.pendulum_records import INSTRUMENT_LAG, TS, Study
 from analysis.targets import Target, conclude
-from casid.instrumental.estimators import StageSpec, instrumental_variables, multistage
-from casid.instrumental.instruments import Instruments
-from casid.instrumental.moment_nlp import Condensed, LinearNlp, PhysicalNlp
-from casid.instrumental.moment_settings import MomentSettings
-from casid.instrumental.reference_filter import ReferenceFilter
-from casid.instrumental.stage import StageFit
-from casid.simulation_error import SimulationError
-from casid.solving.nlp import Nlp
-from casid.solving.solvers import SolverComparison, compare_solvers
+from casid.estimation.moments.instruments import Instruments
+from casid.estimation.moments.moment_nlp import Condensed, LinearNlp, PhysicalNlp
+from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.reference_filter import ReferenceFilter
+from casid.estimation.moments.stage import StageFit
+from casid.estimation.nlp.nlp import Nlp
+from casid.estimation.nlp.solver_comparison import SolverComparison, compare_solvers
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.identification.moment_estimators import StageSpec, instrumental_variables, multistage
 from problems.pendulum import TABLE_7_2, indirect_model
 from problems.pendulum import experiments as simulated
 

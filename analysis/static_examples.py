@@ -30,11 +30,11 @@ from analysis.static_examples_figures import UNIT, figure_3_5, pair
 from analysis.static_examples_formulas import FORMS, TRUTH, ClosedForm
 from analysis.static_examples_runs import beside_theory, draws
 from analysis.targets import Target, near, report
-from casid.asymptotics.asymptotics import Asymptotics
-from casid.asymptotics.limits import regression_limit
-from casid.asymptotics.linear_signals import LinearSignals
-from casid.asymptotics.regression import lags
-from casid.asymptotics.remedies import compare_remedies
+from casid.unknown_inputs.limits.asymptotics import Asymptotics
+from casid.unknown_inputs.limits.linear_signals import LinearSignals
+from casid.unknown_inputs.limits.regression import lags
+from casid.unknown_inputs.limits.regression_limit import regression_limit
+from casid.unknown_inputs.limits.remedies import compare_remedies
 from problems.static_input import VALUES, signals
 
 SAMPLE = {**VALUES, "a1": 0.5, "a2": 1.2}

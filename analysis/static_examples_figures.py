@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.static_examples_formulas import TRUTH, variance_boundary
-from casid.asymptotics.asymptotics import Asymptotics
-from casid.asymptotics.decision_map import DecisionMap, decision_map
-from casid.asymptotics.limits import regression_limit
-from casid.asymptotics.linear_signals import LinearSignals
-from casid.asymptotics.regression import Regression
+from casid.unknown_inputs.limits.asymptotics import Asymptotics
+from casid.unknown_inputs.limits.decision_map import DecisionMap, decision_map
+from casid.unknown_inputs.limits.linear_signals import LinearSignals
+from casid.unknown_inputs.limits.regression import Regression
+from casid.unknown_inputs.limits.regression_limit import regression_limit
 from problems.static_input import VARIANCES
 
 Array = NDArray[Any]

@@ -12,7 +12,7 @@ from typing import Any
 
 import sympy as sp
 
-from casid.asymptotics.regression import FirstStage, Regression
+from casid.unknown_inputs.limits.regression import FirstStage, Regression
 
 Expr = Any
 

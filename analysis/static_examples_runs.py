@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.static_examples_formulas import ClosedForm
-from casid.asymptotics.asymptotics import Asymptotics
-from casid.asymptotics.regression import Regression, split_term
+from casid.unknown_inputs.limits.asymptotics import Asymptotics
+from casid.unknown_inputs.limits.regression import Regression, split_term
 
 Array = NDArray[np.float64]
 

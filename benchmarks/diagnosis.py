@@ -6,7 +6,7 @@ A mass on a spring and a damper, with damping by drag that its model lacks: its 
 noise, the force measured with noise of its own, 100 Hz. Records of 60 s and of 30 minutes, seven
 tenths of them fitted. Each case runs in a fresh process on one thread; times are CPU seconds, which
 other programs on the machine do not count in. The memory of the score stage is the peak of what
-Python and NumPy hold in `casid.diagnosis.evidence.scores.score_test` beyond what they held before,
+Python and NumPy hold in `score_test` beyond what they held before,
 by tracemalloc, over the number of candidates. Exit status 1 when a target is missed.
 """
 
@@ -37,8 +37,8 @@ def example(duration: float) -> tuple[Any, Any]:
     import numpy as np
 
     import casid
-    from casid.effects.balance_effects import quadratic_damping
-    from casid.simulate import Simulator
+    from casid.estimation.simulation.simulator import Simulator
+    from casid.model.effects.balance_effects import quadratic_damping
 
     m = casid.Model("mass on a spring")
     x, v = m.state("x", "m"), m.state("v", "m/s")
@@ -85,12 +85,12 @@ def whole(duration: float) -> dict[str, Any]:
 def scores(duration: float) -> dict[str, Any]:
     """The score stage at the fitted model: candidates, CPU seconds, MB a candidate."""
     import casid
-    from casid.diagnosis.evidence.scores import score_test
-    from casid.diagnosis.sizes import sizes_of
-    from casid.diagnosis.weighting import Weighing
-    from casid.effects.catalogue import catalogue
-    from casid.holdout import split_records
-    from casid.identification import FitSettings, fit_model
+    from casid.diagnosis.evidence.prewhitening import Weighing
+    from casid.diagnosis.evidence.score_tests import score_test
+    from casid.diagnosis.evidence.signal_sizes import sizes_of
+    from casid.estimation.holdout import split_records
+    from casid.estimation.simulation.fit import FitSettings, fit_model
+    from casid.model.effects.catalogue import catalogue
 
     problem, record = example(duration)
     split = split_records([casid.Experiment(record, {}, "r")], 0.3)

@@ -73,8 +73,8 @@ def by_casid(path: Path) -> dict[str, Any]:
     """Milliseconds of a point and of a bounded answer, and the rank."""
     import numpy as np
 
+    from casid.algebra.prime_field import random_prime
     from casid.identifiability.rank.observability import observability, rank_at
-    from casid.identifiability.rank.prime_field import random_prime
 
     systems = systems_of(path)
     seeds = iter(range(10_000))
@@ -217,10 +217,10 @@ def table(folder: Path, *, quick: bool) -> list[bool]:
 
 def subsets(folder: Path) -> list[bool]:
     """All minimal fixing sets of one model, all sensor subsets of another."""
-    from casid.identifiability.combinations.subsets import fixing_sets
+    from casid.identifiability.combinations.fixing_sets import fixing_sets
     from casid.identifiability.equations.equation_file import read_equations
-    from casid.identifiability.mends.sensor_subsets import sensor_subsets
     from casid.identifiability.rank.observability import observability
+    from casid.identifiability.remedies.sensor_subsets import sensor_subsets
 
     (akt,) = read_equations(folder / "akt_fujita.json").systems
     (nfkb,) = read_equations(folder / f"{LARGEST}.json").systems

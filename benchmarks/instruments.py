@@ -43,11 +43,11 @@ def main() -> int:
     from scipy.signal import lfilter
 
     from analysis.pendulum_records import Study, low_pass
-    from casid.instrumental.instruments import Instruments, Loop, reference_signals
-    from casid.instrumental.moment_equations import parts_of
-    from casid.instrumental.moment_settings import MomentSettings
-    from casid.instrumental.reference_filter import ReferenceFilter
-    from casid.instrumental.stage import Stage
+    from casid.estimation.moments.instruments import Instruments, Loop, reference_signals
+    from casid.estimation.moments.moment_equations import parts_of
+    from casid.estimation.moments.moment_settings import MomentSettings
+    from casid.estimation.moments.reference_filter import ReferenceFilter
+    from casid.estimation.moments.stage import Stage
     from problems.pendulum import indirect_model
 
     experiments = Study(0.3).experiments(0)[:1]

@@ -27,12 +27,12 @@ from pathlib import Path
 import numpy as np
 
 from analysis.targets import at_most, conclude
-from casid.networks.elimination import immerse
-from casid.networks.equations import NodeEquations, node_equations
-from casid.networks.indirect_equations import indirect_equations
-from casid.networks.network import Network, dynamic_network
-from casid.networks.node_sets import node_sets
-from casid.transfer.rational import Rational
+from casid.algebra.rational import Rational
+from casid.unknown_inputs.networks.elimination import immerse
+from casid.unknown_inputs.networks.equations import NodeEquations, node_equations
+from casid.unknown_inputs.networks.indirect_equations import indirect_equations
+from casid.unknown_inputs.networks.network import Network, dynamic_network
+from casid.unknown_inputs.networks.node_sets import node_sets
 
 FREQUENCIES = 512
 SIZES = (25, 50, 100, 200, 400)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from casid.cli import main
+from casid.cli.main import main
 
 if __name__ == "__main__":
     main()

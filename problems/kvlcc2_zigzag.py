@@ -40,8 +40,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import casid
-from casid.derived import Derived
-from casid.local_polynomial import LocalPolynomial
+from casid.data.derived import Derived
+from casid.data.local_polynomial import LocalPolynomial
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.data import Record
-from casid.networks.network import Network, dynamic_network
-from casid.transfer.rational import Rational
+from casid.algebra.rational import Rational
+from casid.data.record import Record
+from casid.unknown_inputs.networks.network import Network, dynamic_network
 
 TARGET = 2
 MEASURED = (1, 2, 3, 4, 7)

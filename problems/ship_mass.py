@@ -39,7 +39,7 @@ import casadi as ca
 import numpy as np
 
 import casid
-from casid.reconciliation import Reconciled, Reconciliation
+from casid.estimation.reconciliation import Reconciled, Reconciliation
 
 Read = tuple[float, float]
 """A reading and its standard deviation."""

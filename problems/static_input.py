@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 import casid
-from casid.asymptotics.linear_signals import LinearSignals
+from casid.unknown_inputs.limits.linear_signals import LinearSignals
 
 VALUES = {
     "alpha": 0.7,  # of delta1 in u_U

@@ -6,7 +6,7 @@ import importlib.util
 
 import pytest
 
-from tests.shared import ROOT
+from tests.support.shared import ROOT
 
 pytest.importorskip("markdown_it")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.shared import ROOT
+from tests.support.shared import ROOT
 
 TABLE = tomllib.loads((ROOT / "tests" / "published.toml").read_text(encoding="utf-8"))
 SHIP = TABLE["ship_scale_model"]

@@ -13,8 +13,8 @@ import sys
 
 import pytest
 
-from casid.cli import main
-from tests.shared import ROOT
+from casid.cli.main import main
+from tests.support.shared import ROOT
 
 README = ROOT / "README.md"
 CODE = re.compile(r"```python\n(.*?)```", re.DOTALL)

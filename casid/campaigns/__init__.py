@@ -1,1 +1,1 @@
-"""Many runs: seeds, processes, clusters, and Monte Carlo studies of problems."""
+"""Many runs of one function, resumable, on all cores or a cluster."""

@@ -33,7 +33,7 @@ import numpy as np
 
 from casid.campaigns.dask_backend import outliving_workers
 from casid.campaigns.manifest import manifest_of
-from casid.campaigns.parts import FAILED, RUN, Parts, Row, row_of
+from casid.campaigns.parquet_parts import FAILED, RUN, Parts, Row, row_of
 from casid.campaigns.progress import reported
 from casid.errors import CasidError, DataError, SolveError
 

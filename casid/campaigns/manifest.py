@@ -20,7 +20,7 @@ def manifest_of(
     function: Any, seed: int, settings: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """What the rows of a campaign depend on, as `campaign.json` has it."""
-    from casid.identification import versions
+    from casid.versions import versions
 
     own = {**_settings_of(function), **(settings or {})}
     return {

@@ -24,13 +24,14 @@ import numpy as np
 
 from casid.campaigns.campaign import Campaign, campaign
 from casid.campaigns.manifest import manifest_of, name_of
-from casid.data import Experiment
+from casid.data.problem import Problem, load_problem
+from casid.data.record import Experiment
 from casid.errors import DataError, ModelError, SolveError
-from casid.estimate import Estimate
-from casid.identification import FitSettings, identify
-from casid.model import Model
-from casid.problem import Problem, load_problem
-from casid.solving.nlp_solver import _is_installed, as_solver
+from casid.estimation.estimate import Estimate
+from casid.estimation.nlp.solver import _is_installed, as_solver
+from casid.estimation.simulation.fit import FitSettings
+from casid.identification.identify import identify
+from casid.model.model import Model
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
@@ -259,14 +260,14 @@ class MonteCarlo:
 
     def plot(self) -> Any:
         """Histograms of the estimates with truth and reported normal density, Plotly."""
-        from casid.campaigns.monte_carlo_page import histogram_figure
+        from casid.report.pages.monte_carlo_page import histogram_figure
 
         return histogram_figure(self)
 
     def write(self, folder: str | Path) -> Path:
         """Write `montecarlo.json` and `report.html` into `folder`; returns the former's path."""
-        from casid.campaigns.monte_carlo_page import montecarlo_page
-        from casid.writing import write_json, write_text
+        from casid.data.files import write_json, write_text
+        from casid.report.pages.monte_carlo_page import montecarlo_page
 
         page = montecarlo_page(self)  # before anything is written: both files or none
         path = write_json(Path(folder) / "montecarlo.json", self.to_json())
@@ -407,7 +408,8 @@ class Study:
         if len(done.failures) == done.runs:
             message, n = failures.most_common(1)[0]
             raise SolveError(f"all {done.runs} runs failed, {n} of them with: {message}")
-        from casid.identification import SOURCES, versions
+        from casid.estimation.estimate_builder import SOURCES
+        from casid.versions import versions
 
         return MonteCarlo(
             problem=self.problem.name,

@@ -1,1 +1,1 @@
-"""What the simulation of a model gets wrong, why, and what naming the cause gains."""
+"""What the model is missing: evidence, search, verdict and advice."""

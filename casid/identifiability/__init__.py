@@ -1,1 +1,1 @@
-"""Identifiability: which parameters the experiments can tell, from the model's own expressions."""
+"""Which parameters the experiments can determine, and which combinations of them."""

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from casid.errors import CasidError
-from casid.identifiability.asked import Asked, Assumptions, eliminated, prepared
 from casid.identifiability.assessment import AT_REST, Answer, StateVerdict, Verdict
 from casid.identifiability.inputs.input_classes import (
     Exosystem,
@@ -16,6 +15,7 @@ from casid.identifiability.inputs.input_classes import (
     as_zero,
     with_input_class,
 )
+from casid.identifiability.question import Asked, Assumptions, eliminated, prepared
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability
 from casid.identifiability.rank.system import System

@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from casid.data.problem import Problem
 from casid.errors import CasidError, DataError, IdentifiabilityError
 from casid.identifiability.answers import answer_of, by_class, by_excitation
-from casid.identifiability.asked import Asked, Assumptions, asked_about, eliminated, prepared
 from casid.identifiability.assessment import Assessment
 from casid.identifiability.combinations.closed_form import families
-from casid.identifiability.combinations.subsets import (
+from casid.identifiability.combinations.fixing_sets import (
     Exclusion,
     confounded_groups,
     count_not_identifiable,
@@ -23,16 +23,16 @@ from casid.identifiability.combinations.subsets import (
 from casid.identifiability.equations.equation_file import EquationFile
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.unknown_jets import observability_by_jets
+from casid.identifiability.question import Asked, Assumptions, asked_about, eliminated, prepared
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability, PointRank
 from casid.identifiability.rank.system import System
-from casid.model import Model
-from casid.problem import Problem
+from casid.model.model import Model
 
 if TYPE_CHECKING:
-    from casid.data import Experiment, Record
+    from casid.data.record import Experiment, Record
     from casid.identifiability.inputs.input_classes import Exosystem
-    from casid.identifiability.mends.candidates import Candidate
+    from casid.identifiability.remedies.candidates import Candidate
 
 Progress = Callable[[str], None]
 
@@ -154,7 +154,7 @@ def _refuse_what_has_no_use(
     profiles: Sequence[str],
 ) -> None:
     if candidates:
-        from casid.identifiability.mends.candidates import check
+        from casid.identifiability.remedies.candidates import check
 
         check(candidates, systems)
     if profiles and not asked.experiments:
@@ -225,8 +225,8 @@ def _mended(
     candidates: Sequence[Candidate],
     seed: int,
 ) -> Assessment:
-    from casid.identifiability.mends.cheapest import cheapest_mends
-    from casid.identifiability.mends.replicas import replicas_needed
+    from casid.identifiability.remedies.cheapest_remedies import cheapest_mends
+    from casid.identifiability.remedies.replicas import replicas_needed
 
     def prepare(system: System) -> System:
         return eliminate_unknown_inputs(system).system if system.unknown_inputs else system
@@ -248,7 +248,7 @@ def _practical(
     assessment: Assessment, asked: Asked, profiles: Sequence[str], say: Progress
 ) -> Assessment:
     from casid.identifiability.records.practical import practical_identifiability
-    from casid.identifiability.records.profiles import profile_likelihood
+    from casid.identifiability.records.profile_likelihood import profile_likelihood
     from casid.identifiability.records.reference_excitation import record_excitation
 
     assert asked.problem is not None
@@ -272,7 +272,7 @@ def _practical(
 
 
 def _versions() -> dict[str, str]:
-    from casid.identification import versions
+    from casid.versions import versions
 
     return versions()
 

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from casid.identifiability.combinations.closed_form import Told
     from casid.identifiability.combinations.family import Family
+    from casid.identifiability.combinations.fixing_sets import Exclusion, FixingSets
     from casid.identifiability.combinations.null_direction import NullDirection
-    from casid.identifiability.combinations.subsets import Exclusion, FixingSets
-    from casid.identifiability.mends.cheapest import Mends
-    from casid.identifiability.mends.replicas import ReplicasNeeded
     from casid.identifiability.records.practical import Practical
-    from casid.identifiability.records.profiles import Profiles
+    from casid.identifiability.records.profile_likelihood import Profiles
     from casid.identifiability.records.reference_excitation import RecordExcitation
+    from casid.identifiability.remedies.cheapest_remedies import Mends
+    from casid.identifiability.remedies.replicas import ReplicasNeeded
 
 SCHEMA = "casid.identifiability/1"
 
@@ -252,13 +252,13 @@ class Assessment:
         return f"<Assessment of {self.name}: rank {self.rank} of {self.unknowns}>"
 
     def __str__(self) -> str:
-        from casid.identifiability.assessment_text import as_text
+        from casid.report.texts.assessment import as_text
 
         return as_text(self)
 
     def plot(self) -> Any:
         """Plotly figures by name: errors, correlations, profiles, as far as they were computed."""
-        from casid.identifiability.figures import figures
+        from casid.report.figures.identifiability import figures
 
         return figures(self)
 
@@ -313,8 +313,8 @@ class Assessment:
 
     def write(self, folder: str | Path) -> Path:
         """Write `identifiability.json` and `report.html`; returns the report's path."""
-        from casid.identifiability.page import assessment_page
-        from casid.writing import write_json, write_text
+        from casid.data.files import write_json, write_text
+        from casid.report.pages.identifiability_page import assessment_page
 
         folder = Path(folder)
         page = assessment_page(self)  # before anything is written: both files or none

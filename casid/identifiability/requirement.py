@@ -16,17 +16,21 @@ from typing import TYPE_CHECKING
 from casid.errors import CasidError, IdentifiabilityError
 from casid.identifiability.combinations.closed_form import families, joint_invariants
 from casid.identifiability.combinations.family import Family
-from casid.identifiability.combinations.subsets import FixingSets, confounded_groups, fixing_sets
+from casid.identifiability.combinations.fixing_sets import (
+    FixingSets,
+    confounded_groups,
+    fixing_sets,
+)
 from casid.identifiability.equations.model_system import translated
 from casid.identifiability.inputs.input_classes import as_zero
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability
 from casid.identifiability.rank.system import System
-from casid.model import Model
+from casid.model.model import Model
 
 if TYPE_CHECKING:
-    from casid.data import Experiment
-    from casid.problem import Problem
+    from casid.data.problem import Problem
+    from casid.data.record import Experiment
 
 TIME_LIMIT = 20.0
 """Seconds for the rank."""

@@ -1,1 +1,1 @@
-"""Linear models: transfer functions, difference equations, their constraints and loops."""
+"""Linear systems: state space, discretisation, difference equations, Kalman filters."""

@@ -23,13 +23,13 @@ from typing import Any
 
 import numpy as np
 
+from casid.algebra.symbolic import exact
 from casid.errors import ModelError
-from casid.expressions import nearest
 from casid.linear.discrete_loop import DiscreteLoop, bilinear
 from casid.linear.laplace import Laplace, solve
 from casid.linear.loop_text import Verdict, page, verdicts
-from casid.linear.symbolic import exact
-from casid.model import Model
+from casid.model.expressions import nearest
+from casid.model.model import Model
 
 Array = np.ndarray[Any, Any]
 Algebra = Any  # a sympy expression or matrix

@@ -27,8 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.errors import ModelError
-from casid.instrumental.columns import Column
-from casid.linear.discretise import (
+from casid.linear.discretisation import (
     SUBSTITUTIONS,
     check_method,
     discretise,
@@ -36,6 +35,7 @@ from casid.linear.discretise import (
     substitution,
 )
 from casid.linear.inverse_map import invert as invert
+from casid.linear.lagged_columns import Column
 from casid.linear.linear_model import LinearModel, TransferMatrix, linearise, parameter_vector
 from casid.linear.structural_relations import (
     common_degree,
@@ -43,10 +43,10 @@ from casid.linear.structural_relations import (
     hold_relations,
     rational_relations,
 )
-from casid.model import Model, Parameter
+from casid.model.model import Model, Parameter
 
 if TYPE_CHECKING:
-    from casid.linear.affine import AffineHull
+    from casid.linear.affine_hull import AffineHull
     from casid.linear.parameter_draws import Range
 
 Array = NDArray[Any]
@@ -60,7 +60,7 @@ class DifferenceEquation:
     Attributes
     ----------
     inputs : the inputs that act on this output.
-    Ts, method : sample time [s], one of `casid.linear.discretise.METHODS`.
+    Ts, method : sample time [s], one of `casid.linear.discretisation.METHODS`.
     left : the output, plus what enters with a known coefficient.
     columns : the regressors, one for each coefficient; structural relations are used up.
     coefficients : their names: "a1", "a2", "b0[accel]", ...
@@ -146,7 +146,7 @@ class DifferenceEquation:
         ModelError, IdentifiabilityError
             As `casid.affine_hull`.
         """
-        from casid.linear.affine import affine_hull
+        from casid.linear.affine_hull import affine_hull
 
         free = (free,) if isinstance(free, str) else tuple(free)
         centres = {q.name: q.start for q in self.description if q.name in free}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from casid.errors import ModelError, SolveError
-from casid.expressions import nearest
+from casid.model.expressions import nearest
 
 Array = np.ndarray[Any, Any]
 

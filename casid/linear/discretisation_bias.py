@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.errors import IdentifiabilityError, ModelError
-from casid.expressions import nearest
-from casid.instrumental.columns import Column
 from casid.linear.difference_equation import DifferenceEquation, difference_equation
-from casid.linear.discretise import METHODS, check_method, discretise
+from casid.linear.discretisation import METHODS, check_method, discretise
 from casid.linear.inverse_map import invert
+from casid.linear.lagged_columns import Column
 from casid.linear.linear_model import LinearModel, linearise
-from casid.model import Model
+from casid.model.expressions import nearest
+from casid.model.model import Model
 
 Array = NDArray[Any]
 Spectrum = Callable[[Array], Array]
@@ -92,7 +92,7 @@ def bias_table(
     free : the parameters that are estimated, or the name of a single one.
     values : true values of the unknown parameters; known ones have their own unless given here.
     output : which output's regression; may be left out where there is one.
-    methods : discretisations to compare, see `casid.linear.discretise.METHODS`, or a single one.
+    methods : discretisations to compare, see `METHODS`, or a single one.
     truth : what the continuous system's inputs do between samples: "zoh", "foh" or, for signals
         without content above the Nyquist frequency, "continuous".
     spectrum : of the inputs, one for all or one for each by name; inputs are independent. White up

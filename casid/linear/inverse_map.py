@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.errors import IdentifiabilityError, ModelError, SolveError
-from casid.expressions import nearest
+from casid.model.expressions import nearest
 
 if TYPE_CHECKING:
     from casid.linear.difference_equation import DifferenceEquation
@@ -398,8 +398,8 @@ def continuous_form(equation: DifferenceEquation) -> dict[str, Any]:
     """
     import sympy
 
-    from casid.linear.discretise import SUBSTITUTIONS, substitution
-    from casid.linear.symbolic import exact
+    from casid.algebra.symbolic import exact
+    from casid.linear.discretisation import SUBSTITUTIONS, substitution
 
     if equation.method not in SUBSTITUTIONS:
         raise ModelError(
@@ -450,7 +450,7 @@ def closed_form(
     """
     import sympy
 
-    from casid.linear.symbolic import to_sympy
+    from casid.algebra.symbolic import to_sympy
 
     free = _checked_names(equation, free)
     using = (using,) if isinstance(using, str) else using

@@ -17,10 +17,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.algebra.symbolic import exact, to_sympy
 from casid.errors import ModelError
-from casid.expressions import nearest
-from casid.linear.symbolic import exact, to_sympy
-from casid.model import Model
+from casid.model.expressions import nearest
+from casid.model.model import Model
 
 Algebra = Any  # a sympy expression or matrix
 

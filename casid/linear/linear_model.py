@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.errors import ModelError
-from casid.linear.vanishing import float_points, remove_zeros
-from casid.model import Model, Parameter
+from casid.linear.vanishing_expressions import float_points, remove_zeros
+from casid.model.model import Model, Parameter
 
 Array = NDArray[Any]
 Expr = Any  # a CasADi SX expression

@@ -13,9 +13,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.algebra.symbolic import exact
 from casid.errors import ModelError
-from casid.expressions import nearest
-from casid.linear.symbolic import exact
+from casid.model.expressions import nearest
 
 Array = np.ndarray[Any, Any]
 Range = tuple[float, float]

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.linear.discretise import DiscreteTransfer, discretise, substitution
+from casid.linear.discretisation import DiscreteTransfer, discretise, substitution
 from casid.linear.linear_model import TransferMatrix
-from casid.linear.vanishing import exact_points, float_points
+from casid.linear.vanishing_expressions import exact_points, float_points
 
 Array = NDArray[Any]
 Expr = Any  # a CasADi SX expression

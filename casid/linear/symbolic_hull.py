@@ -15,10 +15,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.algebra.symbolic import exact, rational_operations, walk
 from casid.errors import ModelError
 from casid.linear.linear_constraints import coefficient_names, largest_one
 from casid.linear.parameter_draws import check_names, count_of_coefficients
-from casid.linear.symbolic import exact, rational_operations, walk
 
 Array = np.ndarray[Any, Any]
 

@@ -28,7 +28,7 @@ def page(transfer: TransferMatrix) -> str:
 def _lines(transfer: TransferMatrix) -> list[str]:
     import sympy
 
-    from casid.linear.symbolic import to_sympy
+    from casid.algebra.symbolic import to_sympy
 
     s = sympy.Symbol(next(n for n in ("s", "p", "d/dt") if n not in transfer.parameters))
 

@@ -1,1 +1,1 @@
-"""What a record cannot tell apart or show, and the experiment that would."""
+"""What the record cannot separate or show, and which experiment would."""

@@ -15,12 +15,12 @@ import casadi as ca
 import numpy as np
 from scipy.fft import rfft, rfftfreq
 
-from casid.data import Experiment, Record
-from casid.diagnosis.weighting import Weighted
+from casid.data.problem import Problem
+from casid.data.record import Experiment, Record
+from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.errors import CasidError
-from casid.model import Model
-from casid.problem import Problem
-from casid.simulate import Simulator
+from casid.estimation.simulation.simulator import Simulator
+from casid.model.model import Model
 
 Array = np.ndarray[Any, Any]
 

@@ -38,9 +38,9 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from casid.diagnosis.evidence.scores import INVISIBLE, ScoreTable
-from casid.effects.effect import Effect
+from casid.diagnosis.evidence.score_tests import INVISIBLE, ScoreTable
 from casid.errors import DataError
+from casid.model.effects.effect import Effect
 
 Array = np.ndarray[Any, Any]
 Key = tuple[str, str]
@@ -220,7 +220,7 @@ class Isolability:
 
     def plot(self) -> Any:
         """The angles as a heat map, a Plotly figure."""
-        from casid.diagnosis.advice.isolability_figures import isolability_figure
+        from casid.report.figures.isolability import isolability_figure
 
         return isolability_figure(self)
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.data.problem import Problem
 from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.advice.isolability import (
     MARGIN,
@@ -27,13 +28,12 @@ from casid.diagnosis.advice.isolability import (
     separation_energy,
 )
 from casid.diagnosis.advice.planned_records import Planned, Planner, with_start
-from casid.diagnosis.evidence.scores import INVISIBLE, ScoreTable, score_test
-from casid.diagnosis.weighting import Weighted
-from casid.effects.effect import Effect
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.score_tests import INVISIBLE, ScoreTable, score_test
 from casid.errors import CasidError, DataError
-from casid.noise import NoiseModel, noise_response
-from casid.problem import Problem
-from casid.simulation_error import Fit, SimulationError
+from casid.estimation.noise import NoiseModel, noise_response
+from casid.estimation.simulation.simulation_error import Fit, SimulationError
+from casid.model.effects.effect import Effect
 
 SHORTEST = 0.05
 """Share of the predicted record below which its length is not extrapolated."""

@@ -1,1 +1,1 @@
-"""The false-alarm rate of a diagnosis, measured on records that its model draws."""
+"""The false-alarm rate of a diagnosis, by parametric bootstrap."""

@@ -16,12 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from casid.data import Experiment, Record
+from casid.data.record import Experiment, Record
 from casid.errors import SolveError
-from casid.holdout import Split
-from casid.model import Input, Model
-from casid.noise import NoiseModel
-from casid.simulation_error import Fit, SimulationError, minimize_simulation_error
+from casid.estimation.holdout import Split
+from casid.estimation.noise import NoiseModel
+from casid.estimation.simulation.simulation_error import (
+    Fit,
+    SimulationError,
+    minimize_simulation_error,
+)
+from casid.model.model import Input, Model
 
 Array = np.ndarray[Any, Any]
 

@@ -1,1 +1,1 @@
-"""Tests: what the residual and the samples say before any candidate is refitted."""
+"""Evidence of a missing effect: whitened residuals, score tests and signatures."""

@@ -24,11 +24,11 @@ from scipy.fft import rfft
 from scipy.special import kolmogorov
 from scipy.stats import gamma, norm
 
-from casid.data import Experiment
-from casid.diagnosis.evidence.functions import regressions
+from casid.data.record import Experiment
+from casid.diagnosis.evidence.candidate_functions import regressions
+from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import Regression
-from casid.diagnosis.weighting import Weighted
-from casid.uncertainty import bartlett_lags, long_run_covariance
+from casid.estimation.covariance import bartlett_lags, long_run_covariance
 
 Array = np.ndarray[Any, Any]
 Left = Literal[

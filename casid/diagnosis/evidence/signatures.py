@@ -23,15 +23,20 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.stats import f as fisher
 
-from casid.data import Experiment
-from casid.diagnosis.evidence.scores import BETWEEN_SAMPLES
+from casid.data.record import Experiment
+from casid.diagnosis.evidence.score_tests import BETWEEN_SAMPLES
 from casid.errors import ModelError
-from casid.lags import lag_columns
-from casid.model import Input, Model
-from casid.noise import NoiseModel
-from casid.simulate import rk4_sample
-from casid.simulation_error import Signals, Simulated, SimulationError, delay_columns
-from casid.uncertainty import bartlett_lags, long_run_covariance
+from casid.estimation.covariance import bartlett_lags, long_run_covariance
+from casid.estimation.noise import NoiseModel
+from casid.estimation.simulation.first_order_lags import lag_columns
+from casid.estimation.simulation.simulation_error import (
+    Signals,
+    Simulated,
+    SimulationError,
+    delay_columns,
+)
+from casid.estimation.simulation.simulator import rk4_sample
+from casid.model.model import Input, Model
 
 Array = np.ndarray[Any, Any]
 Table = Mapping[str, Array]  # variable -> (N,) of one record

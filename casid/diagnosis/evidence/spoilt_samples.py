@@ -10,8 +10,8 @@ import numpy as np
 
 from casid.diagnosis.evidence.plateaus import Plateaus, find_plateaus
 from casid.diagnosis.evidence.spikes import Spikes, find_spikes
-from casid.holdout import Split, simulate_apart, whole_simulation
-from casid.simulation_error import Fit
+from casid.estimation.holdout import Split, simulate_apart, whole_simulation
+from casid.estimation.simulation.simulation_error import Fit
 
 Array = np.ndarray[Any, Any]
 

@@ -1,1 +1,1 @@
-"""What a null space says: groups, fixing sets, directions and families of parameters."""
+"""Identifiable combinations, confounded groups and fixing sets of parameters."""

@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
+from casid.algebra.prime_field import null_space
 from casid.errors import IdentifiabilityError
 from casid.identifiability.combinations.family import Family, family
+from casid.identifiability.combinations.fixing_sets import FixingSets
 from casid.identifiability.combinations.null_direction import (
     NullDirection,
     normalised,
     null_directions,
 )
-from casid.identifiability.combinations.subsets import FixingSets
 from casid.identifiability.rank.observability import Search
-from casid.identifiability.rank.prime_field import null_space
 from casid.identifiability.rank.system import System
 
 Array = np.ndarray[Any, Any]

@@ -14,9 +14,9 @@ from fractions import Fraction
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
+from casid.algebra.readable import neat, tidy
 from casid.errors import IdentifiabilityError
 from casid.identifiability.combinations.null_direction import NullDirection
-from casid.identifiability.combinations.readable import neat, tidy
 from casid.identifiability.combinations.scalar_flow import integrate_scalar
 
 Expr: TypeAlias = Any  # a sympy expression

@@ -13,10 +13,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from casid.algebra.interpolation import interpolate
+from casid.algebra.prime_field import echelon
 from casid.errors import IdentifiabilityError
-from casid.expressions import nearest
-from casid.identifiability.combinations.interpolation import interpolate
-from casid.identifiability.rank.prime_field import echelon
+from casid.model.expressions import nearest
 
 Array = np.ndarray[Any, Any]
 Expr: TypeAlias = Any  # a sympy expression

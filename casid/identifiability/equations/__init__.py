@@ -1,1 +1,1 @@
-"""Systems from equation files, from text and from models that are fitted."""
+"""Equations whose identifiability is assessed: from files, text, or a fitted model."""

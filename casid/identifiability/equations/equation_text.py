@@ -15,7 +15,7 @@
                      what it does not say itself; parameters of one name are one parameter
     name, description
 
-Formulas are read by `casid.expressions.parse`: files come from strangers, and text never becomes
+Formulas are read by `parse`: files come from strangers, and text never becomes
 code. Names and numbers besides a formula's are checked here; other fields are left alone.
 """
 
@@ -30,11 +30,11 @@ from typing import Any
 
 import casadi as ca
 
+from casid.algebra.symbolic import exact
 from casid.errors import ModelError
-from casid.expressions import nearest
 from casid.identifiability.equations.formula_scope import FormulaScope
 from casid.identifiability.rank.system import System
-from casid.linear.symbolic import exact
+from casid.model.expressions import nearest
 
 _SYMBOLS = ("states", "params", "known_inputs", "unknown_inputs", "known_constants")
 _FORMULAS = ("definitions", "equations", "outputs")

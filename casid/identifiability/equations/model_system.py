@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from casid.algebra.symbolic import exact
 from casid.errors import DataError, ModelError
 from casid.identifiability.equations.formula_scope import is_finite
 from casid.identifiability.rank.system import System
-from casid.linear.symbolic import exact
-from casid.model import Model, Stage
+from casid.model.model import Model, Stage
 
 if TYPE_CHECKING:
-    from casid.data import Experiment
-    from casid.problem import Problem
+    from casid.data.problem import Problem
+    from casid.data.record import Experiment
 
 Array = np.ndarray[Any, Any]
 

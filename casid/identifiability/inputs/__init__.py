@@ -1,1 +1,1 @@
-"""Unknown inputs: eliminated, classed, counted; and experiments that own or share them."""
+"""Unknown inputs: their elimination and their classes."""

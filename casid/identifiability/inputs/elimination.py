@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from casid.errors import ModelError
-from casid.expressions import nearest
 from casid.identifiability.inputs.structure_algorithm import StructureAlgorithm, written
 from casid.identifiability.rank.system import System
+from casid.model.expressions import nearest
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,9 +15,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.algebra.prime_field import random_prime, to_field, to_rational
+from casid.algebra.symbolic import exact, walk
 from casid.errors import ModelError
-from casid.identifiability.rank.prime_field import random_prime, to_field, to_rational
-from casid.linear.symbolic import exact, walk
 
 Expr = Any  # a CasADi SX expression
 Operations = Mapping[int, Callable[..., Any]]

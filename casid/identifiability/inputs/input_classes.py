@@ -20,9 +20,9 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import ModelError
-from casid.expressions import nearest, parse
 from casid.identifiability.inputs.signals import differentiated, free_name
 from casid.identifiability.rank.system import System
+from casid.model.expressions import nearest, parse
 
 Expr = Any  # a CasADi SX expression
 
@@ -46,7 +46,7 @@ class Exosystem:
     symbols : name -> SX symbol of the exosystem's states, if formulas are SX and not text.
 
     Formulas may hold the exosystem's states and all that the system declares, but not the inputs
-    that are replaced. Text is read by `casid.expressions.parse`.
+    that are replaced. Text is read by `casid.model.expressions.parse`.
 
     Example
     -------

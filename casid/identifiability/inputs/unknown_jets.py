@@ -24,9 +24,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from casid.algebra.prime_field import random_prime, rank
 from casid.identifiability.inputs.input_classes import as_polynomial
 from casid.identifiability.rank.observability import Search
-from casid.identifiability.rank.prime_field import random_prime, rank
 from casid.identifiability.rank.rank_result import Observability, PointRank
 from casid.identifiability.rank.system import System
 

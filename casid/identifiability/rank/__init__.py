@@ -1,1 +1,1 @@
-"""The exact rank: a system as a program, its power series over a prime field, the error bound."""
+"""The observability rank: power series over a prime field, with an error bound."""

@@ -18,7 +18,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from casid.identifiability.rank.prime_field import LOWEST_PRIME, PRIMES_THERE
+from casid.algebra.prime_field import LOWEST_PRIME, PRIMES_THERE
 from casid.identifiability.rank.program import ONE, Program
 
 

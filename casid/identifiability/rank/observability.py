@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from casid.algebra.prime_field import echelon, random_prime, to_field
+from casid.algebra.row_basis import Basis, leading, padded
 from casid.errors import ModelError
 from casid.identifiability.rank.error_bound import failure_probabilities
-from casid.identifiability.rank.prime_field import echelon, random_prime, to_field
 from casid.identifiability.rank.rank_result import Observability, PointRank
-from casid.identifiability.rank.row_basis import Basis, leading, padded
 from casid.identifiability.rank.series import Schedule, Series, SpecialPoint
 from casid.identifiability.rank.system import System
 

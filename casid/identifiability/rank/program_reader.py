@@ -12,12 +12,12 @@ from typing import Any, Literal
 
 import casadi as ca
 
+from casid.algebra.symbolic import exact
 from casid.errors import ModelError
 from casid.identifiability.rank.immersion import SPECIAL
 from casid.identifiability.rank.program import ONE, Primitive, Program, Terms, drop_unused
 from casid.identifiability.rank.system import System
 from casid.identifiability.rank.terms import added, common_unit, constant_of, scaled
-from casid.linear.symbolic import exact
 
 Kind = Literal["sum", "product", "primitive"]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.identifiability.rank.row_basis import leading, unit_vectors
+from casid.algebra.row_basis import leading, unit_vectors
 from casid.identifiability.rank.system import System
 
 Array = np.ndarray[Any, Any]

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.identifiability.rank.prime_field import matmul, to_field, to_rational
+from casid.algebra.prime_field import matmul, to_field, to_rational
 from casid.identifiability.rank.program import ONE, Program
 from casid.identifiability.rank.program_reader import program_of
 from casid.identifiability.rank.system import System

@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import ModelError
-from casid.expressions import nearest
+from casid.model.expressions import nearest
 
 Expr = Any  # a CasADi SX expression
 

@@ -1,1 +1,1 @@
-"""What given records tell: excitation, expected errors, profiles."""
+"""Practical identifiability: what given records determine under their noise."""

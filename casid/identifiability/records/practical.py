@@ -18,9 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from casid.data.problem import Problem
 from casid.errors import IdentifiabilityError
-from casid.estimate import Estimate
-from casid.identifiability.records.planned import Experiments, Noise, Planned, plan
+from casid.estimation.estimate import Estimate
+from casid.estimation.local_rank import LocalRank, describe_null, local_rank
+from casid.identifiability.records.planned_experiment import Experiments, Noise, Planned, plan
 from casid.identifiability.records.practical_result import (
     POOR,
     SEEN,
@@ -31,9 +33,7 @@ from casid.identifiability.records.practical_result import (
     Row,
     Verdict,
 )
-from casid.local_rank import LocalRank, describe_null, local_rank
-from casid.model import Model
-from casid.problem import Problem
+from casid.model.model import Model
 
 __all__ = ["Direction", "Practical", "Row", "practical_identifiability"]
 

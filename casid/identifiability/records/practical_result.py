@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from casid.identifiability.records.planned import Noise
+from casid.identifiability.records.planned_experiment import Noise
 
 Array = np.ndarray[Any, Any]
 Verdict = Literal[

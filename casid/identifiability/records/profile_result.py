@@ -138,7 +138,7 @@ class Profiles:
         """Plotly figure: deviance against each parameter, with the threshold of the interval."""
         from plotly.subplots import make_subplots
 
-        from casid.figures.look import AFTER, BEFORE, figure_text, visible_text
+        from casid.report.figures.look import AFTER, BEFORE, figure_text, visible_text
 
         columns = min(2, len(self.profiles))
         rows = math.ceil(len(self.profiles) / columns)

@@ -19,10 +19,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.data.problem import Problem
 from casid.errors import DataError
-from casid.estimate import Estimate
-from casid.expressions import nearest
-from casid.identifiability.records.excitation import (
+from casid.estimation.estimate import Estimate
+from casid.identifiability.records.excitation_order import (
     ROUNDING,
     Excitation,
     decorrelation,
@@ -34,9 +34,9 @@ from casid.identifiability.records.excitation import (
     signal,
     singular_values,
 )
-from casid.identifiability.records.planned import Experiments, Planned, plan
-from casid.model import Model
-from casid.problem import Problem
+from casid.identifiability.records.planned_experiment import Experiments, Planned, plan
+from casid.model.expressions import nearest
+from casid.model.model import Model
 
 Array = np.ndarray[Any, Any]
 

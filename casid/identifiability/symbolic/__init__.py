@@ -1,1 +1,1 @@
-"""Lie derivatives and the observability matrix as formulas to read."""
+"""Lie derivatives and the observability matrix, symbolically."""

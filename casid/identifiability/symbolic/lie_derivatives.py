@@ -15,11 +15,11 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any, NoReturn
 
+from casid.algebra.symbolic import to_sympy
 from casid.errors import ModelError
 from casid.identifiability.rank.system import System
 from casid.identifiability.symbolic.reduced_form import derivative_name
 from casid.identifiability.symbolic.symbolic_rank import tidy
-from casid.linear.symbolic import to_sympy
 
 Expr = Any  # a sympy expression
 Matrix = Any  # a sympy matrix

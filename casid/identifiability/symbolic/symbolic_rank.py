@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from casid.algebra import prime_field
+from casid.algebra.interpolation import interpolate
 from casid.errors import ModelError
-from casid.identifiability.combinations.interpolation import interpolate
-from casid.identifiability.rank import prime_field
 
 Expr = Any  # a sympy expression
 Array = np.ndarray[Any, Any]

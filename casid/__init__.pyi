@@ -1,0 +1,228 @@
+"""The public names of casid, each with the module it is loaded from at its first use."""
+
+from .algebra.rational import Rational
+from .algebra.rational_reader import rational
+from .algebra.transfer_matrix import transfer_matrix
+from .campaigns.monte_carlo import MonteCarlo, montecarlo
+from .data.derived import Derived
+from .data.preparation import decimate, detrend, lowpass
+from .data.problem import Problem, load_problem
+from .data.quality import CheckReport, check
+from .data.reading.record_file import read_record
+from .data.record import Experiment, Record
+from .diagnosis.calibration.false_alarm_rate import Calibration
+from .diagnosis.diagnose import diagnose
+from .diagnosis.diagnosis import Diagnosis
+from .errors import CasidError, DataError, IdentifiabilityError, ModelError, SolveError, UnitError
+from .estimation.estimate import Estimate
+from .estimation.moments.exogeneity import reference_depends_on
+from .estimation.moments.instruments import Instruments
+from .estimation.moments.moment_settings import MomentSettings
+from .estimation.moments.moments import Moments
+from .estimation.moments.reference_filter import ReferenceFilter
+from .estimation.moments.validation import validate
+from .estimation.nlp.nlp import Nlp, Solver
+from .estimation.nlp.solver_comparison import compare_solvers
+from .estimation.prediction_error.coordinated_turn import smooth_track
+from .estimation.prediction_error.polynomial_orders import Orders
+from .estimation.reconciliation import Reconciliation
+from .estimation.regression import regress
+from .estimation.simulation.fit import FitSettings
+from .identifiability.assess import assess_identifiability
+from .identifiability.assessment import Assessment
+from .identifiability.equations.equation_file import EquationFile, parse_system, read_equations
+from .identifiability.inputs.input_classes import Exosystem
+from .identifiability.question import Assumptions
+from .identifiability.rank.observability import observability
+from .identifiability.rank.system import System
+from .identifiability.records.practical import practical_identifiability
+from .identifiability.records.profile_likelihood import profile_likelihood
+from .identifiability.remedies.candidates import (
+    Candidate,
+    known_initial_state,
+    known_parameter,
+    replica,
+    sensor,
+)
+from .identifiability.remedies.sensor_subsets import sensor_subsets
+from .identifiability.symbolic.observability_matrix import observability_matrix
+from .identification.identify import identify
+from .identification.invariants import invariants
+from .identification.moment_estimators import (
+    MomentEstimate,
+    Prior,
+    StageSpec,
+    instrumental_variables,
+    least_squares,
+    multistage,
+)
+from .identification.resampling import bootstrap, profile
+from .identification.streamed_moments import estimate_from_moments
+from .linear.affine_hull import affine_hull
+from .linear.closed_loop import closed_loop_view
+from .linear.discretisation_bias import bias_table
+from .linear.linear_model import linearise
+from .model.effects.effect import Effect
+from .model.effects.user_effects import balance_effect, channel_effect, parameter_effect
+from .model.model import Model, Parameter
+from .report.figures.network_drawing import network_figure
+from .unknown_inputs.indirect.direct_model import direct_model
+from .unknown_inputs.indirect.feedforward import feedforward
+from .unknown_inputs.indirect.indirect_model import indirect_model
+from .unknown_inputs.indirect.left_inverse import left_inverse
+from .unknown_inputs.indirect.model_reader import direct_model_of
+from .unknown_inputs.indirect.output_choice import choose_output
+from .unknown_inputs.indirect.special_cases import special_case
+from .unknown_inputs.limits.decision_map import decision_map
+from .unknown_inputs.limits.input_measurement import InputMeasurement
+from .unknown_inputs.limits.linear_signals import LinearSignals
+from .unknown_inputs.limits.module_remedies import compare_module_remedies
+from .unknown_inputs.limits.network_remedies import network_remedies
+from .unknown_inputs.limits.network_signals import network_signals
+from .unknown_inputs.limits.prediction_limit import prediction_error_limit
+from .unknown_inputs.limits.regression import FirstStage, Regression
+from .unknown_inputs.limits.regression_limit import regression_limit
+from .unknown_inputs.limits.remedies import Remedy, compare_remedies
+from .unknown_inputs.limits.two_stage_limit import two_stage_limit
+from .unknown_inputs.networks.confounders import confounders
+from .unknown_inputs.networks.elimination import immerse
+from .unknown_inputs.networks.estimation.module_estimate import ModuleEstimate
+from .unknown_inputs.networks.estimation.module_estimation import estimate_module
+from .unknown_inputs.networks.indirect_equations import indirect_equations
+from .unknown_inputs.networks.network import Network, Signal, dynamic_network
+from .unknown_inputs.networks.node_sets import node_sets
+from .unknown_inputs.networks.prediction.eiv_filter import eiv_filter
+from .unknown_inputs.networks.prediction.predictors import compare_predictors
+from .unknown_inputs.networks.predictor_inputs import predictor_inputs
+from .unknown_inputs.networks.propositions import proposition_3_1, proposition_4_1
+from .unknown_inputs.networks.rings import eliminate_recursively
+from .unknown_inputs.networks.simulation import simulate_network
+from .unknown_inputs.observers.decoupled_observer import decoupled_observer
+from .unknown_inputs.observers.input_smoother import reconstruct_input
+from .unknown_inputs.observers.noncausal_inverse import noncausal_inverse
+from .unknown_inputs.options import compare_unknown_input_options
+
+__version__: str
+
+__all__ = [
+    "Assessment",
+    "Assumptions",
+    "Calibration",
+    "Candidate",
+    "CasidError",
+    "CheckReport",
+    "DataError",
+    "Derived",
+    "Diagnosis",
+    "Effect",
+    "EquationFile",
+    "Estimate",
+    "Exosystem",
+    "Experiment",
+    "FirstStage",
+    "FitSettings",
+    "IdentifiabilityError",
+    "InputMeasurement",
+    "Instruments",
+    "LinearSignals",
+    "Model",
+    "ModelError",
+    "ModuleEstimate",
+    "MomentEstimate",
+    "MomentSettings",
+    "Moments",
+    "MonteCarlo",
+    "Network",
+    "Nlp",
+    "Orders",
+    "Parameter",
+    "Prior",
+    "Problem",
+    "Rational",
+    "Reconciliation",
+    "Record",
+    "ReferenceFilter",
+    "Regression",
+    "Remedy",
+    "Signal",
+    "SolveError",
+    "Solver",
+    "StageSpec",
+    "System",
+    "UnitError",
+    "affine_hull",
+    "assess_identifiability",
+    "balance_effect",
+    "bias_table",
+    "bootstrap",
+    "channel_effect",
+    "check",
+    "choose_output",
+    "closed_loop_view",
+    "compare_module_remedies",
+    "compare_predictors",
+    "compare_remedies",
+    "compare_solvers",
+    "compare_unknown_input_options",
+    "confounders",
+    "decimate",
+    "decision_map",
+    "decoupled_observer",
+    "detrend",
+    "diagnose",
+    "direct_model",
+    "direct_model_of",
+    "dynamic_network",
+    "eiv_filter",
+    "eliminate_recursively",
+    "estimate_from_moments",
+    "estimate_module",
+    "feedforward",
+    "identify",
+    "immerse",
+    "indirect_equations",
+    "indirect_model",
+    "instrumental_variables",
+    "invariants",
+    "known_initial_state",
+    "known_parameter",
+    "least_squares",
+    "left_inverse",
+    "linearise",
+    "load_problem",
+    "lowpass",
+    "montecarlo",
+    "multistage",
+    "network_figure",
+    "network_remedies",
+    "network_signals",
+    "node_sets",
+    "noncausal_inverse",
+    "observability",
+    "observability_matrix",
+    "parameter_effect",
+    "parse_system",
+    "practical_identifiability",
+    "prediction_error_limit",
+    "predictor_inputs",
+    "profile",
+    "profile_likelihood",
+    "proposition_3_1",
+    "proposition_4_1",
+    "rational",
+    "read_equations",
+    "read_record",
+    "reconstruct_input",
+    "reference_depends_on",
+    "regress",
+    "regression_limit",
+    "replica",
+    "sensor",
+    "sensor_subsets",
+    "simulate_network",
+    "smooth_track",
+    "special_case",
+    "transfer_matrix",
+    "two_stage_limit",
+    "validate",
+]

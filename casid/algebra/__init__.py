@@ -1,0 +1,1 @@
+"""Algebra, exact and numeric: rational functions, prime fields, realisation."""

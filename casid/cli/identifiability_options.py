@@ -1,0 +1,243 @@
+"""The options of `casid identifiability`: what is assumed, and which mends are to be weighed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from casid.cli.options import Request, near, parse_setting
+from casid.errors import DataError
+
+if TYPE_CHECKING:
+    from casid.identifiability.equations.equation_file import EquationFile
+    from casid.identifiability.question import Assumptions
+    from casid.identifiability.remedies.candidates import Candidate
+
+ASSUMPTION_OPTIONS = (
+    click.option(
+        "--replicas",
+        type=click.IntRange(min=1),
+        default=1,
+        show_default=True,
+        metavar="N",
+        help="Every experiment is made N times, from other initial states and with other inputs.",
+    ),
+    click.option(
+        "--shared-input",
+        "shared_inputs",
+        multiple=True,
+        metavar="W",
+        help="Unknown input that is one signal in all experiments; by default each has its own. "
+        "Repeatable.",
+    ),
+    click.option(
+        "--known-initial",
+        multiple=True,
+        metavar="X[=VALUE],...",
+        help="States whose initial value is known: some number, or this one, which may be special.",
+    ),
+    click.option(
+        "--known",
+        multiple=True,
+        metavar="NAME,...",
+        help="Parameters that are known after all, whatever their value.",
+    ),
+    click.option(
+        "--at",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="Ask where a parameter has this value (SI units), which may be special, and not for "
+        "almost every value. Repeatable.",
+    ),
+    click.option(
+        "--generic",
+        is_flag=True,
+        help="Known parameters of the model are some numbers, and not the values they have.",
+    ),
+)
+"""What is taken for given."""
+
+QUESTION_OPTIONS = (
+    click.option(
+        "--sensor",
+        "sensors",
+        multiple=True,
+        metavar="NAME=FORMULA[@COST]",
+        help="A sensor that could be added, in the names of the model: phi=x1 or a=k*x1/m@3. The "
+        "cheapest of the sensors named that mend the rank are found. Repeatable.",
+    ),
+    click.option(
+        "--profile",
+        "profiles",
+        multiple=True,
+        metavar="NAME,...",
+        help="Parameters whose profile likelihood is computed from the records; a fit a point.",
+    ),
+    click.option(
+        "--structural",
+        is_flag=True,
+        help="The rank and what follows from it alone: no closed forms, no expected errors.",
+    ),
+    click.option(
+        "--time-limit",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="S",
+        help="Seconds for the rank; what is proven by then is told.",
+    ),
+)
+"""What else is asked."""
+
+
+@dataclass(frozen=True, slots=True)
+class Inquiry:
+    """The options, read and held against each other."""
+
+    replicas: int
+    shared_inputs: Sequence[str]
+    known_initial: Sequence[str]
+    known: Sequence[str]
+    at: Sequence[str]
+    generic: bool
+    sensors: Sequence[str]
+    profiles: Sequence[str]
+    structural: bool
+    time_limit: float | None
+
+    def assumptions(self) -> Assumptions:
+        """What is taken for given.
+
+        Raises
+        ------
+        DataError
+            If a value is no number, or some initial values have numbers and others have none.
+        """
+        from casid.identifiability.question import Assumptions
+
+        return Assumptions(
+            replicas=self.replicas,
+            shared_inputs=_names(self.shared_inputs),
+            known_initial=self._initial(),
+            known=_names(self.known),
+            at=dict(_setting(text, "--at") for text in self.at),
+            generic=self.generic,
+        )
+
+    def _initial(self) -> dict[str, float | None]:
+        found: dict[str, float | None] = {}
+        for name in _names(self.known_initial):
+            if "=" in name:
+                key, value = _setting(name, "--known-initial")
+                found[key] = value
+            else:
+                found[name] = None
+        return found
+
+    def profiled(self) -> tuple[str, ...]:
+        """Parameters whose profile is asked for.
+
+        Raises
+        ------
+        DataError
+            If only the rank is asked for as well.
+        """
+        names = _names(self.profiles)
+        if names and self.structural:
+            raise DataError("--profile takes fits, and --structural leaves them out; drop one")
+        return names
+
+    def candidates(self) -> tuple[Candidate, ...]:
+        """The sensors of --sensor; their formulas are read where they are mounted.
+
+        Raises
+        ------
+        DataError
+            If a text is not NAME=FORMULA[@COST].
+        """
+        from casid.identifiability.remedies.candidates import sensor
+
+        made = []
+        for text in self.sensors:
+            name, equals, rest = text.partition("=")
+            formula, at, cost = rest.partition("@")
+            if not equals or not name.strip() or not formula.strip():
+                raise DataError(
+                    f"--sensor {text}: write it as name=formula, or name=formula@cost, for example "
+                    "--sensor angle=x1@2"
+                )
+            price = _cost(cost, text) if at else 1.0
+            made.append(sensor(name.strip(), formula.strip(), price))
+        return tuple(made)
+
+
+def read_equations_for(path: str, request: Request) -> EquationFile:
+    """The systems of an equation file, values of --set put in; options on data are refused.
+
+    Raises
+    ------
+    DataError
+        If data or their options are given, or --set names no parameter.
+    """
+    from casid.identifiability.equations.equation_file import read_equations
+
+    for option, is_given in (
+        ("DATA", request.data),
+        ("--map", request.maps),
+        ("--window", request.window),
+        ("--lowpass", request.lowpass),
+        ("--detrend", request.detrend),
+        ("--decimate", request.decimate != 1),
+        ("--resample", request.resample),
+    ):
+        if is_given:
+            raise DataError(
+                f"{option} speaks of records, and {path} holds equations alone; leave it out, or "
+                "name a problem file (.py), which says where signals come from"
+            )
+    found = read_equations(path)
+    known = list(dict.fromkeys(n for s in found.systems for n in (*s.parameters, *s.constants)))
+    values = {}
+    for text in request.settings:
+        name, value = parse_setting(text)
+        if name not in known:
+            raise DataError(
+                f"--set {text}: the equations have no parameter {name!r}; they have "
+                f"{', '.join(known)}{near(name, known)}"
+            )
+        values[name] = value
+    systems = [
+        s.substituted({n: v for n, v in values.items() if n in s.symbols}) for s in found.systems
+    ]
+    return replace(found, systems=tuple(systems))
+
+
+def is_equation_file(path: str) -> bool:
+    """True for what is neither a Python file nor a record, by its ending."""
+    return Path(path).suffix.lower() not in ("", ".py", ".csv", ".parquet")
+
+
+def _names(texts: Sequence[str]) -> tuple[str, ...]:
+    """Names of options that take several, separated by commas."""
+    return tuple(dict.fromkeys(n.strip() for t in texts for n in t.split(",") if n.strip()))
+
+
+def _cost(text: str, sensor: str) -> float:
+    try:
+        return parse_setting(f"cost={text}")[1]
+    except DataError:
+        raise DataError(
+            f"--sensor {sensor}: the cost {text!r} is no finite number; write name=formula@cost, "
+            "for example --sensor angle=x1@2"
+        ) from None
+
+
+def _setting(text: str, option: str) -> tuple[str, float]:
+    try:
+        return parse_setting(text)
+    except DataError:
+        raise DataError(
+            f"{option} {text}: write it as name=value with a finite number in SI units"
+        ) from None

@@ -1,0 +1,1 @@
+"""What was measured: records, experiments and problems; preparation and data quality."""

@@ -1,0 +1,193 @@
+"""Channels that nobody recorded: computed from others of the record, with the noise they get.
+
+A model may want a lateral acceleration where the file has a speed. A problem declares how the one
+is made of the other, so that every command computes it alike, the record's history says so, and the
+noise of the sources is carried through whatever the computation does, without a formula.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.data.record import Record
+from casid.errors import DataError, ModelError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Derived:
+    """How a channel is computed from others of the same record.
+
+    Attributes
+    ----------
+    unit : SI unit of the channel.
+    sources : channel -> SI unit, of what it is computed from; recorded channels, not derived ones.
+    values : takes the record, returns (N,) samples in `unit`. Of sample k the result may depend on
+        samples within `margin` seconds of it.
+    how : the computation in words, with the bandwidth of every filter, for reports.
+    margin : s at either end of the record where the result is not to be trusted; it is cut off.
+
+    Raises
+    ------
+    ModelError
+        If it has no sources, or a margin that is negative or not finite.
+    """
+
+    unit: str
+    sources: Mapping[str, str]
+    values: Callable[[Record], FloatArray]
+    how: str = ""
+    margin: float = field(default=0.0, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not self.sources:
+            raise ModelError(
+                "a derived channel needs sources, name -> unit: "
+                "Derived('m/s^2', {'speed': 'm/s'}, f); one that the file has is no derived channel"
+            )
+        if not (np.isfinite(self.margin) and self.margin >= 0):
+            raise ModelError(
+                f"margin = {self.margin!r} s of a derived channel; give the seconds that its "
+                "filters spoil at either end, 0 without a filter"
+            )
+        object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
+
+    def compute(self, name: str, record: Record) -> FloatArray:
+        """(N,) samples of the channel.
+
+        Raises
+        ------
+        DataError
+            If a source is absent or misses samples, or the result is not (N,) and finite.
+        """
+        for source in self.sources:
+            if source not in record:
+                raise DataError(
+                    f"{record.name}: {name} is derived from {', '.join(self.sources)}, and there "
+                    f"is no {source}; the record has {', '.join(record.names)}. Map a column to "
+                    f"it, --map {source}=column, or map one to {name} itself"
+                )
+            mask = record.is_missing(source)
+            if mask.any():
+                raise DataError(
+                    f"{record.name}: {name} is derived from {source}, which misses "
+                    f"{int(mask.sum())} samples, the first at t = "
+                    f"{record.t[int(np.argmax(mask))]:g} s; cut the record there with a window, or "
+                    "fill the channel beforehand (record.filled)"
+                )
+        values = np.asarray(self.values(record), dtype=np.float64)
+        if values.shape != (record.N,) or not np.isfinite(values).all():
+            raise DataError(
+                f"{record.name}: what derives {name} returned shape {values.shape} with "
+                f"{int(np.sum(~np.isfinite(values)))} samples that are not finite, where "
+                f"({record.N},) are needed; mend the function of casid.data.derived.Derived"
+            )
+        return values
+
+
+def propagated_noise(
+    name: str,
+    entry: Derived,
+    record: Record,
+    noise: Mapping[str, float],
+    *,
+    draws: int = 8,
+    seed: int = 0,
+) -> float:
+    """Standard deviation that white noise of the sources gives a derived channel, its unit.
+
+    Parameters
+    ----------
+    noise : source -> standard deviation of its white noise, SI; a source not named has none.
+
+    Notes
+    -----
+    Half the difference of the channel computed with the noise added and taken away, rms over the
+    record and the draws: exact to second order in the noise. The result is white only where
+    `values` looks at one sample at a time. The draws' own error is below 1/sqrt(draws N / n)
+    relative, n the samples over which the computation reaches.
+    """
+    if not any(noise.get(s, 0.0) > 0 for s in entry.sources):
+        return 0.0
+    rng = np.random.default_rng(seed)
+    edge = _edge(entry, record)
+    total = 0.0
+    for _ in range(draws):
+        moved = {s: noise.get(s, 0.0) * rng.standard_normal(record.N) for s in entry.sources}
+        up, down = (
+            entry.compute(name, _moved(record, moved, sign))[edge : record.N - edge]
+            for sign in (1.0, -1.0)
+        )
+        total += float(np.mean((up - down) ** 2)) / 4
+    return float(np.sqrt(total / draws))
+
+
+def derive(
+    record: Record, derived: Mapping[str, Derived], noise: Mapping[str, float] | None = None
+) -> Record:
+    """The record with the derived channels that it does not have yet.
+
+    Parameters
+    ----------
+    derived : name -> how to compute it.
+    noise : source -> standard deviation of its white noise, SI; what it gives the derived channels
+        is told in the provenance.
+
+    Returns
+    -------
+    Record
+        Shorter by the largest margin at either end; the clock is kept.
+
+    Raises
+    ------
+    DataError
+        As `Derived.compute`, or if the margins leave fewer than two samples.
+    """
+    wanted = {n: d for n, d in derived.items() if n not in record}
+    if not wanted:
+        return record
+    channels, units, steps = dict(record.channels), dict(record.units), []
+    for name, entry in wanted.items():
+        channels[name] = entry.compute(name, record)
+        units[name] = entry.unit
+        sd = propagated_noise(name, entry, record, noise or {})
+        steps.append(
+            f"{name} [{entry.unit}] derived from {', '.join(entry.sources)}"
+            + (f": {entry.how}" if entry.how else "")
+            + (f"; noise {sd:.3g} {entry.unit} (standard deviation)" if sd > 0 else "")
+        )
+    edge = max(_edge(entry, record) for entry in wanted.values())
+    if record.N - 2 * edge < 2:
+        raise DataError(
+            f"{record.name}: {record.N} samples, of which {edge} at either end are spoilt by the "
+            f"filters of {', '.join(wanted)}; widen the window"
+        )
+    if edge:
+        steps.append(f"{edge} samples cut at either end, where derived channels are guesses")
+    cut = slice(edge, record.N - edge)
+    return Record(
+        {n: v[cut] for n, v in channels.items()},
+        units,
+        record.Ts,
+        record.t0 + edge * record.Ts,
+        record.name,
+        {n: m[cut] for n, m in record.missing.items()},
+        (*record.provenance, *steps),
+    )
+
+
+def _edge(entry: Derived, record: Record) -> int:
+    return int(np.ceil(entry.margin / record.Ts - 1e-9))
+
+
+def _moved(record: Record, by: Mapping[str, FloatArray], sign: float) -> Record:
+    channels = {n: v + sign * by[n] if n in by else v for n, v in record.channels.items()}
+    return Record(
+        channels, record.units, record.Ts, record.t0, record.name, record.missing, record.provenance
+    )

@@ -1,0 +1,395 @@
+"""A problem: a model with what is known, where its signals come from, and example data."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import math
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from casid.data.derived import Derived, derive
+from casid.data.reading.columns import ColumnSpec
+from casid.data.reading.record_file import read_record
+from casid.data.record import Experiment, Record
+from casid.errors import DataError, ModelError
+from casid.model.model import Model
+
+if TYPE_CHECKING:
+    from casid.model.effects.user_effects import UserEffect
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """What a file in `problems/` defines and every command takes.
+
+    Parameters
+    ----------
+    name : short, for folders and reports.
+    model : no unknown inputs left (see `Model.eliminate`).
+    channels : model signal -> column of the file, with its unit after a colon ("roll_deg:deg")
+        where the column's name does not tell; signals not named have columns of their own name.
+    recorded : channels recorded beside the model's, name -> unit; candidate extra inputs. Columns
+        of the same name are read where the file has them.
+    derived : channels of the model, or recorded beside it, that no file has -> how they are
+        computed from others (`Derived`). Their sources are read as channels are, each
+        from the column of its own name or the one in `channels`; a column mapped to the derived
+        channel itself goes before.
+    time : the time column; found by name where not given.
+    load_cases : name -> values of parameters known in that case.
+    noise : channel -> standard deviation of its white noise, where known (SI units); that of a
+        derived channel's sources is carried through and told in the record's provenance.
+    example : returns the example experiments (their effect is for the diagnosis to find).
+    simulate : takes a seed and returns experiments with noise drawn from it, for Monte Carlo
+        studies; the system is to be the same for every seed.
+    truth : name -> value that `simulate` gives the parameter (SI units), where the model has it
+        right; what it leaves out shows as bias.
+    effects : effects of the user's own, or functions from a model to one or several, that the
+        diagnosis tests beside its catalogue (`casid.balance_effect` and its like).
+    starts : how many starts an estimation tries.
+    description, references : for reports.
+    source : the file it was loaded from; worker processes load it again.
+    """
+
+    name: str
+    model: Model
+    channels: Mapping[str, str] = field(default_factory=dict)
+    recorded: Mapping[str, str] = field(default_factory=dict)
+    derived: Mapping[str, Derived] = field(default_factory=dict, kw_only=True)
+    time: str | ColumnSpec | None = None
+    load_cases: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    example: Callable[[], Sequence[Experiment]] | None = None
+    simulate: Callable[[int], Sequence[Experiment | Record]] | None = None
+    truth: Mapping[str, float] = field(default_factory=dict)
+    starts: int = 3
+    description: str = ""
+    references: tuple[str, ...] = ()
+    source: Path | None = None
+    effects: Sequence[UserEffect] = field(default=(), kw_only=True)
+
+    def __post_init__(self) -> None:
+        from casid.model.dimensions import check_units
+
+        check_units(self.model)
+        self._check_effects()
+        signals = [*self.model.inputs, *self.model.outputs]
+        self._check_derived(signals)
+        sources = {source for entry in self.derived.values() for source in entry.sources}
+        for key in (*self.channels, *self.noise):
+            if key not in signals and key not in self.recorded and key not in sources:
+                raise ModelError(
+                    f"problem {self.name}: channel {key!r} is no input or output of the model; "
+                    f"it has {', '.join(signals)}{_near(key, signals)}"
+                )
+        for case, values in self.load_cases.items():
+            for key in values:
+                if key not in self.model.parameters:
+                    raise ModelError(
+                        f"problem {self.name}: load case {case} sets {key!r}, which is no "
+                        f"parameter{_near(key, list(self.model.parameters))}"
+                    )
+        for key, value in self.truth.items():
+            if key not in self.model.parameters or not math.isfinite(value):
+                raise ModelError(
+                    f"problem {self.name}: truth of {key!r} = {value} is no finite value of a "
+                    f"parameter{_near(key, list(self.model.parameters))}; it has "
+                    f"{', '.join(self.model.parameters)}"
+                )
+        for name in ("channels", "recorded", "derived", "load_cases", "noise", "truth"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def _check_effects(self) -> None:
+        entries = (self.effects,) if callable(self.effects) else tuple(self.effects)
+        object.__setattr__(self, "effects", entries)
+        if not entries:
+            return
+        from casid.model.effects.user_effects import user_effects
+        from casid.model.effects.validity import check_effects
+
+        try:
+            check_effects(self.model, user_effects(self.model, entries))
+        except ModelError as error:
+            raise ModelError(f"problem {self.name}: {error}") from error
+
+    def _check_derived(self, signals: Sequence[str]) -> None:
+        there = [*signals, *self.recorded]
+        for name, entry in self.derived.items():
+            if name not in there:
+                raise ModelError(
+                    f"problem {self.name}: derived channel {name!r} is no input or output of the "
+                    f"model, nor recorded; name one of {', '.join(there)}{_near(name, there)}"
+                )
+            twice = [s for s in entry.sources if s in self.derived]
+            if twice:
+                raise ModelError(
+                    f"problem {self.name}: {name!r} is derived from {twice[0]!r}, which is derived "
+                    f"itself; compute {name!r} from the sources of {twice[0]!r}"
+                )
+
+    def __repr__(self) -> str:
+        return f"<Problem {self.name}: {self.model!r}>"
+
+    def columns(self, mapping: Mapping[str, str] | None = None) -> dict[str, ColumnSpec]:
+        """Where each signal is read from, the user's `mapping` over the problem's own.
+
+        Instead of a derived channel there are its sources, unless it is mapped itself.
+        """
+        merged = {**self.channels, **(mapping or {})}
+        units = {name: entry.unit for name, entry in self.model.inputs.items()}
+        units |= {name: unit for name, (_, unit) in self.model.outputs.items()}
+        units |= dict(self.recorded)
+        for entry in self.derived.values():
+            units = {**entry.sources, **units}
+        computed = {n: entry for n, entry in self.derived.items() if n not in merged}
+        needed = {source for entry in computed.values() for source in entry.sources}
+        own = {*self.model.inputs, *self.model.outputs, *self.recorded}
+        for key in merged:
+            if key not in units:
+                raise DataError(
+                    f"problem {self.name} has no channel {key!r} to map; it has "
+                    f"{', '.join(units)}{_near(key, list(units))}"
+                )
+        specs = {}
+        for signal, target in units.items():
+            known = self.model.inputs.get(signal)
+            if known is not None and known.kind == "generated":
+                continue
+            if signal in computed or (signal not in own and signal not in needed):
+                continue
+            column, _, unit = merged.get(signal, signal).partition(":")
+            specs[signal] = ColumnSpec(column or signal, unit or None, target)
+        return specs
+
+    def read(
+        self,
+        path: str | Path,
+        *,
+        mapping: Mapping[str, str] | None = None,
+        window: tuple[float, float] | None = None,
+        case: str | None = None,
+        known: Mapping[str, float] | None = None,
+        resample: float | None = None,
+        name: str | None = None,
+    ) -> Experiment:
+        """Read one record in this problem's channels and units, with its load case.
+
+        Raises
+        ------
+        DataError
+            For a file, column or load case that cannot be used.
+        """
+        specs = self.columns(mapping)
+        specs = self._present(path, specs, mapping or {})
+        record = read_record(
+            path, specs, time=self.time, window=window, resample=resample, name=name
+        )
+        return self.experiment(record, case=case, known=known)
+
+    def derive(self, record: Record) -> Record:
+        """The record with the derived channels that it lacks, cut where their filters end.
+
+        A channel beside the model's is left out where the record lacks its sources.
+
+        Raises
+        ------
+        DataError
+            If a source of one of the model's channels is absent or misses samples.
+        """
+        signals = {*self.model.inputs, *self.model.outputs}
+        wanted = {
+            name: entry
+            for name, entry in self.derived.items()
+            if name in signals or all(source in record for source in entry.sources)
+        }
+        return derive(record, wanted, self.noise)
+
+    def _present(
+        self, path: str | Path, specs: dict[str, ColumnSpec], mapping: Mapping[str, str]
+    ) -> dict[str, ColumnSpec]:
+        """Drop channels recorded beside the model's where the file does not have them."""
+        from casid.data.reading.record_file import column_names
+
+        there = set(column_names(path))
+        signals = {*self.model.inputs, *self.model.outputs}
+        for name, entry in self.derived.items():
+            if name in signals:
+                signals |= set(entry.sources)
+        return {
+            signal: spec
+            for signal, spec in specs.items()
+            if signal in signals or signal in mapping or spec.column in there
+        }
+
+    def experiment(
+        self,
+        record: Record,
+        *,
+        case: str | None = None,
+        known: Mapping[str, float] | None = None,
+    ) -> Experiment:
+        """A record with its derived channels, its load case and further known values."""
+        record = self.derive(record)
+        values: dict[str, float] = {}
+        if case is not None:
+            if case not in self.load_cases:
+                cases = ", ".join(self.load_cases) or "none"
+                raise DataError(
+                    f"problem {self.name} has no load case {case!r}; it has {cases}"
+                    f"{_near(case, list(self.load_cases))}"
+                )
+            values.update(self.load_cases[case])
+        for key, value in (known or {}).items():
+            if key not in self.model.parameters:
+                raise DataError(
+                    f"problem {self.name} has no parameter {key!r} to set; it has "
+                    f"{', '.join(self.model.parameters)}{_near(key, list(self.model.parameters))}"
+                )
+            values[key] = float(value)
+        name = record.name if case is None else f"{case}:{record.name}"
+        return Experiment(record, values, name)
+
+    def examples(self) -> list[Experiment]:
+        """The problem's own example experiments.
+
+        Raises
+        ------
+        DataError
+            If it has none.
+        """
+        if self.example is None:
+            raise DataError(
+                f"problem {self.name} has no example data of its own; name a record: "
+                f"casid diagnose {self.name}.py data.csv"
+            )
+        return list(self.example())
+
+    def simulated(self, seed: int) -> list[Experiment]:
+        """Experiments drawn anew with this seed.
+
+        Raises
+        ------
+        DataError
+            If the problem has no simulator, or it returns no experiments.
+        """
+        if self.simulate is None:
+            raise DataError(
+                f"problem {self.name} has no simulator; give it one, "
+                "casid.Problem(..., simulate=f, truth={name: value}), where f takes a seed and "
+                "returns experiments"
+            )
+        drawn = self.simulate(seed)
+        experiments = [self.experiment(e) if isinstance(e, Record) else e for e in drawn]
+        if not experiments:
+            raise DataError(
+                f"the simulator of problem {self.name} returns no experiment; return a list of "
+                "casid.Experiment or casid.Record"
+            )
+        return experiments
+
+    def with_known(self, known: Mapping[str, float]) -> Problem:
+        """A copy whose model knows the given values."""
+        return replace(self, model=self.model.with_known(**known))
+
+
+def _near(name: str, names: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, list(names), 1)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def load_problem(path: str | Path) -> Problem:
+    """The `problem` that a Python file defines; the file runs as the user who calls this.
+
+    The file defines `problem = casid.Problem(...)`, or a function `problem()` that returns one.
+
+    Raises
+    ------
+    DataError
+        If the file does not exist or is not Python.
+    ModelError
+        If it fails to load (with the line) or defines no problem.
+    """
+    path = Path(path)
+    if not path.is_file():
+        folder = path.parent if path.parent.is_dir() else Path()
+        there = [p.name for p in folder.glob("*.py")]
+        raise DataError(f"problem file {path} does not exist{_near(path.name, there)}")
+    if path.suffix != ".py":
+        raise DataError(
+            f"{path} is not a problem file: a problem is a Python file that defines `problem`; "
+            "give data files after it"
+        )
+    name = f"casid_problem_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    folder_text = str(path.resolve().parent)
+    sys.path.insert(0, folder_text)
+    try:
+        spec.loader.exec_module(module)
+        found = getattr(module, "problem", None)
+        if callable(found) and not isinstance(found, Problem):
+            found = found()
+    except Exception as error:
+        raise ModelError(
+            f"problem file {path} fails to load at {_line(error, path)}: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    finally:
+        sys.path.remove(folder_text)
+    if not isinstance(found, Problem):
+        names = [k for k, v in vars(module).items() if isinstance(v, Problem)]
+        hint = f"; rename {names[0]!r} to 'problem'" if names else ""
+        raise ModelError(
+            f"problem file {path} defines no `problem` (a casid.Problem, or a function returning "
+            f"one){hint}"
+        )
+    return replace(found, source=path.resolve())
+
+
+def _line(error: Exception, path: Path) -> str:
+    if isinstance(error, SyntaxError) and error.lineno is not None:
+        return f"line {error.lineno}"
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if Path(frame.filename).resolve() == path.resolve()
+    ]
+    return f"line {lines[-1]}" if lines else "an unknown line"
+
+
+def experiments_of(
+    problem: Problem, experiments: Sequence[Experiment | Record] | Experiment | Record | None
+) -> list[Experiment]:
+    """What the caller gave as a list of experiments, names made unique; the example by default."""
+    if not isinstance(problem, Problem):
+        given = f"model {problem.name}" if isinstance(problem, Model) else repr(problem)
+        raise ModelError(
+            f"{given} is no problem; give casid.Problem(name, model), or "
+            "casid.load_problem(path) of a file"
+        )
+    chosen: list[Experiment]
+    if experiments is None:
+        chosen = problem.examples()
+    elif isinstance(experiments, Record):
+        chosen = [problem.experiment(experiments)]
+    elif isinstance(experiments, Experiment):
+        chosen = [experiments]
+    else:
+        chosen = [problem.experiment(e) if isinstance(e, Record) else e for e in experiments]
+    if not chosen:
+        raise DataError("no record given; name at least one")
+    seen: dict[str, int] = {}
+    out = []
+    for e in chosen:
+        n = seen.get(e.name, 0)
+        seen[e.name] = n + 1
+        out.append(e if n == 0 else Experiment(e.record, e.known, f"{e.name}#{n + 1}"))
+    return out

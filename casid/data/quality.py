@@ -1,0 +1,476 @@
+"""What a record is worth before anything is estimated from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.data.reading.clocks import UNIFORM
+from casid.data.reading.columns import Columns, ColumnSpec
+from casid.data.reading.survey import survey
+from casid.data.record import BoolArray, FloatArray, Record
+
+Severity = Literal["error", "warning", "note"]
+SCHEMA = "casid.check/1"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing found: an error keeps the data from being used, a warning may spoil a result."""
+
+    severity: Severity
+    channel: str | None
+    text: str
+    mend: str
+
+    def __str__(self) -> str:
+        where = f"{self.channel}: " if self.channel else ""
+        return f"{self.severity:<8} {where}{self.text} {self.mend}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelCheck:
+    """Numbers of one channel, SI units; None where they cannot be had.
+
+    Attributes
+    ----------
+    minimum, maximum, mean, rms : float
+    missing : int
+        Samples marked missing.
+    noise : float
+        Standard deviation of white noise with the spectral density found in the highest fifth of
+        the band; an upper limit where the signal reaches that far.
+    step : float
+        Quantisation step.
+    longest_run : int
+        Most equal samples in a row.
+    at_extreme : int
+        Most equal samples in a row at the minimum or maximum, 1 where there is no plateau.
+    spikes : int
+        Single samples far off their neighbours.
+    drift : float
+        Change of the least-squares straight line over the record.
+    bandwidth_hz : float
+        Highest frequency at which the spectrum stands four times above the noise; 0 for none.
+    """
+
+    name: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    mean: float | None
+    rms: float | None
+    missing: int
+    noise: float | None = None
+    step: float | None = None
+    longest_run: int = 1
+    at_extreme: int = 1
+    spikes: int = 0
+    drift: float | None = None
+    bandwidth_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The time stamps: intervals [s], share outside 1 % of the median, and the largest distance
+    of a stamp from the uniform grid [s]."""
+
+    interval_min: float
+    interval_median: float
+    interval_max: float
+    share_outside: float
+    off_grid: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CheckReport:
+    """What `check` found; `str` is the report, `to_json` a dict."""
+
+    name: str
+    N: int | None
+    Ts: float | None
+    t0: float | None
+    duration: float | None
+    clock: Clock | None
+    channels: tuple[ChannelCheck, ...]
+    findings: tuple[Finding, ...]
+    provenance: tuple[str, ...] = ()
+
+    @property
+    def is_usable(self) -> bool:
+        """True where no finding is an error."""
+        return all(f.severity != "error" for f in self.findings)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the report as a dict of plain values, schema `casid.check/1`."""
+        return {
+            "schema": SCHEMA,
+            "name": self.name,
+            "usable": self.is_usable,
+            "N": self.N,
+            "Ts_s": self.Ts,
+            "t0_s": self.t0,
+            "duration_s": self.duration,
+            "clock": asdict(self.clock) if self.clock else None,
+            "channels": [asdict(c) for c in self.channels],
+            "findings": [asdict(f) for f in self.findings],
+            "provenance": list(self.provenance),
+        }
+
+    def __repr__(self) -> str:
+        counts = [
+            f"{sum(f.severity == s for f in self.findings)} {s}s"
+            for s in ("error", "warning", "note")
+        ]
+        return f"<CheckReport {self.name}: {', '.join(counts)}>"
+
+    def __str__(self) -> str:
+        lines = [f"Check of {self.name}"]
+        if self.N is not None and self.Ts is not None:
+            lines.append(
+                f"  samples    {self.N}, every Ts = {self.Ts:.6g} s ({1 / self.Ts:.6g} Hz), "
+                f"{self.duration:.6g} s from t0 = {self.t0:g} s"
+            )
+        if self.clock:
+            c = self.clock
+            lines.append(
+                f"  intervals  min {c.interval_min:.6g}, median {c.interval_median:.6g}, max "
+                f"{c.interval_max:.6g} s; {100 * c.share_outside:.3g} % outside 1 % of the median"
+            )
+        if self.channels:
+            lines += _table(self.channels)
+        lines.append("  findings" if self.findings else "  findings   none")
+        lines += [f"    {f}" for f in self.findings]
+        return "\n".join(lines)
+
+
+_HEAD = ("channel", "unit", "min", "max", "mean", "rms", "noise", "step", "run", "band [Hz]")
+
+
+def _table(channels: tuple[ChannelCheck, ...]) -> list[str]:
+    def number(x: float | None) -> str:
+        return "--" if x is None else f"{x:.4g}"
+
+    rows = [_HEAD] + [
+        (
+            c.name,
+            c.unit,
+            *(number(x) for x in (c.minimum, c.maximum, c.mean, c.rms, c.noise, c.step)),
+            str(c.longest_run),
+            number(c.bandwidth_hz),
+        )
+        for c in channels
+    ]
+    widths = [max(len(r[i]) for r in rows) for i in range(len(_HEAD))]
+    return [
+        "  "
+        + "  ".join(
+            cell.ljust(w) if i < 2 else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    ]
+
+
+def check(
+    data: Record | str | Path,
+    columns: Columns | None = None,
+    *,
+    time: str | ColumnSpec | None = None,
+    window: tuple[float, float] | None = None,
+    resample: float | None = None,
+    Ts: float | None = None,
+) -> CheckReport:
+    """Look a record or a file over and report everything found, not only the first fault.
+
+    Parameters
+    ----------
+    data : Record, or path of a file (which may carry a window, `run.csv@12:194`)
+    columns, time, window, resample, Ts
+        As `casid.read_record`; for files only.
+
+    Returns
+    -------
+    CheckReport
+        Faults of the file are findings of severity "error"; nothing is raised for them.
+
+    Raises
+    ------
+    DataError
+        If an option itself cannot be read.
+
+    Notes
+    -----
+    The thresholds are heuristics, chosen so that each finding is worth a look: a plateau is four
+    equal samples at an extreme, reached by more than one quantisation step; a spike stands off the
+    median of its five neighbours by eight robust standard deviations and five times the 98 %
+    quantile of that distance.
+    """
+    findings: list[Finding] = []
+    if isinstance(data, Record):
+        record: Record | None = data
+        name, times = data.name, None
+    else:
+        found = survey(data, columns, time=time, window=window, resample=resample, Ts=Ts)
+        record, times = found.record, found.times
+        name = record.name if record else found.path.name
+        findings += [Finding("error", f.column, f.text, f.mend) for f in found.faults]
+    clock = _clock(times) if times is not None and times.size > 1 else None
+    if clock and record is not None and clock.off_grid > 0.5 * record.Ts and resample is None:
+        findings.append(
+            Finding(
+                "warning",
+                None,
+                f"the clock drifts: a stamp lies {clock.off_grid:.4g} s off the uniform grid.",
+                f"Resample onto Ts = {clock.interval_median:.6g} s, or use a shorter window.",
+            )
+        )
+    if record is None:
+        return CheckReport(name, None, None, None, None, clock, (), tuple(findings))
+    channels = []
+    for channel in record.names:
+        numbers, noticed = _channel(record, channel)
+        channels.append(numbers)
+        findings += noticed
+    findings += _twins(record)
+    rank = {"error": 0, "warning": 1, "note": 2}
+    return CheckReport(
+        name,
+        record.N,
+        record.Ts,
+        record.t0,
+        record.duration,
+        clock,
+        tuple(channels),
+        tuple(sorted(findings, key=lambda f: rank[f.severity])),
+        record.provenance,
+    )
+
+
+_CONSTANT, _CLIPPED = "constant at", "possibly clipped."
+
+
+def standing(record: Record, channels: Iterable[str], *, least: float = 0.0) -> tuple[Finding, ...]:
+    """What `check` finds of channels that rest, or stand at an extreme as a limit leaves them.
+
+    Parameters
+    ----------
+    least : share of the record that a channel has to stand there for.
+    """
+    found = []
+    for numbers, findings in (_channel(record, c) for c in channels if c in record):
+        if numbers.at_extreme >= least * record.N:
+            found += [
+                f for f in findings if f.text.startswith(_CONSTANT) or f.text.endswith(_CLIPPED)
+            ]
+    return tuple(found)
+
+
+def _clock(times: FloatArray) -> Clock:
+    intervals = np.diff(times)
+    median = float(np.median(intervals))
+    outside = np.abs(intervals - median) > UNIFORM * abs(median) * (1 + 1e-9)
+    grid = np.linspace(times[0], times[-1], times.size)
+    return Clock(
+        float(intervals.min()),
+        median,
+        float(intervals.max()),
+        float(outside.mean()),
+        float(np.abs(times - grid).max()),
+    )
+
+
+def _channel(record: Record, name: str) -> tuple[ChannelCheck, list[Finding]]:
+    mask, unit = record.is_missing(name), record.units[name]
+    gone = int(mask.sum())
+    if mask.all():
+        text = "every sample is missing."
+        mend = f"Leave it out with record.without({name!r})."
+        finding = Finding("warning", name, text, mend)
+        return ChannelCheck(name, unit, None, None, None, None, gone), [finding]
+    x = record.filled(name)
+    kept = x[~mask]
+    low, high, mean = float(kept.min()), float(kept.max()), float(kept.mean())
+    rms = float(np.sqrt(np.mean(kept**2)))
+    findings: list[Finding] = []
+
+    def notice(severity: Severity, text: str, mend: str) -> None:
+        findings.append(Finding(severity, name, text, mend))
+
+    if gone:
+        notice(
+            "note",
+            f"{gone} samples are marked missing.",
+            "They take no part in an estimation; cut them off with a window where they cluster.",
+        )
+    if low == high:
+        notice(
+            "warning",
+            f"{_CONSTANT} {low:.6g} {unit}.",
+            "It excites nothing: check the sensor or the mapping, or leave it out.",
+        )
+        constant = ChannelCheck(
+            name, unit, low, high, mean, rms, gone, 0.0, None, record.N, record.N, 0, 0.0, 0.0
+        )
+        return constant, findings
+    run, run_start, plateau, plateau_start, beside = _runs(x, mask)
+    levels = np.unique(kept)
+    step = _quantisation(levels)
+    few = levels.size <= 10
+    jump = _jump_into(x, plateau_start, plateau) if plateau >= 4 else 0.0
+    # The top of a rounded parabola is flat too, but the levels below it hold for 0.2 of its width.
+    sudden = beside <= max(1.0, 0.1 * plateau)
+    if plateau >= 4 and not few and sudden and (step is None or jump > 1.5 * step):
+        value = x[plateau_start]
+        notice(
+            "warning",
+            f"{plateau} equal samples at the {'maximum' if value == high else 'minimum'} "
+            f"{value:.6g} {unit}, first at t = {record.t[plateau_start]:.6g} s: {_CLIPPED}",
+            "Check the sensor's range; mark the plateau missing or cut it off with a window.",
+        )
+    if run >= max(20, 0.01 * record.N) and not (run_start == plateau_start and findings):
+        notice(
+            "note",
+            f"{run} equal samples in a row from t = {record.t[run_start]:.6g} s.",
+            "Right for a held input; for a sensor it is stuck or updated slower than logged.",
+        )
+    if step is not None and step > (high - low) / 200 and not few:
+        notice(
+            "warning",
+            f"coarsely quantised: steps of {step:.4g} {unit}, {round((high - low) / step)} of them "
+            "in the range.",
+            f"Count with noise of {step / np.sqrt(12):.3g} {unit} (step/sqrt 12), or log finer.",
+        )
+    spikes = np.array([], dtype=np.intp) if few else _spikes(x, mask)
+    if spikes.size:
+        t = ", ".join(f"{record.t[k]:.6g}" for k in spikes[:3])
+        notice(
+            "warning",
+            f"{spikes.size} isolated spike{'' if spikes.size == 1 else 's'}, at t = {t} s"
+            f"{' ...' if spikes.size > 3 else ''}.",
+            f"Mark them with record.mark_missing({name!r}, mask), or use a robust loss.",
+        )
+    wraps = np.flatnonzero(np.abs(np.abs(np.diff(x)) - 2 * np.pi) < 0.1)
+    if unit == "rad" and wraps.size and high - low < 6.6:
+        notice(
+            "warning",
+            f"the angle wraps round {wraps.size} times, first at t = {record.t[wraps[0]]:.6g} s.",
+            f"Unwrap it: record.with_channel({name!r}, numpy.unwrap(record[{name!r}]), 'rad').",
+        )
+    s = np.linspace(-0.5, 0.5, record.N)[~mask]
+    s0 = s - s.mean()
+    drift = float(s0 @ kept / (s0 @ s0)) if kept.size > 1 else 0.0
+    spread = float(np.std(kept - drift * s))
+    if abs(drift) > 3 * spread:
+        notice(
+            "note",
+            f"a trend: {drift:.4g} {unit} over the record, {abs(drift) / max(spread, 1e-300):.3g} "
+            "times the scatter about it.",
+            "Where it is the sensor's drift, use record.detrend(1) or a bias parameter.",
+        )
+    noise, bandwidth, reaches = _spectrum(x - mean, record.Ts)
+    if reaches and not few:
+        notice(
+            "note",
+            "the spectrum does not fall towards the Nyquist frequency: noise, or a signal that is "
+            "aliased.",
+            "Check the logger's anti-alias filter; what is called noise here may be signal.",
+        )
+    numbers = ChannelCheck(
+        name, unit, low, high, mean, rms, gone, noise, step, run, plateau, int(spikes.size), drift,
+        bandwidth,
+    )  # fmt: skip
+    return numbers, findings
+
+
+def _runs(x: FloatArray, mask: BoolArray) -> tuple[int, int, int, int, int]:
+    """Return length and start of the longest run of equal samples, the same for runs at an
+    extreme, and the longer of the two runs beside that."""
+    y = np.where(mask, np.nan, x)  # NaN equals nothing: missing samples part the runs
+    starts = np.flatnonzero(np.concatenate(([True], y[1:] != y[:-1])))
+    lengths = np.diff(np.concatenate((starts, [x.size])))
+    longest = int(np.argmax(lengths))
+    extreme = (y[starts] == np.nanmin(y)) | (y[starts] == np.nanmax(y))
+    at = int(np.argmax(np.where(extreme, lengths, 0)))
+    beside = max((int(lengths[k]) for k in (at - 1, at + 1) if 0 <= k < lengths.size), default=0)
+    return int(lengths[longest]), int(starts[longest]), int(lengths[at]), int(starts[at]), beside
+
+
+def _jump_into(x: FloatArray, start: int, length: int) -> float:
+    """Return the larger of the changes at the two ends of a run."""
+    ends = [abs(x[start] - x[k]) for k in (start - 1, start + length) if 0 <= k < x.size]
+    return float(max(ends, default=0.0))
+
+
+def _quantisation(levels: FloatArray) -> float | None:
+    """Return the step of which all distances between levels are multiples, None for none."""
+    if levels.size < 3:
+        return None
+    distances = np.diff(levels)
+    scale = float(np.abs(levels).max())
+    distances = distances[distances > 1e-9 * scale]  # rounding of the conversion to SI
+    if distances.size == 0:
+        return None
+    step = float(distances.min())
+    multiples = distances / step
+    small = multiples < 1e3
+    off = np.abs(multiples - np.round(multiples))[small]
+    # A chance hit needs every distance to fit: with noise the smallest is far below the others.
+    if not small.any() or np.median(multiples) > 50 or np.quantile(off, 0.95) > 0.05:
+        return None
+    return float(np.median(distances[small] / np.round(multiples[small])))
+
+
+def _spikes(x: FloatArray, mask: BoolArray) -> NDArray[np.intp]:
+    if x.size < 8:
+        return np.array([], dtype=np.intp)
+    padded = np.pad(x, 2, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 5)
+    off = np.abs(x - np.median(windows, axis=1))
+    bar = max(8 * 1.4826 * float(np.median(off)), 5 * float(np.quantile(off, 0.98)))
+    if bar == 0.0:
+        bar = 0.5 * float(x.std())
+    left, right = np.roll(off, 1), np.roll(off, -1)
+    alone = (left < 0.5 * off) & (right < 0.5 * off)
+    alone[[0, -1]] = False  # the ends have no neighbours on one side
+    return np.flatnonzero((off > bar) & alone & ~mask)
+
+
+def _spectrum(x: FloatArray, Ts: float) -> tuple[float | None, float | None, bool]:
+    """Return noise (white, as dense as the highest fifth), bandwidth [Hz], and whether it falls."""
+    if x.size < 64:
+        return None, None, False
+    from scipy.signal import welch
+
+    nperseg = int(np.clip(2 ** int(np.log2(x.size / 8)), 32, 4096))
+    f, S = welch(x, fs=1 / Ts, nperseg=nperseg, detrend="constant")
+    top = (f >= 0.8 * f[-1]) & (f < f[-1])
+    floor = float(np.median(S[top]))
+    above = np.flatnonzero(S[1:] > 4 * floor) + 1
+    bandwidth = float(f[above[-1]]) if above.size else 0.0
+    return float(np.sqrt(floor * 0.5 / Ts)), bandwidth, bool(floor > 0.1 * S[1:].mean())
+
+
+def _twins(record: Record) -> list[Finding]:
+    constant = set(record.constant_channels())
+    names = [n for n in record.names if n not in constant]
+    seen: dict[bytes, str] = {}
+    findings = []
+    for name in names:
+        key = record[name].tobytes()
+        if key in seen:
+            findings.append(
+                Finding(
+                    "warning",
+                    name,
+                    f"holds the same samples as {seen[key]}.",
+                    "Check the mapping: two channels cannot share one sensor.",
+                )
+            )
+        seen.setdefault(key, name)
+    return findings

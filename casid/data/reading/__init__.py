@@ -1,0 +1,1 @@
+"""Records from CSV and Parquet files: tables, columns, units and clocks."""

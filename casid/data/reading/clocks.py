@@ -1,0 +1,111 @@
+"""Whether a record's clock runs evenly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.data.reading.faults import Fault, Survey
+from casid.data.reading.sources import limit_text
+from casid.data.record import FloatArray
+
+UNIFORM = 0.01  # every interval within 1 % of the median
+GAP = 1.5  # an interval longer than this many medians is a gap
+
+
+def time_faults(
+    times: FloatArray, name: str, place: Callable[[int], str] = lambda k: f"k = {k}"
+) -> list[Fault]:
+    """Judge time stamps: doubled or backward ones, gaps, irregular intervals.
+
+    Parameters
+    ----------
+    times : (N,) array [s], finite
+    name : str
+        The record's name, for the messages.
+    place : function of k
+        How to say where sample k stands.
+
+    Returns
+    -------
+    list of Fault, empty where every interval is within 1 % of the median
+    """
+    intervals = np.diff(times)
+    backward = np.flatnonzero(intervals < 0)
+    doubled = np.flatnonzero(intervals == 0)
+    faults = []
+    if doubled.size or backward.size:
+        first = int(min([*doubled[:1], *backward[:1]])) + 1
+        faults.append(
+            Fault(
+                "order",
+                f"{name}: time stands still {doubled.size} times (duplicate stamps) and runs "
+                f"backward {backward.size} times, first at {place(first)} "
+                f"(t = {times[first]:.9g} s after {times[first - 1]:.9g} s).",
+                "Sort the file and drop doubled rows, or cut it where the clock was reset.",
+            )
+        )
+        return faults
+    median = float(np.median(intervals))
+    off = np.abs(intervals - median) > UNIFORM * median * (1 + 1e-9)
+    if not off.any():
+        return faults
+    gaps = np.flatnonzero(intervals > GAP * median)
+    if gaps.size:
+        shown = "; ".join(
+            f"{intervals[k]:.4g} s from t = {times[k]:.6g} s ({place(int(k))})" for k in gaps[:3]
+        )
+        edges = [0, *(int(k) + 1 for k in gaps), times.size]
+        longest = int(np.argmax(np.diff(edges)))
+        a, b = edges[longest], edges[longest + 1] - 1
+        faults.append(
+            Fault(
+                "gap",
+                f"{name}: {gaps.size} gap{'' if gaps.size == 1 else 's'} longer than {GAP:g} times "
+                f"the median interval of {median:.6g} s: {shown}{' ...' if gaps.size > 3 else ''}.",
+                f"Take the longest stretch with the window {times[a]:.6g}:{times[b]:.6g}, or "
+                f"resample with resample={median:.6g} (--resample {median:.6g}), which marks the "
+                "gaps missing.",
+            )
+        )
+    rest = off & ~(intervals > GAP * median)
+    if rest.any():
+        faults.append(
+            Fault(
+                "irregular",
+                f"{name}: sampling is irregular: intervals min {intervals.min():.6g}, median "
+                f"{median:.6g}, max {intervals.max():.6g} s; {100 * off.mean():.3g} % of them "
+                f"outside 1 % of the median, the first after t = {times[np.argmax(off)]:.6g} s.",
+                f"Resample with read_record(..., resample={median:.6g}) or --resample "
+                f"{median:.6g}; nothing is resampled unasked.",
+            )
+        )
+    return faults
+
+
+def window_rows(
+    name: str, times: FloatArray, window: tuple[float, float], found: Survey
+) -> NDArray[np.intp] | None:
+    """Samples inside a window [s]; None, with a fault noted, where it cannot be had."""
+    start, stop = window
+    low, high = float(times.min()), float(times.max())
+    slack = (high - low) / max(times.size - 1, 1)
+    span = f"{name} runs from {low:g} to {high:g} s of its own clock"
+    label = f"window {limit_text(start)}:{limit_text(stop)} s"
+    problem = mend = ""
+    tiny = 1e-6 * slack
+    inside = np.flatnonzero((times >= start - tiny) & (times <= stop + tiny))
+    if not start < stop:
+        problem, mend = "is empty or backward", "Give the earlier time first."
+    elif any(np.isfinite(x) and not low - slack <= x <= high + slack for x in window):
+        problem = "reaches outside the record"
+        mend = "Give a window inside that span, or leave an end open (12: or :194)."
+    elif inside.size < 2:
+        problem = f"keeps {inside.size} samples"
+        mend = "Widen the window to at least two samples."
+    if problem:
+        found.faults.append(Fault("window", f"{label} {problem}; {span}.", mend))
+        return None
+    return inside

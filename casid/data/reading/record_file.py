@@ -1,0 +1,93 @@
+"""Reading records from files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from casid.data.reading.columns import Columns, ColumnSpec
+from casid.data.reading.sources import source_of
+from casid.data.reading.survey import survey
+from casid.data.reading.tables import Table
+from casid.data.record import Record
+from casid.errors import DataError, UnitError
+
+
+def read_record(
+    path: str | Path,
+    columns: Columns | None = None,
+    *,
+    time: str | ColumnSpec | Sequence[str | None] | None = None,
+    window: tuple[float, float] | None = None,
+    name: str | None = None,
+    resample: float | None = None,
+    Ts: float | None = None,
+    mark_missing: bool = False,
+) -> Record:
+    """Read a record from a CSV or Parquet file, in SI units.
+
+    Parameters
+    ----------
+    path : path of a CSV (comma, semicolon or tab) or Parquet file
+        May carry a window, `run.csv@12:194`.
+    columns : mapping of channel name to ColumnSpec, optional
+        A column's name alone, or a tuple (column, unit in the file, SI target), will do. Without
+        it every column of numbers is read under its own name, its unit from the name's ending.
+    time : column of the time stamps, optional
+        Found by its name (`t`, `time`, `t_s`, `time [ms]` ...) where not given. A file without
+        one needs `Ts`.
+    window : (start, stop), optional
+        Seconds of the record's own clock; ends may be infinite. Only samples inside are judged.
+    name : str, optional
+        The file's name without its ending where not given.
+    resample : float, optional
+        Sample time [s] of a uniform grid onto which an irregular record is interpolated (PCHIP),
+        written into the provenance. Samples inside gaps are marked missing.
+    Ts : float, optional
+        Sample time [s] of a file without time stamps; its clock starts at 0.
+    mark_missing : bool
+        Mark empty cells, NaN and Inf as missing instead of refusing them.
+
+    Returns
+    -------
+    Record
+        Ts = (t_end - t0)/(N - 1); the file's sha256 and every conversion in its provenance.
+
+    Raises
+    ------
+    DataError
+        For a file, column, value or clock that cannot be used. Uniform means that every interval
+        is within 1 % of the median.
+    UnitError
+        For a unit that cannot be read or does not fit the channel.
+    """
+    found = survey(
+        path,
+        columns,
+        time=time,
+        window=window,
+        name=name,
+        resample=resample,
+        Ts=Ts,
+        mark_missing=mark_missing,
+    )
+    if found.faults:
+        first, *others = found.faults
+        more = f" ({len(others)} more: casid check {found.path.name} lists all.)" if others else ""
+        error = UnitError if first.kind == "unit" else DataError
+        raise error(f"{first}{more}")
+    assert found.record is not None
+    return found.record
+
+
+def column_names(path: str | Path) -> tuple[str, ...]:
+    """Return the names of a file's columns, in order, without reading its samples.
+
+    A window behind the path, `run.csv@12:194`, is passed over.
+
+    Raises
+    ------
+    DataError
+        If there is no such file, or it is no table.
+    """
+    return tuple(Table(source_of(path)[0]).columns)

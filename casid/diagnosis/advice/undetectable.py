@@ -1,0 +1,246 @@
+"""Causes that a set-up or a record cannot show, and why.
+
+An effect whose signature lies in the baseline's tangent space is absorbed: parameters and initial
+states change a little, and the simulation is what it was. That has one of two reasons. Either no
+record of these channels can show the effect, whatever moves: the parameter that it adds is not
+identifiable in the extended model, which is asked exactly (Sedoglavic 2002; Linder 2017, section
+2.7). Or a record could show it, and this one does not.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from casid.data.record import Experiment
+from casid.diagnosis.evidence.score_tests import INVISIBLE, ScoreTable
+from casid.errors import CasidError
+from casid.identifiability.combinations.closed_form import families, joint_invariants
+from casid.identifiability.combinations.fixing_sets import confounded_groups, fixing_sets
+from casid.identifiability.equations.model_system import translated
+from casid.identifiability.rank.observability import observability
+from casid.identifiability.rank.rank_result import Observability
+from casid.identifiability.requirement import word
+from casid.model.effects.effect import Effect
+from casid.model.model import Model
+
+Reason = Literal["structural", "practical", "practical (not asked structurally)"]
+
+RANK_LIMIT = 0.3
+"""Seconds for the rank of one extended model."""
+
+FORMULA_LIMIT = 0.6
+"""Seconds for all closed forms of what is told instead; the names alone take none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Invisible:
+    """One cause that cannot be seen.
+
+    Attributes
+    ----------
+    reason : "structural", where no record of these channels shows it; "practical", where another
+        record could; the latter unasked, where the effect has no exact algebra (delays, clipping,
+        generated signals) or the rank was not found in time.
+    visible : share of the signature outside the baseline's tangent space, of this record.
+    absorbed_by : parameters, and initial states as ``phi(0)``, that take the effect up (structural
+        ones alone).
+    told : combinations of them that are told all the same, where a closed form was found in time.
+    """
+
+    kind: str
+    where: str
+    reason: Reason
+    visible: float
+    absorbed_by: tuple[str, ...] = ()
+    told: tuple[str, ...] = ()
+    why: str = ""
+    mend: str = ""
+
+    @property
+    def is_structural(self) -> bool:
+        """True if no record of these channels shows the cause."""
+        return self.reason == "structural"
+
+    def to_json(self) -> dict[str, Any]:
+        """Part of `diagnosis.json`."""
+        return {
+            "kind": self.kind,
+            "where": self.where,
+            "reason": self.reason,
+            "visible": self.visible,
+            "absorbed_by": list(self.absorbed_by),
+            "told": list(self.told),
+            "why": self.why,
+            "mend": self.mend,
+        }
+
+    def __str__(self) -> str:
+        return f"{self.kind} in {self.where}: {self.reason}. {self.why} {self.mend}"
+
+
+def invisible(
+    table: ScoreTable,
+    model: Model,
+    experiments: Sequence[Experiment],
+    *,
+    threshold: float = INVISIBLE,
+) -> tuple[Invisible, ...]:
+    """Causes of the table that are absorbed in every variant, structural ones first.
+
+    Parameters
+    ----------
+    table : of `score_test`.
+    model : the baseline that the table's effects extend, without unknown inputs.
+    experiments : those of the table; their load cases say what is known.
+    threshold : share of a signature below which it counts as absorbed.
+    """
+    largest: dict[tuple[str, str], tuple[float, Effect]] = {}
+    for s in table.scores:
+        if s.effect.key not in largest or s.visible > largest[s.effect.key][0]:
+            largest[s.effect.key] = s.visible, s.effect
+    absorbed = [(v, e) for v, e in largest.values() if v <= threshold]
+    if not absorbed:
+        return ()
+    asked = _Asked(model, experiments)
+    found = [asked.about(effect, visible) for visible, effect in absorbed]
+    return tuple(sorted(found, key=lambda i: (not i.is_structural, i.kind, i.where)))
+
+
+class _Asked:
+    """Ranks of extended models, with the baseline's own asked once."""
+
+    def __init__(self, model: Model, experiments: Sequence[Experiment]) -> None:
+        self.model = model
+        self.experiments = [replace(e, name=word(e.name)) for e in experiments]
+        self.formulas = FORMULA_LIMIT
+        base = self._rank(model)
+        self.unseen = set() if base is None else _unobservable(base)
+
+    def about(self, effect: Effect, visible: float) -> Invisible:
+        new, names = effect.extended(self.model)
+        found = self._rank(new) if self._has_exact_algebra(effect, new) else None
+        share = f"{100 * (1 - visible):.4g} % of what it does"
+        if found is None or found.identifiable.get(names[0], True):
+            reason: Reason = "practical" if found else "practical (not asked structurally)"
+            return Invisible(
+                effect.kind,
+                effect.key[1],
+                reason,
+                visible,
+                why=f"In this record the model's own parameters and initial state do {share}"
+                + (" to the outputs; a richer record would show it." if found else "."),
+                mend=_practical_mend(effect, self.model, self.experiments),
+            )
+        point = found.points[0]
+        groups = confounded_groups(point.information, found.parameters, point.prime)
+        with_it = next((g for g in groups if names[0] in g), names[:1])
+        parameters = tuple(n for n in with_it if n not in names)
+        states = tuple(sorted(_unobservable(found) - self.unseen))
+        told = self._told(new, found, with_it) if parameters else ()
+        return Invisible(
+            effect.kind,
+            effect.key[1],
+            "structural",
+            visible,
+            absorbed_by=(*parameters, *states),
+            told=told,
+            why=_structural_why(parameters, states, told),
+            mend=_structural_mend(effect, parameters, states),
+        )
+
+    def _has_exact_algebra(self, effect: Effect, new: Model) -> bool:
+        """False where the effect acts through a stage or a generated signal of a shape of its own.
+
+        A system takes every input for any signal at all, and a step is not.
+        """
+        generated = [n for n, u in new.inputs.items() if u.kind == "generated"]
+        return (
+            effect.test == "score"
+            and new.stages == self.model.stages
+            and all(n in self.model.inputs for n in generated)
+        )
+
+    def _rank(self, model: Model) -> Observability | None:
+        """None where it is not found in time, or the equations cannot be read."""
+        try:
+            systems = translated(model, self.experiments, resting=False).systems
+            found = observability(systems, time_limit=RANK_LIMIT, error_bound=1e-9)
+        except CasidError:
+            return None
+        return None if found.is_partial else found
+
+    def _told(self, model: Model, found: Observability, group: Sequence[str]) -> tuple[str, ...]:
+        """What is told of the group instead, as formulas, while there is time for them."""
+        if self.formulas <= 0:
+            return ()
+        started = time.perf_counter()
+        try:
+            point = found.points[0]
+            fixing = fixing_sets(point.information, found.parameters, point.prime, limit=20)
+            systems = translated(model, self.experiments, generic=True, resting=False).systems
+            curves = families(systems, fixing, time_limit=self.formulas)[0]
+            told = joint_invariants([f for f in curves if f.free in group])[0]
+        except CasidError:
+            told = ()
+        self.formulas -= time.perf_counter() - started
+        return tuple(str(t) for t in told)
+
+
+def _unobservable(found: Observability) -> set[str]:
+    """Initial states that no output tells, of any experiment."""
+    several = len(found.systems) > 1
+    return {
+        f"{x}(0)@{s.name}" if several else f"{x}(0)"
+        for s, seen in zip(found.systems, found.observable, strict=True)
+        for x, is_seen in seen.items()
+        if not is_seen
+    }
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _structural_why(parameters: Sequence[str], states: Sequence[str], told: Sequence[str]) -> str:
+    both = [*parameters, *states]
+    if not both:
+        return "It does not move any output, whatever is recorded."
+    text = (
+        f"Whatever is recorded, a change of {_listed(both)} gives the same outputs"
+        if len(both) == 1
+        else f"Whatever is recorded, changes of {_listed(both)} together give the same outputs"
+    )
+    if told:
+        text += f"; told all the same: {', '.join(told)}"
+    return text + "."
+
+
+def _structural_mend(effect: Effect, parameters: Sequence[str], states: Sequence[str]) -> str:
+    own = (
+        f"calibrate {effect.where} apart from these records"
+        if effect.kind.startswith("sensor") or effect.kind == "cross_axis"
+        else f"measure the {effect.where} itself"
+    )
+    if parameters:
+        one = parameters[0] if len(parameters) == 1 else f"one of {', '.join(parameters)}"
+        return f"Give {one} a known value, or {own}."
+    if states:
+        first = states[0].partition("(")[0]
+        return f"Add a sensor of {first}, make its initial value known, or {own}."
+    return f"Add a sensor that feels it, or {own}."
+
+
+def _practical_mend(effect: Effect, model: Model, experiments: Sequence[Experiment]) -> str:
+    channel = effect.where.rpartition("~")[2]
+    resting = [
+        e.name
+        for e in experiments
+        if channel in e.record.channels and float(e.record[channel].std()) == 0.0
+    ]
+    if resting:
+        return f"Record {channel} while it moves: it rests in {', '.join(resting)}."
+    how = "excite the system over a wider band, or add a sensor" if model.inputs else "add a sensor"
+    return f"{how[0].upper()}{how[1:]}: `next_experiment` weighs what helps."

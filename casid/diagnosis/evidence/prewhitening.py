@@ -1,0 +1,221 @@
+"""The noise found at a fit, and the simulation error whitened by it.
+
+The model is fitted and its noise estimated in turn until both agree (`Weighing.weigh`). Whatever is
+compared later is fitted to the same criterion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from casid.data.record import Experiment
+from casid.diagnosis.evidence.score_tests import LONGEST, step_without_bias
+from casid.estimation.nlp.nlp import Solver
+from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
+from casid.estimation.simulation.simulation_error import (
+    Fit,
+    SimulationError,
+    minimize_simulation_error,
+)
+from casid.model.model import Model
+
+Array = np.ndarray[Any, Any]
+
+HIDDEN = 1.1
+"""Residual over the sensors' noise beyond which misfit is taken to hide in the noise model.
+
+More where the record is so short, or the resonance so sharp, that chance gives as much.
+"""
+
+NEAR = Solver(
+    max_iterations=25,
+    options={"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-7, "ipopt.tol": 1e-6},
+)
+"""For fits that start next to their minimum: a large barrier would only lead away from it."""
+
+EXACT = Solver(options={**NEAR.options, "ipopt.mu_init": 1e-6, "ipopt.tol": 1e-8})
+"""The same for fits that are reported."""
+
+SMALL = 0.0005
+"""Share of the misfit's rms that counts as white noise where the misfit is most of the residual."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighted:
+    """A model fitted under one noise model."""
+
+    model: Model
+    fit: Fit
+    noise: NoiseModel  # what it is fitted under
+    full: NoiseModel  # with whatever passes for a disturbance
+    input_sd: Mapping[str, float]
+    is_hidden: bool  # much is unexplained by sensors and measured inputs
+    unbiased: Fit | None = None  # where the noise of the inputs has no part in the estimate
+
+    @property
+    def criterion(self) -> SimulationError:
+        """The whitened criterion at its minimum."""
+        return self.fit.criterion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighing:
+    """How models of these records are fitted under their noise.
+
+    Attributes
+    ----------
+    known_noise : channel -> standard deviation of its white noise, where it is known.
+    seed : of the draws that stand for the noise of the inputs.
+    """
+
+    experiments: Sequence[Experiment]
+    known_noise: Mapping[str, float] = field(default_factory=dict)
+    solver: Solver | None = None  # default: `NEAR`
+    seed: int = 0
+
+    def weigh(self, model: Model, fit: Fit, *, rounds: int = 2) -> Weighted:
+        """Estimate the noise at a fit and fit again under it.
+
+        Where much is unexplained by sensors and measured inputs, misfit would pass for a
+        disturbance and hide its own cause: the fit is then made under the sensors' noise alone.
+        """
+        found = self._estimated(fit)
+        if found.is_hidden:
+            at = self._without_bias(found)
+            if at is None or at.is_hidden:
+                noise = _not_below(found.full.quiet(found.input_sd), found.criterion, fit.x)
+                criterion = self.criterion(model, noise, fit.values, fit.criterion)
+                return replace(found, fit=self.minimum(criterion), noise=noise)
+            found = at
+        for _ in range(rounds):
+            criterion = self.criterion(model, found.full, found.fit.values, fit.criterion)
+            found = self._estimated(self.minimum(criterion))
+        at = self._without_bias(found) or found
+        criterion = self.criterion(model, at.full, found.fit.values, fit.criterion)
+        return replace(
+            at,
+            fit=self.minimum(criterion),
+            noise=at.full,
+            is_hidden=False,
+            unbiased=None if at is found else at.fit,
+        )
+
+    def _without_bias(self, found: Weighted, steps: int = 40, patience: int = 8) -> Weighted | None:
+        """The root of (2) in `scores`, with the noise found there; None if none is near.
+
+        Where much is unexplained, the noise meanwhile is that of sensors and inputs alone. Given up
+        where as many steps as `patience` come no nearer: a bound holds a parameter back, say.
+        """
+        if not any(found.input_sd.values()):
+            return None
+        at = found
+        shortest, since = np.inf, 0
+        for _ in range(steps):
+            noise = at.full.quiet(at.input_sd) if at.is_hidden else at.full
+            criterion = self.criterion(at.model, noise, at.fit.values, found.criterion)
+            use_samples_of(criterion, found.criterion)
+            x, length = step_without_bias(criterion, criterion.start, at.input_sd, seed=self.seed)
+            moved = replace(at.fit, criterion=criterion, solution=replace(at.fit.solution, x=x))
+            if not np.isfinite(criterion.evaluate(x).value):
+                return None
+            at = self._estimated(moved)
+            if length < 0.05:
+                return at
+            shortest, since = (length, 0) if length < 0.98 * shortest else (shortest, since + 1)
+            if since >= patience and length < LONGEST:
+                return None
+        return None
+
+    def _estimated(self, fit: Fit) -> Weighted:
+        """A fit with the noise that its residual shows."""
+        full = self.noise(fit)
+        input_sd = self.input_sd(full, fit.criterion)
+        quiet = full.quiet(input_sd)
+        ratio, spread = full.excess(quiet, [d.N for d in fit.criterion.data])
+        is_hidden = ratio > max(HIDDEN**2, 1 + 2 * spread)
+        return Weighted(fit.criterion.model, fit, full, full, input_sd, is_hidden)
+
+    def noise(self, fit: Fit) -> NoiseModel:
+        """The noise that the residual of a fit shows."""
+        return estimate_noise(fit.criterion, fit.x, known=self.known_noise)
+
+    def fitted(self, model: Model, like: Weighted, start: Mapping[str, float]) -> Fit:
+        """Another model under the noise and the weights of one that was judged."""
+        return self.minimum(self.criterion(model, like.noise, start, like.criterion))
+
+    def minimum(self, criterion: SimulationError) -> Fit:
+        """The fit next to where the criterion starts."""
+        return minimize_simulation_error(
+            criterion, solver=self.solver or NEAR, check_rank=False, throw=False, near=True
+        )
+
+    def criterion(
+        self,
+        model: Model,
+        noise: NoiseModel,
+        start: Mapping[str, float],
+        like: SimulationError,
+    ) -> SimulationError:
+        """The criterion of a model under a noise; own parameters and weights as `like` has them."""
+        return SimulationError(
+            model,
+            self.experiments,
+            own=[n for n in like.own if n in model.parameters],
+            weights=like.weights,
+            whiten=noise.whiten,
+            substeps=like.substeps,
+            start=start,
+        )
+
+    def input_sd(self, noise: NoiseModel, criterion: SimulationError) -> dict[str, float]:
+        """Input noise: what the residual shows, but no more than the channels' own floors."""
+        measured = [n for n, u in criterion.model.inputs.items() if u.kind == "measured"]
+        floors = input_noise_floor(criterion.data, list(criterion.model.inputs))
+        largest = {n: self.known_noise.get(n, floors[n]) for n in measured}
+        return {**dict.fromkeys(measured, 0.0), **noise.of_inputs(largest)}
+
+    def compensated(self, at: Weighted, criterion: SimulationError, x: Array) -> float:
+        """J of (1) in `refitting` at `x`: the criterion less what input noise alone gives to it."""
+        value = criterion.evaluate(x).value
+        names = list(criterion.model.inputs)
+        sd = np.array([at.input_sd.get(n, 0.0) for n in names])
+        if not np.any(sd > 0):
+            return value
+        rng = np.random.default_rng(self.seed)
+        order = sorted(range(len(names)), key=lambda i: names[i])
+        for e, d in enumerate(criterion.data):
+            w = np.zeros(d.u.shape)
+            for i in order:  # the same draw for a channel in every model
+                if sd[i] > 0:
+                    w[:, i] = sd[i] * rng.standard_normal(d.N)
+            up = criterion.simulate(x, e, signals=replace(d, u=d.u + w))[0]
+            down = criterion.simulate(x, e, signals=replace(d, u=d.u - w))[0]
+            moved = 0.5 * (up - down) * d.used * criterion.weights
+            assert criterion.whiten is not None
+            white = criterion.whiten(moved[:, :, None], e)
+            value -= 0.5 * float(np.sum(white**2))
+        return value
+
+
+def use_samples_of(criterion: SimulationError, other: SimulationError) -> None:
+    """Count the samples that another criterion of the same records counts; a delay leaves out some.
+
+    To be called before `criterion` is simulated: it keeps the residuals of its last simulation.
+    """
+    for mine, its in zip(criterion.data, other.data, strict=True):
+        mine.used[:] = its.used
+
+
+def _not_below(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:
+    """The noise with a white floor that is small against the misfit.
+
+    Where sensors are all but free of noise, whitening would give the word to frequencies at which
+    hardly anything is left, and misfit of another kind, beside what is to be named.
+    """
+    parts = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
+    left = np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
+    return replace(noise, output_sd=np.maximum(noise.output_sd, SMALL * left))

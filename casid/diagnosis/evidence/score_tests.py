@@ -1,0 +1,444 @@
+"""Score tests of every effect at once, at one family-wise false-alarm rate.
+
+For candidate j with whitened sensitivity psi_j at its null value, Gamma the regression on the
+baseline's own sensitivities T, and e the whitened residual,
+
+    z_j = (psi_j - T Gamma_j)' e + c_j - Gamma_j' c_T                                          (1)
+
+is a Lagrange multiplier score that does not feel small errors of the baseline's estimate. The
+corrections c remove what noise on a measured input gives to sensitivity and residual alike:
+E[psi' e] = -E[(d psi w)' (G w)], estimated by simulating with antithetic noise added to the inputs.
+(1) is linear in the baseline's error, and the noise of an input biases the baseline itself: a least
+squares estimate may be wrong by several standard errors, in directions of which the record tells
+little. So it is first moved to the root of
+
+    T' e + c_T = 0                                                                             (2)
+
+whose left side has mean zero at the truth. Between its samples a measured input is not known: a
+line misses a first-order response of time constant T as a delay of Ts^2 / 12 T would. The p of a
+score is the largest under what a delay of up to `BETWEEN_SAMPLES` could give to it (Armstrong and
+Kolesar, Econometrica 86 (2018) 655-683: tests that are aware of a bounded bias).
+
+The scores' covariance is robust to what whitening left (Newey and West 1987); the threshold for the
+whole family comes from Gaussian draws with that covariance (Romano and Wolf 2005).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from casid.errors import ModelError, SolveError
+from casid.estimation.covariance import bartlett_lags, long_run_covariance
+from casid.estimation.noise import GROUP
+from casid.estimation.simulation.simulation_error import Fit, SimulationError, widened
+from casid.model.effects.effect import Effect, extend_all
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Score:
+    """One candidate's test."""
+
+    effect: Effect
+    z: float  # standardised, robust
+    p_value: float  # of this candidate alone
+    adjusted: float  # family-wise
+    energy: float  # psi' psi of the projected signature: what one unit of the parameter gives
+    step: float  # first guess of the parameter
+    unrobust: float  # Lagrange multiplier statistic with unit variance, chi^2(1)
+    visible: float  # share of the signature outside the baseline's tangent space
+    starts: Mapping[str, float] = field(default_factory=dict)  # first guesses beside `step`
+
+    @property
+    def is_visible(self) -> bool:
+        """True if the record shows it, or shows little of it that explains what noise cannot."""
+        hardly = self.visible > HARDLY_VISIBLE and self.unrobust > MUCH
+        return self.visible > INVISIBLE or hardly
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoreTable:
+    """All candidates' tests with the angles between their signatures."""
+
+    scores: tuple[Score, ...]
+    cosines: Array  # (K, K) of whitened, projected signatures
+    lags: int
+    family: Family
+    peaks: tuple[Score, ...] = ()  # lines of the residual's spectrum, tested beside the scores
+
+    @property
+    def tested(self) -> tuple[Score, ...]:
+        """Every candidate that this record could show, peaks among them."""
+        return tuple(s for s in (*self.scores, *self.peaks) if s.is_visible)
+
+    @property
+    def smallest(self) -> Score | None:
+        """The most significant candidate."""
+        return min(self.tested, key=lambda s: (s.adjusted, s.p_value), default=None)
+
+    def adjusted(self, key: tuple[str, str]) -> float:
+        """Smallest family-wise p of an effect, over its variants."""
+        return min((s.adjusted for s in self.tested if s.effect.key == key), default=1.0)
+
+    def with_peaks(self, peaks: Sequence[Score]) -> ScoreTable:
+        """The same with lines of the spectrum, whose own p is over all frequencies.
+
+        Scores and peaks are two families that hardly know of each other: the smallest p of both
+        together is as small as p with probability 1 - (1 - F(p)) (1 - p).
+        """
+        if not peaks:
+            return self
+
+        def both(p: float, one: float, other: float) -> float:
+            return float(
+                min(
+                    1.0,
+                    max(
+                        -np.expm1(np.log1p(-min(one, 0.999999)) + np.log1p(-min(other, 0.999999))),
+                        p,
+                    ),
+                )
+            )
+
+        return replace(
+            self,
+            scores=tuple(
+                replace(s, adjusted=both(s.p_value, s.adjusted, s.p_value)) for s in self.scores
+            ),
+            peaks=tuple(
+                replace(s, adjusted=both(s.p_value, self.family(s.p_value), s.p_value))
+                for s in peaks
+            ),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Family:
+    """How small the smallest p of all candidates is where nothing is missing."""
+
+    smallest: Array  # (draws,) sorted, of Gaussian scores with the candidates' covariance
+    count: int  # candidates
+
+    def __call__(self, p: float) -> float:
+        """Family-wise p; below the resolution of the draws, Bonferroni's bound."""
+        draws = len(self.smallest)
+        bound = min(1.0, self.count * p)
+        if not draws:
+            return bound
+        drawn = (int(np.searchsorted(self.smallest, p, side="right")) + 1) / (draws + 1)
+        return min(bound, drawn) if drawn > 20 / draws else bound
+
+
+INVISIBLE = 1e-4
+"""Share of a signature, in squares, outside the baseline's tangent space; less is none."""
+
+HARDLY_VISIBLE = 1e-5
+"""The same where what is left of the signature explains `MUCH`: dry friction beside viscous and
+quadratic damping in a long swing. Below it, a linear signature no longer tells how it would fit."""
+
+MUCH = 100.0
+"""Lagrange multiplier statistic that noise of the size assumed does not reach: chi^2(1)."""
+
+BETWEEN_SAMPLES = 0.01
+"""Sample times by which a line between samples of a measured input may be late or early: that of a
+first-order response with a time constant of eight samples."""
+
+ROWS = 1 << 13
+"""Samples that are projected at once."""
+
+
+def score_test(
+    fit: Fit,
+    effects: Sequence[Effect],
+    *,
+    input_sd: Mapping[str, float],
+    draws: int = 4000,
+    seed: int = 0,
+) -> ScoreTable:
+    """Test every effect against the fitted model (see the module's docstring).
+
+    Parameters
+    ----------
+    fit : whitened simulation error of the model without the effects, near its minimum.
+    input_sd : standard deviation of the white noise of each measured input.
+    """
+    if not effects:
+        return ScoreTable((), np.empty((0, 0)), 0, Family(np.empty(0), 0))
+    base = fit.criterion
+    smooth = [e for e in effects if e.test == "score"]
+    clipped = [e for e in effects if e.test == "clip"]
+    effects = [*smooth, *clipped]  # the order of the columns below
+    model, names = extend_all(base.model, smooth)
+    wide = widened(fit, model)
+    x = wide.start
+    position = {n: i for i, n in enumerate(wide.names)}
+    tangent = [position[n] for n in base.names]
+    candidate = [position[n] for n in names]
+    tangent_parts, psi_parts, e_parts = [], [], []
+    drawn: list[tuple[Array, Array, Array]] = []
+    rng = np.random.default_rng(seed)
+    inputs = list(wide.model.inputs)
+    for k in range(len(wide.data)):
+        r, t, psi = _columns(wide, x, k, tangent, candidate, clipped, None)
+        e_parts.append(r)
+        tangent_parts.append(t)
+        psi_parts.append(psi)
+        sd = np.array([input_sd.get(n, 0.0) for n in inputs])
+        if np.any(sd > 0):
+            drawn.append(_antithetic(wide, x, k, tangent, candidate, clipped, sd, rng))
+    ny = len(wide.outputs)
+    e, t_all, rest = (_joined(p) for p in (e_parts, tangent_parts, psi_parts))
+    # Signatures are as long as all records: they are scaled and projected where they are.
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), 1e-300))
+    rest /= size
+    if not np.all(np.isfinite(t_all)):
+        raise SolveError(
+            f"{base.model.name}: its sensitivities overflow; no effect can be tested. Shorten the "
+            "window, or change the parameters that make it grow"
+        )
+    # Columns of T may be nearly dependent: project by an orthonormal basis.
+    t_size = np.sqrt(np.maximum(np.einsum("ij,ij->j", t_all, t_all), 1e-300))
+    u, s, vt = np.linalg.svd(t_all / t_size, full_matrices=False)
+    keep = s > 1e-8 * s[0]
+    gamma = (vt[keep].T / s[keep]) @ (u[:, keep].T @ rest)
+    _take_out(rest, t_all / t_size, gamma)
+    left = np.einsum("ij,ij->j", rest, rest)
+    z = rest.T @ e
+    # Score of the baseline itself, zero at its minimum except for the bias just corrected.
+    per_sample = np.einsum("kij,ki->kj", rest.reshape(-1, ny, len(size)), e.reshape(-1, ny))
+    visible = (left > INVISIBLE) | ((left > HARDLY_VISIBLE) & (z**2 > MUCH * left))
+    lags = bartlett_lags(per_sample[:, visible]) if visible.any() else 0
+    n = len(per_sample)
+    covariance = long_run_covariance(per_sample, lags)
+    del per_sample
+    if drawn:
+        moved, turned, given = (_joined([d[i] for d in drawn]) for i in range(3))
+        drawn.clear()
+        given /= size
+        _take_out(given, turned / t_size, gamma)
+        given = np.einsum("kij,ki->kj", given.reshape(-1, ny, len(size)), moved.reshape(-1, ny))
+        z -= given.sum(axis=0)
+        # One draw is as far from its mean as chance has it: that is uncertainty, too.
+        covariance = covariance + long_run_covariance(given, lags)
+    sd_z = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    gram = rest.T @ rest
+    possible = _between_samples(base, effects, np.abs(gram) * size)
+    ratio, bias = (np.where(visible, a / sd_z, 0.0) for a in (z, possible))
+    freedom = max(1.5 * n / (lags + 1), 4.0)
+    one = np.array([eff.sided == "positive" or eff.test == "clip" for eff in effects])
+    # P(|t + b| > |z|) at the largest bias b, whichever its sign.
+    near, far = np.abs(ratio) - bias, np.abs(ratio) + bias
+    both = student.sf(near, freedom) + student.sf(far, freedom)
+    p = np.where(one, student.sf(ratio - bias, freedom), np.minimum(both, 1.0))
+    p = np.where(visible, np.clip(p, 1e-300, 1.0), 1.0)
+    family = _family_of(covariance, visible, one, freedom, draws, seed)
+    adjusted = np.where(visible, [family(float(each)) for each in p], 1.0)
+    norms = np.sqrt(np.maximum(left, 1e-300))
+    cosines = gram / np.outer(norms, norms)
+    scores = tuple(
+        Score(
+            effect=eff,
+            z=float(ratio[j]),
+            p_value=float(p[j]),
+            adjusted=float(adjusted[j]),
+            energy=float(left[j] * size[j] ** 2),
+            step=float(z[j] / max(left[j], 1e-300) / size[j]) if visible[j] else 0.0,
+            unrobust=float(z[j] ** 2 / left[j])
+            if visible[j] and not (one[j] and z[j] < 0)
+            else 0.0,
+            visible=float(left[j]),
+        )
+        for j, eff in enumerate([*smooth, *clipped])
+    )
+    return ScoreTable(scores, cosines, lags, family)
+
+
+def _between_samples(
+    criterion: SimulationError, effects: Sequence[Effect], response: Array
+) -> Array:
+    """What the scores may owe to measured inputs that are no lines between their samples, (K,).
+
+    `response` (K, K): score of each effect, without its sign, to a unit of each other.
+    """
+    inputs = criterion.model.inputs
+    Ts = max(d.Ts for d in criterion.data)
+    late = [
+        j
+        for j, e in enumerate(effects)
+        if e.kind == "time_delay" and e.where in inputs and inputs[e.where].hold == "foh"
+    ]
+    return np.asarray(BETWEEN_SAMPLES * Ts * response[:, late].sum(axis=1))
+
+
+LONGEST = 25.0
+"""Length of one step towards (2), in standard errors: further away nothing is linear."""
+
+
+def step_without_bias(
+    criterion: SimulationError, x: Array, input_sd: Mapping[str, float], *, seed: int = 0
+) -> tuple[Array, float]:
+    """One Gauss-Newton step from `x` towards the root of (2), and its length in standard errors.
+
+    The matrix is T'T less what noise on the inputs gives to it. Where noise gives nearly all, the
+    step is held short rather than turned round.
+    """
+    n = len(x)
+    gradient, matrix, noise = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
+    sd = np.array([input_sd.get(name, 0.0) for name in criterion.model.inputs])
+    rng = np.random.default_rng(seed)
+    for k in range(len(criterion.data)):
+        r, t, _ = _columns(criterion, x, k, range(n), [], [], None)
+        gradient += t.T @ r
+        matrix += t.T @ t
+        if np.any(sd > 0):
+            moved, turned, _ = _antithetic(criterion, x, k, range(n), [], [], sd, rng)
+            gradient -= turned.T @ moved
+            noise += turned.T @ turned
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    seen = values > 1e-12 * values[-1]
+    root = vectors[:, seen] / np.sqrt(values[seen]) / size[:, None]  # root' (T'T) root = 1
+    share, axes = np.linalg.eigh(np.eye(int(seen.sum())) - root.T @ noise @ root)
+    step = axes @ ((axes.T @ (root.T @ gradient)) / np.maximum(share, 0.2))
+    length = float(np.linalg.norm(step))
+    step *= min(1.0, LONGEST / max(length, 1e-300))
+    lower, upper = (
+        np.array([getattr(v, side) for v in criterion.variables]) for side in ("lower", "upper")
+    )
+    return np.clip(x + root @ step, lower, upper), length
+
+
+def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
+    """Sum of squares that each effect would leave in the place of the parameter `own`, (K,).
+
+    Linear in the effects, about a fit that already has one of their kind: the residual with that
+    one taken out is regressed on each candidate's sensitivity and the other unknowns'.
+    """
+    base = fit.criterion
+    model, names = extend_all(base.model, effects)
+    wide = widened(fit, model)
+    position = {n: i for i, n in enumerate(wide.names)}
+    tangent = [position[n] for n in base.names]
+    candidate = [position[n] for n in names]
+    parts = [
+        _columns(wide, wide.start, k, tangent, candidate, [], None) for k in range(len(wide.data))
+    ]
+    e, t_all, psi = (_joined([part[i] for part in parts]) for i in range(3))
+    parts.clear()
+    mine = base.names.index(own)
+    e = e + t_all[:, mine] * fit.x[mine]
+    rest = np.delete(t_all, mine, axis=1)
+    rest = rest / np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), 1e-300))
+    q, _ = np.linalg.qr(rest)
+    e = e - q @ (q.T @ e)
+    _take_out(psi, q, q.T @ psi)
+    size = np.maximum(np.einsum("ij,ij->j", psi, psi), 1e-300)
+    return np.asarray(e @ e - (psi.T @ e) ** 2 / size)
+
+
+def _antithetic(
+    wide: SimulationError,
+    x: Array,
+    k: int,
+    tangent: Sequence[int],
+    candidate: Sequence[int],
+    clipped: Sequence[Effect],
+    sd: Array,
+    rng: np.random.Generator,
+) -> tuple[Array, Array, Array]:
+    """What one draw of noise on the inputs adds to `_columns`, its even part left out.
+
+    Channels without noise take no part in the draw: candidates that bring one leave it as it is.
+    """
+    w = np.zeros(wide.data[k].u.shape)
+    noisy = np.flatnonzero(sd > 0)
+    w[:, noisy] = sd[noisy] * rng.standard_normal((len(w), len(noisy)))
+    up, down = (_columns(wide, x, k, tangent, candidate, clipped, sign * w) for sign in (1.0, -1.0))
+    for above, below in zip(up, down, strict=True):
+        above -= below
+        above *= 0.5
+    return up
+
+
+def _columns(
+    wide: SimulationError,
+    x: Array,
+    k: int,
+    tangent: Sequence[int],
+    candidate: Sequence[int],
+    clipped: Sequence[Effect],
+    added: Array | None,
+) -> tuple[Array, Array, Array]:
+    """Whitened residual, baseline tangent and candidate signatures, samples by outputs stacked."""
+    d = wide.data[k]
+    if added is not None:
+        d = replace(d, u=d.u + added)
+    at = wide.simulated(x, k, signals=d)
+    extra = np.zeros((*at.y.shape, len(clipped)))
+    for j, effect in enumerate(clipped):
+        if effect.variant is None:
+            raise ModelError(f"{effect!r} has no level to test at")
+        i = wide.outputs.index(effect.where)
+        y = at.y[:, i]
+        extra[:, i, j] = (np.clip(y, -effect.variant, effect.variant) - y) * d.used[:, i]
+    ny, n = len(wide.outputs), len(candidate)
+    psi = np.empty((len(at.y), ny, n + len(clipped)))
+    for first in range(0, n, GROUP):
+        group = slice(first, min(first + GROUP, n))
+        psi[:, :, group] = _white(wide, at.jacobian[:, :, list(candidate[group])], k)
+    psi[:, :, n:] = _white(wide, extra, k)
+    both = _white(
+        wide, np.concatenate([at.residual[:, :, None], at.jacobian[:, :, list(tangent)]], axis=2), k
+    ).reshape(-1, 1 + len(tangent))
+    return both[:, 0].copy(), both[:, 1:].copy(), psi.reshape(len(both), psi.shape[2])
+
+
+def _white(wide: SimulationError, columns: Array, k: int) -> Array:
+    """Columns (N, ny, m) weighted and whitened; `columns` are used up."""
+    columns *= wide.weights[None, :, None]
+    return columns if wide.whiten is None else wide.whiten(columns, k)
+
+
+def _joined(parts: list[Array]) -> Array:
+    """Records one after another, the one itself where it is alone; empties the list."""
+    out = parts[0] if len(parts) == 1 else np.concatenate(parts)
+    parts.clear()
+    return out
+
+
+def _take_out(columns: Array, of: Array, gamma: Array) -> None:
+    """columns -= of @ gamma, in place, some rows at a time."""
+    for first in range(0, len(columns), ROWS):
+        rows = slice(first, first + ROWS)
+        columns[rows] -= of[rows] @ gamma
+
+
+def _family_of(
+    covariance: Array, visible: Array, one_sided: Array, freedom: float, draws: int, seed: int
+) -> Family:
+    """The smallest p among the visible candidates in Gaussian draws (Romano and Wolf 2005)."""
+    index = np.flatnonzero(visible)
+    if not index.size:
+        return Family(np.zeros(0), 0)
+    sd = np.sqrt(np.maximum(np.diag(covariance)[index], 1e-300))
+    correlation = covariance[np.ix_(index, index)] / np.outer(sd, sd)
+    values, vectors = np.linalg.eigh(correlation)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(seed)
+    normal = rng.standard_normal((draws, len(index))) @ root.T
+    chi = np.sqrt(rng.chisquare(freedom, draws) / freedom)
+    sample = normal / chi[:, None]
+    # The smallest p is that of the largest deviation of either kind: two tails are enough.
+    one = one_sided[index]
+    largest = np.where(one, sample, np.abs(sample))
+    tails = []
+    for part, sides in ((largest[:, one], 1), (largest[:, ~one], 2)):
+        if part.shape[1]:
+            tails.append(sides * student.sf(part.max(axis=1), freedom))
+    return Family(np.sort(np.min(tails, axis=0)), len(index))

@@ -1,1 +1,0 @@
-"""The diagnosis on a page, in figures and as text."""

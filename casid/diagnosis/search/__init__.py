@@ -1,0 +1,1 @@
+"""The search for causes: candidates, joint refits and forward selection."""

@@ -1,0 +1,149 @@
+"""Candidates compared: which is the best, how significant it is, and what it cannot reject.
+
+Under a noise that is known they are ranked by
+
+    gain - k log N                                                                             (1)
+
+with the gain of `refitting`; where misfit hides the noise, by what each of them leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from casid.diagnosis.evidence.prewhitening import Weighted, use_samples_of
+from casid.diagnosis.evidence.score_tests import ScoreTable
+from casid.diagnosis.search.candidates import Candidate, Rival
+from casid.diagnosis.search.joint_refit import Refitting
+from casid.estimation.covariance import bartlett_lags, long_run_covariance
+from casid.model.effects.effect import ON_THE_CLOCK
+
+Array = np.ndarray[Any, Any]
+
+STRONG = 6.0
+"""Units of BIC that reject a rival."""
+
+IMITATORS = (*ON_THE_CLOCK, "missing_mode")
+"""Kinds with a time or a frequency of their own."""
+
+WORTH = 0.3
+"""Share of the best predicted or found gain below which a candidate cannot win."""
+
+BY_CHANCE = 10.0
+"""How far a gain predicted, or found on a part, may be off: chi^2(1) and more."""
+
+
+def by_what_is_left(refitting: Refitting, at: Weighted, found: list[Candidate]) -> list[Candidate]:
+    """Rank by n log(S_model / S_extended), S the sums of squares, n the samples that count.
+
+    The noise's size is then not known, only what each candidate leaves. n is the number of
+    independent samples worth as much as the residual of the best: misfit is no white noise.
+    """
+    r2 = _losses(max(found, key=lambda c: c.gain))
+    spread = float(np.var(r2)) * len(r2)
+    long_run = float(long_run_covariance(r2[:, None], bartlett_lags(r2[:, None]))[0, 0])
+    n = float(np.clip(len(r2) * spread / max(long_run, 1e-300), 8.0, len(r2)))
+    out = []
+    before = refitting.value(at)
+    for c in found:
+        # Less what input noise gives to each: a noise-free channel must not win by that alone.
+        after = max(before - 0.5 * c.gain, 1e-12 * before)
+        k = c.effect.cost
+        gain = n * float(np.log(before / after))
+        out.append(replace(c, gain=gain, cost=k * float(np.log(n)) + k))
+    # In a decay, time and amplitude go together, and what happens in time, or rings on its own,
+    # imitates whatever depends on amplitude: it must explain clearly more than the best that
+    # does, half as much again (a heuristic).
+    lasting = max((c.gain for c in out if c.effect.kind not in IMITATORS), default=0.0)
+    out.sort(key=lambda c: -(c.merit - (0.5 * lasting if c.effect.kind in IMITATORS else 0.0)))
+    return out
+
+
+def rejudge(
+    refitting: Refitting,
+    at: Weighted,
+    found: list[Candidate],
+    count: int = 6,
+    rounds: int = 2,
+) -> list[Candidate]:
+    """Compare the leaders again under the noise that the best of them leaves.
+
+    Under the first whitening the unexplained misfit counts as noise and hides differences.
+    """
+    best = found[0]
+    weighing = refitting.weighing
+    noise = weighing.noise(best.fit)
+    criterion = weighing.criterion(at.model, noise, at.fit.values, at.criterion)
+    base_fit = weighing.minimum(criterion)
+    again = replace(
+        at, fit=base_fit, noise=noise, full=noise, input_sd=weighing.input_sd(noise, criterion)
+    )
+    out = []
+    for c in found[:count]:
+        if c is not best and c.gain <= WORTH * best.gain:
+            continue
+        criterion = weighing.criterion(c.model, noise, c.fit.values, at.criterion)
+        use_samples_of(criterion, c.fit.criterion)
+        fit = weighing.minimum(criterion)
+        judged = refitting.judged(again, c.effect, c.names, c.model, fit)
+        out.append(replace(judged, score=c.score))
+    out.sort(key=lambda c: -c.merit)
+    if out[0].effect.key != best.effect.key and rounds > 1:
+        return rejudge(refitting, at, out, count, rounds - 1)
+    return out
+
+
+def p_value(table: ScoreTable, candidate: Candidate) -> float:
+    """Family-wise p: of the score, or of the refit once something is known to be wrong.
+
+    A closed test: the family's smallest p, or misfit beyond the noise, tells that something is
+    missing; its refits then tell what. A large effect is far from its linearised size, and its
+    own score may be small.
+    """
+    score = table.adjusted(candidate.effect.key)
+    count, test = len(table.tested), candidate.effect.test
+    if test == "peak":
+        lines = sum(d.N for d in candidate.fit.criterion.data) / 2
+        refit = lines * float(chi2.sf(max(candidate.gain, 0.0), 3))
+    elif test == "clip":
+        # A clipping has no null value to be far from: its gain is judged.
+        refit = 2 * count * float(norm.sf(np.sqrt(max(candidate.gain, 0.0) / 3)))
+    else:
+        refit = 2 * count * float(norm.sf(abs(candidate.wald)))
+    return float(max(min(score, refit, 1.0), 1e-300))
+
+
+def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tuple[Rival, ...]:
+    """Candidates that the record cannot reject against the best one (Vuong 1989, (5.6)).
+
+    Where the noise is known, six units of BIC are Kass and Raftery's (1995) "strong" evidence;
+    where misfit hides it, gains are no likelihoods, and Vuong's test counts as well.
+    """
+    out = []
+    mine = _losses(best)
+    for c in found:
+        if c is best or c.effect.key == best.effect.key:
+            continue
+        difference = _losses(c) - mine
+        lags = bartlett_lags(difference[:, None])
+        sd = float(np.sqrt(long_run_covariance(difference[:, None], lags)[0, 0]))
+        total = float(difference.sum()) + 0.5 * (c.cost - best.cost)
+        p = float(norm.sf(total / sd)) if sd > 0 else 1.0
+        is_open = at.is_hidden and p > 0.05 and c.merit > 0.5 * best.merit
+        if c.merit > best.merit - STRONG or is_open:
+            out.append(Rival(c, max(p, 1e-300)))
+    return tuple(sorted(out, key=lambda r: -r.p_value))
+
+
+def _losses(c: Candidate) -> Array:
+    """Each sample's part of the whitened criterion (N,), all records one after another."""
+    parts = []
+    for e in range(len(c.fit.criterion.data)):
+        r, _ = c.fit.criterion.columns(c.fit.x, e)
+        parts.append(0.5 * np.sum(r**2, axis=1))
+    return np.concatenate(parts)

@@ -1,0 +1,198 @@
+"""One effect refitted jointly with all parameters, and what it gains:
+
+    gain = 2 (J_model - J_extended)                                                            (1)
+
+with J the whitened simulation error less what input noise alone gives to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from casid.diagnosis.evidence.divergence import destabilises
+from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted, use_samples_of
+from casid.diagnosis.search.candidates import Candidate, found_values
+from casid.errors import SolveError
+from casid.estimation.covariance import sandwich
+from casid.estimation.simulation.simulation_error import Fit, minimize_simulation_error
+from casid.model.effects.effect import KINDS, Effect
+from casid.model.model import Model
+
+
+@dataclass(slots=True)
+class Refitting:
+    """Refits of candidates under the noise of the model that they extend."""
+
+    weighing: Weighing
+    left_out: dict[tuple[str, str], str] = field(default_factory=dict)  # a user's effect -> why
+    _before: tuple[Weighted, float] | None = None  # J of the last model asked for
+
+    def refit(
+        self,
+        at: Weighted,
+        effect: Effect,
+        step: float,
+        *,
+        starts: Mapping[str, float] | None = None,
+        near: bool = False,
+    ) -> Candidate | None:
+        """Fit the model with `effect` in it, from one or several starts of its first parameter.
+
+        `starts` of its further parameters, by the effect's own names; `near` where `step` and those
+        are known to be right: no others are tried.
+        """
+        best: Candidate | None = None
+        if self._runs_away(at, effect):
+            return None
+        for start, upper in _starts(at, effect, step, near=near):
+            model, names = effect.extended(
+                at.model, starts={**(starts or {}), effect.parameters[0].name: start}, upper=upper
+            )
+            moved = moved_parameter(effect)
+            if moved is not None:
+                _keep_sign(model, names[0], at.fit.values.get(moved, 0.0), effect)
+            values = {**at.fit.values, **(best.fit.values if best else {})}
+            for name in names:
+                values.pop(name, None)
+            try:
+                criterion = self.weighing.criterion(model, at.noise, values, at.criterion)
+                fit = minimize_simulation_error(
+                    criterion,
+                    solver=self.weighing.solver or NEAR,
+                    check_rank=False,
+                    throw=False,
+                    retry=False,
+                )
+            except SolveError:
+                continue  # this start diverges; the others decide
+            found = self.judged(at, effect, names, model, fit)
+            if np.isfinite(found.gain) and (best is None or found.gain > best.gain):
+                best = found
+        return best
+
+    def again(self, at: Weighted, found: Candidate, *, near: bool = True) -> Candidate | None:
+        """A candidate refitted into another model or on other records, from what it was."""
+        values, first = found_values(found), found.effect.parameters[0]
+        step = values[first.name] - first.start
+        return self.refit(at, found.effect, step, starts=values, near=near)
+
+    def judged(
+        self, at: Weighted, effect: Effect, names: tuple[str, ...], model: Model, fit: Fit
+    ) -> Candidate:
+        """Gain over the model without the effect, on the samples that both use."""
+        criterion = fit.criterion
+        pairs = list(zip(at.criterion.data, criterion.data, strict=True))
+        if all(np.array_equal(mine.used, other.used) for mine, other in pairs):
+            before = self.value(at)
+        else:
+            base = self.weighing.criterion(at.model, at.noise, at.fit.values, at.criterion)
+            use_samples_of(base, criterion)
+            before = self.weighing.compensated(at, base, base.start)
+        after = self.weighing.compensated(at, criterion, fit.x)
+        return Candidate(
+            effect=effect,
+            names=names,
+            model=model,
+            fit=fit,
+            gain=2 * (before - after),
+            cost=effect.cost * float(np.log(criterion.n_samples)),
+            wald=wald(fit, names[0], effect.parameters[0].start),
+        )
+
+    def value(self, at: Weighted) -> float:
+        """J of a model as it was weighed; that of the last one asked for is kept."""
+        if self._before is None or self._before[0] is not at:
+            self._before = at, self.weighing.compensated(at, at.criterion, at.fit.x)
+        return self._before[1]
+
+    def _runs_away(self, at: Weighted, effect: Effect) -> bool:
+        """True if a user's effect makes the simulation run away; `left_out` then says it."""
+        if effect.kind in KINDS:
+            return False
+        if effect.key not in self.left_out:
+            size, first = destabilises(at.fit, effect), effect.parameters[0]
+            self.left_out[effect.key] = (
+                f"{effect.kind} in {effect.where} was left out: its simulation runs away already "
+                f"at {first.name} = {size:.2g} {first.unit}: turn its sign round, bound it, or "
+                "state it so that it stays small"
+                if size is not None
+                else ""
+            )
+        return bool(self.left_out[effect.key])
+
+
+def std_error(fit: Fit, name: str) -> float:
+    """Robust standard error of one variable."""
+    criterion = fit.criterion
+    free = np.ones(len(fit.x), dtype=bool)
+    covariance, _ = sandwich(fit.solution.hessian, criterion.scores(fit.x), free)
+    i = criterion.names.index(name)
+    return float(np.sqrt(max(covariance[i, i], 0.0)))
+
+
+def wald(fit: Fit, name: str, null: float = 0.0) -> float:
+    """Distance of an estimate from its null value in robust standard errors."""
+    sd = std_error(fit, name)
+    return float((fit.x[fit.criterion.names.index(name)] - null) / sd) if sd > 0 else 0.0
+
+
+def moved_parameter(effect: Effect) -> str | None:
+    """The parameter that an effect moves, if it moves one."""
+    if effect.kind == "scheduled_parameter":
+        return effect.where.partition("~")[0]
+    return effect.where if effect.kind in ("parameter_jump", "parameter_drift") else None
+
+
+def _starts(
+    at: Weighted, effect: Effect, step: float, *, near: bool = False
+) -> list[tuple[float, float | None]]:
+    """Values of the first parameter to start from, each with its upper bound."""
+    Ts = at.criterion.data[0].Ts
+    if effect.limit is not None:
+        # A large delay or lag is far from its linearised size, and the fit has local minima.
+        factors = (0.5, 1.0, 2.0, 4.0) if at.is_hidden or abs(step) > Ts else (1.0,)
+        factors = (1.0,) if near else factors
+        grid = {min(max(k * abs(step), 0.2 * Ts), effect.limit) for k in factors}
+        return [(g, min(2.0 * g + 4 * Ts, effect.limit)) for g in sorted(grid)]
+    if near:
+        return [(effect.parameters[0].start + step, None)]
+    if effect.test == "clip" and effect.variant is not None:
+        return [(effect.variant, None)]
+    if effect.kind == "parameter_jump":
+        # A linearised step can exceed what the parameter itself can lose.
+        name = effect.where
+        now = abs(at.fit.values.get(name, 0.0)) or abs(step) * 4
+        step = float(np.clip(step, -0.4 * now, 0.4 * now))
+    moved = moved_parameter(effect)
+    value = at.fit.values.get(moved, 0.0) if moved is not None else 0.0
+    if effect.span is not None and value != 0.0:
+        low, high = _slopes_to_zero(effect.span, value)
+        step = float(np.clip(step, 0.4 * low, 0.4 * high))
+    null = effect.parameters[0].start
+    return [(null + (step if effect.sided == "both" else max(step, 0.0)), None)]
+
+
+def _keep_sign(model: Model, change: str, value: float, effect: Effect) -> None:
+    """Bound a change so that the parameter keeps its sign and its order of magnitude.
+
+    A slope gets twice the room: the value, here that of the model without it, may yet grow.
+    """
+    if value == 0.0:
+        return
+    if effect.span is None:
+        low, high = sorted((-0.95 * value, 3.0 * value))
+    else:
+        low, high = sorted(2.0 * slope for slope in _slopes_to_zero(effect.span, value))
+    p = model.parameters[change]
+    model.parameters[change] = replace(
+        p, lower=low, upper=high, start=float(np.clip(p.start, 0.9 * low, 0.9 * high))
+    )
+
+
+def _slopes_to_zero(span: tuple[float, float], value: float) -> tuple[float, float]:
+    """The slopes at which a parameter of `value` is zero at one end of its channel's range."""
+    low, high = sorted((-value / span[0], -value / span[1]))
+    return low, high

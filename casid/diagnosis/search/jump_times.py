@@ -1,0 +1,95 @@
+"""When a parameter jumped: the instants of candidates, and events that are known already."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.score_tests import scan
+from casid.diagnosis.search.candidates import Candidate
+from casid.diagnosis.search.joint_refit import Refitting
+from casid.model.effects.effect import Effect
+from casid.model.effects.parameter_effects import JUMP_TIMES, parameter_jump
+
+
+def placed(
+    refitting: Refitting,
+    at: Weighted,
+    found: Sequence[Candidate],
+    known: Sequence[float],
+    progress: Callable[[str], None],
+) -> list[Candidate]:
+    """Jumps refitted at the instants that leave least; coarse scores place them roughly only.
+
+    The most promising one is placed first, the others start from its instant too: they may be
+    the same event, seen in another parameter.
+
+    Parameters
+    ----------
+    known : instants of the events known already [s], near which no jump is placed.
+    """
+    top = max(c.gain for c in found)
+    out, instant = [], None
+    for c in sorted(found, key=lambda c: -c.gain):
+        if c.effect.kind == "parameter_jump" and c.gain > 0.6 * top:
+            progress(f"place {c.effect.kind} in {c.effect.where}")
+            if instant is not None:
+                c = _better_at(refitting, at, c, instant, known)
+            c = _placed(refitting, at, c, known)
+            instant = instant if instant is not None else c.effect.variant
+        out.append(c)
+    return out
+
+
+def _placed(
+    refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
+) -> Candidate:
+    """Scan ever finer, linearly about the last refit: a ringing leaves many local minima."""
+    d = at.criterion.data[0]
+    start, stop = float(d.t[0]), float(d.t[-1])
+    reach = 1.5 * (stop - start) / (JUMP_TIMES + 1)
+    for _ in range(3):
+        now = found.effect.variant
+        assert now is not None
+        times = now + reach * np.linspace(-1, 1, 101)
+        inside = [float(t) for t in times if start < t < stop]
+        model = found.model
+        effects = [parameter_jump(model, found.effect.where, t) for t in inside]
+        left = scan(found.fit, found.names[0], effects)
+        found = _better_at(refitting, at, found, inside[int(np.argmin(left))], known)
+        if reach < 50 * d.Ts:
+            break
+        reach /= 12
+    return found
+
+
+def _better_at(
+    refitting: Refitting, at: Weighted, found: Candidate, instant: float, known: Sequence[float]
+) -> Candidate:
+    """The jump refitted at another instant, if it explains more there."""
+    if instant == found.effect.variant:
+        return found
+    other = parameter_jump(at.model, found.effect.where, instant)
+    if is_known_event(at, other, known):
+        return found
+    again = refitting.refit(at, other, float(found.fit.values[found.names[0]]))
+    if again is None or again.gain <= found.gain:
+        return found
+    return replace(again, score=found.score)
+
+
+def events_of(adopted: Sequence[Candidate]) -> list[float]:
+    """Instants of the jumps among what was adopted [s]."""
+    effects = [c.effect for c in adopted]
+    return [e.variant for e in effects if e.kind == "parameter_jump" and e.variant is not None]
+
+
+def is_known_event(at: Weighted, effect: Effect, known: Sequence[float]) -> bool:
+    """True if a jump is at about the instant of a known one: one event, named once."""
+    d = at.criterion.data[0]
+    near = 1.2 * d.N * d.Ts / (JUMP_TIMES + 1)
+    when = effect.variant
+    return when is not None and any(abs(t - when) < near for t in known)

@@ -1,0 +1,96 @@
+"""Which candidates are worth a refit on long records, told by refits on their first part.
+
+A refit simulates every sample dozens of times, and 20 000 samples tell a hopeless candidate as well
+as ten times as many. The part is the records' beginning: there known initial states hold, those of
+a cause that starts at rest among them. What the candidates gain is compared there under the noise
+of the whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.data.record import Experiment
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.score_tests import Score
+from casid.diagnosis.search.alternatives import BY_CHANCE
+from casid.diagnosis.search.candidates import Candidate
+from casid.diagnosis.search.joint_refit import Refitting
+from casid.model.effects.effect import ON_THE_CLOCK
+
+LONG = 30_000
+"""Samples beyond which candidates are compared on a part first."""
+
+PART = 20_000
+"""Samples of that part, all records together."""
+
+KEPT = 0.2
+"""Share of the best gain on the part below which a candidate is left out.
+
+Less than `comparing.WORTH`: on the whole the shares are not quite the same.
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """What a refit starts from."""
+
+    score: Score
+    found: Candidate | None = None  # on the part
+
+
+def preselected(
+    refitting: Refitting,
+    at: Weighted,
+    short: Sequence[Score],
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[Start]:
+    """The scores whose candidates are to be refitted on the whole, with what the part found.
+
+    All of them, without anything found, where the records are short, where the misfit hardly shows
+    in their first part, or where fewer than three would be compared.
+    """
+    everything = [Start(s) for s in short]
+    # Of kinds on the clock the part says nothing: they are refitted on the whole.
+    compared = [s for s in short if s.effect.kind not in ON_THE_CLOCK]
+    samples = [d.N for d in at.criterion.data]
+    share = PART / sum(samples)
+    if sum(samples) <= LONG or at.criterion.own or len(compared) < 3:
+        return everything
+    if _misfit_in_head(at, share) < 0.5 * share:
+        return everything
+    heads = [_head(e, share) for e in refitting.weighing.experiments]
+    weighing = replace(refitting.weighing, experiments=heads)
+    small = Refitting(weighing, refitting.left_out)
+    part = replace(at, fit=weighing.fitted(at.model, at, at.fit.values), unbiased=None)
+    found: dict[tuple[str, str], Candidate | None] = {}
+    for i, s in enumerate(compared):
+        progress(f"refit on a part {i + 1}/{len(compared)}: {s.effect!r}")
+        found[s.effect.key] = small.refit(part, s.effect, s.step, starts=s.starts)
+    best = max((c.gain for c in found.values() if c is not None), default=0.0)
+    out = []
+    for s in short:
+        c = found.get(s.effect.key)
+        if c is None or c.gain >= KEPT * best - BY_CHANCE:
+            out.append(Start(s, c))
+    return out
+
+
+def _misfit_in_head(at: Weighted, share: float) -> float:
+    """Share of the whitened residual's sum of squares in the first part of the records."""
+    inside = total = 0.0
+    for e, d in enumerate(at.criterion.data):
+        power = np.sum(at.criterion.columns(at.fit.x, e)[0] ** 2, axis=1)
+        inside += float(power[: round(share * d.N)].sum())
+        total += float(power.sum())
+    return inside / max(total, 1e-300)
+
+
+def _head(experiment: Experiment, share: float) -> Experiment:
+    """The first `share` of an experiment's samples."""
+    record = experiment.record
+    last = record.t0 + (round(share * record.N) - 1) * record.Ts
+    return replace(experiment, record=record.between(-np.inf, last))

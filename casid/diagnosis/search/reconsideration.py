@@ -1,0 +1,89 @@
+"""Rivals judged once more when everything that is missing has been named.
+
+In the round that adopts a cause the others are still missing: their misfit passes for noise, and
+what imitates several causes at once looks like a rival of each. With the others in the model, and
+under the noise that is then left, a rival must stand in for its cause alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.search.alternatives import STRONG, rivals_of
+from casid.diagnosis.search.candidates import Adopted, Candidate, found_values
+from casid.diagnosis.search.rounds import Search
+from casid.errors import CasidError
+from casid.model.model import Model
+
+MOST = 4
+"""Rivals of one cause that are refitted."""
+
+
+def reconsidered(
+    search: Search, adopted: Sequence[Adopted], start: Weighted, at: Weighted
+) -> list[Adopted]:
+    """The causes with the rivals that the record cannot reject in the end.
+
+    Parameters
+    ----------
+    start, at : the model as it is and with all causes, under the noise found there.
+    """
+    out = []
+    for a in adopted:
+        judged_under_misfit = len(adopted) > 1 or (a.before is not None and a.before.is_hidden)
+        rivals = a.rivals
+        if rivals and judged_under_misfit and not at.is_hidden:
+            search.progress(f"judge the rivals of {a.candidate.effect.kind} again")
+            others = [b.candidate for b in adopted if b is not a]
+            try:
+                again = _without(search, others, start, at)
+                found = [
+                    c
+                    for b in (a.candidate, *(r.candidate for r in rivals[:MOST]))
+                    if (c := search.refitting.again(again, b, near=False)) is not None
+                ]
+            except CasidError:
+                found = []
+            if found and found[0].effect is a.candidate.effect:
+                rivals = rivals_of(again, found[0], found)
+        out.append(replace(a, rivals=rivals))
+    return out
+
+
+def better_rivals(
+    search: Search, adopted: Sequence[Adopted], start: Weighted, at: Weighted
+) -> list[Candidate]:
+    """Rivals of the last cause that are better under the noise found with it, famous ones first.
+
+    Where misfit passed for noise, gains were no likelihoods: one that imitates the cause, and
+    leaves a little, may have come first. Which of these to take is told by what it leaves.
+    """
+    last = adopted[-1]
+    try:
+        again = _without(search, [a.candidate for a in adopted[:-1]], start, at)
+        first = search.refitting.again(again, last.candidate, near=False)
+        found = [
+            c
+            for r in last.rivals[:MOST]
+            if (c := search.refitting.again(again, r.candidate, near=False)) is not None
+        ]
+    except CasidError:
+        return []
+    better = [c for c in found if first is not None and c.merit > first.merit + STRONG]
+    return sorted(better, key=lambda c: (c.effect.priority, -c.merit))
+
+
+def _without(
+    search: Search, others: Sequence[Candidate], start: Weighted, at: Weighted
+) -> Weighted:
+    """The model with all causes but one, fitted under the last noise."""
+    model: Model = start.model
+    values = dict(at.fit.values)
+    for c in others:
+        model, names = c.effect.extended(model, starts=found_values(c))
+        values |= {
+            new: at.fit.values.get(old, 0.0) for new, old in zip(names, c.names, strict=True)
+        }
+    return replace(at, model=model, fit=search.weighing.fitted(model, at, values), unbiased=None)

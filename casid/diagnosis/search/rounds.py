@@ -1,0 +1,152 @@
+"""The search for causes, round by round: score every effect, then refit the best of them.
+
+Each round tests every effect against the model as it stands (`scores`), refits the most promising
+ones jointly with all parameters under one whitening (`refitting`), places jumps in time (`jumps`)
+and ranks what was found (`comparing`). What is adopted of it, `adoption` decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.score_tests import Score, ScoreTable, score_test
+from casid.diagnosis.evidence.signal_sizes import sizes_of
+from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_candidates
+from casid.diagnosis.search.alternatives import BY_CHANCE, WORTH, by_what_is_left, rejudge
+from casid.diagnosis.search.candidates import Candidate, is_plausible
+from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
+from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
+from casid.diagnosis.search.preselection import preselected
+from casid.model.effects.catalogue import catalogue
+from casid.model.effects.user_effects import UserEffect, user_effects
+
+if TYPE_CHECKING:
+    from casid.diagnosis.evidence.residual_tests import ResidualTests
+
+Progress = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class Search:
+    """State of the search, round by round."""
+
+    weighing: Weighing
+    recorded: Mapping[str, str]
+    alpha: float = 0.05
+    max_causes: int = 4
+    progress: Progress = lambda _: None
+    effects: Sequence[UserEffect] = ()  # the user's own
+    without: Collection[str] = ()  # kinds left out
+    tested: tuple[Weighted, ResidualTests] | None = None  # the last model whose residual was tested
+    first_table: ScoreTable | None = None
+    first_candidates: list[Candidate] = field(default_factory=list)
+    refused: list[tuple[Candidate, str]] = field(default_factory=list)
+    refitting: Refitting = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.refitting = Refitting(self.weighing)
+
+    def table(self, at: Weighted, adopted: Sequence[Candidate]) -> ScoreTable:
+        """Score every effect not adopted yet."""
+        taken = {c.effect.key for c in adopted}
+        sizes = sizes_of(at, self.recorded)
+        every = catalogue(
+            at.model,
+            sizes,
+            self.recorded,
+            extra=user_effects(at.model, self.effects),
+            without=self.without,
+        )
+        effects = [e for e in every if e.key not in taken]
+        own = {n for c in adopted for n in c.names}
+        known = events_of(adopted)
+        effects = [
+            e
+            for e in effects
+            if e.kind != "parameter_jump" or not (e.where in own or is_known_event(at, e, known))
+        ]
+        # A slope of a cause's own size would be a second effect in the place of a first one.
+        effects = [e for e in effects if e.span is None or moved_parameter(e) not in own]
+        judged = at.unbiased or at.fit
+        table = score_test(judged, effects, input_sd=at.input_sd, seed=self.weighing.seed)
+        if "periodic_disturbance" in self.without:
+            return table
+        found = periodic_candidates(judged, sizes.window)
+        return table.with_peaks([_peak_score(c) for c in found])
+
+    def has_alarm(self, at: Weighted, table: ScoreTable) -> bool:
+        """True if something is wrong: much is unexplained, or a test is significant."""
+        best = table.smallest
+        return at.is_hidden or (best is not None and best.adjusted < self.alpha)
+
+    def round(
+        self, at: Weighted, table: ScoreTable, adopted: Sequence[Candidate]
+    ) -> list[Candidate]:
+        """Refit the shortlist of what was not adopted yet; best first."""
+        found: list[Candidate] = []
+        refitting = self.refitting
+        short = preselected(refitting, at, shortlist(at, table), self.progress)
+        for i, start in enumerate(short):
+            s = start.score
+            self.progress(f"refit {i + 1}/{len(short)}: {s.effect.kind} in {s.effect.key[1]}")
+            candidate = (
+                refitting.refit(at, s.effect, s.step, starts=s.starts)
+                if start.found is None
+                else refitting.again(at, start.found)
+            )
+            if candidate is not None and is_plausible(candidate):
+                found.append(replace(candidate, score=s))
+        if not found:
+            return found
+        found = placed(refitting, at, found, events_of(adopted), self.progress)
+        found.sort(key=lambda c: -c.merit)
+        ranked = by_what_is_left if at.is_hidden else rejudge
+        return ranked(refitting, at, found)
+
+
+def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
+    """The best six kinds by robust p and the best six by unrobust score, one variant each.
+
+    Neighbours without a name come beside them, four of each order: they crowd out nobody.
+    """
+    visible = [s for s in table.tested if s.unrobust > 0.0]
+    if not at.is_hidden:
+        # Under the right noise the score predicts what a refit of a small effect gains. A line is
+        # an estimate at its best frequency already, which a score at a guessed one is far from.
+        scored = [s.unrobust for s in visible if s.effect.test != "peak"]
+        least = WORTH * max(scored, default=0.0) - BY_CHANCE
+        visible = [s for s in visible if s.unrobust > least]
+    strongest: dict[tuple[str, str], Score] = {}
+    for s in sorted(visible, key=lambda s: -s.unrobust):
+        strongest.setdefault(s.effect.key, s)  # the variant that stands for its kind
+    chosen: dict[tuple[str, str], Score] = {}
+    for order in (
+        sorted(visible, key=lambda s: (s.p_value, -s.unrobust)),
+        sorted(visible, key=lambda s: -s.unrobust),
+    ):
+        keys = list(dict.fromkeys(s.effect.key for s in order))
+        named = [key for key in keys if key[0] != "unknown"]
+        for key in (*named[:6], *[key for key in keys if key[0] == "unknown"][:4]):
+            chosen.setdefault(key, strongest[key])
+    return list(chosen.values())
+
+
+def _peak_score(found: PeriodicCandidate) -> Score:
+    """A line of the residual's spectrum as a candidate among the others."""
+    first = found.effect.parameters[0].name
+    return Score(
+        effect=found.effect,
+        z=float(np.sqrt(found.statistic)),
+        p_value=found.peak.p_value,
+        adjusted=found.peak.p_value,
+        energy=0.0,
+        step=found.starts[first],
+        unrobust=found.statistic,
+        visible=1.0,
+        starts=found.starts,
+    )

@@ -1,0 +1,159 @@
+"""Which causes are adopted: significant, and borne out by what was held out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
+from casid.diagnosis.search.alternatives import IMITATORS, p_value, rivals_of
+from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, null_values
+from casid.diagnosis.search.joint_refit import wald
+from casid.diagnosis.search.open_set import is_more_than_noise
+from casid.diagnosis.search.reconsideration import better_rivals
+from casid.diagnosis.search.rounds import Search
+from casid.errors import SolveError
+from casid.estimation.holdout import Split, held_out_error, why_no_better, why_worse
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.simulation_error import Fit
+from casid.model.effects.effect import ON_THE_CLOCK
+
+LIKELY = 4.0
+"""Units of BIC by which a kind that is met less often must be better than one met more often."""
+
+LIKELY_SHARE = 0.015
+"""The same as a share of the better one's merit, where misfit passes for noise: there (1) counts
+misfit of another kind as well, to which the two may be no equals (a heuristic)."""
+
+
+def adopt_causes(
+    search: Search, at: Weighted, base_fit: Fit, split: Split, settings: FitSettings
+) -> tuple[list[Adopted], Weighted, Fit | None]:
+    """Adopt effects until nothing significant is left that improves what was held out.
+
+    Returns what was adopted, the last model under its noise, and its simulation-error fit.
+    """
+    adopted: list[Adopted] = []
+    extended: Fit | None = None
+    start, once = at, replace(settings, starts=1, solver=settings.solver or EXACT)
+    before = held_out_error(base_fit, split)
+    while len(adopted) < search.max_causes:
+        search.progress(f"test every effect (round {len(adopted) + 1})")
+        named = [a.candidate for a in adopted]
+        table = search.table(at, named)
+        if search.first_table is None:
+            search.first_table = table
+        # A score is robust by what repeats: misfit in one short burst, which no score can see,
+        # shows in the residual's kind.
+        is_scored = search.has_alarm(at, table)
+        if not is_scored and not is_more_than_noise(at, search):
+            break
+        found = search.round(at, table, named)
+        if not found:
+            break
+        if not adopted:
+            search.first_candidates = found
+        taken: Adopted | None = None
+        for best in _named_first(at, found):
+            p = p_value(table, best)
+            # The first alarm has the rate that the user set, and is named unless the held-out data
+            # speak against it; a further cause has to earn its place there.
+            is_alarm = is_scored and not (adopted or at.is_hidden)
+            if p >= search.alpha or (best.merit <= 0 and not is_alarm):
+                continue
+            try:
+                fit = _whole_fit(best, split, once)
+                new_error = held_out_error(fit, split)
+            except SolveError as error:
+                search.refused.append((best, f"its simulation diverges ({error})"))
+                continue
+            refuse = why_worse if is_alarm else why_no_better
+            why = refuse(before, new_error)
+            if why and best.effect.kind not in ON_THE_CLOCK:
+                # The errors that an integrator has gathered say little: judge the end anew as well,
+                # where the cause means something on a clock that starts anew.
+                again = [held_out_error(f, split, anew=True) for f in (extended or base_fit, fit)]
+                why = refuse(*again)
+            if why:
+                search.refused.append((best, why))
+                continue
+            taken = Adopted(best, p, rivals_of(at, best, found), at)
+            before, extended = new_error, fit
+            at = search.weighing.weigh(best.model, fit, rounds=1)
+            break
+        if taken is None:
+            break
+        adopted.append(taken)
+        is_open = taken.rivals and taken.before is not None and taken.before.is_hidden
+        if is_open and not at.is_hidden and is_more_than_noise(at, search):
+            search.progress(f"judge the rivals of {taken.candidate.effect.kind} by what is left")
+            for other in better_rivals(search, adopted, start, at):
+                fit = _whole_fit(other, split, once)
+                instead = search.weighing.weigh(other.model, fit, rounds=1)
+                if not is_more_than_noise(instead, search):
+                    adopted[-1] = replace(taken, candidate=other, rivals=_others(taken, other))
+                    before, extended, at = held_out_error(fit, split), fit, instead
+                    break
+    if extended is not None and len(adopted) > 1:
+        extended = _eliminated(search, adopted, extended, split, once)
+        at = search.weighing.weigh(extended.criterion.model, extended, rounds=1)
+    return adopted, at, extended
+
+
+def _whole_fit(candidate: Candidate, split: Split, settings: FitSettings) -> Fit:
+    return fit_model(
+        candidate.model,
+        split.fitted,
+        settings,
+        start=candidate.fit.values,
+        check_rank=False,
+        throw=False,
+    )
+
+
+def _others(taken: Adopted, chosen: Candidate) -> tuple[Rival, ...]:
+    """The rivals of one that was exchanged for one of them; all are judged once more."""
+    first = Rival(taken.candidate, 1.0)
+    return (first, *(r for r in taken.rivals if r.candidate.effect is not chosen.effect))
+
+
+def _eliminated(
+    search: Search, adopted: list[Adopted], fit: Fit, split: Split, settings: FitSettings
+) -> Fit:
+    """Take back, last first, what later causes have made insignificant; refit what is left."""
+    for a in reversed(list(adopted)):
+        c = a.candidate
+        null = null_values(c)
+        first = c.names[0]
+        if len(adopted) == 1 or c.effect.test != "score":
+            continue
+        if abs(wald(fit, first, null[first])) > 2.0:
+            continue
+        search.refused.append((c, "the other causes together leave nothing for it to explain"))
+        adopted.remove(a)
+        model = fit.criterion.model.with_known(**null)
+        values = {k: v for k, v in fit.values.items() if k not in c.names}
+        fit = fit_model(model, split.fitted, settings, start=values, check_rank=False, throw=False)
+    return fit
+
+
+def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
+    """By merit; of those that are the same thing in this model, the one named by convention.
+
+    A neighbour without a name goes behind the best named one that the record cannot reject against
+    it: famous effects are famous for being met.
+    """
+    order = list(found)
+    likely = LIKELY
+    if at.is_hidden:
+        likely = max(LIKELY, LIKELY_SHARE * max((c.merit for c in order), default=0.0))
+    for i in range(1, len(order)):
+        for j in range(i, 0, -1):
+            near = abs(order[j - 1].merit - order[j].merit) < likely
+            if near and order[j].effect.priority < order[j - 1].effect.priority:
+                order[j - 1], order[j] = order[j], order[j - 1]
+    if order and order[0].effect.kind == "unknown" and order[0].effect.priority > 0:
+        open_ = {id(r.candidate) for r in rivals_of(at, order[0], order)}
+        famous = [c for c in order if c.effect.kind not in ("unknown", *IMITATORS)]
+        named = [c for c in famous if id(c) in open_]
+        order = [*named[:1], *[c for c in order if c not in named[:1]]]
+    return order

@@ -1,0 +1,1 @@
+"""Misfit that no catalogued effect explains: where it acts and what it depends on."""

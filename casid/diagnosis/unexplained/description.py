@@ -1,0 +1,308 @@
+"""What is left when no cause of the catalogue fits: where it acts, on what it depends, and when.
+
+Every balance and every output is asked what force, or what error of the sensor, the residual would
+need there (`missing_force`); the place whose functions explain most for their number is told first.
+Tests of the residual say whether it is more than noise at all, and of what kind (`residual_tests`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from casid.data.record import Experiment
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.residual_tests import IN_TIME, NOISE, ResidualTests, residual_tests
+from casid.diagnosis.evidence.signatures import TIME, variables_of
+from casid.diagnosis.unexplained.missing_force import MissingForce, missing_force, quiet_fit
+from casid.diagnosis.unexplained.smoothed_force import ForceSeries, smoothed_force
+
+Array = np.ndarray[Any, Any]
+
+APART = 12.0
+"""Squares by which a place must explain more than another to be told alone: six units of BIC, which
+Kass and Raftery (1995) call strong evidence, doubled, as the places' terms were chosen too."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Occurrence:
+    """A stretch in which much more is left than elsewhere."""
+
+    record: str
+    start: float  # s
+    stop: float  # s
+    power: float  # over the median stretch's
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unexplained:
+    """What is known of a misfit without a name."""
+
+    where: str  # balance or output, empty where nothing is left or the place is open
+    places: tuple[MissingForce, ...]  # best first
+    tests: ResidualTests
+    sentences: tuple[str, ...]
+    occurrences: tuple[Occurrence, ...]
+    goes_with: tuple[tuple[str, float], ...]  # variable, rank correlation of power and its size
+    signals: tuple[Mapping[str, Array], ...]  # a record: variable -> (N,), for figures
+
+    @property
+    def is_something(self) -> bool:
+        """True where the residual is more than noise."""
+        return self.tests.verdict != NOISE or bool(self.best and self.best.dependences)
+
+    @property
+    def best(self) -> MissingForce | None:
+        """The place told first."""
+        return self.places[0] if self.places else None
+
+    @property
+    def sentence(self) -> str:
+        """All that is known, in plain words."""
+        return " ".join(self.sentences)
+
+    def to_json(self) -> dict[str, Any]:
+        """Words and numbers; the series over time thinned to 1000 points a record."""
+        best = self.best
+        over_time = best.over_time if best is not None else None
+        return {
+            "where": self.where,
+            "sentence": self.sentence,
+            "kind_of_residual": self.tests.to_json(),
+            "dependences": [d.to_json() for d in best.dependences] if best is not None else [],
+            "independent_of": list(best.independent_of) if best is not None else [],
+            "explained": best.explained if best is not None else 0.0,
+            "places": [
+                {"place": p.place, "score": p.score, "explained": p.explained} for p in self.places
+            ],
+            "occurrences": [
+                {"record": o.record, "start": o.start, "stop": o.stop, "power": o.power}
+                for o in self.occurrences
+            ],
+            "goes_with": [{"variable": v, "rank_correlation": r} for v, r in self.goes_with],
+            "over_time": None
+            if over_time is None
+            else {
+                "is_seen": over_time.is_seen,
+                "share_seen": over_time.share_seen,
+                "variance": over_time.variance,
+                "memory": over_time.memory,
+                "line": over_time.spectrum.line,
+                "spectrum": {
+                    "frequency": over_time.spectrum.frequency.tolist(),
+                    "density": over_time.spectrum.density.tolist(),
+                    "floor": over_time.spectrum.floor.tolist(),
+                },
+                "series": [_thin(s) for s in over_time.series],
+            },
+        }
+
+
+def unexplained(
+    at: Weighted,
+    experiments: Sequence[Experiment],
+    recorded: Mapping[str, str] | None = None,
+    *,
+    alpha: float = 0.05,
+    seed: int = 0,
+) -> Unexplained:
+    """Describe what the model, fitted under its noise, leaves unexplained.
+
+    Parameters
+    ----------
+    recorded : channels beside the model's on which it may depend, name -> unit.
+    alpha : rate at which each of the two parts, the tests and the terms, calls noise something.
+
+    Notes
+    -----
+    Terms are sought in every place: `alpha` is divided among the places. Nothing is described over
+    time where the tests and the terms find nothing.
+    """
+    recorded = dict(recorded or {})
+    tests = residual_tests(at, experiments, recorded, alpha=alpha, seed=seed)
+    model = at.model
+    places = [*model.balances, *at.criterion.outputs]
+    found = [
+        missing_force(
+            at,
+            experiments,
+            place,
+            recorded=recorded,
+            alpha=alpha / len(places),
+            with_series=place in model.balances,
+            seed=seed,
+        )
+        for place in places
+    ]
+    # Stable: of equal ones, balances come first.
+    found.sort(key=lambda m: -m.score)
+    best = found[0]
+    if best.over_time is None and best.dependences:
+        found[0] = best = missing_force(
+            at, experiments, best.place, recorded=recorded, alpha=alpha / len(places), seed=seed
+        )
+    signals = _signals(at, experiments, recorded)
+    is_something = tests.verdict != NOISE or bool(best.dependences)
+    occurrences: tuple[Occurrence, ...] = ()
+    goes_with: tuple[tuple[str, float], ...] = ()
+    if is_something:
+        occurrences, goes_with = _when(at, tests, signals, alpha)
+    where = best.place if best.dependences else ""
+    if not best.dependences and is_something and len(model.balances) == 1:
+        balance = next(m for m in found if m.is_balance)
+        where = balance.place if _is_dynamic(at, balance) else ""
+    return Unexplained(
+        where=where,
+        places=tuple(found),
+        tests=tests,
+        sentences=tuple(_sentences(where, found, tests, occurrences, goes_with, is_something)),
+        occurrences=occurrences,
+        goes_with=goes_with,
+        signals=signals,
+    )
+
+
+def _is_dynamic(at: Weighted, force: MissingForce) -> bool:
+    """True if a random force in the balance explains the spectrum better than an error added to
+    any one output.
+
+    Both are processes of two parameters: their likelihoods compare as they are.
+    """
+    fit, noise = quiet_fit(at)
+    assert force.over_time is not None
+    rivals = [
+        smoothed_force(fit.criterion, fit.x, noise, o, at.input_sd).evidence
+        for o in fit.criterion.outputs
+    ]
+    return force.over_time.evidence > max(rivals) + 3.0
+
+
+def _signals(
+    at: Weighted, experiments: Sequence[Experiment], recorded: Mapping[str, str]
+) -> tuple[Mapping[str, Array], ...]:
+    fit = at.unbiased or at.fit
+    out = []
+    for k, d in enumerate(fit.criterion.data):
+        sim = fit.criterion.simulated(fit.x, k)
+        table = variables_of(fit.criterion, experiments, recorded, k, sim, d)
+        out.append({n: v for n, v in table.items() if not n.startswith("slope of ") and n != TIME})
+    return tuple(out)
+
+
+def _when(
+    at: Weighted, tests: ResidualTests, signals: Sequence[Mapping[str, Array]], alpha: float
+) -> tuple[tuple[Occurrence, ...], tuple[tuple[str, float], ...]]:
+    """Stretches in which much is left, and variables whose size goes with how much."""
+    blocks, power = tests.blocks, tests.blocks[:, 2]
+    usual = float(np.median(power))
+    rows: list[Occurrence] = []
+    before, data = 0.0, at.criterion.data
+    sizes: dict[str, list[float]] = {name: [] for name in signals[0]}
+    for d, table in zip(data, signals, strict=True):
+        own = blocks[(blocks[:, 0] >= before - 1e-9) & (blocks[:, 0] < before + d.N * d.Ts - 1e-9)]
+        for a, b, p in own:
+            i, j = round((a - before) / d.Ts), round((b - before) / d.Ts)
+            for name in sizes:
+                sizes[name].append(float(np.mean(table[name][i:j] ** 2)))
+            if p > 2.0 * usual:
+                start, stop = float(d.t[0]) + a - before, float(d.t[0]) + b - before
+                if rows and rows[-1].record == d.name and abs(rows[-1].stop - start) < 2 * d.Ts:
+                    last = rows.pop()
+                    start, p = last.start, max(p, last.power * usual)
+                rows.append(Occurrence(d.name, start, stop, float(p / usual)))
+        before += d.N * d.Ts
+    found = []
+    for name, size in sizes.items():
+        if np.ptp(size) <= 1e-12 * max(size):
+            continue
+        r = spearmanr(size, power.tolist())
+        if float(r.pvalue) < alpha / len(sizes):
+            found.append((name, float(r.statistic)))
+    found.sort(key=lambda row: -abs(row[1]))
+    # Loud stretches that are many are no occurrences: it is then simply there.
+    is_rare = sum(o.stop - o.start for o in rows) < 0.4 * before
+    return (tuple(rows) if is_rare else ()), tuple(found)
+
+
+# -- words ----------------------------------------------------------------------------------------
+
+
+def _sentences(
+    where: str,
+    found: Sequence[MissingForce],
+    tests: ResidualTests,
+    occurrences: Sequence[Occurrence],
+    goes_with: Sequence[tuple[str, float]],
+    is_something: bool,
+) -> list[str]:
+    best = found[0]
+    if not is_something:
+        return [f"Nothing is left beyond the noise (p = {tests.adjusted:.2g}).".replace("..", ".")]
+    out = []
+    if best.dependences:
+        what = f"a missing {best.place}" if best.is_balance else f"an error of {best.place}"
+        out.append(
+            f"What is left is {what} that depends on "
+            + "; and on ".join(d.words for d in best.dependences)
+            + f". This explains {100 * best.explained:.0f} % of it."
+        )
+        rivals = best.dependences[0].rivals
+        if rivals:
+            told = ", ".join(" times a function of ".join(r) for r in rivals)
+            out.append(f"In this record {told} would explain nearly as much.")
+        near = [m for m in found[1:] if m.dependences and best.score - m.score < APART]
+        if near:
+            out.append(
+                "That it acts there is not certain: "
+                + ", ".join(m.place for m in near)
+                + " would do as well."
+            )
+        if best.independent_of and not rivals:
+            out.append(f"It does not depend on {', '.join(best.independent_of)}.")
+    else:
+        kind = {
+            IN_TIME: "Something is left whose mean or power changes in time",
+        }.get(tests.verdict, "What is left looks like a disturbance")
+        place = f", acting in {where}" if where else ""
+        out.append(
+            f"{kind}{place}: no function of states, inputs or recorded channels explains it."
+        )
+        b = tests.loudest
+        if b.p_value < 0.01:
+            out.append(
+                f"Most of it lies between {b.low:.3g} and {b.high:.3g} Hz of {b.output}, "
+                f"{b.ratio:.2g} times the noise."
+            )
+    force = best.over_time
+    if force is None:
+        force = next((m.over_time for m in found if m.over_time is not None), None)
+    if force is not None:
+        if force.spectrum.line is not None:
+            out.append(f"Its spectrum has a line at {force.spectrum.line:.3g} Hz.")
+        if not force.is_seen:
+            out.append(
+                "Over time it cannot be estimated better than its noise; only its averages are."
+            )
+    if occurrences:
+        ranges = ", ".join(
+            f"{o.start:.3g} to {o.stop:.3g} s of {o.record}" for o in occurrences[:4]
+        )
+        out.append(f"It is strongest from {ranges}.")
+    if goes_with and not best.dependences:
+        name, r = goes_with[0]
+        out.append(f"It is {'larger' if r > 0 else 'smaller'} when {name} is large.")
+    return out
+
+
+def _thin(s: ForceSeries) -> dict[str, Any]:
+    step = max(1, -(-len(s.t) // 1000))
+    return {
+        "record": s.name,
+        "t": s.t[::step].tolist(),
+        "force": s.force[::step].tolist(),
+        "sd": s.sd[::step].tolist(),
+    }

@@ -1,0 +1,1 @@
+"""The verdict: causes with sizes and alternatives, the gain, and what remains."""

@@ -1,0 +1,45 @@
+"""How much of the misfit each adopted effect explains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.search.candidates import Adopted, null_values
+from casid.errors import SolveError
+from casid.estimation.simulation.simulation_error import Fit, SimulationError
+
+
+def contributions_of(weighing: Weighing, adopted: Sequence[Adopted], fit: Fit) -> list[float]:
+    """Sum of squares that returns when each effect is taken out and the rest refitted.
+
+    The rest starts where it is and, should that leave more than the model as it was before any
+    effect, there: far from its minimum the fit of a long swing has others.
+    """
+    c = fit.criterion
+    start = adopted[0].before.fit.values if adopted and adopted[0].before else fit.values
+    nothing = {k: v for a in adopted for k, v in null_values(a.candidate).items()}
+    out = []
+    for a in adopted:
+        null = null_values(a.candidate)
+        less = partial(
+            SimulationError,
+            c.model.with_known(**null),
+            weighing.experiments,
+            own=[n for n in c.own if n not in null],
+            weights=c.weights,
+            substeps=c.substeps,
+        )
+        bare = less(start={**start, **nothing})
+        most = bare.evaluate(bare.start).value
+        try:
+            left = weighing.minimum(less(start=fit.values)).solution.value
+            if left > most:
+                left = min(weighing.minimum(bare).solution.value, most)
+        except SolveError:
+            left = most if np.isfinite(most) else fit.solution.value
+        out.append(max(left - fit.solution.value, 0.0))
+    return out

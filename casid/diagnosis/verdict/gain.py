@@ -1,0 +1,102 @@
+"""How wrong the simulation is before and after, against the best that is possible."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from casid.data.problem import Problem
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.estimation.estimate import RecordView
+from casid.estimation.fit_statistics import rms
+from casid.estimation.holdout import Split, record_views, simulate_apart, whole_simulation
+from casid.estimation.simulation.simulation_error import Fit
+from casid.identification.wrong_signs import WrongSign
+
+Array = np.ndarray[Any, Any]
+
+
+def rmse(
+    fit: Fit, reference: Fit, split: Split, limits: dict[str, float], *, held: bool
+) -> dict[str, float]:
+    """Rms error by output over all records, on samples that no clipping touches."""
+    outputs = fit.criterion.outputs
+    parts: list[Array] = []
+    for e in range(len(split.whole)):
+        d, y, _ = whole_simulation(fit, split, e)
+        _, best, _ = whole_simulation(reference, split, e)
+        error = np.where(d.used, d.y - y, np.nan)
+        for name, level in limits.items():
+            i = outputs.index(name)
+            error[np.abs(best[:, i]) >= 0.999 * level, i] = np.nan
+        parts.append(error[split.held[e]] if held else error[~split.held[e]])
+    if held:
+        for experiment in split.apart:
+            d, y, _ = simulate_apart(fit, experiment)
+            parts.append(np.where(d.used, d.y - y, np.nan))
+    stacked = np.concatenate(parts)
+    if not len(stacked):
+        return {}
+    return dict(zip(outputs, rms(stacked).tolist(), strict=True))
+
+
+def clipping_limits(fit: Fit) -> dict[str, float]:
+    """Clipping levels of the outputs, where the model has them."""
+    values = fit.values
+    return {s.channel: values[s.parameter] for s in fit.criterion.model.stages if s.kind == "clip"}
+
+
+def noise_floor(at: Weighted) -> dict[str, float]:
+    """Rms that the best possible model would leave: output noise and measured inputs' noise."""
+    measured = {
+        s: float(at.input_sd.get(s, 0.0)) for s in at.full.source_sd if s in at.model.inputs
+    }
+    quiet = at.full.quiet(measured)
+    floors = np.array([quiet.floor(e) for e in range(len(at.criterion.data))])
+    weight = np.array([d.N for d in at.criterion.data], dtype=float)
+    total = np.sqrt(np.average(floors**2, axis=0, weights=weight))
+    return dict(zip(at.criterion.outputs, total.tolist(), strict=True))
+
+
+def unlike_held_out(
+    fitted: Mapping[str, Mapping[str, float]], held: Mapping[str, Mapping[str, float]]
+) -> str:
+    """Why what was held out forbids to call the model adequate, or an empty text."""
+    for output, error in held.get("baseline_rmse", {}).items():
+        inside = fitted["baseline_rmse"][output]
+        floor = fitted["noise_floor"][output]
+        if error > 1.5 * max(inside, floor):
+            return (
+                f"the fitted part hides nothing, but the simulation of {output} is wrong by "
+                f"{error:.3g} where it was not fitted, against {inside:.3g} where it was: "
+                "diagnose the whole record (--hold-out 0), or that part of it (--window)"
+            )
+    return ""
+
+
+def bounds_met(problem: Problem, fit: Fit) -> dict[str, str]:
+    """Physical parameters that the fit holds at a bound -> which, in words."""
+    met = {}
+    for v in fit.criterion.variables:
+        p = problem.model.parameters.get(v.source)
+        for side in ("lower", "upper"):
+            if p is not None and v.name in getattr(fit.solution, f"at_{side}"):
+                met[v.name] = f"{v.name} at its {side} bound ({getattr(p, side):g} {p.unit})"
+    return met
+
+
+def views(
+    base: Fit, extended: Fit | None, split: Split, recorded: Split, turned: WrongSign | None
+) -> tuple[RecordView, ...]:
+    """Signals for figures; with a wrong sign mended, the baseline is turned like the record."""
+    if turned is None or extended is None:
+        return record_views(base, extended, split)
+    before, after = record_views(base, None, recorded), record_views(extended, None, split)
+    signs = np.array([-1.0 if n == turned.channel else 1.0 for n in before[0].outputs])
+    return tuple(
+        replace(a, baseline=b.baseline * signs, extended=a.baseline)
+        for b, a in zip(before, after, strict=True)
+    )

@@ -1,0 +1,191 @@
+"""What naming the causes leaves unexplained, and which parameters it has set right."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from casid.estimation.estimate import Estimate
+
+_NEAR = 1.1  # of the noise floor: what a floor estimated from the same record cannot tell from 1
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """A parameter of the baseline that moved when the missing causes were named. SI units."""
+
+    name: str
+    unit: str
+    before: float  # fitted without the causes
+    after: float  # fitted with them
+    std_error_after: float | None  # None: at a bound
+    std_error_before: float | None = None
+
+    @property
+    def bias(self) -> float:
+        """What leaving the causes out had added to the estimate."""
+        return self.before - self.after
+
+    @property
+    def shift(self) -> float | None:
+        """How far the parameter moved, in standard errors of where it went; signed."""
+        if not self.std_error_after or not math.isfinite(self.bias):
+            return None
+        return (self.after - self.before) / self.std_error_after
+
+    def to_json(self) -> dict[str, Any]:
+        """Part of `diagnosis.json`."""
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "before": self.before,
+            "after": self.after,
+            "std_error_before": self.std_error_before,
+            "std_error_after": self.std_error_after,
+            "bias": self.bias,
+            "shift": self.shift,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """How much of the excess misfit one cause explains."""
+
+    kind: str
+    where: str
+    share: float  # of the excess misfit, 0..1
+
+    def to_json(self) -> dict[str, Any]:
+        """Part of `diagnosis.json`."""
+        return {"kind": self.kind, "where": self.where, "share": self.share}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Remaining:
+    """What is left of the misfit when every named cause is in the model.
+
+    The excess misfit is the baseline's squared error above the noise floor, in units of the floor
+    and added over the outputs.
+    """
+
+    explained: tuple[Explained, ...]  # in the order of contribution
+    unexplained: float  # share of the excess misfit, 0..1
+    over_floor: Mapping[str, float] = field(default_factory=dict)  # output -> rms after over floor
+    p_value: float | None = None  # of the test of what is left; None: not tested
+    test: str = ""  # which test that was
+    sentence: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Part of `diagnosis.json`."""
+        return {
+            "explained": [e.to_json() for e in self.explained],
+            "unexplained": self.unexplained,
+            "over_floor": dict(self.over_floor),
+            "p_value": self.p_value,
+            "test": self.test,
+            "sentence": self.sentence,
+        }
+
+
+def moved_parameters(
+    baseline: Estimate, extended: Estimate, *, at_least: float = 2.0
+) -> tuple[Moved, ...]:
+    """Parameters that both fits estimate and that moved, the furthest in standard errors first.
+
+    Parameters
+    ----------
+    at_least : smallest move reported, in standard errors of the extended fit (a heuristic). Were
+        the causes absent, a move would vary with the difference of both fits' variances (Hausman,
+        Econometrica 46 (1978) 1251-1271, section 2), which is below the extended fit's own: at 2 a
+        parameter is listed by chance in less than one case in twenty.
+
+    Returns
+    -------
+    Parameters at a bound after the extension have no standard error; they stand last, and only
+    where their value has changed.
+    """
+    after = {p.name: p for p in extended.parameters if not p.known}
+    found = []
+    for p in baseline.parameters:
+        q = after.get(p.name)
+        if p.known or q is None or not (math.isfinite(p.value) and math.isfinite(q.value)):
+            continue
+        m = Moved(p.name, p.unit, p.value, q.value, q.std_error, p.std_error)
+        # A parameter that stays at its bound comes back with the solver's last digits changed.
+        same = math.isclose(p.value, q.value, rel_tol=1e-6, abs_tol=1e-12)
+        if (m.shift is None and not same) or abs(m.shift or 0.0) >= at_least:
+            found.append(m)
+    found.sort(key=lambda m: -abs(m.shift) if m.shift is not None else 0.0)
+    return tuple(found)
+
+
+def what_remains(
+    shares: Iterable[tuple[str, str, float]],
+    part: Mapping[str, Mapping[str, float]],
+    *,
+    p_value: float | None = None,
+    test: str = "",
+    false_alarm_rate: float = 0.05,
+) -> Remaining | None:
+    """What is left of the misfit, from the rms errors of one part of the records.
+
+    Parameters
+    ----------
+    shares : kind, place and share of every cause, in the order of contribution; the shares are of
+        the misfit that all causes together removed (`Cause.share`).
+    part : `Diagnosis.held_out`, or `Diagnosis.fitted` where nothing was held out: output -> value
+        under "baseline_rmse", "extended_rmse" (empty where nothing was named) and "noise_floor".
+    p_value, test : of the test of the residual that is left, and the test's name.
+    false_alarm_rate : below it, the test says that something is left.
+
+    Returns
+    -------
+    None where no output has both an error and a noise floor.
+    """
+    baseline, floor = part.get("baseline_rmse", {}), part.get("noise_floor", {})
+    extended = part.get("extended_rmse") or baseline
+    outputs = [o for o in extended if o in baseline and floor.get(o, 0.0) > 0]
+    outputs = [o for o in outputs if math.isfinite(baseline[o]) and math.isfinite(extended[o])]
+    if not outputs:
+        return None
+    before = sum(max((baseline[o] / floor[o]) ** 2 - 1, 0.0) for o in outputs)
+    after = sum(max((extended[o] / floor[o]) ** 2 - 1, 0.0) for o in outputs)
+    left = min(after / before, 1.0) if before > 0 else 0.0
+    explained = tuple(Explained(k, w, share * (1 - left)) for k, w, share in shares)
+    over = {o: extended[o] / floor[o] for o in outputs}
+    return Remaining(
+        explained=explained,
+        unexplained=left,
+        over_floor=over,
+        p_value=p_value,
+        test=test,
+        sentence=_sentence(explained, left, over, p_value, false_alarm_rate),
+    )
+
+
+def _sentence(
+    explained: tuple[Explained, ...],
+    left: float,
+    over: Mapping[str, float],
+    p_value: float | None,
+    alpha: float,
+) -> str:
+    worst = max(over, key=lambda o: over[o])
+    ends = f"the error of {worst} ends at {over[worst]:.3g} times its noise floor"
+    if explained:
+        many = "causes explain" if len(explained) > 1 else "cause explains"
+        share = "more than 99.5 %" if 0 < left < 0.005 else f"{100 * (1 - left):.0f} %"
+        text = f"The named {many} {share} of the excess misfit, and {ends}."
+    else:
+        text = f"Nothing is named; {ends}."
+    is_left = p_value is not None and p_value < alpha
+    if is_left:
+        return f"{text} What is left is more than noise: something remains unexplained."
+    if over[worst] > _NEAR:
+        why = " that no effect of the catalogue explains" if p_value is not None else ""
+        return f"{text} Above the floor, there is an error left{why}."
+    if p_value is None:
+        return f"{text} Nothing is left above the floor."
+    return f"{text} Nothing is left that noise would not leave."

@@ -1,0 +1,1 @@
+"""What the parameters are: criteria, their minimisation, and the uncertainty of the result."""

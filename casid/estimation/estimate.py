@@ -1,0 +1,268 @@
+"""The estimate: what was estimated, how sure, from which data, and whether it may be trusted."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casid.estimation.covariance import Sampled, sample_through
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """One parameter of an estimate, SI units."""
+
+    name: str
+    value: float
+    unit: str
+    known: bool = False
+    std_error: float | None = None  # None: known, or at a bound
+    start: float | None = None
+    note: str = ""
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """Normal 95 % interval."""
+        if self.std_error is None:
+            return None
+        return self.value - 1.96 * self.std_error, self.value + 1.96 * self.std_error
+
+    def to_json(self) -> dict[str, Any]:
+        """As `estimate.json` has it."""
+        interval = self.interval
+        return {
+            "value": self.value,
+            "std_error": self.std_error,
+            "interval": list(interval) if interval else None,
+            "unit": self.unit,
+            "known": self.known,
+            **({"note": self.note} if self.note else {}),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Identifiability:
+    """Rank of the sensitivities at the estimate, and what any data could tell."""
+
+    rank: int
+    unknowns: int
+    smallest_singular_value: float  # columns scaled to length one
+    unseen: str = ""
+    structural: str = ""  # the exact rank of the model and its experiments, asked before the fit
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "rank": self.rank,
+            "unknowns": self.unknowns,
+            "smallest_singular_value": self.smallest_singular_value,
+            "unseen": self.unseen,
+            "structural": self.structural,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordView:
+    """Measured and simulated signals of one record, for figures. SI units."""
+
+    name: str
+    t: Array  # (N,) s, the record's own clock
+    outputs: tuple[str, ...]
+    output_units: tuple[str, ...]
+    measured: Array  # (N, ny)
+    used: Array  # (N, ny) bool, False where a sample is left out (missing, outlier, clipped)
+    fitted: Array  # (N,) bool, False in the held-out part
+    baseline: Array  # (N, ny) simulation before
+    extended: Array | None  # (N, ny) simulation after
+    inputs: tuple[str, ...]
+    input_units: tuple[str, ...]
+    u: Array  # (N, nu)
+    states: tuple[str, ...]
+    state_units: tuple[str, ...]
+    x: Array  # (N, nx) simulated states of the best model
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Values, covariance, what it assumes, solver evidence, fit and provenance."""
+
+    problem: str
+    method: str
+    parameters: tuple[Estimated, ...]
+    initial_states: tuple[Estimated, ...]
+    covariance_names: tuple[str, ...]
+    covariance: Array  # (n, n), SI units
+    assumes: str  # what the standard errors assume
+    status: str
+    is_converged: bool
+    iterations: int
+    scaled_gradient: float
+    starts_tried: int
+    starts_agreeing: int
+    rmse: Mapping[str, Mapping[str, float]]  # record -> output -> rms simulation error
+    nrmse_fit: Mapping[str, Mapping[str, float]]  # record -> output -> per cent
+    held_out_rmse: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    held_out_fit: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    whiteness: Mapping[str, str] = field(default_factory=dict)  # output -> sentence
+    identifiability: Identifiability = field(default_factory=lambda: Identifiability(0, 0, 0.0))
+    units: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    provenance: tuple[str, ...] = ()
+    versions: Mapping[str, str] = field(default_factory=dict)
+    sources: tuple[str, ...] = ()
+    records: tuple[RecordView, ...] = ()  # measured and simulated signals, for figures
+    fit_is: str = "Free simulation against the measured outputs"  # what rmse and nrmse_fit measure
+    evidence: Mapping[str, str] = field(default_factory=dict)  # what else bears on trust: sentences
+    suspects: tuple[str, ...] = ()  # of the record: a channel with the wrong sign, and its mend
+
+    def __getitem__(self, name: str) -> float:
+        """The value of a parameter or initial state."""
+        return self.parameter(name).value
+
+    def parameter(self, name: str) -> Estimated:
+        """The parameter or initial state called `name`."""
+        for p in (*self.parameters, *self.initial_states):
+            if p.name == name:
+                return p
+        raise KeyError(f"no parameter {name!r}; there are {', '.join(self.names)}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of parameters and initial states."""
+        return tuple(p.name for p in (*self.parameters, *self.initial_states))
+
+    def sample(
+        self,
+        function: Callable[[Mapping[str, float]], Sequence[float] | float],
+        *,
+        draws: int = 10_000,
+        seed: int = 0,
+        valid: Callable[[Array], bool] | None = None,
+    ) -> Sampled:
+        """Draws of N(theta, P) through any nonlinear map, with the share of invalid draws.
+
+        `function` takes a mapping of parameter names to values.
+        """
+        known = {p.name: p.value for p in self.parameters}
+        names = self.covariance_names
+
+        def of_draw(point: Array) -> Array:
+            values = {**known, **dict(zip(names, point.tolist(), strict=True))}
+            return np.atleast_1d(np.asarray(function(values), dtype=float))
+
+        theta = np.array([self[n] for n in names])
+        return sample_through(of_draw, theta, self.covariance, draws=draws, seed=seed, valid=valid)
+
+    def references(self) -> tuple[str, ...]:
+        """The papers behind the methods used."""
+        return self.sources
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of `estimate.json` (schema casid.estimation.estimate/1)."""
+        return {
+            "schema": "casid.estimation.estimate/1",
+            "problem": self.problem,
+            "method": self.method,
+            "parameters": {p.name: p.to_json() for p in self.parameters},
+            "initial_states": {p.name: p.to_json() for p in self.initial_states},
+            "covariance": {
+                "names": list(self.covariance_names),
+                "matrix": self.covariance.tolist(),
+            },
+            "assumes": self.assumes,
+            "status": self.status,
+            "converged": self.is_converged,
+            "fit": {
+                "rmse": {k: dict(v) for k, v in self.rmse.items()},
+                "nrmse_percent": {k: dict(v) for k, v in self.nrmse_fit.items()},
+                "held_out_rmse": {k: dict(v) for k, v in self.held_out_rmse.items()},
+                "held_out_nrmse_percent": {k: dict(v) for k, v in self.held_out_fit.items()},
+                "residuals": dict(self.whiteness),
+            },
+            "solver": {
+                "iterations": self.iterations,
+                "scaled_gradient": self.scaled_gradient,
+                "starts_tried": self.starts_tried,
+                "starts_agreeing": self.starts_agreeing,
+            },
+            "identifiability": self.identifiability.to_json(),
+            "warnings": list(self.warnings),
+            "suspects": list(self.suspects),
+            "provenance": list(self.provenance),
+            "versions": dict(self.versions),
+        }
+
+    def __repr__(self) -> str:
+        free = sum(not p.known for p in self.parameters)
+        bound = sum("bound" in p.note for p in self.parameters)
+        fits = [f for d in self.nrmse_fit.values() for f in d.values()]
+        word = "converged" if self.is_converged else f"NOT converged ({self.status})"
+        return (
+            f"<Estimate {self.problem}: {word}, {free} free, {bound} at bound, "
+            f"fit {min(fits, default=float('nan')):.1f} %>"
+        )
+
+    def __str__(self) -> str:
+        records = ", ".join(self.rmse)
+        lines = [
+            f"Estimate of {self.problem} from {records}, {self.method}",
+            *(f"  SUSPECT       {s}" for s in self.suspects),
+            f"  status        {self.status} in {self.iterations} iterations; largest scaled "
+            f"gradient {self.scaled_gradient:.0e}; {self.starts_agreeing} of {self.starts_tried} "
+            "starts agree",
+            f"  {'parameter':<18}{'unit':<16}{'estimate':>13}{'std. error':>13}{'start':>13}  note",
+        ]
+        for p in (*self.parameters, *self.initial_states):
+            error = "--" if p.std_error is None else f"{p.std_error:.2g}"
+            start = "" if p.start is None else f"{p.start:.6g}"
+            note = p.note or ("known" if p.known else "")
+            lines.append(
+                f"  {p.name:<18}{p.unit:<16}{p.value:>13.6g}{error:>13}{start:>13}  {note}"
+            )
+        i = self.identifiability
+        seen = "all" if i.rank == i.unknowns else i.unseen
+        lines.append(
+            f"  identifiable  {seen} (rank {i.rank} of {i.unknowns} at the estimate; smallest "
+            f"singular value {i.smallest_singular_value:.2g}, scaled)"
+        )
+        for record, by_output in self.rmse.items():
+            for output, value in by_output.items():
+                held = self.held_out_rmse.get(record, {}).get(output)
+                fit = self.nrmse_fit[record][output]
+                lines.append(
+                    f"  {record}/{output}: rms error {value:.4g} {self.units.get(output, '')}, "
+                    f"fit {fit:.1f} %" + (f"; held out {held:.4g}" if held is not None else "")
+                )
+        for record, by_output in self.held_out_rmse.items():
+            if record not in self.rmse:
+                for output, value in by_output.items():
+                    lines.append(f"  held out {record}/{output}: rms error {value:.4g}")
+        lines += [f"  residuals     {k}: {v}" for k, v in self.whiteness.items()]
+        lines.append(f"  error bars    {self.assumes}")
+        lines += [f"  WARNING       {w}" for w in self.warnings]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+    def plot(self) -> Any:
+        """The estimates with their intervals as a Plotly figure."""
+        from casid.report.figures.estimates import parameter_figure
+
+        return parameter_figure({"estimate": self})
+
+    def write(self, folder: str | Path) -> Path:
+        """Write `estimate.json` into `folder`, whole or not at all; returns its path."""
+        from casid.data.files import write_json
+
+        return write_json(Path(folder) / "estimate.json", self.to_json())

@@ -1,0 +1,243 @@
+"""Held-out data: the end of a record, or records of their own, simulated and never fitted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from casid.data.record import Experiment, Record
+from casid.errors import DataError
+from casid.estimation.covariance import bartlett_lags, long_run_covariance
+from casid.estimation.estimate import RecordView
+from casid.estimation.simulation.simulation_error import (
+    Fit,
+    Signals,
+    SimulationError,
+    minimize_simulation_error,
+    signals_of,
+)
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """Simulated and measured signals of what was held out of one record."""
+
+    name: str
+    t: Array  # (M,)
+    measured: Array  # (M, ny), NaN where not used
+    simulated: Array  # (M, ny)
+    in_record: bool  # the end of a fitted record, against a record of its own
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Split:
+    """Records as fitted, and what is held out of them."""
+
+    fitted: list[Experiment]
+    whole: list[Experiment]  # the same records to their end
+    held: list[Array]  # (N,) bool, held-out samples of each whole record
+    apart: list[Experiment]  # records held out as a whole
+
+    @property
+    def is_empty(self) -> bool:
+        """True if nothing is held out."""
+        return not self.apart and not any(bool(m.any()) for m in self.held)
+
+    def mask(self, channel: str, masks: Sequence[Array], apart: Sequence[Array]) -> Split:
+        """Mark samples of one channel as missing, in fitted and held-out parts alike."""
+
+        def marked(e: Experiment, mask: Array) -> Experiment:
+            if not mask.any():
+                return e
+            return Experiment(e.record.mark_missing(channel, mask), e.known, e.name)
+
+        whole = [marked(e, m) for e, m in zip(self.whole, masks, strict=True)]
+        fitted = [marked(f, m[: f.record.N]) for f, m in zip(self.fitted, masks, strict=True)]
+        return Split(
+            fitted,
+            whole,
+            self.held,
+            [marked(e, m) for e, m in zip(self.apart, apart, strict=True)],
+        )
+
+
+def split_records(
+    experiments: Sequence[Experiment], hold_out: float | Sequence[Experiment]
+) -> Split:
+    """Hold out the last share of each record, or whole records of their own.
+
+    Raises
+    ------
+    DataError
+        For a share that leaves too little to fit.
+    """
+    if not isinstance(hold_out, int | float):
+        none = [np.zeros(e.record.N, dtype=bool) for e in experiments]
+        return Split(list(experiments), list(experiments), none, list(hold_out))
+    if not 0 <= hold_out < 0.9:
+        raise DataError(
+            f"a held-out share of {hold_out:g} leaves too little to fit; use 0 to 0.9, for example "
+            "0.3, or name a file"
+        )
+    fitted, masks = [], []
+    for e in experiments:
+        r = e.record
+        keep = r.N - int(round(hold_out * r.N))
+        masks.append(np.arange(r.N) >= keep)
+        if keep < r.N:
+            part = r.between(r.t0, r.t0 + (keep - 0.5) * r.Ts)
+            fitted.append(Experiment(replace(part, name=r.name), e.known, e.name))
+        else:
+            fitted.append(e)
+    return Split(fitted, list(experiments), masks, [])
+
+
+def whole_simulation(fit: Fit, split: Split, index: int) -> tuple[Signals, Array, Array]:
+    """A fitted record simulated to its end: signals, outputs (N, ny), states (N, nx)."""
+    d = signals_of(fit.criterion.model, split.whole[index])
+    with np.errstate(all="ignore"):
+        y, x, _ = fit.criterion.simulate(fit.x, index, signals=d)
+    return d, y, x
+
+
+def simulate_apart(fit: Fit, experiment: Experiment) -> tuple[Signals, Array, Array]:
+    """Simulate a record that was not fitted, its initial state estimated and nothing else."""
+    old = fit.criterion
+    known = {n: fit.values[n] for n in old.free if n in fit.values}
+    for n in old.own:
+        values = [v for k, v in fit.values.items() if k.startswith(f"{n}@")]
+        known.setdefault(n, float(np.mean(values)) if values else fit.values.get(n, 0.0))
+    model = old.model.with_known(**known)
+    criterion = SimulationError(model, [experiment], weights=old.weights, substeps=old.substeps)
+    # A step at an instant of one record says nothing of another: there it has not happened.
+    for i, entry in enumerate(model.inputs.values()):
+        if entry.signal is not None:
+            criterion.data[0].u[:, i] = 0.0
+    point = criterion.start
+    if len(point):
+        point = minimize_simulation_error(criterion, check_rank=False, throw=False).x
+    y, x, _ = criterion.simulate(point, 0)
+    return criterion.data[0], y, x
+
+
+def validation(fit: Fit, split: Split) -> list[HeldOut]:
+    """Measured and simulated signals of everything held out."""
+    out = []
+    for i, mask in enumerate(split.held):
+        if mask.any():
+            d, y, _ = whole_simulation(fit, split, i)
+            measured = np.where(d.used, d.y, np.nan)
+            out.append(HeldOut(split.whole[i].name, d.t[mask], measured[mask], y[mask], True))
+    for e in split.apart:
+        d, y, _ = simulate_apart(fit, e)
+        out.append(HeldOut(e.name, d.t, np.where(d.used, d.y, np.nan), y, False))
+    return out
+
+
+def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
+    """(M, ny) held-out errors in the criterion's weighted units, NaN where not used.
+
+    With `anew` the held-out end of a record starts from an initial state of its own, as a record
+    held out does: a simulation that runs on gathers the errors of an integrator.
+    """
+    if anew:
+        tails = [
+            Experiment(_tail(e.record, mask), e.known, e.name)
+            for e, mask in zip(split.whole, split.held, strict=True)
+            if mask.any()
+        ]
+        split = Split([], [], [], [*tails, *split.apart])
+    parts = [(h.measured - h.simulated) * fit.criterion.weights for h in validation(fit, split)]
+    return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))
+
+
+def _tail(record: Record, mask: Array) -> Record:
+    first = int(np.argmax(mask))
+    start = record.t0 + (first - 0.5) * record.Ts
+    return record.between(start, np.inf)
+
+
+def why_no_better(before: Array, after: Array) -> str:
+    """Why an extension is refused by what was held out, or an empty text.
+
+    The fall of the squared error must not be chance: Diebold and Mariano's (1995) test at 20 %,
+    unless it is larger than a tenth.
+    """
+    if not len(before):
+        return ""
+    difference = np.nansum(before**2 - after**2, axis=1)
+    if not np.all(np.isfinite(difference)):
+        return "its simulation diverges on the held-out data"
+    old, new = float(np.nansum(before**2)), float(np.nansum(after**2))
+    if new >= old:
+        return "it does not improve the held-out error"
+    lags = bartlett_lags(difference[:, None])
+    sd = float(np.sqrt(long_run_covariance(difference[:, None], lags)[0, 0]))
+    p = 0.5 * math.erfc((old - new) / sd / math.sqrt(2.0)) if sd > 0 else 0.0
+    if p > 0.2 and new > 0.9 * old:
+        return f"its held-out improvement of {100 * (1 - np.sqrt(new / old)):.2g} % may be chance"
+    return ""
+
+
+WORSE = 1.01
+"""Held-out error over that before it, beyond which an extension is refused whatever it explains."""
+
+
+def why_worse(before: Array, after: Array) -> str:
+    """Why an extension is refused by what was held out, or an empty text: it makes it worse.
+
+    An effect of no size at all still costs its own variance there, some thousandths of the error.
+    """
+    if not len(before):
+        return ""
+    old, new = float(np.nansum(before**2)), float(np.nansum(after**2))
+    if not np.isfinite(new):
+        return "its simulation diverges on the held-out data"
+    if new > WORSE**2 * old:
+        return f"it makes the held-out error worse, by {100 * (np.sqrt(new / old) - 1):.2g} %"
+    return ""
+
+
+def record_views(base: Fit, extended: Fit | None, split: Split) -> tuple[RecordView, ...]:
+    """Measured and simulated signals of every record, fitted ones first, for figures."""
+    best = extended or base
+    model = base.criterion.model
+    out = []
+    for e in range(len(split.whole) + len(split.apart)):
+        apart = e >= len(split.whole)
+        experiment = split.apart[e - len(split.whole)] if apart else split.whole[e]
+        before = simulate_apart(base, experiment) if apart else whole_simulation(base, split, e)
+        after = before
+        if extended is not None:
+            after = (
+                simulate_apart(extended, experiment)
+                if apart
+                else whole_simulation(extended, split, e)
+            )
+        d, y, _ = before
+        out.append(
+            RecordView(
+                name=experiment.name,
+                t=d.t,
+                outputs=base.criterion.outputs,
+                output_units=tuple(unit for _, unit in model.outputs.values()),
+                measured=d.y,
+                used=d.used,
+                fitted=np.zeros(d.N, dtype=bool) if apart else ~split.held[e],
+                baseline=y,
+                extended=after[1] if extended is not None else None,
+                inputs=tuple(model.inputs),
+                input_units=tuple(u.unit for u in model.inputs.values()),
+                u=d.u,
+                states=tuple(model.states),
+                state_units=tuple(s.unit for s in model.states.values()),
+                x=after[2][:, : len(best.criterion.model.states)],
+            )
+        )
+    return tuple(out)

@@ -1,0 +1,1 @@
+"""Least squares and instrumental variables by cross moments of the data."""

@@ -1,0 +1,1 @@
+"""Nonlinear programs with named, scaled variables, and the solvers that solve them."""

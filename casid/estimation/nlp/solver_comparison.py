@@ -1,0 +1,541 @@
+"""One estimation problem through every solver at hand, compared with a reference.
+
+A solver agrees if each variable is within 1e-7 of the reference, relative. One that does not has a
+row that says why: its own stopping rule, an approximate Hessian, another optimum, a failing
+quadratic program, or that it is not installed.
+"""
+
+from __future__ import annotations
+
+import copy
+import html
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.errors import CasidError, SolveError
+from casid.estimation.nlp.compiled import Compiled
+from casid.estimation.nlp.nlp import Array, Nlp, Solution, Solver
+from casid.estimation.nlp.null_space import null_space_least_squares
+from casid.estimation.nlp.program_values import at_start, inside
+from casid.estimation.nlp.scipy_solvers import CriterionProgram, Program, run_scipy
+from casid.estimation.nlp.solution import judged
+from casid.estimation.nlp.solver_processes import (
+    DEFAULT,
+    NULL_SPACE,
+    SLSQP,
+    TRUST_CONSTR,
+    Contender,
+    Outcome,
+    contender,
+    muted,
+    run_apart,
+    run_here,
+    timed,
+)
+
+__all__ = ["Row", "SolverComparison", "compare_solvers", "null_space_least_squares"]
+
+_FLAT = 1e-7  # resolutions of the criterion above this are worth a word
+# A solver that ends so has seen its gradient vanish, by its own measure.
+_BY_GRADIENT = ("Solve_Succeeded", "Solved", "Converged with feasible KKT point", "optimal")
+_FEASIBLE = 1e-6  # largest violation of a constraint, in its own units
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """One solver on one problem."""
+
+    solver: str
+    status: str
+    objective: float
+    violation: float  # largest, of any constraint, in its own units
+    distance: float  # largest |x - x_ref| / |x_ref| of a variable
+    scaled_gradient: float
+    iterations: int  # 0: the solver does not tell
+    evaluations: int  # of the objective; 0: the solver does not tell
+    seconds: float  # one solve, the solver being built
+    x: Array | None  # (n,), physical units
+    agrees: bool
+    reason: str  # why it does not agree; empty where it does
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; what is not finite becomes None."""
+        numbers = ("objective", "violation", "distance", "scaled_gradient", "seconds")
+        return {
+            "solver": self.solver,
+            "status": self.status,
+            **{key: _finite(getattr(self, key)) for key in numbers},
+            "iterations": self.iterations,
+            "evaluations": self.evaluations,
+            "x": None if self.x is None else [_finite(v) for v in self.x],
+            "agrees": self.agrees,
+            "reason": self.reason,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolverComparison:
+    """Every solver's answer to one problem beside a reference."""
+
+    problem: str
+    names: tuple[str, ...]
+    rows: tuple[Row, ...]
+    reference: Array | None  # (n,), None where no solver met the constraints
+    reference_from: str
+    objective: float  # at the reference
+    tolerance: float
+
+    def __getitem__(self, solver: str) -> Row:
+        for row in self.rows:
+            if row.solver == solver:
+                return row
+        known = ", ".join(row.solver for row in self.rows)
+        raise KeyError(f"{solver!r} did not take part; those that did: {known}")
+
+    @property
+    def agreeing(self) -> tuple[str, ...]:
+        """Solvers within the tolerance of the reference."""
+        return tuple(row.solver for row in self.rows if row.agrees)
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether any solver met the constraints."""
+        return self.reference is not None
+
+    def __repr__(self) -> str:
+        ran = sum(row.x is not None for row in self.rows)
+        return (
+            f"<SolverComparison {self.problem}: {len(self.agreeing)} of {ran} solvers agree within "
+            f"{self.tolerance:g}>"
+        )
+
+    def cells(self) -> list[tuple[str, ...]]:
+        """The table as text, its first row the head."""
+        head = ("solver", "objective", "violation", "distance", "iterations", "evaluations", "ms")
+        lines: list[tuple[str, ...]] = [(*head, "status")]
+        lines += [
+            (
+                row.solver,
+                _number(row.objective, ".10g"),
+                _number(row.violation, ".1e"),
+                _number(row.distance, ".1e"),
+                str(row.iterations or "--"),
+                str(row.evaluations or "--"),
+                _number(1e3 * row.seconds, ".2f"),
+                row.status,
+            )
+            for row in self.rows
+        ]
+        return lines
+
+    def __str__(self) -> str:
+        cells = self.cells()
+        widths = [max(len(line[i]) for line in cells) for i in range(len(cells[0]))]
+        lines = [
+            f"{self.problem}: {len(self.names)} variables; reference: {self.reference_from}"
+            + (f", objective {self.objective:.10g}" if self.is_feasible else "")
+        ]
+        for line in cells:
+            shown = [
+                cell.ljust(width) if i in (0, 7) else cell.rjust(width)
+                for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+            ]
+            lines.append(("  " + "  ".join(shown)).rstrip())
+        lines.append(
+            f"  {len(self.agreeing)} of {len(self.rows)} agree with the reference within "
+            f"{self.tolerance:g} relative"
+        )
+        lines += [f"  {row.solver}: {row.reason}" for row in self.rows if row.reason]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        head, *body = self.cells()
+
+        def row(tag: str, texts: Sequence[str]) -> str:
+            return "".join(f"<{tag}>{html.escape(text)}</{tag}>" for text in texts)
+
+        lines = [
+            f"<tr>{row('td', (*cells, r.reason))}</tr>"
+            for cells, r in zip(body, self.rows, strict=True)
+        ]
+        return (
+            f"<table><caption>{html.escape(repr(self)[1:-1])}; reference: "
+            f"{html.escape(self.reference_from)}</caption>"
+            f"<tr>{row('th', (*head, 'why not'))}</tr>{''.join(lines)}</table>"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; what is not finite becomes None."""
+        return {
+            "schema": "casid.solver_comparison/1",
+            "problem": self.problem,
+            "names": list(self.names),
+            "reference": None if self.reference is None else [float(v) for v in self.reference],
+            "reference_from": self.reference_from,
+            "objective": _finite(self.objective),
+            "tolerance": self.tolerance,
+            "rows": [row.to_json() for row in self.rows],
+        }
+
+    def plot(self) -> Any:
+        """Plotly figure: distance to the reference against time, a point for each solver."""
+        import plotly.graph_objects as go
+
+        shown = [row for row in self.rows if row.x is not None]
+        floor = 1e-16  # a logarithmic axis has no zero
+        figure = go.Figure()
+        for agrees, label, symbol, colour in (
+            (True, "agrees", "circle", "#0072B2"),
+            (False, "does not", "x", "#D55E00"),
+        ):
+            rows = [row for row in shown if row.agrees == agrees]
+            figure.add_scatter(
+                x=[1e3 * row.seconds for row in rows],
+                y=[max(row.distance, floor) for row in rows],
+                text=[row.solver for row in rows],
+                hovertext=[row.reason for row in rows],
+                mode="markers+text",
+                textposition="top center",
+                name=label,
+                marker={"symbol": symbol, "color": colour, "size": 9},
+            )
+        figure.add_hline(y=self.tolerance, line_dash="dash", annotation_text="tolerance")
+        figure.update_xaxes(type="log", title="time of one solve [ms]")
+        figure.update_yaxes(
+            type="log", title="largest relative distance to the reference", exponentformat="power"
+        )
+        figure.update_layout(title=html.escape(repr(self)[1:-1]))
+        return figure
+
+
+def compare_solvers(
+    nlp: Nlp,
+    parameters: Mapping[str, Any] | None = None,
+    solvers: Sequence[str | Solver] | str | Solver | None = None,
+    reference: Mapping[str, float] | Solution | Sequence[float] | Array | None = None,
+    *,
+    start: Sequence[float] | Array | Mapping[str, float] | None = None,
+    tolerance: float = 1e-7,
+    timeout: float = 30.0,
+) -> SolverComparison:
+    """Run one program through many solvers and measure each against a reference.
+
+    Parameters
+    ----------
+    nlp : objective as a CasADi expression, or a `Criterion` (then the solvers that take its
+        Gauss-Newton matrix run, in this process, and the others have a row that says so).
+    parameters : values of the parameters that `nlp` declares.
+    solvers : names ("ipopt", "sqpmethod/daqp", "uno", "scipy/SLSQP", "null-space QR", any plug-in
+        of `casadi.nlpsol`) or `Solver` values, or one of these; by default all that casid knows.
+    reference : the answer, as values by name or in order; by default the closed form where
+        constraints are linear and the objective quadratic, else the best optimum that any solver
+        reached, polished by Newton steps on its optimality conditions.
+    start : (n,) in order, or name -> value; by default the declared starts.
+    tolerance : largest relative distance of a variable that counts as agreement.
+    timeout : seconds after which a CasADi plug-in is stopped.
+
+    Raises
+    ------
+    SolveError
+        If values of parameters are missing or do not fit, the start does not, or the reference
+        has other variables.
+    """
+    solvers = DEFAULT if solvers is None else solvers
+    entries = [contender(s) for s in ([solvers] if isinstance(solvers, str | Solver) else solvers)]
+    begin: Array | None = None
+    if start is not None:
+        begin = at_start(nlp.name, nlp.names, start, nlp.start)
+        begin = inside(nlp.name, nlp.names, begin, *nlp.limits)
+    program: Any
+    if nlp.has_criterion:
+        constraints = copy.copy(nlp)
+        constraints.minimize(ca.MX(0))
+        compiled = constraints.compile()
+        compiled.put(parameters or {})
+        program = CriterionProgram(nlp.objective, compiled)
+        outcomes = [_criterion_outcome(nlp, c, program, parameters, begin) for c in entries]
+    else:
+        compiled = program = nlp.compile()
+        compiled.put(parameters or {})
+        plug_ins = [c for c in entries if c.solver is not None]
+        apart = run_apart(compiled, parameters or {}, begin, plug_ins, timeout)
+        by_entry = {id(c): found for c, found in zip(plug_ins, apart, strict=True)}
+        outcomes = [by_entry.get(id(c)) or _here(c, compiled, begin, nlp.names) for c in entries]
+    answer, words = _reference(nlp, program, outcomes, reference, polish=not nlp.has_criterion)
+    objective = math.nan if answer is None else program.evaluate(answer).value
+    rows = tuple(
+        _row(c, found, answer, objective, program, tolerance)
+        for c, found in zip(entries, outcomes, strict=True)
+    )
+    return SolverComparison(nlp.name, nlp.names, rows, answer, words, objective, tolerance)
+
+
+# One contender
+
+
+def _here(
+    entry: Contender, program: Program, start: Array | None, names: tuple[str, ...]
+) -> Outcome:
+    """SciPy's methods and the closed form, in this process."""
+    try:
+        if entry.name == NULL_SPACE:
+            assert isinstance(program, Compiled)
+            found = timed(lambda: _closed_form(program))
+        else:
+            with muted(), warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of a singular Jacobian, say: the row tells
+                found = run_scipy(entry.name, names, program, start)
+        return Outcome(entry.name, *found)
+    except CasidError as error:
+        return Outcome(entry.name, reason=str(error).partition(": ")[2] or str(error))
+    except Exception as error:
+        return Outcome(entry.name, reason=f"{type(error).__name__}: {error}")
+
+
+def _closed_form(compiled: Compiled) -> Solution:
+    """The constrained least-squares problem behind a quadratic program, solved by null space."""
+    function = compiled.function
+    symbol: Any = ca.SX if function.is_a("SXFunction") else ca.MX
+    x, p = (symbol.sym(name, function.numel_in(i)) for i, name in enumerate("xp"))
+    f, g = function(x, p)
+    if not ca.is_quadratic(f, x):
+        raise SolveError("closed form: the objective is not quadratic")
+    if not ca.is_linear(g, x):
+        raise SolveError("closed form: a constraint is not linear")
+    lower, upper, low, high = compiled.box
+    equality = low == high
+    scale = compiled.scale
+    at = compiled.evaluate(np.zeros(len(scale)))
+    H = at.hessian * np.outer(scale, scale)
+    try:
+        root = np.linalg.cholesky(H).T  # H = root' root: regressors with these moments
+    except np.linalg.LinAlgError:
+        raise SolveError("closed form: the Hessian is not positive definite") from None
+    z = null_space_least_squares(
+        root,
+        -np.linalg.solve(root.T, at.gradient * scale),
+        (at.jacobian * scale)[equality],
+        (low - at.constraints)[equality],
+    )
+    x = z * scale
+    g_at = compiled.evaluate(x).constraints[~equality]
+    inside = np.all((x >= lower) & (x <= upper)) and np.all(
+        (g_at >= low[~equality]) & (g_at <= high[~equality])
+    )
+    if not inside:
+        raise SolveError("closed form: a bound or inequality is active, it takes equalities alone")
+    told = ("Closed_Form", 0, 0)
+    return judged(compiled.names, x, compiled.evaluate(x), scale, compiled.box, told, NULL_SPACE)
+
+
+def _criterion_outcome(
+    nlp: Nlp,
+    entry: Contender,
+    program: CriterionProgram,
+    parameters: Mapping[str, Any] | None,
+    start: Array | None,
+) -> Outcome:
+    """A contender on a criterion that is no expression, in this process."""
+    if entry.name in (TRUST_CONSTR, SLSQP):
+        return _here(entry, program, start, nlp.names)
+    if entry.solver is None:
+        return Outcome(entry.name, reason="does not fit: the objective is no quadratic expression")
+    if entry.polish:
+        return Outcome(entry.name, reason="does not fit: Newton steps need an expression")
+    if not entry.takes_criterion:
+        return Outcome(entry.name, reason="does not fit: it takes no Hessian but its own")
+
+    def solve(solver: Solver) -> tuple[Solution, float]:
+        return timed(
+            lambda: nlp.solve(
+                solver,
+                None if start is None else start.tolist(),
+                parameters=parameters,
+                throw=False,
+                natural_scales=True,
+            ),
+            repeats=1,
+        )
+
+    with muted():
+        return run_here(entry.name, entry.solver, solve)
+
+
+# The reference, and the distance to it
+
+
+def _reference(
+    nlp: Nlp,
+    program: Program,
+    outcomes: Sequence[Outcome],
+    given: Any,
+    *,
+    polish: bool,
+) -> tuple[Array | None, str]:
+    """The answer to compare with, and where it is from."""
+    if given is not None:
+        if isinstance(given, Mapping):
+            if given.keys() != set(nlp.names):
+                raise SolveError(
+                    f"{nlp.name}: the reference has {', '.join(given)}; give {', '.join(nlp.names)}"
+                )
+            given = [given[name] for name in nlp.names]
+        answer = np.array(given.x if isinstance(given, Solution) else given, dtype=float).ravel()
+        if len(answer) != len(nlp.names):
+            raise SolveError(
+                f"{nlp.name}: the reference has {len(answer)} values for {len(nlp.names)} "
+                f"variables; give one for each of {', '.join(nlp.names)}"
+            )
+        return answer, "given"
+    solved = [
+        (o.solution, o.name)
+        for o in outcomes
+        if o.solution is not None
+        and np.isfinite(o.solution.value)
+        and o.solution.constraint_violation < _FEASIBLE
+    ]
+    for solution, name in solved:
+        if name == NULL_SPACE:
+            return solution.x, "closed form (null-space QR)"
+    optima = [entry for entry in solved if entry[0].is_converged] or solved
+    if not optima:
+        return None, "none: no solver met the constraints"
+    lowest = min(solution.value for solution, _ in optima)
+    # Of those in the deepest valley the one with the smallest gradient.
+    near = [e for e in optima if e[0].value <= lowest + 1e-6 * abs(lowest) + 1e-300]
+    best, name = min(near, key=lambda entry: entry[0].scaled_gradient)
+    words = f"best optimum ({name})"
+    if polish and isinstance(program, Compiled):
+        found = program.polished(best, _multipliers(program, best))
+        if found is not best:
+            best, words = found, f"{words}, polished by Newton steps"
+    return best.x, f"{words}, scaled gradient {best.scaled_gradient:.0e}"
+
+
+def _multipliers(program: Program, solution: Solution) -> Array:
+    """Multipliers of the constraints at their limits, by least squares; of the right sign only."""
+    _, _, low, high = program.box
+    at = program.evaluate(solution.x)
+    size = np.maximum(np.abs(solution.x), program.scale)
+    near = 1e-6 * np.maximum(np.abs(at.jacobian) @ size, 1e-300)
+    at_low, at_high = np.abs(at.constraints - low) < near, np.abs(at.constraints - high) < near
+    held = {*solution.at_lower, *solution.at_upper}
+    free = np.array([name not in held for name in solution.names])
+    lam = np.zeros(len(low))
+    active = np.flatnonzero((low == high) | at_low | at_high)
+    if len(active) and free.any():
+        weight = size[free]
+        rows = at.jacobian[active][:, free] * weight
+        lam[active] = np.linalg.lstsq(rows.T, -at.gradient[free] * weight, rcond=None)[0]
+    wrong = (low != high) & ((at_low & (lam > 0)) | (at_high & (lam < 0)))
+    return np.where(wrong, 0.0, lam)
+
+
+def _row(
+    entry: Contender,
+    found: Outcome,
+    reference: Array | None,
+    objective: float,
+    program: Program,
+    tolerance: float,
+) -> Row:
+    """An outcome as a row: how far, and why."""
+    solution = found.solution
+    if solution is None:
+        nan = math.nan
+        status = "Not_Installed" if found.reason.startswith("not installed") else "No_Answer"
+        status = "Does_Not_Fit" if _does_not_fit(found.reason) else status
+        return Row(entry.name, status, nan, nan, nan, nan, 0, 0, nan, None, False, found.reason)
+    distance = math.nan
+    if reference is not None:
+        tiny = 1e-9 * program.scale  # a variable at zero is measured by what it was declared to be
+        unit = np.where(np.abs(reference) > tiny, np.abs(reference), program.scale)
+        distance = float(np.max(np.abs(solution.x - reference) / unit, initial=0.0))
+    is_feasible = solution.constraint_violation < _FEASIBLE
+    agrees = bool(distance <= tolerance and is_feasible)
+    return Row(
+        solver=entry.name,
+        status=solution.status,
+        objective=solution.value,
+        violation=solution.constraint_violation,
+        distance=distance,
+        scaled_gradient=solution.scaled_gradient,
+        iterations=solution.iterations,
+        evaluations=solution.evaluations,
+        seconds=found.seconds,
+        x=solution.x,
+        agrees=agrees,
+        reason=""
+        if agrees
+        else _reason(entry, solution, objective, is_feasible, _resolution(program, solution.x)),
+    )
+
+
+def _does_not_fit(reason: str) -> bool:
+    """Whether a solver was never asked, because the problem is of another kind."""
+    kinds = ("is not quadratic", "is not linear", "does not fit", "is active", "not positive def")
+    return any(kind in reason for kind in kinds)
+
+
+def _resolution(program: Program, x: Array) -> float:
+    """The scaled gradient below which steps change the criterion by less than its rounding error.
+
+    A criterion made of moments is a small difference of large terms. Its error is what it scatters
+    by when the variables change in their last digits, where it should not change at all.
+    """
+    rng = np.random.default_rng(0)
+    near = [x * (1 + 4e-16 * rng.integers(-4, 5, len(x))) for _ in range(24)]
+    values = np.array([program.evaluate(point).value for point in near])
+    level = max(abs(float(np.mean(values))), 1e-300)
+    return float(np.sqrt(2 * np.std(values) / level))
+
+
+def _reason(
+    entry: Contender,
+    solution: Solution,
+    objective: float,
+    is_feasible: bool,
+    resolution: float,
+) -> str:
+    """Why a solver's answer is not the reference, in words."""
+    if not is_feasible:
+        size = f"{solution.constraint_violation:.1e}"
+        if math.isfinite(objective):
+            return f"does not meet the constraints (violation {size}): {solution.mend}"
+        return (
+            f"constraints violated by {size}, and every solver violates them: they contradict each "
+            "other, at least near the start; drop one, or start elsewhere"
+        )
+    excess = (solution.value - objective) / max(abs(objective), 1e-300)
+    gradient = f"scaled gradient {solution.scaled_gradient:.0e}"
+    if solution.is_converged and excess > 1e-6:
+        return f"another stationary point: its criterion exceeds the best by {excess:.2g} of it"
+    if solution.is_converged and excess < -1e-6:
+        return f"a better point than the reference: its criterion is {-excess:.2g} lower"
+    if "iteration" in solution.status.lower() or solution.status == "Limit_Reached":
+        return f"its limit of iterations was reached, {gradient}; {entry.rule}"
+    goes_by_gradient = solution.status in _BY_GRADIENT and entry.name not in (TRUST_CONSTR, SLSQP)
+    if not goes_by_gradient and _FLAT < resolution and solution.scaled_gradient < 10 * resolution:
+        return (
+            f"stopped in the rounding error of the criterion (scaled gradients below "
+            f"{resolution:.0e} do not show in its value), {gradient}; {entry.rule}"
+        )
+    if solution.is_converged:
+        return f"stopped by its own rule, {gradient}, criterion {excess:.0e} off; {entry.rule}"
+    return f"stopped early ({solution.status}), {gradient}; {entry.rule}"
+
+
+def _finite(value: float) -> float | None:
+    """A number that JSON knows."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _number(value: float, form: str) -> str:
+    """A number for the table."""
+    return format(value, form) if math.isfinite(value) else "--"

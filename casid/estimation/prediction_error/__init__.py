@@ -1,0 +1,1 @@
+"""Prediction-error estimation: polynomial models and linear models with process noise."""

@@ -1,0 +1,447 @@
+"""The Gaussian prediction-error criterion of linear grey-box models with process noise.
+
+    V(theta) = 1/2 sum_e sum_t ( eps' F^-1 eps + log det F ) + constant                     (1)
+
+with the innovations eps and their covariance F from the one-step predictor of the model that the
+parameters theta give: physical ones, noise variances, initial states. The continuous model is
+sampled exactly (van Loan), the predictor is a Kalman filter; (2.29)-(2.38) of Linder (2017),
+L. Ljung, System Identification, 2nd ed., 1999, sections 4.3 and 7.4. Maximum likelihood for
+Gaussian noise, and consistent without.
+
+Derivatives are exact: complex steps through the sampling, the Riccati equation differentiated
+implicitly, sensitivity filters for the innovations.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.data.record import Experiment
+from casid.errors import DataError, ModelError, SolveError
+from casid.estimation.nlp.nlp import Evaluation
+from casid.estimation.simulation.simulation_error import Variable, signals_of
+from casid.linear.kalman import (
+    Predictor,
+    covariance_scale,
+    gain_tangent,
+    recursion,
+    recursion_time_last,
+    riccati_step_tangent,
+    steady_state,
+    step,
+)
+from casid.linear.noisy_model import NoisyModel, Sampled, White, noise_sources
+from casid.model.model import Model
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Predicted:
+    """Innovations, their covariances and the derivatives of both, over a stretch of one record."""
+
+    innovations: Array  # (N, ny)
+    jacobian: Array  # (N, ny, nv), d innovation / d local variables
+    covariance: Array  # (N or 1, ny, ny)
+    covariance_tangent: Array  # (N or 1, nv, ny, ny)
+
+
+class PredictionError:
+    """Criterion (1) for a model, its noise and its experiments.
+
+    Parameters
+    ----------
+    model : linear, or linearised about its rest. Inputs that are unknown must be noise.
+    experiments : one or more, with their own sample times; known values override the model's.
+    noise : one `White` for each output, and for each source of process noise.
+    own : names of parameters that every experiment has for itself.
+    initial : standard deviations of the initial states, by name, about their declared start: the
+        predictor is then the time-varying one. Default: the initial states are estimated, and the
+        gain is the steady-state one from the first sample on.
+    start : start values by variable name, over the model's own.
+    rest : state or input -> its value at rest, a number or an SX expression of the model's
+        parameters; 0 for what is not given.
+
+    Raises
+    ------
+    ModelError
+        For noise that is missing, or enters nowhere; a model that cannot be linearised; a start
+        for what is no variable.
+    DataError
+        For channels that are missing or have gaps.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        experiments: Sequence[Experiment],
+        noise: Sequence[White] | White,
+        *,
+        own: Sequence[str] = (),
+        initial: Mapping[str, float] | None = None,
+        start: Mapping[str, float] | None = None,
+        rest: Mapping[str, Any] | None = None,
+    ) -> None:
+        if not experiments:
+            raise DataError("no experiment to fit; give at least one record")
+        self.model, self.experiments, self.noise = model, list(experiments), noise_sources(noise)
+        self.outputs = tuple(model.outputs)
+        self.initial = None if initial is None else dict(initial)
+        free = [p.name for p in model.parameters.values() if not p.is_known]
+        own = (own,) if isinstance(own, str) else own
+        for name in own:
+            model.parameter_named(name)
+        for name in self.initial or {}:
+            if name not in model.states:
+                raise ModelError(
+                    f"{model.name} has no state {name!r} to start in doubt; it has "
+                    f"{', '.join(model.states)}"
+                )
+        self.free = [f for f in free if not all(f in e.known for e in experiments)]
+        self.own = [f for f in self.free if f in own]
+        self.noisy = NoisyModel(model, noise, self.free, rest)
+        self.inputs = self.noisy.inputs
+        self.data = [signals_of(self.noisy.driven, e) for e in experiments]
+        self._refuse_gaps()
+        self.offset = 0.0  # the constant of (1)
+        self.variables: list[Variable] = []
+        self._index: list[Array] = []  # per experiment: (nv,) NLP variable of each local one, or -1
+        self._lay_out(dict(start or {}))
+        self._refuse_strangers(start or {})
+        self._last: dict[int, tuple[bytes, list[Predicted]]] = {}
+        self._near: dict[int, Array] = {}  # the last covariance, a start for the next
+
+    # -- what is what ------------------------------------------------------------------------
+
+    def _refuse_gaps(self) -> None:
+        for d in self.data:
+            if not d.used.all():
+                t, i = np.argwhere(~d.used)[0].tolist()
+                raise DataError(
+                    f"{d.name}: output {self.outputs[i]} misses samples, the first at "
+                    f"t = {d.t[t]:g} s; the prediction error needs them all. Cut the record with "
+                    "between(t0, t1), or interpolate the channel"
+                )
+
+    def _lay_out(self, start: dict[str, float]) -> None:
+        several = len(self.data) > 1
+        shared: dict[str, int] = {}
+
+        def add(name: str, source: str, at: float, lo: float, hi: float, scale: float) -> int:
+            at = start.get(name, at)
+            if not lo <= at <= hi:
+                raise SolveError(
+                    f"start {name} = {at:g} lies outside its bounds [{lo:g}, {hi:g}]; move the "
+                    "start inside or widen the bounds"
+                )
+            self.variables.append(Variable(name, source, float(at), lo, hi, scale))
+            return len(self.variables) - 1
+
+        def add_parameter(name: str, label: str = "") -> int:
+            p = self.model.parameters[name]
+            s = start.get(name, p.start)
+            return add(f"{name}{label}", name, s, p.lower, p.upper, abs(s) or abs(p.start) or 1.0)
+
+        for name in self.free:
+            if name not in self.own:
+                shared[name] = add_parameter(name)
+        for w in self.noise:
+            if not w.is_known:
+                # An output without noise has no predictor; a balance without noise is a balance.
+                low = 1e-8 * w.sd**2 if w.where in self.outputs else 0.0
+                key = self.noisy.noise_name(w)
+                shared[key] = add(key, w.where, w.sd**2, low, np.inf, w.sd**2)
+        for d in self.data:
+            label = f"@{d.name}" if several else ""
+            place = {k: v for k, v in shared.items() if k not in d.known}
+            for name in self.own:
+                if name not in d.known:
+                    place[name] = add_parameter(name, label)
+            local = [place.get(f, -1) for f in self.free]
+            local += [place.get(self.noisy.noise_name(w), -1) for w in self.noisy.sources]
+            for name, state in self.model.states.items():
+                if self.initial is not None or state.initial is not None:
+                    local.append(-1)
+                    continue
+                scale = abs(state.start) or self._size_of(state.unit)
+                local.append(
+                    add(f"{name}(0){label}", name, state.start, state.lower, state.upper, scale)
+                )
+            self._index.append(np.array(local))
+
+    def _refuse_strangers(self, start: Mapping[str, float]) -> None:
+        """A start for what is no variable would be ignored."""
+        names = [*self.names, *self.own]
+        for name in start:
+            if name in names:
+                continue
+            what = f"{self.model.name}: start names {name!r}, "
+            if name in self.model.parameters:
+                known = "known" if self.model.parameters[name].is_known else "known in all records"
+                raise ModelError(
+                    f"{what}which is {known}: leave it out, or estimate it, "
+                    f"model.with_unknown({name!r}), and take it out of the experiments' values"
+                )
+            near = [n for n in names if f"({name})" in n]  # var(y) for y
+            near += difflib.get_close_matches(name, names, 1, 0.4)
+            raise ModelError(
+                f"{what}which is not a variable; there are {', '.join(names)}"
+                + (f"; did you mean {near[0]!r}?" if near else "; leave it out")
+            )
+
+    def _size_of(self, unit: str) -> float:
+        """The spread of the first output that has this unit, or one."""
+        for i, (_, other) in enumerate(self.model.outputs.values()):
+            if other == unit:
+                return float(np.std(self.data[0].y[:, i])) or 1.0
+        return 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the NLP's variables."""
+        return tuple(v.name for v in self.variables)
+
+    @property
+    def start(self) -> Array:
+        """(n,) start values."""
+        return np.array([v.start for v in self.variables])
+
+    @property
+    def n_constraints(self) -> int:
+        """None of its own."""
+        return 0
+
+    @property
+    def n_samples(self) -> int:
+        """Samples over experiments and outputs."""
+        return int(sum(d.y.size for d in self.data))
+
+    # -- the sampled model -------------------------------------------------------------------
+
+    def _values(self, x: Array, e: int) -> tuple[Array, Array, Array]:
+        """All parameters (np,), variances of process and measurement noise, initial state (nx,)."""
+        d, index = self.data[e], self._index[e]
+        values = {
+            p.name: p.value if p.is_known else p.start for p in self.model.parameters.values()
+        }
+        values.update(d.known)
+        for name, i in zip(self.free, index, strict=False):
+            if i >= 0:
+                values[name] = float(x[i])
+        sources = self.noisy.sources
+        at = len(self.free)
+        variances = np.array(
+            [
+                x[i] if i >= 0 else w.sd**2
+                for w, i in zip(sources, index[at : at + len(sources)], strict=True)
+            ]
+        )
+        initial = [
+            x[i] if i >= 0 else (state.start if state.initial is None else state.initial)
+            for state, i in zip(self.model.states.values(), index[at + len(sources) :], strict=True)
+        ]
+        p = np.array([values[n] for n in self.noisy.linear.parameters], dtype=float)
+        return p, variances, np.array(initial, dtype=float)
+
+    def sampled(self, x: Array, e: int) -> Sampled:
+        """The sampled system of one experiment and its derivatives."""
+        p, variances, _ = self._values(x, e)
+        wanted = [bool(i >= 0) for i in self._index[e][: len(self.free)]]
+        return self.noisy.sampled(p, variances, self.data[e].Ts, wanted)
+
+    def predictor(self, x: Array, e: int) -> Predictor:
+        """The steady-state predictor of one experiment at `x`."""
+        return steady_state(self.sampled(x, e).system)
+
+    # -- innovations -------------------------------------------------------------------------
+
+    def predicted(self, x: Array, e: int) -> list[Predicted]:
+        """Innovations of one experiment: a transient part, if any, and the steady one."""
+        key = np.asarray(x, dtype=float).tobytes()
+        if self._last.get(e, (b"", []))[0] != key:
+            self._last[e] = (key, self._predicted(x, e))
+        return self._last[e][1]
+
+    def _predicted(self, x: Array, e: int) -> list[Predicted]:
+        d = self.data[e]
+        at = self.sampled(x, e)
+        s, tangent, nx = at.system, at.tangent, at.system.nx
+        limit = steady_state(s, self._near.get(e))
+        self._near[e] = limit.P
+        gain = gain_tangent(limit, tangent)
+        m = len(tangent.A)
+        _, _, x0 = self._values(x, e)
+        u0 = d.u[0] if len(d.u) else np.zeros(0)
+        z = x0 - at.shift @ u0 + at.lead
+        dz = np.concatenate([(at.d_lead - at.d_shift @ u0).T, np.eye(nx)], axis=1)  # (nx, m + nx)
+        y = d.y - at.offset
+        d_y = np.concatenate([-at.d_offset.T, np.zeros((s.ny, nx))], axis=1)  # (ny, m + nx)
+        parts = []
+        first = 0
+        if self.initial is not None:
+            P = np.diag([self.initial.get(n, 0.0) ** 2 for n in self.model.states])
+            part, z, dz = self._transient(at, limit, gain.P, y, d.u, z, dz, P, d_y)
+            parts.append(part)
+            first = len(part.innovations)
+        if first < len(y):
+            K, u, y = limit.K, d.u[first:], y[first:]
+            closed = limit.A_closed
+            driven = u @ (s.B - K @ s.D).T + y @ K.T + at.drift
+            states: Array = recursion(closed, driven, z)[:-1]
+            eps = y - states @ s.C.T - u @ s.D.T
+            # Drives and outputs of the sensitivities are linear in [x, u, eps, 1].
+            known = np.vstack([states.T, u.T, eps.T, np.ones(len(y))])[:, None]
+            moved = np.concatenate(
+                [tangent.A - K @ tangent.C, tangent.B - K @ tangent.D, gain.K], axis=2
+            )
+            constant = ((K @ d_y[:, :m]).T + at.d_drift)[:, :, None]
+            drive = np.zeros((nx, m + nx, len(y)))
+            weights = np.concatenate([moved, constant], axis=2)  # (m, nx, columns)
+            _combine(weights.transpose(1, 0, 2), known, drive[:, :m])
+            dx = recursion_time_last(closed, drive, dz)[:, :, :-1]
+            nil = np.zeros((m, s.ny, s.ny))
+            direct = np.concatenate([tangent.C, tangent.D, nil, -d_y[:, :m].T[:, :, None]], axis=2)
+            de = np.zeros((s.ny, m + nx, len(y)))
+            _combine(-direct.transpose(1, 0, 2), known, de[:, :m])
+            _combine(-s.C[:, None, :], dx, de)
+            jac = np.ascontiguousarray(de.transpose(2, 0, 1))
+            dF = np.concatenate([gain.F, np.zeros((nx, s.ny, s.ny))])
+            parts.append(Predicted(eps, jac, limit.F[None], dF[None]))
+        return parts
+
+    def _transient(
+        self,
+        at: Sampled,
+        limit: Predictor,
+        limit_dP: Array,
+        y: Array,
+        u: Array,
+        z: Array,
+        dz: Array,
+        P: Array,
+        d_y: Array,
+    ) -> tuple[Predicted, Array, Array]:
+        """The time-varying predictor until its gain and their derivatives have settled."""
+        s, tangent = at.system, at.tangent
+        m, nx = len(tangent.A), s.nx
+        dP: Array = np.zeros((m, nx, nx))
+        scale = covariance_scale(limit.P, P)
+        d_scale = np.max(np.abs(limit_dP / scale), axis=(1, 2)) + 1e-300
+        nil = np.zeros((nx, s.ny, s.ny))
+        eps, jac, F_all, dF_all = [], [], [], []
+        for t in range(len(y)):
+            settled = np.max(np.abs((P - limit.P) / scale)) < 1e-11
+            if settled and np.all(
+                np.max(np.abs((dP - limit_dP) / scale), axis=(1, 2)) < 1e-9 * d_scale
+            ):
+                break
+            F, K, after = step(s, P)
+            gain, dP = riccati_step_tangent(s, tangent, K, P, F, dP)
+            e = y[t] - s.C @ z - s.D @ u[t]
+            de = d_y - s.C @ dz
+            de[:, :m] -= (tangent.C @ z + tangent.D @ u[t]).T
+            moved = (tangent.A @ z + tangent.B @ u[t] + gain.K @ e + at.d_drift).T
+            dz = s.A @ dz + K @ de
+            dz[:, :m] += moved
+            z = s.A @ z + s.B @ u[t] + at.drift + K @ e
+            P = after
+            eps.append(e)
+            jac.append(de)
+            F_all.append(F)
+            dF_all.append(np.concatenate([gain.F, nil]))
+        shape = (len(eps), s.ny)
+        part = Predicted(
+            np.array(eps).reshape(shape),
+            np.array(jac).reshape(*shape, m + nx),
+            np.array(F_all).reshape(*shape, s.ny),
+            np.array(dF_all).reshape(len(eps), m + nx, s.ny, s.ny),
+        )
+        return part, z, dz
+
+    def innovations(self, x: Array, e: int) -> Array:
+        """(N, ny) one-step prediction errors of one experiment."""
+        return np.concatenate([p.innovations for p in self.predicted(x, e)])
+
+    # -- the criterion -----------------------------------------------------------------------
+
+    def evaluate(self, x: Array) -> Evaluation:
+        """Value, gradient and expected Hessian (Fisher information) of (1) at `x` (n,).
+
+        Where no predictor exists (a line search went too far) all are NaN.
+        """
+        n = len(self.variables)
+        value, gradient, hessian = self.offset, np.zeros(n), np.zeros((n, n))
+        try:
+            with np.errstate(all="ignore"):
+                for e in range(len(self.data)):
+                    keep = self._index[e] >= 0
+                    place = self._index[e][keep]
+                    for part in self.predicted(x, e):
+                        v, s, h = _likelihood(part)
+                        value += v
+                        gradient[place] += s.sum(axis=0)[keep]
+                        hessian[np.ix_(place, place)] += h[np.ix_(keep, keep)]
+        except (ModelError, np.linalg.LinAlgError, ValueError):
+            return Evaluation(np.nan, np.full(n, np.nan), np.full((n, n), np.nan))
+        return Evaluation(value, gradient, hessian)
+
+    def scores(self, x: Array) -> Array:
+        """(sum of N, n) derivatives of each sample's term in (1), experiments stacked."""
+        out = []
+        for e, d in enumerate(self.data):
+            keep = self._index[e] >= 0
+            rows = np.zeros((len(d.y), len(self.variables)))
+            parts = [_likelihood(part)[1] for part in self.predicted(x, e)]
+            rows[:, self._index[e][keep]] = np.concatenate(parts)[:, keep]
+            out.append(rows)
+        return np.concatenate(out)
+
+    def log_likelihood(self, x: Array) -> float:
+        """log of the Gaussian density of all records."""
+        value = self.evaluate(x).value - self.offset
+        return float(-value - 0.5 * self.n_samples * np.log(2 * np.pi))
+
+
+def _combine(weights: Array, signals: Array, out: Array) -> None:
+    """out[i, j] += sum_k weights[i, j, k] signals[k, j]: few long rows, no matrix product.
+
+    `weights` (rows, m or 1, K), `signals` (K, m or 1, N), `out` (rows, m, N).
+    """
+    for i, by_column in enumerate(weights):
+        for j in range(out.shape[1]):
+            row = by_column[min(j, len(by_column) - 1)]
+            for weight, signal in zip(row, signals, strict=True):
+                if weight != 0.0:
+                    out[i, j] += weight * signal[min(j, len(signal) - 1)]
+
+
+def _likelihood(part: Predicted) -> tuple[float, Array, Array]:
+    """Terms of (1) over one stretch: value, scores (N, nv), information (nv, nv)."""
+    N, ny, nv = part.jacobian.shape
+    lower = np.linalg.cholesky(part.covariance)
+    inverse = np.linalg.inv(lower)  # (N or 1, ny, ny)
+    white = np.matmul(inverse, part.innovations[:, :, None])[:, :, 0]
+    jac = np.matmul(inverse, part.jacobian)
+    # L^-1 dF L^-T, one for each variable.
+    dF = np.matmul(
+        np.matmul(inverse[:, None], part.covariance_tangent), inverse.swapaxes(1, 2)[:, None]
+    )
+    logdet = 2 * np.sum(np.log(np.diagonal(lower, axis1=1, axis2=2)), axis=1)
+    weight = N if len(lower) == 1 else 1
+    value = 0.5 * float(np.sum(white**2)) + 0.5 * weight * float(np.sum(logdet))
+    outer = (white[:, :, None] * white[:, None, :]).reshape(N, ny * ny)
+    flat = dF.reshape(len(dF), nv, ny * ny)
+    spread = outer @ flat[0].T if len(dF) == 1 else np.einsum("ta,tva->tv", outer, flat)
+    trace = np.trace(dF, axis1=2, axis2=3)  # (N or 1, nv)
+    scores = np.einsum("ti,tiv->tv", white, jac) + 0.5 * (trace - spread)
+    stacked = jac.reshape(N * ny, nv)
+    # einsum starts no threads, which for so thin a product cost more than they bring.
+    information = np.einsum("ti,tj->ij", stacked, stacked)
+    information += 0.5 * weight * np.einsum("tva,twa->vw", flat, flat)
+    return value, scores, information

@@ -1,0 +1,496 @@
+"""Prediction-error estimation of A y = sum_i (B_i/F_i) u_i + (C/D) e.
+
+The criterion 1/2 sum eps^2 (Linder 2017, (2.36)-(2.38)) is an NLP in the coefficients alone,
+whatever the number of samples. ARX is linear and solved in closed form. The predictor (2.19)
+divides by C and F: the search stays where both are stable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
+from casid.estimation.covariance import sandwich
+from casid.estimation.nlp.nlp import Nlp, Solution, Solver
+from casid.estimation.nlp.solver import as_solver
+from casid.estimation.prediction_error.persistent_excitation import require_excitation, unseen
+from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
+from casid.estimation.prediction_error.polynomial_data import records_of
+from casid.estimation.prediction_error.polynomial_model import PolynomialModel
+from casid.estimation.prediction_error.polynomial_orders import (
+    Layout,
+    Orders,
+    PerInput,
+    Polynomials,
+    is_number,
+    is_whole,
+    largest_root,
+    settling,
+)
+from casid.estimation.prediction_error.polynomial_residuals import residual_input_correlation
+from casid.estimation.prediction_error.polynomial_start import Candidate, Data, candidates
+
+Array = NDArray[Any]
+Errors = Literal["white", "robust"]
+NEAR = 0.999  # a root with this modulus or more is at the unit circle
+CANCEL = 0.5  # samples' worth of scaled information: with less, roots may cancel by accident
+NO_NOISE = 1e-24  # of the power of y: what is left is rounding
+ASSUMES = {
+    "white": "white innovations, i.e. a true system in the model set: Linder 2017, (2.54)-(2.56) "
+    "with Q = lambda V''",
+    "robust": "residuals of short memory, in the model set or not: Linder 2017, (2.54)-(2.56), Q "
+    "by a Bartlett sum",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Units:
+    """What the data were divided by before solving."""
+
+    y: float
+    factors: Array  # (n,), theta = factors * (theta of the scaled data)
+
+
+def prediction_error(
+    y: ArrayLike | Sequence[ArrayLike],
+    u: Any,
+    orders: Orders,
+    *,
+    Ts: float = 1.0,
+    discard: int | None = None,
+    errors: Errors = "white",
+    solver: Solver | str | None = None,
+    start: PolynomialModel | None = None,
+    throw: bool = True,
+) -> PolynomialModel:
+    """Estimate a polynomial model by minimising the one-step prediction error.
+
+    Parameters
+    ----------
+    y : (N,) array, or a list of them, one for each record
+        Records share the coefficients; each starts from its own rest. Means are to be taken off
+        beforehand (or an input of ones be given).
+    u : None, (N,) array, (N, nu) array, or mapping from input to (N,); a list of these for a list
+        of records. Inputs without a name are called "u", or "u1", "u2", ...
+    orders : Orders
+    Ts : sample time [s], for spectra and `to_control`.
+    discard : first residuals of each record that do not count, at most N - 1
+        The filters start from rest, which is wrong for a record cut out of a longer one; so by
+        default the longest lag and the time in which 1/(C F) settles to 1 % at the start values
+        (at most a fifth of the record) do not count. 0 takes signals as zero before the record
+        and counts every residual (conditional least squares).
+    errors : "white" for the classical covariance, "robust" for the sandwich
+    solver : or its name; default ``Solver("ipopt")``, closed-form least squares for C = D = F = 1.
+    start : a model of the same orders to start from; its own start values otherwise.
+    throw : raise if no optimum is reached; else return it with `is_converged` False.
+
+    Raises
+    ------
+    DataError
+        If shapes differ, samples are not finite, or too few.
+    ModelError
+        If an order is negative or does not fit the inputs.
+    IdentifiabilityError
+        If the inputs do not excite what is asked: names the direction.
+    SolveError
+        If no optimum is reached, or it lies where the predictor is not stable.
+
+    Notes
+    -----
+    Consistent in open and closed loop if the true system is in the model set; with G alone in it
+    (OE, a wrong noise model) in open loop only (Ljung 1999, sections 8.4 and 13.4).
+
+    Example
+    -------
+    >>> rng = np.random.default_rng(3)
+    >>> u, y = rng.normal(size=500), np.zeros(500)
+    >>> for t in range(1, 500):
+    ...     y[t] = 0.8 * y[t - 1] + 0.5 * u[t - 1]
+    >>> model = prediction_error(y + 0.1 * rng.normal(size=500), u, Orders(nb=1, nf=1))
+    >>> model.structure, round(model["f1[u]"], 1), round(model["b1[u]"], 1)
+    ('OE', -0.8, 0.5)
+    """
+    raw, inputs = records_of(y, u)
+    layout = Layout.of(orders, inputs)
+    if layout.n == 0:
+        raise ModelError("every order is 0: nothing to estimate; give at least one above 0")
+    if errors not in ASSUMES:
+        raise ModelError(f"errors = {errors!r}; choose 'white' or 'robust'")
+    solver = None if solver is None else as_solver(solver)
+    if not is_number(Ts) or Ts <= 0:
+        raise DataError(f"sample time Ts = {Ts!r}; give a number of seconds above 0")
+    _refuse_short(raw, layout, discard)
+    data, units = _near_one(raw, layout)
+    counts = [nb + nf for nb, nf in zip(layout.nb, layout.nf, strict=True)]
+    require_excitation(
+        raw,
+        {i: (k, c) for i, k, c in zip(inputs, layout.nk, counts, strict=True)},
+        "B and F ask for" if any(layout.nf) else "B asks for",
+    )
+    if layout.is_linear and solver is None:
+        criterion = PredictionErrors(
+            layout, data, _discards(data, layout, np.zeros(layout.n), discard)
+        )
+        notes = _offsets(raw)
+        best = _closed_form(criterion)
+        return _model(criterion, data, best, units, Ts, errors, "none needed", notes)
+    points = candidates(data, layout) if start is None else [_given(start, layout, units)]
+    criterion = PredictionErrors(layout, data, _discards(data, layout, points[0][1], discard))
+    best, label, notes = _best(criterion, points, solver)
+    if throw and not best.is_converged:
+        raise SolveError(_failure(layout, best))
+    notes = (*notes, *_offsets(raw))
+    if discard is None:
+        notes = (*notes, *_long_transients(layout, best.x, raw, criterion.discard))
+    return _model(criterion, data, best, units, Ts, errors, label, notes)
+
+
+def arx(
+    y: Any, u: Any = None, *, na: int, nb: PerInput = 0, nk: PerInput = 1, **options: Any
+) -> PolynomialModel:
+    """A y = B u + e by least squares (Linder 2017, (2.39)); options as `prediction_error`."""
+    return prediction_error(y, u, Orders(na=na, nb=nb, nk=nk), **options)
+
+
+def armax(
+    y: Any, u: Any, *, na: int, nb: PerInput, nc: int, nk: PerInput = 1, **options: Any
+) -> PolynomialModel:
+    """A y = B u + C e by prediction error; options as `prediction_error`."""
+    return prediction_error(y, u, Orders(na=na, nb=nb, nc=nc, nk=nk), **options)
+
+
+def oe(
+    y: Any, u: Any, *, nb: PerInput, nf: PerInput, nk: PerInput = 1, **options: Any
+) -> PolynomialModel:
+    """Output error, y = (B/F) u + e, by prediction error; options as `prediction_error`."""
+    return prediction_error(y, u, Orders(nb=nb, nf=nf, nk=nk), **options)
+
+
+def bj(
+    y: Any,
+    u: Any,
+    *,
+    nb: PerInput,
+    nc: int,
+    nd: int,
+    nf: PerInput,
+    nk: PerInput = 1,
+    **options: Any,
+) -> PolynomialModel:
+    """Box-Jenkins, y = (B/F) u + (C/D) e, by prediction error; options as `prediction_error`."""
+    return prediction_error(y, u, Orders(nb=nb, nc=nc, nd=nd, nf=nf, nk=nk), **options)
+
+
+# -- data ---------------------------------------------------------------------------------------
+
+
+def _refuse_short(data: Data, layout: Layout, discard: Any) -> None:
+    first = layout.longest_lag if discard is None else discard
+    if not is_whole(first):
+        raise DataError(
+            f"discard = {discard!r}; give the whole number of first samples that do not count"
+        )
+    for k, (y, _) in enumerate(data):
+        where = f"record {k + 1}: " if len(data) > 1 else ""
+        if len(y) <= max(first, layout.longest_lag):
+            raise DataError(
+                f"{where}{len(y)} samples, but the predictor reaches back {layout.longest_lag} and "
+                f"the first {first} do not count; leave the record out, or lower the orders"
+            )
+        if not np.any(y != y[0]):
+            raise DataError(
+                f"{where}y is constant ({y[0]:g}); there is nothing to fit. Check the channel's "
+                "cable and mapping, or leave the record out"
+            )
+    left = sum(len(y) - first for y, _ in data)
+    if left <= layout.n:
+        raise DataError(
+            f"{left} residuals cannot pay for {layout.n} coefficients; give longer records or "
+            "lower the orders"
+        )
+
+
+def _near_one(data: Data, layout: Layout) -> tuple[Data, Units]:
+    """Signals of size near one, and the units taken out: powers of two, so no digit is lost."""
+
+    def unit(parts: list[Array]) -> float:
+        power = sum(float(p @ p) for p in parts) / sum(len(p) for p in parts)
+        return float(2.0 ** round(np.log2(power) / 2)) if power > 0 else 1.0
+
+    of_y = unit([y for y, _ in data])
+    of_u = {i: unit([u[i] for _, u in data]) for i in layout.inputs}
+    scaled = [(y / of_y, {i: u[i] / of_u[i] for i in layout.inputs}) for y, u in data]
+    factors = np.ones(layout.n)
+    place = layout.na
+    for i, nb in zip(layout.inputs, layout.nb, strict=True):
+        factors[place : place + nb] = of_y / of_u[i]
+        place += nb
+    return scaled, Units(of_y, factors)
+
+
+def _discards(data: Data, layout: Layout, theta: Array, wanted: int | None) -> list[int]:
+    if wanted is not None:
+        return [wanted] * len(data)
+    p = layout.split(theta)
+    settle = settling(p.C, *p.F)
+    return [layout.longest_lag + min(settle, (len(y) - layout.longest_lag) // 5) for y, _ in data]
+
+
+def _offsets(data: Data) -> tuple[str, ...]:
+    """Records whose mean is larger than their spread, which a model without an offset fits."""
+    said = []
+    for k, (y, u) in enumerate(data):
+        where = f" of record {k + 1}" if len(data) > 1 else ""
+        for name, x in (("y", y), *u.items()):
+            mean, spread = float(np.mean(x)), float(np.std(x))
+            if spread > 0 and abs(mean) > spread:
+                said.append(
+                    f"{name}{where} has mean {mean:.3g} and spread {spread:.3g}, and the model has "
+                    "no offset: take the means off, or give an input of ones"
+                )
+    return tuple(said)
+
+
+def _long_transients(
+    layout: Layout, theta: Array, data: Data, discarded: tuple[int, ...]
+) -> tuple[str, ...]:
+    """Records too short to discard the start-up transient of the estimate."""
+    name, radius = _at_circle(layout, theta)
+    p = layout.split(theta)
+    settle = settling(p.C, *p.F)
+    said = []
+    for k, ((y, _), d) in enumerate(zip(data, discarded, strict=True)):
+        if 0.1 < radius <= NEAR and radius ** (d - layout.longest_lag) > 0.1:
+            said.append(
+                f"the transient of 1/{name} needs {settle} samples to fall to 1 %, but only {d} of "
+                f"the {len(y)} of record {k + 1} are discarded: what came before it may bias the "
+                "estimate"
+            )
+    return tuple(said)
+
+
+# -- solving ------------------------------------------------------------------------------------
+
+
+def _given(start: PolynomialModel, layout: Layout, units: Units) -> Candidate:
+    if not isinstance(start, PolynomialModel):
+        raise ModelError(
+            f"start is a {type(start).__name__}; give a model as prediction_error returned it"
+        )
+    if start.names != layout.names or tuple(start.nk.values()) != layout.nk:
+        raise ModelError(
+            f"start has the coefficients {', '.join(start.names)}, the orders ask for "
+            f"{', '.join(layout.names)}; give a model of the same orders and inputs"
+        )
+    return "the model given", np.array(start.theta) / units.factors, ()
+
+
+def _best(
+    criterion: PredictionErrors, points: list[Candidate], solver: Solver | None
+) -> tuple[Solution, str, tuple[str, ...]]:
+    """The optimum reached from the best start; from the next ones where that fails."""
+    values = [criterion.evaluate(theta).value for _, theta, _ in points]
+    order = [i for i in np.argsort(values).tolist() if np.isfinite(values[i])]
+    if not order:
+        raise SolveError(
+            f"{criterion.layout.structure}: the criterion is not finite at any start value; look "
+            "for outliers in y and u, or give start="
+        )
+    tried: list[tuple[Solution, int]] = []
+    for i in order[:4]:
+        tried.append((_minimise(criterion, points[i][1], solver), i))
+        least = float(_information(tried[-1][0])[0][0])
+        if tried[-1][0].is_converged and least * criterion.N > CANCEL:
+            break
+    best, chosen = min(tried, key=lambda item: (not item[0].is_converged, item[0].value))
+    label, _, notes = points[chosen]
+    lower = [s for s, _ in tried if s.value < best.value and not s.is_converged]
+    if lower:
+        name, radius = _at_circle(criterion.layout, min(lower, key=lambda s: s.value).x)
+        gain = 1 - min(s.value for s in lower) / best.value
+        notes = (
+            *notes,
+            f"another start went to a root of {name} of modulus {radius:.6f} with a loss lower by "
+            f"{100 * gain:.2g} %: the optimum given is a local one",
+        )
+    return best, label, notes
+
+
+def _minimise(criterion: PredictionErrors, theta: Array, solver: Solver | None) -> Solution:
+    layout = criterion.layout
+    if criterion.evaluate(theta).value < NO_NOISE * criterion.N:
+        # Data without noise: the start reproduces them to rounding, and there is no slope left.
+        return _standing(criterion, theta, "exact: the start reproduces the data")
+    nlp = Nlp(layout.structure)
+    for name, value in zip(layout.names, theta.tolist(), strict=True):
+        nlp.variable(name, value, scale=max(abs(value), 1e-3))
+    nlp.minimize(criterion)
+    solution = nlp.solve(solver, theta.tolist(), throw=False, natural_scales=True)
+    if not solution.is_converged and _at_circle(layout, solution.x)[1] < NEAR:
+        again = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
+        if again.value <= solution.value:
+            return again
+    return solution
+
+
+def _information(solution: Solution) -> tuple[Array, Array, Array]:
+    """Eigenvalues and vectors of the Gauss-Newton matrix scaled to unit diagonal, and the scale."""
+    root = np.sqrt(np.maximum(np.diag(solution.hessian), 1e-300))
+    values, vectors = np.linalg.eigh(solution.hessian / np.outer(root, root))
+    return values, vectors, root
+
+
+def _standing(criterion: PredictionErrors, theta: Array, status: str) -> Solution:
+    at = criterion.evaluate(theta)
+    return Solution(
+        names=criterion.layout.names,
+        x=theta,
+        value=at.value,
+        status=status,
+        iterations=0,
+        scaled_gradient=0.0,
+        constraint_violation=0.0,
+        at_lower=(),
+        at_upper=(),
+        hessian=at.hessian,
+        constraint_jacobian=np.zeros((0, len(theta))),
+        solver="least squares",
+    )
+
+
+def _closed_form(criterion: PredictionErrors) -> Solution:
+    """ARX and FIR: linear least squares by an orthogonal factorisation."""
+    layout = criterion.layout
+    jacobian, y = criterion.jacobian(np.zeros(layout.n))
+    rank, equations = unseen(jacobian.T @ jacobian, layout.names)
+    if not rank.is_full:
+        raise IdentifiabilityError(
+            f"{layout.structure}: the record tells {rank.rank} of {rank.unknowns} coefficients; "
+            f"the regressors of {', '.join(layout.names)} are dependent, {equations}. Lower the "
+            "orders (data without noise have one order only), or record a richer input"
+        )
+    theta = -np.linalg.lstsq(jacobian, y, rcond=None)[0]
+    return _standing(criterion, theta, "closed form")
+
+
+def _at_circle(layout: Layout, theta: Array) -> tuple[str, float]:
+    """The polynomial, C or an F, with the root nearest to the unit circle, and its modulus."""
+    p = layout.split(theta)
+    near = [("C", largest_root(p.C))]
+    near += [(f"F[{i}]", largest_root(f)) for i, f in zip(layout.inputs, p.F, strict=True)]
+    return max(near, key=lambda item: item[1])
+
+
+def _failure(layout: Layout, solution: Solution) -> str:
+    name, radius = _at_circle(layout, solution.x)
+    why = solution.mend
+    if radius > NEAR:
+        why = (
+            f"the search ran to a root of {name} of modulus {radius:.6f}, on the unit circle, "
+            "where the predictor is no longer stable. "
+        )
+        why += (
+            "Lower nc, or do not difference the data more than they need"
+            if name == "C"
+            else "Lower nf, or use A in place of F (ARMAX), which may be unstable"
+        )
+    return (
+        f"{layout.structure}: {solution.solver} stopped with {solution.status} after "
+        f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e}): {why}"
+    )
+
+
+# -- the result ---------------------------------------------------------------------------------
+
+
+def _model(
+    criterion: PredictionErrors,
+    data: Data,
+    solution: Solution,
+    units: Units,
+    Ts: float,
+    errors: Errors,
+    label: str,
+    notes: tuple[str, ...],
+) -> PolynomialModel:
+    """The estimate in the data's own units, with its covariance."""
+    layout, N, n = criterion.layout, criterion.N, criterion.layout.n
+    power = units.y**2
+    variance = 2 * solution.value / max(N - n, 1)
+    values, vectors, root = _information(solution)
+    smallest = float(values[0])
+    if errors == "white":
+        # A direction that the data do not see gets a huge error, not the none of a pseudo-inverse.
+        q = vectors / np.sqrt(np.maximum(values, 1e-16))
+        covariance = variance * (q @ q.T) / np.outer(root, root)
+    else:
+        scores = criterion.scores(solution.x)
+        covariance, _ = sandwich(solution.hessian, scores, np.ones(n, dtype=bool))
+    theta = np.array(solution.x) * units.factors
+    p = layout.split(theta)
+    residuals = tuple(r * units.y for r in criterion.residuals(solution.x))
+    counting = [r[d:] for r, d in zip(residuals, criterion.discard, strict=True)]
+    correlation = {
+        i: residual_input_correlation(
+            counting, [u[i][d:] for (_, u), d in zip(data, criterion.discard, strict=True)]
+        )
+        for i in layout.inputs
+    }
+    for array in (theta, covariance, *residuals):
+        array.flags.writeable = False
+    no_noise = 2 * solution.value < NO_NOISE * N
+    return PolynomialModel(
+        structure=layout.structure,
+        A=p.A,
+        B=dict(zip(layout.inputs, p.B, strict=True)),
+        C=p.C,
+        D=p.D,
+        F=dict(zip(layout.inputs, p.F, strict=True)),
+        nk=dict(zip(layout.inputs, layout.nk, strict=True)),
+        names=layout.names,
+        theta=theta,
+        covariance=covariance * np.outer(units.factors, units.factors),
+        assumes=ASSUMES[errors],
+        noise_variance=variance * power,
+        loss=solution.value / N * power,
+        fit=100 * (1 - float(np.sqrt(2 * solution.value / criterion.spread))),
+        N=N,
+        Ts=float(Ts),
+        status=solution.status,
+        is_converged=solution.is_converged,
+        iterations=solution.iterations,
+        scaled_gradient=solution.scaled_gradient,
+        start=label,
+        residuals=residuals,
+        discarded=criterion.discard,
+        input_correlation=correlation,
+        notes=(*notes, *_doubts(layout, p, smallest, no_noise)),
+    )
+
+
+def _doubts(layout: Layout, p: Polynomials, smallest: float, no_noise: bool) -> list[str]:
+    """What spoils numbers of the result, in sentences."""
+    said = []
+    if no_noise and (layout.nc or layout.nd):
+        said.append("the data hold no noise: C and D mean nothing")
+    elif smallest < 1e-7:
+        said.append(
+            "polynomials nearly cancel (smallest eigenvalue of the scaled information "
+            f"{smallest:.1e}): the orders are too high, and errors of single coefficients large"
+        )
+    stretch = [("C", p.C), *((f"F[{i}]", f) for i, f in zip(layout.inputs, p.F, strict=True))]
+    for name, polynomial in stretch:
+        if (radius := largest_root(polynomial)) > NEAR:
+            said.append(
+                f"{name} has a root of modulus {radius:.6f}: transients last longer than "
+                f"{int(1 / max(1 - radius, 1e-6))} samples, and normal errors are doubtful"
+            )
+    for name, polynomial in (("A", p.A), ("D", p.D)):
+        if (radius := largest_root(polynomial)) >= 1:
+            said.append(f"{name} has a root of modulus {radius:.4f}: the model itself is unstable")
+    return said

@@ -1,0 +1,303 @@
+"""The linear polynomial model A y = sum_i (B_i/F_i) u_i + (C/D) e, estimated.
+
+Coefficients are in ascending powers of q^-1, index = lag: A = [1, a1, .., a_na], and B_i carries
+its delay as leading zeros. (2.13) of Linder (2017) with an F_i for every input (Ljung
+1999, (4.33)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from casid.data.record import Record
+from casid.errors import DataError, ModelError, SolveError
+from casid.estimation.covariance import whiteness
+from casid.estimation.prediction_error.polynomial_data import one_record
+from casid.estimation.prediction_error.polynomial_orders import is_stable, largest_root
+from casid.estimation.prediction_error.polynomial_residuals import LAGS
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolynomialModel:
+    """An estimate of A y = sum_i (B_i/F_i) u_i + (C/D) e, e white with variance `noise_variance`.
+
+    Attributes
+    ----------
+    A, C, D : (order + 1,) monic, ascending powers of q^-1.
+    B : input -> (nk + nb,), the first nk zero; output unit per input unit.
+    F : input -> (nf + 1,) monic.
+    covariance : (n, n) of `theta`, Linder 2017, (2.54)-(2.56), under what `assumes` says.
+    noise_variance : sum eps^2 / (N - n), output unit squared.
+    loss : V_N of Linder 2017, (2.36), sum eps^2 / (2 N).
+    fit : NRMSE fit of the one-step prediction [%], 100 (1 - |eps| / |y - mean y|).
+    N : residuals that count, over all records.
+    residuals : (N_r,) for each record, from the first sample on.
+    discarded : for each record, how many first residuals do not count.
+    input_correlation : input -> (lags + 1,) of `residual_input_correlation`: above 1 in size where
+        the residual and the input k samples before are correlated beyond 95 % bounds.
+    notes : reflected roots, near cancellations, what else spoils a number.
+    """
+
+    structure: str
+    A: Array
+    B: Mapping[str, Array]
+    C: Array
+    D: Array
+    F: Mapping[str, Array]
+    nk: Mapping[str, int]
+    names: tuple[str, ...]
+    theta: Array
+    covariance: Array
+    assumes: str
+    noise_variance: float
+    loss: float
+    fit: float
+    N: int
+    Ts: float
+    status: str
+    is_converged: bool
+    iterations: int
+    scaled_gradient: float
+    start: str
+    residuals: tuple[Array, ...]
+    discarded: tuple[int, ...]
+    notes: tuple[str, ...] = ()
+    input_correlation: Mapping[str, Array] = field(default_factory=dict)
+
+    # -- numbers -----------------------------------------------------------------------------
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return tuple(self.B)
+
+    @property
+    def n(self) -> int:
+        """Number of free coefficients."""
+        return len(self.theta)
+
+    @property
+    def std_errors(self) -> dict[str, float]:
+        """Standard error of each free coefficient by name."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Each free coefficient by name."""
+        return dict(zip(self.names, self.theta.tolist(), strict=True))
+
+    def __getitem__(self, name: str) -> float:
+        """A free coefficient by name, as ``model["b1[u]"]``."""
+        if name not in self.names:
+            raise KeyError(f"no coefficient {name!r}; there are {', '.join(self.names)}")
+        return float(self.theta[self.names.index(name)])
+
+    @property
+    def residual(self) -> Array:
+        """The N residuals that count, records one after the other."""
+        parts = [r[d:] for r, d in zip(self.residuals, self.discarded, strict=True)]
+        return np.concatenate(parts)
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion of the Gaussian likelihood; the variance counts as a parameter."""
+        return self._minus_two_log_likelihood + 2 * (self.n + 1)
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion, counted as `aic`."""
+        return self._minus_two_log_likelihood + float(np.log(self.N)) * (self.n + 1)
+
+    @property
+    def _minus_two_log_likelihood(self) -> float:
+        return self.N * (float(np.log(2 * np.pi * max(2 * self.loss, 1e-300))) + 1)
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the simulation is stable: roots of A and F inside the unit circle."""
+        return all(is_stable(p) for p in (self.A, *self.F.values()))
+
+    @property
+    def is_predictor_stable(self) -> bool:
+        """Whether the one-step predictor is stable: roots of C and F inside the unit circle."""
+        return all(is_stable(p) for p in (self.C, *self.F.values()))
+
+    # -- signals -----------------------------------------------------------------------------
+
+    def prediction_errors(self, y: ArrayLike, u: Any = None) -> Array:
+        """eps = (D/C) (A y - sum_i (B_i/F_i) u_i), (N,), from zero filter states."""
+        from scipy.signal import lfilter
+
+        out, channels = one_record(y, u, self.inputs)
+        v = lfilter(self.A, [1.0], out)
+        for name, signal in channels.items():
+            v = v - lfilter(self.B[name], self.F[name], signal)
+        return np.asarray(lfilter(self.D, self.C, v))
+
+    def predict(self, y: ArrayLike, u: Any = None) -> Array:
+        """One-step prediction, (N,): y_t from y and u up to t - 1 (u_t where nk = 0).
+
+        (2.19) of Linder (2017). Filter states are zero at the first sample, so the beginning holds
+        a transient.
+        """
+        errors = self.prediction_errors(y, u)
+        return np.asarray(np.asarray(y, dtype=np.float64) - errors)
+
+    def simulate(self, u: Any) -> Array:
+        """Noise-free response sum_i B_i/(A F_i) u_i, (N,), from rest.
+
+        Raises
+        ------
+        SolveError
+            If A or an F_i is unstable.
+        DataError, ModelError
+            If u does not fit the inputs, or there is no input.
+        """
+        from scipy.signal import lfilter
+
+        if not self.inputs:
+            raise ModelError(f"a model of structure {self.structure} has no input to simulate from")
+        if u is None or isinstance(u, Record):
+            held = ", ".join(f"{i!r}: record[{i!r}]" for i in self.inputs)
+            raise DataError(
+                f"u is {'None' if u is None else 'a record'}; give the inputs to simulate from, "
+                f"u={{{held}}}"
+            )
+        first = next(iter(u.values()), ()) if isinstance(u, Mapping) else u
+        n = len(np.atleast_1d(first))
+        _, channels = one_record(np.zeros(n), u, self.inputs)
+        if not self.is_stable:
+            raise SolveError(
+                f"the simulation diverges: A or F has a root of modulus "
+                f"{max(largest_root(p) for p in (self.A, *self.F.values())):.4g}; use predict, or "
+                "simulate the closed loop from its external signal"
+            )
+        total = np.zeros(n)
+        for name, signal in channels.items():
+            total += lfilter(self.B[name], np.convolve(self.A, self.F[name]), signal)
+        return total
+
+    # -- frequency ---------------------------------------------------------------------------
+
+    def response(self, omega: ArrayLike) -> dict[str, Array]:
+        """Frequency responses G_i = B_i/(A F_i) at omega [rad/s], complex."""
+        z = np.exp(-1j * np.asarray(omega, dtype=np.float64) * self.Ts)
+        a = _at(self.A, z)
+        return {i: np.asarray(_at(self.B[i], z) / (a * _at(self.F[i], z))) for i in self.inputs}
+
+    def spectrum(self, omega: ArrayLike) -> Array:
+        """Spectrum of the disturbance C/(A D) e at omega [rad/s], output unit squared.
+
+        lambda |C/(A D)|^2: its mean over 0 .. pi/Ts is the disturbance's variance; times Ts/pi it
+        is a density per rad/s.
+        """
+        z = np.exp(-1j * np.asarray(omega, dtype=np.float64) * self.Ts)
+        h = _at(self.C, z) / (_at(self.A, z) * _at(self.D, z))
+        return np.asarray(self.noise_variance * np.abs(h) ** 2)
+
+    def to_control(self, *, noise: bool = False) -> Any:
+        """The model as a `control.TransferFunction` in z with sample time Ts.
+
+        Inputs are the model's in order; with `noise` the innovation e is the last one.
+        """
+        import control
+
+        pairs = [(self.B[i], np.convolve(self.A, self.F[i])) for i in self.inputs]
+        if noise:
+            pairs.append((self.C, np.convolve(self.A, self.D)))
+        if not pairs:
+            raise ModelError("no input: ask for to_control(noise=True), the noise model")
+        num, den = [], []
+        for b, a in pairs:
+            length = max(len(a), len(b))
+            num.append(np.concatenate([b, np.zeros(length - len(b))]))
+            den.append(np.concatenate([a, np.zeros(length - len(a))]))
+        names = [*self.inputs, *(["e"] if noise else [])]
+        return control.TransferFunction([num], [den], self.Ts, inputs=names, outputs=["y"])
+
+    # -- text --------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        word = "" if self.is_converged else ", NOT converged"
+        return (
+            f"<PolynomialModel {self.structure}: {self.n} coefficients, N = {self.N}, "
+            f"fit {self.fit:.1f} %{word}>"
+        )
+
+    def __str__(self) -> str:
+        errors = self.std_errors
+        left = "y(t)" if len(self.A) == 1 else "A(q) y(t)"
+        right = []
+        lines = []
+        if len(self.A) > 1:
+            lines.append(("A(q)", _text(self.A, "a", "", errors)))
+        for i in self.inputs:
+            mark = f"[{i}]" if len(self.inputs) > 1 else ""
+            over = len(self.F[i]) > 1
+            right.append(f"{'[' if over else ''}B{mark}(q){f'/F{mark}(q)]' if over else ''} {i}(t)")
+            lines.append((f"B{mark}(q)", _text(self.B[i], "b", f"[{i}]", errors)))
+        c, d = len(self.C) > 1, len(self.D) > 1
+        noise = f"{'[' if d else ''}{'C(q)' if c else '1' if d else ''}{'/D(q)]' if d else ''}"
+        right.append(f"{noise} e(t)".strip())
+        for name, p in (("C", self.C), ("D", self.D)):
+            if len(p) > 1:
+                lines.append((f"{name}(q)", _text(p, name.lower(), "", errors)))
+        for i in self.inputs:
+            if len(self.F[i]) > 1:
+                mark = f"[{i}]" if len(self.inputs) > 1 else ""
+                lines.append((f"F{mark}(q)", _text(self.F[i], "f", f"[{i}]", errors)))
+        width = max((len(label) for label, _ in lines), default=0)
+        head = f"{self.structure} model: {left} = {' + '.join(right)}, Ts = {self.Ts:g} s"
+        body = [f"  {label:<{width}} = {text}" for label, text in lines]
+        body.append("  (+/- one standard error; a delay shows as the first power of q^-1)")
+        first = ", ".join(str(d) for d in self.discarded[:5])
+        first += ", .." if len(self.discarded) > 5 else ""
+        body += [
+            f"  status          {self.status}, {self.iterations} iterations, scaled gradient "
+            f"{self.scaled_gradient:.0e}",
+            f"  start           {self.start}",
+            f"  residuals       N = {self.N}, {len(self.residuals)} record(s), first samples that "
+            f"do not count: {first}",
+            f"  residual tests  {self._residual_tests()}",
+            f"  noise variance  {self.noise_variance:.6g}   loss {self.loss:.6g}",
+            f"  fit             {self.fit:.2f} % (one step ahead)",
+            f"  AIC {self.aic:.6g}   BIC {self.bic:.6g}",
+            f"  errors assume   {self.assumes}",
+        ]
+        body += [f"  NOTE            {note}" for note in self.notes]
+        return "\n".join([head, *body])
+
+    def _residual_tests(self) -> str:
+        """Whiteness, and correlation with each input, as counts of lags."""
+        lags = min(LAGS, self.N - 2)
+        said = [f"whiteness: {whiteness(self.residual)} of {lags} lags outside 95 %"]
+        for name, ratio in self.input_correlation.items():
+            outside = int(np.sum(np.abs(ratio) > 1))
+            said.append(f"correlation with {name}: {outside} of {len(ratio)} lags outside")
+        return "; ".join(said)
+
+
+def _at(polynomial: Array, z: Array) -> Array:
+    """A polynomial in ascending powers at z = exp(-i omega Ts)."""
+    return np.asarray(np.polynomial.polynomial.polyval(z, polynomial))
+
+
+def _text(polynomial: Array, letter: str, mark: str, errors: Mapping[str, float]) -> str:
+    """1 - 1.5 (+/- 0.01) q^-1 + ..., monic or with leading zeros left out."""
+    parts: list[str] = []
+    for lag, value in enumerate(polynomial.tolist()):
+        error = errors.get(f"{letter}{lag}{mark}")
+        if error is None and value == 0.0:
+            continue
+        sign = "-" if value < 0 else "+" if parts else ""
+        size = f"{abs(value):.5g}" + (f" (+/- {error:.2g})" if error is not None else "")
+        power = f" q^-{lag}" if lag else ""
+        parts.append(f"{sign}{' ' if parts else ''}{size}{power}")
+    return " ".join(parts)

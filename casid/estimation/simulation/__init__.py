@@ -1,0 +1,1 @@
+"""The simulation error: a model integrated with its sensitivities, compared with records."""

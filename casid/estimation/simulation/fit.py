@@ -1,0 +1,96 @@
+"""Least-squares fits of the simulation error, with integration steps as fine as needed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.data.record import Experiment
+from casid.estimation.nlp.nlp import Solver
+from casid.estimation.simulation.simulation_error import (
+    Constraint,
+    Fit,
+    SimulationError,
+    minimize_simulation_error,
+)
+from casid.model.model import Model
+
+
+@dataclass(frozen=True, slots=True)
+class FitSettings:
+    """How a fit is sought.
+
+    Attributes
+    ----------
+    starts : number of starts; the best optimum is kept.
+    segments : shooting segments a record; more than one for unstable models.
+    substeps : Runge-Kutta steps a sample; None doubles them until they no longer matter.
+    own : parameters that every record has for itself.
+    constraints : each takes a mapping of names to symbols and returns what is to be zero.
+    """
+
+    starts: int = 3
+    segments: int = 1
+    substeps: int | None = None
+    own: Sequence[str] = ()
+    constraints: Sequence[Constraint] = ()
+    solver: Solver | None = None
+    seed: int = 0
+
+
+def fit_model(
+    model: Model,
+    experiments: Sequence[Experiment],
+    settings: FitSettings,
+    *,
+    start: Mapping[str, float] | None = None,
+    check_rank: bool = True,
+    throw: bool = True,
+) -> Fit:
+    """Minimise the simulation error, with as many Runge-Kutta substeps as the data can feel."""
+    substeps = settings.substeps or 1
+    fit: Fit | None = None
+    while True:
+        criterion = SimulationError(
+            model,
+            experiments,
+            own=settings.own,
+            segments=settings.segments,
+            substeps=substeps,
+            start=start if fit is None else fit.values,
+        )
+        fit = minimize_simulation_error(
+            criterion,
+            solver=settings.solver,
+            starts=settings.starts if fit is None else 1,
+            seed=settings.seed,
+            constraints=settings.constraints,
+            check_rank=check_rank and fit is None,
+            throw=throw,
+        )
+        if settings.substeps is not None or substeps >= 16 or not _steps_matter(fit):
+            return fit
+        substeps *= 2
+
+
+def _steps_matter(fit: Fit) -> bool:
+    """True if halving the step moves the simulation by over a hundredth of the residual."""
+    old = fit.criterion
+    fine = SimulationError(
+        old.model,
+        old.experiments,
+        own=old.own,
+        weights=old.weights,
+        segments=old.segments,
+        substeps=2 * old.substeps,
+        start=fit.values,
+    )
+    moved, left = 0.0, 0.0
+    with np.errstate(all="ignore"):
+        for e, d in enumerate(old.data):
+            a, b = old.simulate(fit.x, e)[0], fine.simulate(fit.x, e)[0]
+            moved += float(np.sum(((a - b) * d.used * old.weights) ** 2))
+            left += float(np.sum(((d.y - a) * d.used * old.weights) ** 2))
+    return bool(np.isfinite(moved)) and moved > 1e-4 * left + 1e-16 * old.n_samples

@@ -1,0 +1,154 @@
+"""What sensors and actuators do to whole columns: delays, first-order lags and clipping.
+
+A stage of an output is applied to what was simulated and to its sensitivities. A stage of an input
+is applied to the recorded column before the simulation; the change that its parameter brings goes
+into a generated column, its carrier, which the model multiplies by that parameter, held at zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from casid.estimation.simulation.first_order_lags import lag_columns, lag_inputs
+from casid.model.model import Model, Stage
+
+Array = np.ndarray[Any, Any]
+
+MEMORY = {"delay": 1.0, "lag": 5.0}
+"""Of an output stage: how long the unknown past is felt, in units of its parameter.
+
+Five time constants after its start a lag feels less than a hundredth of what was before.
+"""
+
+
+GROUP = 8
+"""Columns of a Jacobian that pass a stage at once."""
+
+
+def through_sensor(
+    kind: str, y: Array, jac: Array | None, value: float, Ts: float, place: int
+) -> None:
+    """Apply one output stage in place.
+
+    Parameters
+    ----------
+    y : (N,) the simulated output.
+    jac : (N, n) its sensitivities, None where nobody asked.
+    value : the stage's parameter [s], or the limit in units of the output.
+    place : column of `jac` that belongs to the parameter, -1 where it is known.
+    """
+    change: Array
+    if kind == "clip":
+        above, below = y > value, y < -value
+        y[above], y[below] = value, -value
+        change = above.astype(float) - below
+        if jac is not None:
+            jac[above | below] = 0.0
+    elif kind == "delay":
+        change = -delay_columns(y, value / Ts, derivative=True) / Ts
+        y[:] = delay_columns(y, value / Ts)
+    else:
+        y[:], change = lag_columns(y, value / Ts)
+        change = change / Ts
+    if jac is not None and kind != "clip" and value != 0.0:
+        # Some columns at a time: what is interpolated takes several times their room.
+        for first in range(0, jac.shape[1], GROUP):
+            some = jac[:, first : first + GROUP]
+            moved = delay_columns if kind == "delay" else _lagged
+            some[:] = moved(some, value / Ts)
+    if jac is not None and place >= 0:
+        jac[:, place] += change
+
+
+def _lagged(columns: Array, samples: float) -> Array:
+    return lag_columns(columns, samples)[0]
+
+
+def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: float) -> Array:
+    """A copy of the inputs (N, nu) with every input stage applied and all carriers filled.
+
+    Delays and leads come first, an actuator's lag last: they commute, but a lag leaves a line in
+    every sample, which begins in the input's own column and ends in its companion's.
+
+    Parameters
+    ----------
+    values : of the stages' parameters [s].
+    """
+    out = u.copy()
+    place = {name: i for i, name in enumerate(model.inputs)}
+    stages = [s for s in model.stages if s.is_of_input]
+    for channel in dict.fromkeys(s.channel for s in stages):
+        columns = {channel: u[:, place[channel]]}
+        mine = [s for s in stages if s.channel == channel]
+        for stage in mine:
+            if stage.kind != "lag_input":
+                value = values[stage.parameter]
+                change = _slope(columns[channel], value if stage.kind == "delay_input" else 0.0, Ts)
+                columns = {n: _moved(stage.kind, c, value, Ts) for n, c in columns.items()}
+                columns[stage.carrier] = change
+        for stage in mine:
+            if stage.kind == "lag_input":
+                hold = model.inputs[channel].hold
+                r = values[stage.parameter] / Ts
+                lines = {n: lag_inputs(c, r, hold)[0] for n, c in columns.items()}
+                lines[stage.carrier] = lag_inputs(columns[channel], r, hold)[1] / Ts
+                for name, line in lines.items():
+                    out[:, place[name]], out[:, place[Stage.end_of(name)]] = line.T
+                break
+        else:
+            for name, column in columns.items():
+                out[:, place[name]] = column
+    return out
+
+
+def _moved(kind: str, column: Array, value: float, Ts: float) -> Array:
+    """A recorded input column as it acted: earlier, or rid of its sensor's lag."""
+    if kind == "delay_input":
+        return delay_columns(column, -value / Ts)
+    return np.asarray(column + value * _slope(column, 0.0, Ts))
+
+
+def _slope(column: Array, ahead: float, Ts: float) -> Array:
+    """Centred slope of a column, `ahead` seconds later, per second."""
+    return delay_columns(column, -ahead / Ts, derivative=True) / Ts
+
+
+def delay_columns(y: Array, samples: float, *, derivative: bool = False) -> Array:
+    """Columns (N, ...) delayed by a fractional number of samples, or their slope per sample there.
+
+    Cubic convolution (Keys 1981): exact for quadratics, once differentiable in the delay, and
+    centred, so that its slope at zero delay brings no half-sample error. The ends are extended by
+    straight lines.
+    """
+    whole = int(np.floor(samples))
+    s = samples - whole  # y(k - whole - s): between k - whole - 1 (s = 1) and k - whole (s = 0)
+    v = 1.0 - s  # position between the left and right neighbour
+    if derivative:
+        w = np.array(
+            [
+                -0.5 + 2 * v - 1.5 * v**2,
+                -5 * v + 4.5 * v**2,
+                0.5 + 4 * v - 4.5 * v**2,
+                -v + 1.5 * v**2,
+            ]
+        )
+    else:
+        w = np.array(
+            [
+                -0.5 * v + v**2 - 0.5 * v**3,
+                1 - 2.5 * v**2 + 1.5 * v**3,
+                0.5 * v + 2 * v**2 - 1.5 * v**3,
+                -0.5 * v**2 + 0.5 * v**3,
+            ]
+        )
+    pad = abs(whole) + 3
+    ramp = np.arange(1, pad + 1, dtype=float).reshape(-1, *([1] * (y.ndim - 1)))
+    left = y[:1] - ramp[::-1] * (y[1:2] - y[:1])
+    right = y[-1:] + ramp * (y[-1:] - y[-2:-1])
+    long = np.concatenate([left, y, right])
+    n = len(y)
+    first = pad - whole - 2
+    return np.asarray(sum(w[i] * long[first + i : first + i + n] for i in range(4)))

@@ -1,0 +1,286 @@
+"""Simulation with forward sensitivities: RK4 and its tangent in one mapped CasADi step.
+
+The sensitivities of a fixed-step Runge-Kutta simulation obey (nv columns, one a parameter or
+initial state)
+
+    S[k+1] = A[k] S[k] + B[k],   A = dx[k+1]/dx[k],  B = dx[k+1]/dtheta                      (1)
+
+with A and B the exact derivatives of the step, so the gradient belongs to the simulation as it is
+computed, not to the continuous system (Hairer, Norsett, Wanner 1993, II.6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.model.model import Explicit, Model, Stage
+
+Array = np.ndarray[Any, Any]
+
+BLOCK = 200
+"""Samples that one mapped CasADi function steps through."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """A simulated experiment, with sensitivities where they were asked for."""
+
+    y: Array  # (N, ny)
+    x: Array  # (N + 1, nx), x[N] belongs to the sample after the last
+    dy: Array | None = None  # (N, ny, nv): d y / d (free parameters, initial state)
+    dx_end: Array | None = None  # (nx, nv): d x[N] / d (...)
+
+
+def rk4_sample(model: Model, e: Explicit, u_next: Any, Ts: float, substeps: int) -> Any:
+    """One sample of Runge-Kutta 4 as an expression, each input held or joined by straight lines."""
+    f = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    h = Ts / substeps
+    rises = _rises(model, e, u_next)
+
+    def u(at: float) -> Any:
+        return ca.vertcat(
+            *[e.u[i] if rise is None else e.u[i] + at * rise for i, rise in enumerate(rises)]
+        )
+
+    x = e.x
+    for i in range(substeps):
+        left, mid, right = (u((i + c) / substeps) for c in (0.0, 0.5, 1.0))
+        k1 = f(x, left, e.p)
+        k2 = f(x + h / 2 * k1, mid, e.p)
+        k3 = f(x + h / 2 * k2, mid, e.p)
+        k4 = f(x + h * k3, right, e.p)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x
+
+
+def _rises(model: Model, e: Explicit, u_next: Any) -> list[Any]:
+    """What each input changes by within a sample, None where it is held.
+
+    An input that passes a lag ends its sample where its companion column says; one with a blend
+    does a part of what the other hold would do.
+    """
+    lagged = any(stage.kind == "lag_input" for stage in model.stages)
+    out: list[Any] = []
+    for i, name in enumerate(e.inputs):
+        entry, end = model.inputs[name], Stage.end_of(name)
+        held = entry.hold == "zoh"
+        rise = None if held else u_next[i] - e.u[i]
+        if lagged and end in e.inputs:
+            rise = e.u[e.inputs.index(end)] - e.u[i]
+        if entry.ramp is not None:
+            b = e.p[e.parameters.index(entry.ramp)]
+            part = b * (u_next[i] - e.u[i]) if held else -b * rise
+            rise = part if rise is None else rise + part
+        out.append(rise)
+    return out
+
+
+class _Step:
+    """One sample as a function of state, inputs, inputs a sample later, and parameters.
+
+    What depends on the parameters alone is computed once a simulation, by the same operations.
+    """
+
+    def __init__(
+        self, name: str, state: Any, u: Any, u_next: Any, p: Any, after: Any, out: Any
+    ) -> None:
+        self.n_state, self.n_out = after.numel(), out.numel()
+        both, symbols, constants = ca.extract_parametric(ca.veccat(after, out), p)
+        left = ca.which_depends(both, p, 1, False)
+        bare = [s for s, is_met in zip(ca.vertsplit(p), left, strict=True) if is_met]
+        self._constants = ca.Function("constants", [p], [ca.densify(ca.vertcat(*constants, *bare))])
+        results = [ca.densify(each) for each in ca.vertsplit(both, [0, self.n_state, both.numel()])]
+        arguments = [state, u, u_next, ca.vertcat(*symbols, *bare)]
+        self._function = ca.Function(name, arguments, results)
+        self._blocks: dict[int, Any] = {}
+
+    def constants(self, p: Array) -> Array:
+        """What the function takes in the place of all parameters `p` (np,)."""
+        return np.asarray(self._constants(np.asarray(p, dtype=float)), dtype=float).ravel()
+
+    def block(self, n: int) -> tuple[Any, Any]:
+        """Buffer and trigger of the function mapped over `n` samples."""
+        if n not in self._blocks:
+            function = self._function.mapaccum("block", n)
+            self._blocks[n] = (function, *function.buffer())
+        _, buffer, trigger = self._blocks[n]
+        return buffer, trigger
+
+
+class Simulator:
+    """Simulates one model at one sample time, differentiated in chosen parameters.
+
+    Parameters
+    ----------
+    model : the model; its inputs in declared order are the columns of `u`.
+    Ts : sample time [s].
+    free : names of the parameters to differentiate in; all initial states follow them.
+    substeps : Runge-Kutta steps per sample.
+    pinned : values that parameters always have here. A state that no output feels then is simulated
+        without sensitivities, and they are zero in what is returned.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        Ts: float,
+        free: Sequence[str] = (),
+        *,
+        substeps: int = 1,
+        pinned: Mapping[str, float] | None = None,
+    ) -> None:
+        self.model, self.Ts, self.free, self.substeps = model, Ts, tuple(free), substeps
+        self.equations = model.explicit()
+        e = self.equations
+        self.nx, self.nu, self.ny = len(e.states), len(e.inputs), len(e.outputs)
+        self.nv = len(self.free) + self.nx
+        felt = _felt(e, pinned or {})
+        self._felt = [i for i, name in enumerate(e.states) if name in felt]
+        u_next = ca.SX.sym("u_next", self.nu)
+        x_next = rk4_sample(model, e, u_next, Ts, substeps)
+        self._plain_step = _Step("step", e.x, e.u, u_next, e.p, x_next, e.h)
+        self._tangent_step = self._differentiate(e, u_next, x_next)
+
+    def _differentiate(self, e: Explicit, u_next: Any, x_next: Any) -> _Step:
+        columns = [e.parameters.index(name) for name in self.free]
+        p_free = ca.vertcat(*[e.p[i] for i in columns])
+        nf = len(self._felt)
+        felt = ca.vertcat(*[e.x[i] for i in self._felt])
+        felt_next = ca.vertcat(*[x_next[i] for i in self._felt])
+        s = ca.SX.sym("S", nf, len(columns) + nf)
+        zeros = ca.SX(nf, nf)
+        direct = ca.SX(self.ny, nf)
+        if columns:
+            b = ca.horzcat(ca.jacobian(felt_next, p_free), zeros)
+            d = ca.horzcat(ca.jacobian(e.h, p_free), direct)
+        else:
+            b, d = zeros, direct
+        s_next = ca.jacobian(felt_next, felt) @ s + b
+        dy = ca.jacobian(e.h, felt) @ s + d
+        return _Step(
+            "tangent",
+            ca.vertcat(e.x, ca.vec(s)),
+            e.u,
+            u_next,
+            e.p,
+            ca.vertcat(x_next, ca.vec(s_next)),
+            ca.vertcat(e.h, ca.vec(dy)),
+        )
+
+    def _run(
+        self, step: _Step, start: Array, u: Array, after: Array, p: Array
+    ) -> tuple[Array, Array, Array]:
+        """States after each sample (N, nx), outputs (N, ...), and all that the last sample left.
+
+        Blocks keep the mapped functions few and small; CasADi reads and writes the arrays in place.
+        Sensitivities of states are as many as those of outputs and more, and serve the next step
+        alone: they are not kept.
+        """
+        n_state, n_out = step.n_state, step.n_out
+        states, outputs = np.empty((len(u), self.nx)), np.empty((len(u), n_out))
+        state = np.ascontiguousarray(start, dtype=float)
+        u, after = np.ascontiguousarray(u), np.ascontiguousarray(after)
+        inside = np.empty((min(BLOCK, len(u)), n_state))
+        repeated = np.tile(step.constants(p), (len(inside), 1))
+        for first in range(0, len(u), BLOCK):
+            last = min(first + BLOCK, len(u))
+            n = last - first
+            buffer, trigger = step.block(n)
+            arguments = [state, u[first:last], after[first:last], repeated[:n]]
+            for i, argument in enumerate(arguments):
+                if argument.size:
+                    buffer.set_arg(i, argument.data)
+            buffer.set_res(0, inside[:n].data)
+            if n_out:
+                buffer.set_res(1, outputs[first:last].data)
+            trigger()
+            states[first:last] = inside[:n, : self.nx]
+            state = inside[n - 1].copy()
+        return states, outputs, state
+
+    @staticmethod
+    def _next(u: Array, after: Array | None = None) -> Array:
+        """The inputs one sample later; the last is held unless the one after it is given."""
+        return np.concatenate([u[1:], u[-1:] if after is None else after[None, :]])
+
+    def simulate(self, u: Array, p: Array, x0: Array) -> Trajectory:
+        """Simulate N samples from `x0` (nx,) under `u` (N, nu) with all parameters `p` (np,).
+
+        Values that overflow come back as inf or NaN: the caller knows what diverged.
+        """
+        x, y, _ = self._run(self._plain_step, np.ravel(x0), u, self._next(u), p)
+        return Trajectory(y, np.vstack([np.reshape(x0, (1, self.nx)), x]))
+
+    def sensitivities(
+        self, u: Array, p: Array, x0: Array, *, after: Array | None = None
+    ) -> Trajectory:
+        """As `simulate`, with dy (N, ny, nv) in (free parameters, initial state).
+
+        `after` (nu,) is the input one sample after the last, where it is known: x[N] needs it.
+        """
+        n, nx, nv, ny, nf = len(u), self.nx, self.nv, self.ny, len(self._felt)
+        start = np.zeros((nv - nx + nf, nf))
+        start[nv - nx :, :] = np.eye(nf)
+        xs, yd, end = self._run(
+            self._tangent_step,
+            np.concatenate([np.ravel(x0), start.ravel()]),
+            u,
+            self._next(u, after),
+            p,
+        )
+        return Trajectory(
+            y=yd[:, :ny],
+            x=np.vstack([np.reshape(x0, (1, nx)), xs]),
+            dy=self._widened(yd[:, ny:].reshape(n, -1, ny)).transpose(0, 2, 1),
+            dx_end=self._ended(end[nx:].reshape(-1, nf)),
+        )
+
+    def _widened(self, dy: Array) -> Array:
+        """Sensitivities (N, ..., ny) with zeros for initial states that nothing feels."""
+        if len(self._felt) == self.nx:
+            return dy
+        out = np.zeros((len(dy), self.nv, self.ny))
+        out[:, self._columns()] = dy
+        return out
+
+    def _ended(self, s: Array) -> Array:
+        """The last state's sensitivities as (nx, nv), with zeros where there are none."""
+        out = np.zeros((self.nx, self.nv))
+        out[np.ix_(self._felt, self._columns())] = s.T
+        return out
+
+    def _columns(self) -> list[int]:
+        """Where felt sensitivities stand among (free parameters, initial states)."""
+        n = self.nv - self.nx
+        return [*range(n), *(n + i for i in self._felt)]
+
+
+def _felt(e: Explicit, pinned: Mapping[str, float]) -> set[str]:
+    """States that some output feels, through other states or by itself.
+
+    Judged at random points, as terms may cancel that no structure shows to.
+    """
+    if not pinned:
+        return set(e.states)
+    slopes = ca.Function("slopes", [e.x, e.u, e.p], [ca.jacobian(ca.vertcat(e.h, e.f), e.x)])
+    rng = np.random.default_rng(5)
+    depends = np.zeros((len(e.outputs) + len(e.states), len(e.states)), dtype=bool)
+    for _ in range(3):
+        p = [
+            pinned.get(name, v)
+            for name, v in zip(e.parameters, rng.uniform(0.2, 1.7, e.p.numel()), strict=True)
+        ]
+        at = np.array(
+            slopes(rng.uniform(0.2, 1.7, e.x.numel()), rng.uniform(0.2, 1.7, e.u.numel()), p)
+        )
+        depends |= ~(np.abs(at) < 1e-10)  # not a number counts as felt
+    ny = len(e.outputs)
+    felt = np.asarray(depends[:ny].any(axis=0))
+    for _ in e.states:
+        felt = np.asarray(felt | depends[ny:][felt].any(axis=0))
+    return {name for name, is_felt in zip(e.states, felt, strict=True) if is_felt}

@@ -1,1 +1,0 @@
-"""What would mend a deficiency: sensors, experiments, replicas, known values."""

@@ -1,0 +1,1 @@
+"""Sensors, experiments and known values that make all parameters identifiable."""

@@ -1,0 +1,1 @@
+"""The estimators users call: each checks identifiability before it starts."""

@@ -1,0 +1,368 @@
+"""Prediction-error estimation of linear grey-box models with process and measurement noise.
+
+Physical parameters, noise variances and initial states minimise the Gaussian prediction-error
+criterion (2.36)-(2.38) of Linder (2017), an NLP whose criterion is one pass over the data.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.data.problem import Problem
+from casid.data.record import Experiment, Record
+from casid.errors import DataError, IdentifiabilityError, SolveError
+from casid.estimation.covariance import sandwich, whiteness
+from casid.estimation.estimate import Estimate, Estimated, Identifiability
+from casid.estimation.fit_statistics import nrmse_fit, rms
+from casid.estimation.local_rank import describe_null, local_rank
+from casid.estimation.nlp.nlp import Nlp, Solution, Solver
+from casid.estimation.nlp.solver import as_solver
+from casid.estimation.prediction_error.likelihood import PredictionError
+from casid.identifiability.requirement import require_identifiable
+from casid.linear.kalman import Predictor
+from casid.linear.noisy_model import White, noise_sources
+from casid.model.model import Model
+from casid.versions import versions
+
+Array = NDArray[Any]
+
+SOURCES = (
+    "L. Ljung, System Identification, 2nd ed., Prentice Hall 1999: prediction error",
+    "B. D. O. Anderson, J. B. Moore, Optimal Filtering, Prentice Hall 1979: Kalman predictors",
+    "C. F. van Loan, IEEE Trans. Autom. Control 23 (1978) 395-404: sampling of noise",
+    "W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708: robust covariance",
+    "A. Waechter, L. T. Biegler, Math. Program. 106 (2006) 25-57: Ipopt",
+    "J. A. E. Andersson et al., Math. Program. Comput. 11 (2019) 1-36: CasADi",
+)
+"""Papers behind the method."""
+
+_ROUGHLY = {"ipopt.tol": 1e-3, "ipopt.acceptable_iter": 0}
+_PRECISELY = {  # beyond this tolerance the rounding error of a long sum is met
+    "ipopt.tol": 1e-7,
+    "ipopt.acceptable_tol": 1e-6,
+    "ipopt.acceptable_iter": 2,
+    "ipopt.mu_strategy": "monotone",
+    "ipopt.mu_init": 1e-9,
+}
+
+ASSUMES = (
+    "sandwich of Fisher information and scores ({lags} Newey-West lags): innovations of zero mean "
+    "with a memory short against the record; noise on inputs taken as exact is not in it"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """A minimum of the prediction-error criterion: the estimate and the predictors it gives."""
+
+    estimate: Estimate
+    criterion: PredictionError
+    solution: Solution
+    log_likelihood: float
+
+    def parameter(self, name: str) -> Estimated:
+        """The parameter, noise variance or initial state called `name`, with its error."""
+        return self.estimate.parameter(name)
+
+    def references(self) -> tuple[str, ...]:
+        """The papers behind the methods used."""
+        return self.estimate.references()
+
+    def __getitem__(self, name: str) -> float:
+        """The value of a parameter, noise variance or initial state."""
+        return self.estimate[name]
+
+    @property
+    def noise(self) -> dict[str, tuple[float, float | None]]:
+        """Standard deviation of each noise, and of that its standard error (None: known)."""
+        out: dict[str, tuple[float, float | None]] = {}
+        for w in self.criterion.noise:
+            if w.is_known:
+                out[w.where] = w.sd, None
+                continue
+            found = self.estimate.parameter(self.criterion.noisy.noise_name(w))
+            sd = float(np.sqrt(found.value))
+            error = found.std_error
+            out[w.where] = sd, None if error is None or sd == 0.0 else error / (2 * sd)
+        return out
+
+    def predictor(self, experiment: int = 0) -> Predictor:
+        """The steady-state predictor of one experiment, by its number from 0."""
+        return self.criterion.predictor(self.solution.x, self._number(experiment))
+
+    def innovations(self, experiment: int = 0) -> Array:
+        """(N, ny) one-step prediction errors of one experiment, by its number from 0."""
+        return self.criterion.innovations(self.solution.x, self._number(experiment))
+
+    def _number(self, experiment: int) -> int:
+        names = [d.name for d in self.criterion.data]
+        if experiment not in range(len(names)):
+            there = ", ".join(f"{i} ({name})" for i, name in enumerate(names))
+            raise DataError(f"no experiment {experiment!r}; give the number of one, {there}")
+        return int(experiment)
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion, 2 n - 2 log likelihood: comparable for the same outputs only."""
+        return 2 * len(self.criterion.variables) - 2 * self.log_likelihood
+
+    def __repr__(self) -> str:
+        return f"<Prediction {self.estimate!r}>"
+
+    def __str__(self) -> str:
+        said = ", ".join(f"{name} {sd:.4g}" for name, (sd, _) in self.noise.items())
+        return f"{self.estimate}\n  noise         standard deviations: {said}"
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+
+def minimize_prediction_error(
+    model: Model | Problem,
+    experiments: Sequence[Experiment | Record] | Experiment | Record,
+    noise: Sequence[White] | White,
+    *,
+    own: Sequence[str] = (),
+    initial: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | None = None,
+    rest: Mapping[str, Any] | None = None,
+    solver: Solver | str | None = None,
+    throw: bool = True,
+) -> Prediction:
+    """Estimate a linear or linearised model by its one-step prediction errors.
+
+    Parameters
+    ----------
+    model : or the problem that holds it; its unknown inputs must be named in `noise`.
+    experiments : records in the model's channels (SI), each with its known values; their sample
+        times may differ.
+    noise : the noise of every output, and the process noise, in a list; unknown sizes are
+        estimated.
+    own : parameters that every experiment has for itself.
+    initial : standard deviations of the initial states, for the time-varying predictor; default
+        estimates the initial states with the steady-state gain.
+    start : start values by variable name, over the model's own.
+    rest : state or input -> its value where a nonlinear model rests, a number or an SX expression
+        of its parameters; 0 for what is not given. The records stay near it.
+    solver : or its name; default ``Solver("ipopt")``.
+
+    Raises
+    ------
+    ModelError
+        For noise that is missing or misplaced, a start for what is no variable, or a model without
+        a predictor.
+    DataError
+        For channels that are missing or incomplete, or a record too short.
+    IdentifiabilityError
+        For parameters or noise that these records cannot tell apart.
+    SolveError
+        If no optimum was found.
+
+    Notes
+    -----
+    Consistent if the inputs are exact and the noise model is right; with an input measured in
+    noise, or feedback through a direct term, it is not (Linder 2017, sections 3.5 and 7.3.2).
+    The Hessian is the Fisher information: its steps are those of scoring. Where no size of noise is
+    known nor in `start`, the search begins from the sizes given times one common factor, which the
+    data tell; the page says so.
+    """
+    if isinstance(model, Problem):
+        model = model.model
+    sources = noise_sources(noise)
+    given = [experiments] if isinstance(experiments, Experiment | Record) else list(experiments)
+    chosen = [Experiment(e, {}, e.name) if isinstance(e, Record) else e for e in given]
+
+    def stated(sources: Sequence[White]) -> PredictionError:
+        return PredictionError(
+            model, chosen, sources, own=own, initial=initial, start=start, rest=rest
+        )
+
+    criterion = stated(sources)
+    wanted = criterion.start  # as the user has it; the search may begin elsewhere
+    for e in range(len(criterion.data)):
+        criterion.predictor(criterion.start, e)  # refuses with the reason where there is none
+    x0 = criterion.start
+    if criterion.n_samples <= len(x0):
+        raise DataError(
+            f"{criterion.data[0].name}: {criterion.n_samples} samples cannot pay for {len(x0)} "
+            "unknowns (parameters, noise and initial states); widen the window or give known values"
+        )
+    given_noise = {criterion.noisy.noise_name(w) for w in sources} & set(start or {})
+    if not any(w.is_known for w in sources) and not given_noise:
+        # The gain does not change with a common factor on all variances: its optimum is known.
+        ratio = _quadratic(criterion, x0) / criterion.n_samples
+        if np.isfinite(ratio) and ratio > 0:
+            criterion = stated([replace(w, sd=w.sd * float(np.sqrt(ratio))) for w in sources])
+            x0 = criterion.start
+    first = criterion.evaluate(x0)
+    if not np.isfinite(first.value):
+        raise SolveError(
+            f"{model.name}: the prediction error is not finite at the start; change the start "
+            "values or tighten the bounds"
+        )
+    scale = np.array([v.scale for v in criterion.variables])
+    rank = local_rank(first.hessian, x0, criterion.names, scale)
+    if not rank.is_full:
+        raise IdentifiabilityError(
+            f"{model.name}: rank {rank.rank} of {rank.unknowns} unknowns in "
+            f"{', '.join(d.name for d in criterion.data)}; {describe_null(rank)}"
+        )
+    # The curvature in a variance changes by orders of magnitude on the way: once more from there.
+    solution = _solve(criterion, x0, solver, _ROUGHLY)
+    for _ in range(4):
+        solution = _solve(criterion, solution.x, solver, _PRECISELY)
+        if solution.is_converged:
+            break
+    if throw and not solution.is_converged:
+        raise SolveError(
+            f"{model.name}: {solution.solver} stopped with {solution.status} after "
+            f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e}): "
+            f"{solution.mend}"
+        )
+    estimate = _estimate(criterion, solution, wanted)
+    structural = _structure(model, chosen, own)
+    estimate = replace(
+        estimate, identifiability=replace(estimate.identifiability, structural=structural)
+    )
+    return Prediction(
+        estimate,
+        criterion,
+        solution,
+        criterion.log_likelihood(solution.x),
+    )
+
+
+def _structure(model: Model, experiments: Sequence[Experiment], own: Sequence[str]) -> str:
+    """What the equations without process noise can tell; noise that drives them may tell more."""
+    try:
+        return require_identifiable(model, experiments, own=own, at_rest=True)
+    except IdentifiabilityError as refusal:
+        return f"without process noise: {refusal}"
+
+
+def _quadratic(criterion: PredictionError, x: Array) -> float:
+    """sum eps' F^-1 eps at `x`: as large as the number of samples where the noise is right."""
+    total = 0.0
+    for e in range(len(criterion.data)):
+        for part in criterion.predicted(x, e):
+            solved = np.linalg.solve(part.covariance, part.innovations[:, :, None])[:, :, 0]
+            total += float(np.sum(part.innovations * solved))
+    return total
+
+
+def _solve(
+    criterion: PredictionError, x: Array, solver: Solver | str | None, options: Mapping[str, Any]
+) -> Solution:
+    """Minimise from `x`; the constant of the criterion makes it half the sum of squares there.
+
+    Convergence is judged relative to the criterion's value, which a density alone does not have.
+    """
+    criterion.offset = 0.0
+    criterion.offset = 0.5 * _quadratic(criterion, x) - criterion.evaluate(x).value
+    nlp = Nlp(criterion.model.name)
+    for v in criterion.variables:
+        nlp.variable(v.name, v.start, lower=v.lower, upper=v.upper, scale=v.scale)
+    nlp.minimize(criterion)
+    solver = as_solver(solver)
+    if solver.name == "ipopt":
+        solver = replace(solver, options={**options, **solver.options})
+    return nlp.solve(solver, x.tolist(), throw=False, natural_scales=True)
+
+
+def _unit(criterion: PredictionError, name: str, source: str) -> str:
+    model = criterion.model
+    if source in model.parameters:
+        return model.parameters[source].unit
+    if source in model.states and name.startswith(f"{source}(0)"):
+        return model.states[source].unit
+    if source in model.outputs:
+        return f"({model.outputs[source][1]})^2"
+    unit = model.inputs[source].unit if source in model.inputs else model.balances[source].unit
+    return f"({unit})^2" + (" s" if name.startswith("psd") else "")
+
+
+def _estimate(criterion: PredictionError, solution: Solution, wanted: Array) -> Estimate:
+    """The page of a solution; `wanted` (n,) are the starts as they were given."""
+    model, x = criterion.model, solution.x
+    bound = {*solution.at_lower, *solution.at_upper}
+    free = np.array([n not in bound for n in criterion.names])
+    covariance, lags = sandwich(solution.hessian, criterion.scores(x), free)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale = np.array([v.scale for v in criterion.variables])
+    rank = local_rank(solution.hessian, x, criterion.names, scale)
+    unseen = {n for direction in rank.null for n in direction}
+    parameters: list[Estimated] = []
+    states: list[Estimated] = []
+    warnings: list[str] = list(criterion.noisy.linear.notes)
+    for i, v in enumerate(criterion.variables):
+        note, shown = "", float(sd[i]) if free[i] else None
+        if not free[i]:
+            side = "lower" if v.name in solution.at_lower else "upper"
+            note = f"at {side} bound: no standard error"
+            warnings.append(
+                f"{v.name} is at its {side} bound: other errors are given it stays there"
+            )
+        elif v.name in unseen:
+            note, shown = "not identifiable at the estimate", None
+        given = float(wanted[i])
+        if not note and not np.isclose(v.start, given, rtol=1e-3):
+            note = f"searched from {v.start:.2g}"
+        unit = _unit(criterion, v.name, v.source)
+        row = Estimated(v.name, float(x[i]), unit, False, shown, given, note)
+        (states if v.source in model.states else parameters).append(row)
+    for p in model.parameters.values():
+        if p.value is not None:
+            parameters.append(Estimated(p.name, p.value, p.unit, True))
+    if not rank.is_full:
+        warnings.append(describe_null(rank))
+    if not solution.is_converged:
+        warnings.append(f"{solution.solver} stopped with {solution.status}: {solution.mend}")
+    by_record: dict[str, dict[str, float]] = {}
+    fits: dict[str, dict[str, float]] = {}
+    white: dict[str, str] = {}
+    for e, d in enumerate(criterion.data):
+        error = criterion.innovations(x, e)
+        outputs = criterion.outputs
+        by_record[d.name] = dict(zip(outputs, rms(error).tolist(), strict=True))
+        fits[d.name] = dict(zip(outputs, nrmse_fit(d.y, error).tolist(), strict=True))
+        for i, name in enumerate(outputs):
+            outside = whiteness(error[:, i])
+            where = f"{d.name}/{name}" if len(criterion.data) > 1 else name
+            white[where] = f"whiteness of innovations: {outside} of 20 lags outside 95 %" + (
+                "" if outside <= 3 else " (coloured: the model, or its noise, is not all)"
+            )
+    gain = "steady-state" if criterion.initial is None else "time-varying"
+    return Estimate(
+        problem=model.name,
+        method=f"prediction error, {gain} Kalman predictor; rms errors are one sample ahead",
+        parameters=tuple(parameters),
+        initial_states=tuple(states),
+        covariance_names=criterion.names,
+        covariance=covariance,
+        assumes=ASSUMES.format(lags=lags),
+        status=solution.status,
+        is_converged=solution.is_converged,
+        iterations=solution.iterations,
+        scaled_gradient=solution.scaled_gradient,
+        starts_tried=1,
+        starts_agreeing=1,
+        rmse=by_record,
+        nrmse_fit=fits,
+        whiteness=white,
+        identifiability=Identifiability(
+            rank.rank, rank.unknowns, rank.smallest, "" if rank.is_full else describe_null(rank)
+        ),
+        units={name: unit for name, (_, unit) in model.outputs.items()},
+        warnings=tuple(warnings),
+        provenance=tuple(
+            f"{e.name}: {line}" for e in criterion.experiments for line in e.record.provenance
+        ),
+        versions=versions(),
+        sources=SOURCES,
+    )

@@ -1,0 +1,91 @@
+"""`identify`: estimate the unknown parameters of a problem by minimising the simulation error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from casid.data.problem import Problem, experiments_of
+from casid.data.record import Experiment, Record
+from casid.errors import IdentifiabilityError, SolveError
+from casid.estimation.estimate import Estimate
+from casid.estimation.estimate_builder import estimate_of, standing_channels
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.identifiability.requirement import require_identifiable
+from casid.model.model import Model
+
+Array = np.ndarray[Any, Any]
+
+
+def identify(
+    problem: Problem | Model,
+    experiments: Sequence[Experiment | Record] | Experiment | Record | None = None,
+    *,
+    hold_out: float | Sequence[Experiment] = 0.0,
+    settings: FitSettings | None = None,
+    start: Mapping[str, float] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Estimate:
+    """Estimate the unknown parameters and initial states by least-squares simulation error.
+
+    Parameters
+    ----------
+    problem : or its model alone, where nothing else is to be said of it.
+    experiments : records in the problem's channels (SI), each with the values known for it alone;
+        default the problem's own example. Unknown parameters are shared unless `settings.own`.
+    hold_out : share of each record, at its end, or whole records, used for validation only.
+    start : start values by variable name, over the model's own.
+
+    Returns
+    -------
+    Estimate
+        Values in SI units, with standard errors robust to coloured residuals. Where the fit is
+        poor, `suspects` names a channel that was probably recorded with the wrong sign.
+
+    Raises
+    ------
+    DataError
+        Channels missing, inputs incomplete, record too short for the unknowns.
+    IdentifiabilityError
+        Parameters that these records cannot tell apart, naming what they can tell.
+    SolveError
+        The simulation diverges at the start, or the solver finds no optimum.
+    """
+    from casid.estimation.holdout import record_views, split_records, validation
+    from casid.identification.wrong_signs import is_poor, wrong_sign
+
+    say = progress or (lambda _: None)
+    if isinstance(problem, Model):
+        problem = Problem(problem.name, problem)
+    chosen = experiments_of(problem, experiments)
+    split = split_records(chosen, hold_out)
+    settings = settings or FitSettings(starts=problem.starts)
+    told = "not asked, as there are constraints"
+    if not settings.constraints:
+        told = require_identifiable(
+            problem.model, split.fitted, own=settings.own, problem=problem, progress=progress
+        )
+    say(f"fit {', '.join(e.name for e in split.fitted)}")
+    asked = not settings.constraints and settings.segments == 1
+    try:
+        fit = fit_model(problem.model, split.fitted, settings, start=start)
+    except (IdentifiabilityError, SolveError) as error:
+        turned = wrong_sign(problem, split.fitted, settings) if asked else None
+        if turned is None:
+            raise
+        raise type(error)(f"{turned}. As recorded: {error}") from error
+    turned = None
+    if asked and is_poor(fit):
+        say("the fit is poor: negate each channel in turn")
+        turned = wrong_sign(problem, split.fitted, settings)
+    held = validation(fit, split)
+    estimate = estimate_of(problem, fit, held, notes=standing_channels(problem.model, chosen))
+    return replace(
+        estimate,
+        records=record_views(fit, None, split),
+        suspects=() if turned is None else (str(turned),),
+        identifiability=replace(estimate.identifiability, structural=told),
+    )

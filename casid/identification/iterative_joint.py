@@ -1,0 +1,142 @@
+"""Algorithm 8.1 of Linder (2017): iterative joint instruments from one external reference.
+
+Step A: black-box models from the reference to every recorded channel give the first instruments.
+Step B, repeated: estimate all records jointly within bounds, fit an ARMA model to each record's
+equation error, prefilter with its inverse, simulate the loop with the new estimate from the
+reference and the black-box inputs, (8.85)-(8.86), for new instruments. Step C stops it, (8.93).
+The pieces are those of `estimators`, `stage` and `black_box_reference`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from casid.data.problem import Problem
+from casid.data.record import Experiment
+from casid.estimation.moments.black_box_reference import (
+    BlackBoxReferences,
+    black_box_instruments,
+    black_box_references,
+)
+from casid.estimation.moments.convergence import Convergence
+from casid.estimation.moments.instruments import Instruments
+from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.reference_filter import Filter
+from casid.identification.moment_estimators import MomentEstimate, Prior, instrumental_variables
+from casid.model.model import Model
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IterativeJoint:
+    """What Algorithm 8.1 found, and how it got there.
+
+    Attributes
+    ----------
+    estimate : with intervals, tests and everything else that `instrumental_variables` gives.
+    black_boxes : models from the reference, and the records with their signals.
+    instruments : as used.
+    convergence : parameters and noise models of each iteration.
+    """
+
+    estimate: MomentEstimate
+    black_boxes: BlackBoxReferences
+    instruments: Instruments
+    convergence: Convergence
+
+    def __getitem__(self, name: str) -> float:
+        """The value of a parameter, SI."""
+        return self.estimate[name]
+
+    def std_error(self, name: str) -> float:
+        """Standard error of a parameter."""
+        return self.estimate.std_error(name)
+
+    def __repr__(self) -> str:
+        return f"<IterativeJoint {self.estimate.estimate.problem}: {self.convergence!r}>"
+
+    def __str__(self) -> str:
+        return f"{self.estimate}\n{self.black_boxes}\n{self.convergence}"
+
+    def _repr_html_(self) -> str:
+        import html
+
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+
+def iterative_joint(
+    problem: Problem | Model,
+    experiments: Sequence[Experiment] | Experiment,
+    reference: str,
+    *,
+    channels: Sequence[str] | None = None,
+    structure: Literal["arx", "oe"] = "arx",
+    na: int = 4,
+    nb: int = 5,
+    nk: int = 0,
+    n_y: int = 16,
+    n_u: int = 16,
+    n_delta: int = 2,
+    known: Mapping[str, Filter] | None = None,
+    prior: Prior | None = None,
+    settings: MomentSettings | None = None,
+    truth: Mapping[str, float] | None = None,
+) -> IterativeJoint:
+    """Estimate all records jointly by Algorithm 8.1.
+
+    Parameters
+    ----------
+    problem : whose model has its unknown inputs eliminated (`Model.eliminate`).
+    experiments : nominal, calibrated, loaded, ..., each with its load case.
+    reference : recorded channel that nothing else in the experiment reaches.
+    channels : that get a black box; default all inputs and outputs of the model but the reference.
+    structure, na, nb, nk : of the black boxes, see `black_box_references`.
+    n_y, n_u, n_delta : lags, see `black_box_instruments`; those of Linder (2017), section 9.5.
+        Fewer make a sharper test of what the instruments see, and less bias, where excitation is
+        poor.
+    known : eliminated input -> filter from the reference; default nothing, G_dv = 0.
+    settings : default ``MomentSettings(form="lifted", iterations=15, stopping="norm")``, prefilter
+        1, as in section 9.5; ``noise_model=(na, nc)`` for step B (b). Lifted, the program is sound
+        where coefficients are nearly dependent.
+    truth : true values, for the columns of errors of the convergence table.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If no data of these experiments tell the parameters (the family is named), or the reference
+        does not excite a direction.
+    DataError, ModelError, SolveError
+        As `black_box_references` and `instrumental_variables`.
+    """
+    model = problem.model if isinstance(problem, Problem) else problem
+    wanted = [c for c in (*model.outputs, *model.inputs) if c != reference]
+    boxes = black_box_references(
+        experiments, reference, channels or wanted, structure=structure, na=na, nb=nb, nk=nk
+    )
+    instruments = black_box_instruments(
+        model, boxes, n_y=n_y, n_u=n_u, n_delta=n_delta, known=known
+    )
+    chosen = settings or MomentSettings(form="lifted", iterations=15, stopping="norm")
+    estimate = instrumental_variables(
+        problem, boxes.experiments, instruments, prior=prior, settings=chosen
+    )
+    if boxes.notes:
+        shown = replace(estimate.estimate, warnings=(*estimate.estimate.warnings, *boxes.notes))
+        estimate = replace(estimate, estimate=shown)
+    return IterativeJoint(estimate, boxes, instruments, Convergence.of(estimate.stages[0], truth))
+
+
+def family_values(estimate: MomentEstimate) -> dict[str, float]:
+    """Numbers for the formulas of a `Family`: all parameters, and each record's load case.
+
+    What a record knows has the record's name behind it there: zbar_m_calibration.
+    """
+    import re
+
+    out: dict[str, float] = dict(estimate.values)
+    for stage in estimate.stages:
+        for part, values in zip(stage.parts, stage.values, strict=True):
+            word = re.sub(r"\W+", "_", part.record).strip("_") or "record"
+            out |= {f"{n}_{word}": float(values[n]) for n in part.known}
+    return out

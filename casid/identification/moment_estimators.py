@@ -1,0 +1,638 @@
+"""Least squares and instrumental variables for physical parameters: joint and in stages.
+
+The estimators of Linder (2017), chapters 5 and 7, for any model whose unknown inputs have been
+eliminated: the records become moment equations (`moment_equations`), the parameters the
+solution of a small program (`moment_nlp`), refined over instruments and noise models
+(`stage`), with the noise of every record followed to every parameter (`propagation`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.data.problem import Problem
+from casid.data.record import Experiment
+from casid.errors import ModelError
+from casid.estimation.covariance import Sampled, whiteness
+from casid.estimation.estimate import Estimate, Estimated, Identifiability
+from casid.estimation.local_rank import describe_null, local_rank
+from casid.estimation.moments.instruments import Instruments, Loop
+from casid.estimation.moments.moment_equations import Part, parts_of
+from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.propagation import Propagated, free_slope, propagate
+from casid.estimation.moments.stage import Stage, StageFit
+from casid.estimation.noise import white_floor
+from casid.identifiability.requirement import require_identifiable
+from casid.model.model import Model
+from casid.versions import versions
+
+Array = NDArray[Any]
+
+SOURCES = (
+    "J. Linder, Indirect System Identification for Unknown Input Problems, 2017, ch. 2, 5 and 7",
+    "T. Soderstrom, P. Stoica, Instrumental Variable Methods for System Identification, 1983",
+    "D. N. Politis, Adaptive bandwidth choice, J. Nonparametric Statistics 15 (2003) 517-533",
+    "L. P. Hansen, Econometrica 50 (1982) 1029-1054: overidentification test",
+)
+"""Where the methods come from."""
+
+ASSUMES = {
+    "white": "white equation errors of zero mean, independent of the instruments: a coloured "
+    "error makes them too large or too small, by a factor that the sums cannot tell",
+    "independent": "equation errors of zero mean and finite memory, independent of the external "
+    "reference; the discretisation's own bias is not in it",
+    "scores": "autocorrelation-robust (Newey-West): equation errors of zero mean, not correlated "
+    "with the regressors; noise on the regressors biases least squares and is not in it",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class StageSpec:
+    """One stage: which records, and which parameters they give.
+
+    Attributes
+    ----------
+    free : parameters estimated here; those of earlier stages are taken from there.
+    records : names of experiments; None: all.
+    settings : None: those of the whole estimation.
+    """
+
+    free: Sequence[str]
+    records: Sequence[str] | None = None
+    settings: MomentSettings | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """Known values that are uncertain: a tilting test, a data sheet.
+
+    Attributes
+    ----------
+    values : parameter -> value, SI.
+    covariance : (n, n) in the order of `values`; or a mapping of parameter -> standard error.
+    """
+
+    values: Mapping[str, float]
+    covariance: Array | Mapping[str, float] | None = None
+
+    def matrix(self) -> Array:
+        """Covariance, (n, n).
+
+        Raises
+        ------
+        ModelError
+            If its shape does not fit, or it is no covariance.
+        """
+        n = len(self.values)
+        if self.covariance is None:
+            return np.zeros((n, n))
+        if isinstance(self.covariance, Mapping):
+            foreign = [k for k in self.covariance if k not in self.values]
+            if foreign:
+                raise ModelError(
+                    f"prior: a standard error for {foreign[0]}, which has no value; give it one"
+                )
+            return np.diag([float(self.covariance.get(k, 0.0)) ** 2 for k in self.values])
+        matrix = np.asarray(self.covariance, dtype=float)
+        if matrix.shape != (n, n) or not np.allclose(matrix, matrix.T):
+            raise ModelError(
+                f"prior: covariance of shape {matrix.shape} for {n} values; give a symmetric "
+                f"({n}, {n}) matrix in the order {', '.join(self.values)}"
+            )
+        if np.min(np.linalg.eigvalsh(matrix), initial=0.0) < -1e-9 * np.max(np.abs(matrix)):
+            raise ModelError("prior: the covariance has a negative eigenvalue; check its signs")
+        return matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MomentEstimate:
+    """An estimate from moment equations, with what the instruments could see.
+
+    Attributes
+    ----------
+    estimate : values, covariance with everything propagated, status, provenance.
+    propagated : the covariances, and the overidentification test.
+    stages : what every stage found, its iterations, instruments and noise models.
+    """
+
+    model: Model
+    estimate: Estimate
+    propagated: Propagated
+    stages: tuple[StageFit, ...]
+    prior: Prior | None = None
+
+    def __getitem__(self, name: str) -> float:
+        """The value of a parameter, SI."""
+        return self.estimate[name]
+
+    def parameter(self, name: str) -> Estimated:
+        """The parameter called `name`, with its unit and standard error."""
+        return self.estimate.parameter(name)
+
+    @property
+    def parameters(self) -> tuple[Estimated, ...]:
+        """Every parameter, as `Estimate` has them."""
+        return self.estimate.parameters
+
+    def references(self) -> tuple[str, ...]:
+        """The papers behind the methods used."""
+        return self.estimate.references()
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter of the model at the estimate, load cases left out."""
+        return {p.name: p.value for p in self.estimate.parameters}
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n) in the order of `names`."""
+        return self.propagated.covariance
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The estimated parameters in the order of the stages."""
+        return self.propagated.names
+
+    def std_error(self, name: str, *, propagated: bool = True) -> float:
+        """Standard error; `propagated=False` takes earlier stages and known values as exact."""
+        matrix = self.propagated.covariance if propagated else self.propagated.own
+        i = self.names.index(name)
+        return float(np.sqrt(max(matrix[i, i], 0.0)))
+
+    def sample(self, function: Any, **options: Any) -> Sampled:
+        """Draws of N(estimate, covariance) through a map, as Figure 7.15; see `Estimate.sample`."""
+        return self.estimate.sample(function, **options)
+
+    def __repr__(self) -> str:
+        return f"<MomentEstimate {self.estimate.problem}: {self.estimate.method}>"
+
+    def __str__(self) -> str:
+        lines = [str(self.estimate)]
+        if len(self.stages) > 1 or self.prior is not None:
+            lines.append(
+                "  stages        standard errors with earlier stages taken as exact: "
+                + ", ".join(f"{n} {self.std_error(n, propagated=False):.2g}" for n in self.names)
+            )
+        lines += [f"  {name + ' ':<14}{text}" for name, text in self.estimate.evidence.items()]
+        return "\n".join(lines)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of `estimate.json`, with what moment equations add to it."""
+        p = self.propagated
+        return {
+            **self.estimate.to_json(),
+            "overidentification": {
+                "chi2": p.statistic,
+                "degrees_of_freedom": p.degrees,
+                "p_value": p.p_value,
+            },
+            "std_error_unpropagated": {n: self.std_error(n, propagated=False) for n in self.names},
+            "instruments": {
+                f"stage {i + 1}/{part.name}": {
+                    "rank": c.rank,
+                    "coefficients": list(part.equation.coefficients),
+                    "canonical_correlations": c.canonical.tolist(),
+                    "weakest": dict(c.weakest),
+                    "number": len(e.instruments),
+                }
+                for i, st in enumerate(self.stages)
+                for part, c, e in zip(st.parts, st.correlations, st.equations, strict=False)
+            },
+        }
+
+    def write(self, folder: str | Path) -> Path:
+        """Write `estimate.json` into `folder`, whole or not at all; returns its path."""
+        from casid.data.files import write_json
+
+        return write_json(Path(folder) / "estimate.json", self.to_json())
+
+    def _repr_html_(self) -> str:
+        import html
+
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+
+def least_squares(
+    problem: Problem | Model,
+    experiments: Sequence[Experiment] | Experiment,
+    *,
+    free: Sequence[str] | None = None,
+    settings: MomentSettings | None = None,
+) -> MomentEstimate:
+    """Least squares on the difference equations, (2.39) with the physics as constraints.
+
+    Fast and of small variance, but biased where outputs or inputs carry noise, or a loop is closed:
+    a start for the others, and a measure of what instruments are worth. Parameters and errors as
+    `instrumental_variables`; where the records are not excited, which instruments refuse, the
+    estimate has a warning.
+    """
+    return _estimate(problem, experiments, [StageSpec(free or ())], None, None, settings, {})
+
+
+def instrumental_variables(
+    problem: Problem | Model,
+    experiments: Sequence[Experiment] | Experiment,
+    instruments: Instruments,
+    *,
+    free: Sequence[str] | None = None,
+    prior: Prior | None = None,
+    settings: MomentSettings | None = None,
+) -> MomentEstimate:
+    """All records at once: joint (extended, refined) instrumental variables, Approach 5.2.
+
+    Parameters
+    ----------
+    problem : whose model has no unknown inputs left (`Model.eliminate`).
+    experiments : each with its load case; sample times may differ.
+    instruments : the external reference, and the lags.
+    free : parameters to estimate; default those that the model declares unknown.
+    prior : known values with their uncertainty, which is propagated.
+
+    Returns
+    -------
+    MomentEstimate
+
+    Raises
+    ------
+    IdentifiabilityError
+        If the parameters cannot be told apart, or the instruments do not see a direction.
+    DataError, ModelError, SolveError
+        For unusable records, models and programs without an optimum.
+
+    Notes
+    -----
+    Consistent for any noise that is independent of the reference, in closed loop and with noise on
+    the measured inputs (Linder 2017, (2.44)). The covariance is the sandwich of (2.57)-(2.59).
+    """
+    return _estimate(
+        problem, experiments, [StageSpec(free or ())], instruments, prior, settings, {}
+    )
+
+
+def multistage(
+    problem: Problem | Model,
+    experiments: Sequence[Experiment] | Experiment,
+    stages: Sequence[StageSpec],
+    instruments: Instruments | None = None,
+    *,
+    prior: Prior | None = None,
+    settings: MomentSettings | None = None,
+) -> MomentEstimate:
+    """One stage after the other, each given the ones before (Approaches 5.1 and 7.1).
+
+    Parameters
+    ----------
+    stages : in order; by default each is solved in the linear form.
+    instruments : None: least squares.
+
+    Returns
+    -------
+    MomentEstimate
+        Its covariance propagates the earlier stages, which Linder (2017) takes as exact;
+        `std_error(name, propagated=False)` gives the errors without.
+
+    Raises
+    ------
+    ModelError
+        If two stages estimate one parameter; else as `instrumental_variables`.
+    """
+    if not stages:
+        raise ModelError("multistage: no stage given; name one with StageSpec(free=[...])")
+    names = [n for s in stages for n in s.free]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise ModelError(
+            f"multistage: {twice[0]} is estimated in two stages; leave it to the first of them, "
+            "or estimate jointly with instrumental_variables"
+        )
+    chosen = settings or MomentSettings(form="linear")
+    return _estimate(problem, experiments, stages, instruments, prior, chosen, {})
+
+
+def _estimate(
+    problem: Problem | Model,
+    experiments: Sequence[Experiment] | Experiment,
+    stages: Sequence[StageSpec],
+    instruments: Instruments | None,
+    prior: Prior | None,
+    settings: MomentSettings | None,
+    cache: dict[Any, Any],
+) -> MomentEstimate:
+    model = problem.model if isinstance(problem, Problem) else problem
+    settings = settings or MomentSettings()
+    if isinstance(experiments, Experiment):
+        experiments = [experiments]
+    if model.stages:
+        stage = model.stages[0]
+        raise ModelError(
+            f"{model.name}: channel {stage.channel} has a {stage.kind}, which a difference "
+            "equation cannot show; leave that effect out, or use casid.identify"
+        )
+    if instruments is not None and not isinstance(instruments, Instruments):
+        raise ModelError(
+            f"instruments = {instruments!r}; give casid.Instruments('reference'), named after the "
+            "channel that no disturbance reaches"
+        )
+    if prior is not None:
+        for name in prior.values:
+            model.parameter_named(name)
+        model = model.with_known(**{k: float(v) for k, v in prior.values.items()})
+    declared = tuple(p.name for p in model.parameters.values() if not p.is_known)
+    specs = [replace(s, free=tuple(s.free) or declared) for s in stages]
+    for s in specs:
+        for f in s.free:
+            model.parameter_named(f)
+            if prior is not None and f in prior.values:
+                raise ModelError(
+                    f"{f} is estimated and has a prior value; take it out of one of the two"
+                )
+    equations = cache.setdefault("equations", {})
+    loops: dict[float, Loop] = cache.setdefault("loops", {})
+    fits: list[StageFit] = []
+    told: list[str] = []
+    found: dict[str, float] = {}
+    by_name = {e.name: e for e in experiments}
+    read: list[tuple[MomentSettings, list[Part]]] = []
+    for i, s in enumerate(specs):  # all stages are asked about before one is estimated
+        own = s.settings or settings
+        chosen = list(experiments)
+        if s.records is not None:
+            unknown = [r for r in s.records if r not in by_name]
+            if unknown:
+                raise ModelError(
+                    f"stage {i + 1}: no record {unknown[0]!r}; there are {', '.join(by_name)}"
+                )
+            chosen = [by_name[r] for r in s.records]
+        parts = parts_of(model, chosen, method=own.method, outputs=own.outputs, equations=equations)
+        before = {f for earlier in specs[:i] for f in earlier.free}
+        _refuse_undetermined(specs, i, parts, {*declared} - before - {*s.free})
+        asked = ("structure", i, tuple((e.name, tuple(e.known.items())) for e in chosen))
+        if asked not in cache:
+            cache[asked] = require_identifiable(model, chosen, free=s.free)
+        told.append(cache[asked])
+        read.append((own, parts))
+    for i, (s, (own, parts)) in enumerate(zip(specs, read, strict=True)):
+        key = ("stage", i, tuple((p.name, p.Ts, p.known) for p in parts))
+        if key not in cache:
+            cache[key] = Stage(
+                model, parts, s.free, own, instruments, loops=loops, name=f"stage {i + 1}"
+            )
+        values = [
+            {**p.values, **{k: v for k, v in found.items() if k not in p.known}} for p in parts
+        ]
+        fit = cache[key].fit(parts, values)
+        fits.append(fit)
+        found |= dict(zip(fit.free, fit.theta_p.tolist(), strict=True))
+    how = settings.covariance
+    propagated = propagate(
+        fits,
+        tuple(prior.values) if prior else (),
+        prior.matrix() if prior else None,
+        how=how,
+    )
+    name = problem.name
+    provenance = [f"{e.name}: {line}" for e in experiments for line in e.record.provenance]
+    estimate = as_estimate(name, model, provenance, fits, propagated, settings)
+    structural = "; ".join(dict.fromkeys(told))
+    estimate = replace(
+        estimate, identifiability=replace(estimate.identifiability, structural=structural)
+    )
+    return MomentEstimate(model, estimate, propagated, tuple(fits), prior)
+
+
+def _refuse_undetermined(
+    specs: Sequence[StageSpec], i: int, parts: Sequence[Part], undetermined: set[str]
+) -> None:
+    """What a stage's records feel has to be known there, or estimated by now."""
+    later = {f for s in specs[i + 1 :] for f in s.free}
+    for p in parts:
+        slope = np.asarray(p.equation.jacobian([p.values[q] for q in p.equation.parameters])[1])
+        felt = {
+            q
+            for q, column in zip(p.equation.parameters, slope.T, strict=True)
+            if np.any(np.abs(column) > 1e-12)  # where no load is on, its height has no effect
+        }
+        missing = sorted(((undetermined | later) - p.known) & felt)
+        waiting = [q for q in missing if q in later]
+        if waiting:
+            raise ModelError(
+                f"stage {i + 1}, record {p.record}: {', '.join(waiting)} is estimated only in a "
+                f"later stage and not known here; give its value in the record's load case "
+                f"(Experiment(record, {{{waiting[0]!r}: ...}})), or reorder the stages"
+            )
+        if missing:
+            raise ModelError(
+                f"record {p.record}: {', '.join(missing)} is neither known nor estimated; give it "
+                "a value (prior=, a load case, model.with_known), or free it in a stage"
+            )
+
+
+def as_estimate(
+    name: str,
+    model: Model,
+    provenance: Sequence[str],
+    fits: Sequence[StageFit],
+    propagated: Propagated,
+    settings: MomentSettings,
+) -> Estimate:
+    """The estimate that the fits of all stages make."""
+    sd = np.sqrt(np.maximum(np.diag(propagated.covariance), 0.0))
+    rows: list[Estimated] = []
+    warnings: list[str] = []
+    values: dict[str, float] = {}
+    at = 0
+    rank, unknowns, smallest, unseen = 0, 0, np.inf, []
+    for st in fits:
+        solution = st.solution
+        for k, f in enumerate(st.free):
+            note, error = "", float(sd[at])
+            shown: float | None = error
+            if f in solution.at_lower or f in solution.at_upper:
+                side = "lower" if f in solution.at_lower else "upper"
+                note, shown = f"at {side} bound: no standard error", None
+                warnings.append(
+                    f"{f} is at its {side} bound: other errors are given it stays there"
+                )
+            p = model.parameters[f]
+            rows.append(Estimated(f, float(st.theta_p[k]), p.unit, False, shown, p.start, note))
+            values[f] = float(st.theta_p[k])
+            at += 1
+        found = _rank(st)
+        rank, unknowns = rank + found.rank, unknowns + found.unknowns
+        smallest = min(smallest, found.smallest)
+        if not found.is_full:
+            unseen.append(describe_null(found))
+            # A zero at its bound has no relative size, and instruments would have refused.
+            free = {f for f in st.free if f not in (*solution.at_lower, *solution.at_upper)}
+            if all(e.is_least_squares for e in st.equations) and any(
+                free & set(direction) for direction in found.null
+            ):
+                warnings.append(unseen[-1])
+        warnings += [*st.remarks, *_mostly_noise(st)]
+        if not solution.is_converged:
+            warnings.append(f"{solution.solver} stopped with {solution.status}: {solution.mend}")
+    for p in model.parameters.values():
+        if p.name not in values and p.value is not None:
+            rows.append(Estimated(p.name, p.value, p.unit, True))
+    if propagated.p_value < 0.01:
+        warnings.append(
+            f"the moments contradict one another (chi2 {propagated.statistic:.3g} with "
+            f"{propagated.degrees} degrees of freedom, p = {propagated.p_value:.1g}): a known "
+            "value, a load case or the model is wrong (a prefilter that lifts high frequencies "
+            "lifts the discretisation's error), or the reference is not independent of the noise"
+        )
+    rmse: dict[str, dict[str, float]] = {}
+    nrmse: dict[str, dict[str, float]] = {}
+    white: dict[str, str] = {}
+    for st in fits:
+        for part, e, theta in zip(st.parts, st.equations, st.thetas, strict=True):
+            output = part.equation.output
+            if not e.signals:  # sums alone: no samples to look at
+                power, total = e.error_power(theta), float(e.second[0, 0])
+                rmse.setdefault(part.record, {})[output] = power**0.5
+                nrmse.setdefault(part.record, {})[output] = 100 * (1 - (power / total) ** 0.5)
+                continue
+            remainder = e.error(theta)
+            left = e.equation.left.samples(e.signals, e.start)
+            rmse.setdefault(part.record, {})[output] = float(np.sqrt(np.mean(remainder**2)))
+            nrmse.setdefault(part.record, {})[output] = float(
+                100 * (1 - np.linalg.norm(remainder) / max(float(np.linalg.norm(left)), 1e-300))
+            )
+            outside = whiteness(remainder)
+            white[part.name] = f"filtered equation error: {outside} of 20 lags outside 95 %" + (
+                "" if outside <= 3 else " (coloured; the error bars allow for it)"
+            )
+    last = fits[-1].solution
+    own = all(e.is_least_squares for st in fits for e in st.equations)
+    kind = "least squares" if own else "instrumental variables"
+    stages = f"{len(fits)} stages" if len(fits) > 1 else "joint"
+    noise = (
+        "prefilter 1"
+        if settings.noise_model is None
+        else f"prefilter from ARMA{settings.noise_model}"
+    )
+    how = settings.covariance or ("scores" if own else "independent")
+    if not all(e.signals for st in fits for e in st.equations):
+        how = "white"
+    return Estimate(
+        problem=name,
+        method=f"{kind}, {stages}, {settings.form} form, {settings.method}, "
+        f"weighting {settings.weighting}, {noise}",
+        parameters=tuple(rows),
+        initial_states=(),
+        covariance_names=propagated.names,
+        covariance=propagated.covariance,
+        assumes=ASSUMES[how],
+        status=last.status,
+        is_converged=all(st.solution.is_converged for st in fits),
+        iterations=sum(st.iterations for st in fits),
+        scaled_gradient=max(st.solution.scaled_gradient for st in fits),
+        starts_tried=1,
+        starts_agreeing=1,
+        rmse=rmse,
+        nrmse_fit=nrmse,
+        whiteness=white,
+        identifiability=Identifiability(rank, unknowns, float(smallest), "; ".join(unseen)),
+        units={n: unit for n, (_, unit) in model.outputs.items()},
+        warnings=tuple(dict.fromkeys(warnings)),
+        provenance=tuple(provenance),
+        versions=versions(),
+        sources=SOURCES,
+        fit_is="One step of the difference equation (to simulate it: casid.validate)",
+        evidence=_evidence(fits, propagated),
+    )
+
+
+NOISY = 0.5
+"""Share of noise in a regressor from which least squares warns.
+
+White noise has all its power in its floor, and a signal of steps a third, so this tells them apart.
+"""
+
+
+def _mostly_noise(st: StageFit) -> list[str]:
+    """Regressors that are no louder than the quietest spectrum of their channels.
+
+    Least squares draws their coefficients towards zero, whatever the length of the record.
+    """
+    worst: dict[str, tuple[float, str]] = {}
+    for e in st.equations:
+        if not (e.is_least_squares and e.signals):
+            continue
+        for i, column in enumerate(e.equation.columns, start=1):
+            channels = {channel for channel, _, _ in column.taps}
+            floors = {c: white_floor([np.asarray(e.signals[c])]) for c in channels}
+            noise = sum((weight * floors[channel]) ** 2 for channel, _, weight in column.taps)
+            mean = column.samples(e.signals, e.start).mean()
+            share = noise / max(float(e.second[i, i]) - mean**2, 1e-300)
+            if noise > 0 and share > worst.get(column.name, (NOISY, ""))[0]:
+                worst[column.name] = (min(share, 1.0), e.name)
+    return [
+        f"{name} is {100 * share:.0f} % noise in {record}, its channel's quietest frequencies say, "
+        "and least squares takes it for a signal: use casid.instrumental_variables, or a record in "
+        "which the system is excited more"
+        for name, (share, record) in worst.items()
+    ]
+
+
+def _evidence(fits: Sequence[StageFit], p: Propagated) -> dict[str, str]:
+    """What the moments say of themselves, and what the instruments see of each part."""
+    out = {
+        "surplus": (
+            f"{p.degrees} moments more than parameters, chi2 {p.statistic:.3g}, p = {p.p_value:.2g}"
+            + (" (the moments contradict one another)" if p.p_value < 0.01 else "")
+            if p.degrees
+            else "none: as many moments as parameters, nothing to test"
+        )
+    }
+    for st in fits:
+        for part, c in zip(st.parts, st.correlations, strict=False):
+            weak = ", ".join(f"{k} {v:+.2g}" for k, v in c.weakest.items() if abs(v) > 0.05)
+            out[f"instruments of {part.name}"] = (
+                f"rank of Phi {c.rank} of {len(c.canonical)}, canonical correlations "
+                f"{', '.join(f'{v:.3g}' for v in c.canonical)}; weakest along {weak}"
+            )
+    return out
+
+
+def _rank(st: StageFit) -> Any:
+    """Local rank of the weighted moments in the stage's free parameters."""
+    parts = enumerate(zip(st.equations, st.roots, strict=True))
+    J = np.vstack([root @ e.Phi @ free_slope(st, k, st.free) for k, (e, root) in parts])
+    return local_rank(J.T @ J, st.theta_p, st.free, np.maximum(np.abs(st.theta_p), 1e-12))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reusable:
+    """A multistage or joint estimator whose programs are built once, for many data sets.
+
+    Example
+    -------
+    ``estimator = Reusable(problem, stages, instruments); estimator(experiments)`` gives what
+    `multistage` gives, at the cost of the data alone from the second call on.
+    """
+
+    problem: Problem | Model
+    stages: Sequence[StageSpec]
+    instruments: Instruments | None = None
+    prior: Prior | None = None
+    settings: MomentSettings | None = None
+    _cache: dict[Any, Any] = field(default_factory=dict)
+
+    def __call__(self, experiments: Sequence[Experiment] | Experiment) -> MomentEstimate:
+        """The estimate from records of the same names, load cases and sample times."""
+        return _estimate(
+            self.problem,
+            experiments,
+            self.stages,
+            self.instruments,
+            self.prior,
+            self.settings,
+            self._cache,
+        )

@@ -1,0 +1,304 @@
+"""Intervals that do not lean on the delta method: moment bootstrap and profile.
+
+The covariance of `propagation` is linear in the moments' noise. Where the map from moments to
+parameters is not, its intervals are wrong in place and size: m and z_m follow from (7.38) by a
+division by a product that a weakly excited record leaves near zero. The bootstrap pushes resampled
+moments through the whole estimator; the profile asks which values the moments cannot reject.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.errors import ModelError, SolveError
+from casid.estimation.moments.long_run_covariance import memory
+from casid.estimation.moments.moment_equations import moment_covariance
+from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
+from casid.estimation.moments.propagation import are_short, combined_covariance, free_slope
+from casid.estimation.moments.stage import StageFit
+from casid.identification.moment_estimators import MomentEstimate
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Bootstrap:
+    """Estimates from resampled moments.
+
+    Attributes
+    ----------
+    names : (n,); values : (runs that ended, n); failed : runs without an optimum.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    failed: int
+
+    def __repr__(self) -> str:
+        spread = ", ".join(f"{n} {self.std_error(n):.2g}" for n in self.names)
+        return f"<Bootstrap of {len(self.values)} runs ({self.failed} failed): std {spread}>"
+
+    def std_error(self, name: str) -> float:
+        """Standard deviation over the runs."""
+        return float(np.std(self.values[:, self.names.index(name)], ddof=1))
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Percentile interval."""
+        tail = (1 - level) / 2
+        low, high = np.quantile(self.values[:, self.names.index(name)], [tail, 1 - tail])
+        return float(low), float(high)
+
+
+def bootstrap(estimate: MomentEstimate, *, runs: int = 500, seed: int = 0) -> Bootstrap:
+    """Estimate again from moments whose noise is resampled in blocks, all stages in turn.
+
+    The products zeta_t L(q) error_t are drawn in blocks as long as their memory, the same blocks
+    for all parts of a record (Kunsch 1989); instruments and prefilters stay those of the estimate.
+    """
+    rng = np.random.default_rng(seed)
+    scores: dict[tuple[int, int], Array] = {}
+    blocks: dict[str, tuple[int, int]] = {}
+    for i, st in enumerate(estimate.stages):
+        for k, e in enumerate(st.equations):
+            error = e.error(st.thetas[k])
+            columns = [c.samples(e.signals, e.start) for c in e.instruments]
+            products = np.column_stack([c * error for c in columns])
+            scores[i, k] = products - products.mean(axis=0)
+            record = st.parts[k].record
+            n = len(error)
+            # Long against the memory: what the ends of a block add is not small where the error's
+            # power lies at other frequencies than the instruments'.
+            length = max(4 * memory(error) + 1, n // 60, 10)
+            old = blocks.get(record, (n, length))
+            blocks[record] = (min(n, old[0]), max(length, old[1]))
+    found, failed = [], 0
+    # Sums over blocks are all that a resampled mean needs.
+    sums = {
+        key: _block_sums(s[-blocks[_record(estimate, key)][0] :], blocks[_record(estimate, key)][1])
+        for key, s in scores.items()
+    }
+    for _ in range(runs):
+        picks = {}
+        for record, (n, length) in blocks.items():
+            count = n // length
+            picks[record] = rng.integers(0, n - length + 1, count)
+        values: dict[str, float] = {}
+        row: list[float] = []
+        try:
+            for i, st in enumerate(estimate.stages):
+                equations = []
+                for k, e in enumerate(st.equations):
+                    record = st.parts[k].record
+                    n, length = blocks[record]
+                    noise = sums[i, k][picks[record]].sum(axis=0) / (len(picks[record]) * length)
+                    equations.append(replace(e, Y=e.Phi @ st.thetas[k] + noise))
+                at = [
+                    {**v, **{q: w for q, w in values.items() if q not in p.known}}
+                    for v, p in zip(st.values, st.parts, strict=True)
+                ]
+                theta_p, _, _ = st.stage.solve(equations, st.roots, at, st.theta_p)
+                values |= dict(zip(st.free, theta_p.tolist(), strict=True))
+                row += theta_p.tolist()
+        except SolveError:
+            failed += 1
+            continue
+        found.append(row)
+    if len(found) < 2:
+        raise SolveError(
+            f"bootstrap: {failed} of {runs} runs had no optimum; the estimate itself stands on "
+            "weak moments, look at its canonical correlations"
+        )
+    return Bootstrap(estimate.names, np.array(found), failed)
+
+
+def _record(estimate: MomentEstimate, key: tuple[int, int]) -> str:
+    return estimate.stages[key[0]].parts[key[1]].record
+
+
+def _block_sums(scores: Array, length: int) -> Array:
+    """Sums over every run of `length` samples, (n - length + 1, nz)."""
+    total = np.vstack([np.zeros((1, scores.shape[1])), np.cumsum(scores, axis=0)])
+    return np.asarray(total[length:] - total[:-length])
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Profile:
+    """The values of one parameter that the moments cannot reject.
+
+    Attributes
+    ----------
+    lower, upper : end points, +-inf where the moments set no limit.
+    best : where the efficient criterion is smallest.
+    grid, drop : (m,) values tried and 2 (V - V_min) there, chi squared with one degree of freedom.
+    """
+
+    name: str
+    level: float
+    lower: float
+    upper: float
+    best: float
+    grid: Array
+    drop: Array
+
+    def __repr__(self) -> str:
+        return (
+            f"<Profile {self.name}: {100 * self.level:g} % interval {self.lower:.6g} to "
+            f"{self.upper:.6g}, best {self.best:.6g}>"
+        )
+
+    def plot(self) -> Any:
+        """The drop over the values tried, with the level that bounds the interval."""
+        import plotly.graph_objects as go
+        from scipy.stats import chi2
+
+        figure = go.Figure(go.Scatter(x=self.grid, y=self.drop, mode="lines+markers"))
+        figure.add_hline(y=float(chi2.isf(1 - self.level, 1)), line_dash="dash")
+        figure.update_layout(
+            template="plotly_white", xaxis_title=self.name, yaxis_title="2 (V - V_min)"
+        )
+        return figure
+
+
+def _score_equations(st: StageFit, k: int, covariance: Array) -> Condensed:
+    """The combinations A'Q (Y - Phi theta) that the estimate sets to zero, in units of their noise.
+
+    As many as the stage has free parameters: surplus moments, whose estimated weights would make
+    the interval too narrow, have no say, and with a mild map the interval is that of `std_error`.
+    """
+    e, root = st.equations[k], st.roots[k]
+    own = [f for f in st.free if f not in st.parts[k].known]
+    T = (root @ e.Phi @ free_slope(st, k, own)).T @ root
+    spread = T @ covariance @ T.T
+    if are_short([e]):  # combined before their spectra are taken, as `propagate` does
+        spread = combined_covariance([e], [st.thetas[k]], [st.parts[k].record], T)
+    values, vectors = np.linalg.eigh(spread)
+    keep = values > 1e-12 * values[-1]
+    noise = (vectors[:, keep] / np.sqrt(values[keep])).T
+    return Condensed.of(e, noise @ T)
+
+
+class _Profiled:
+    """The criterion of all stages' estimating equations, one parameter held."""
+
+    def __init__(self, estimate: MomentEstimate, name: str) -> None:
+        stages: Sequence[StageFit] = estimate.stages
+        self.free = [f for f in estimate.names if f != name]
+        self.name = name
+        entries = [(st, k) for st in stages for k in range(len(st.parts))]
+        records = [st.parts[k].record for st, k in entries]
+        covariance = moment_covariance(
+            [st.equations[k] for st, k in entries],
+            [st.thetas[k] for st, k in entries],
+            records,
+        )
+        found = {f: float(st.theta_p[i]) for st in stages for i, f in enumerate(st.free)}
+        self.data, self.values, equations, known = [], [], [], []
+        at = 0
+        for st, k in entries:
+            e = st.equations[k]
+            n = len(e.Z)
+            self.data.append(_score_equations(st, k, covariance[at : at + n, at : at + n]))
+            at += n
+            part = st.parts[k]
+            self.values.append(
+                {**part.values, **{f: v for f, v in found.items() if f not in part.known}}
+            )
+            equations.append(e.equation)
+            known.append(part.known)
+        self.known = known
+        by_name = {p.name: p for st in stages for p in st.stage.parameters}
+        parameters = [by_name[f] for f in self.free]
+        self.bounds = (by_name[name].lower, by_name[name].upper)
+        self.start = np.array([found[f] for f in self.free])
+        self.at = found[name]
+        self.nlp = (
+            PhysicalNlp(equations, parameters, [k & set(self.free) for k in known], name="profile")
+            if parameters
+            else None
+        )
+        self.equations = equations
+
+    def value(self, held: float) -> float:
+        """Smallest V with the parameter held; warm-started from the last."""
+        values = [
+            v if self.name in k else {**v, self.name: held}
+            for v, k in zip(self.values, self.known, strict=True)
+        ]
+        if self.nlp is None:
+            total = 0.0
+            for d, v, e in zip(self.data, values, self.equations, strict=True):
+                r = d.left - d.right @ e.theta(v)
+                total += float(r @ r) + d.rest
+            return total / 2
+        solution = self.nlp.solve(self.data, values, self.start.tolist(), throw=False)
+        if np.isfinite(solution.value):
+            self.start = np.array([solution[f] for f in self.free])
+        return float(solution.value)
+
+
+def profile(estimate: MomentEstimate, name: str, *, level: float = 0.95) -> Profile:
+    """Invert the test of one parameter: an interval that covers however curved the map is.
+
+    2 (V(name) - V_min) of the estimating equations, weighted by their covariance, is chi squared
+    with one degree of freedom at the true value. With several outputs of one record their
+    correlation is left out here.
+
+    Raises
+    ------
+    ModelError
+        If the parameter was not estimated.
+    """
+    from scipy.optimize import brentq, minimize_scalar
+    from scipy.stats import chi2
+
+    if name not in estimate.names:
+        raise ModelError(
+            f"profile: {name} was not estimated; estimated are {', '.join(estimate.names)}"
+        )
+    p = _Profiled(estimate, name)
+    tried: dict[float, float] = {}
+
+    def value(x: float) -> float:
+        if x not in tried:
+            tried[x] = p.value(x)
+        return tried[x]
+
+    step = max(estimate.std_error(name), 1e-9 * abs(p.at), 1e-12)
+    low, high = p.bounds
+    inside = (max(low, p.at - 2 * step), min(high, p.at + 2 * step))
+    middle = minimize_scalar(value, bounds=inside, method="bounded", options={"xatol": 0.01 * step})
+    best, smallest = float(middle.x), float(middle.fun)
+    threshold = float(chi2.isf(1 - level, 1)) / 2
+
+    def drop(x: float) -> float:
+        return value(x) - smallest - threshold
+
+    ends = []
+    for side, limit in ((-1.0, low), (1.0, high)):
+        p.start = np.array([estimate[f] for f in p.free])
+        inner, size, end = best, step, side * np.inf
+        for _ in range(25):
+            outer = float(np.clip(inner + side * size, low, high))
+            if drop(outer) > 0:
+                end = float(brentq(drop, min(inner, outer), max(inner, outer), xtol=1e-3 * step))
+                break
+            if outer == limit:
+                end = limit
+                break
+            inner, size = outer, 1.7 * size
+        ends.append(end)
+    grid = np.array(sorted(tried))
+    return Profile(
+        name,
+        level,
+        ends[0],
+        ends[1],
+        best,
+        grid,
+        np.array([2 * (tried[x] - smallest) for x in grid.tolist()]),
+    )

@@ -1,0 +1,124 @@
+"""Estimates from sums alone: records larger than memory, or kept on other machines.
+
+Cross moments (`moments`) are sums over samples. They are made where the data lie, chunk by
+chunk, added, and what arrives here is a small matrix for each load case: enough for least squares
+and for instrumental variables with any instruments that are lags of recorded channels. Simulated
+instruments are lags too, once their signal has been streamed along as a channel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from casid.data.problem import Problem
+from casid.errors import DataError, ModelError
+from casid.estimation.moments.moment_equations import MomentEquations, Part
+from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.moments import Moments
+from casid.estimation.moments.propagation import propagate
+from casid.estimation.moments.stage import Stage
+from casid.identification.moment_estimators import MomentEstimate, Prior, as_estimate
+from casid.linear.difference_equation import difference_equation
+from casid.linear.lagged_columns import Column
+from casid.model.model import Model
+
+
+def estimate_from_moments(
+    problem: Problem | Model,
+    sums: Mapping[str, Moments],
+    *,
+    Ts: float | Mapping[str, float],
+    known: Mapping[str, Mapping[str, float]] | None = None,
+    instruments: Sequence[Column] | None = None,
+    free: Sequence[str] | None = None,
+    prior: Prior | None = None,
+    settings: MomentSettings | None = None,
+) -> MomentEstimate:
+    """Estimate jointly from the sums of each load case.
+
+    Parameters
+    ----------
+    sums : name of a load case -> its moments; records of one load case are added beforehand. The
+        channels are those of the model and of the instruments, in SI units, with lags at least up
+        to the order of the difference equation and of the instruments.
+    Ts : sample time [s], or one for each load case.
+    known : load case -> values known for it.
+    instruments : columns on channels of the sums; None: least squares.
+    free, prior, settings : as `estimators.instrumental_variables`; noise models and
+        refinement need samples and are not available here.
+
+    Returns
+    -------
+    MomentEstimate
+        Its error bars assume white equation errors: the sums hold no more. Sensor noise makes the
+        error coloured, A(q) e; the spread over the sums of several stretches then says more.
+
+    Raises
+    ------
+    DataError
+        If the sums lack a channel, or their lags are too few.
+    """
+    settings = settings or MomentSettings()
+    if settings.noise_model is not None or settings.alpha is not None:
+        raise ModelError(
+            "noise models and robust estimates look at samples, sums have none left; drop "
+            "noise_model= and alpha=, or estimate from records"
+        )
+    model = problem.model if isinstance(problem, Problem) else problem
+    cases = dict(known or {})
+    foreign = [name for name in cases if name not in sums]
+    if foreign:
+        raise DataError(
+            f"known values for {foreign[0]!r}, which has no sums; there are {', '.join(sums)}"
+        )
+    if not sums:
+        raise DataError("no sums given; name at least one load case")
+    if prior is not None:
+        model = model.with_known(**{k: float(v) for k, v in prior.values.items()})
+    names = tuple(free or (p.name for p in model.parameters.values() if not p.is_known))
+    parts, equations = [], []
+    for case, total in sums.items():
+        step = float(Ts[case]) if isinstance(Ts, Mapping) else float(Ts)
+        values = {
+            p.name: p.value if p.value is not None else p.start for p in model.parameters.values()
+        }
+        for name in cases.get(case, {}):
+            model.parameter_named(name)
+        values.update(cases.get(case, {}))
+        for output in settings.outputs or tuple(model.outputs):
+            equation = difference_equation(model, output, step, method=settings.method)
+            columns = (equation.left, *equation.columns, *(instruments or ()))
+            _require(case, total, columns)
+            parts.append(Part(case, equation, values, frozenset(cases.get(case, {})), {}, {}, step))
+            equations.append(
+                MomentEquations.from_moments(equation, total, instruments, name=f"{case}/{output}")
+            )
+    stage = Stage(model, parts, names, settings, name="from sums")
+    fit = stage.fit_equations(equations, parts, [p.values for p in parts])
+    propagated = propagate(
+        [fit],
+        tuple(prior.values) if prior else (),
+        prior.matrix() if prior else None,
+        how="white",
+    )
+    provenance = [f"{case}: sums of {total.N} samples" for case, total in sums.items()]
+    estimate = as_estimate(problem.name, model, provenance, [fit], propagated, settings)
+    return MomentEstimate(model, estimate, propagated, (fit,), prior)
+
+
+def _require(case: str, total: Moments, columns: Sequence[Column]) -> None:
+    used = dict.fromkeys(c for column in columns for c, _, _ in column.taps)
+    lacking = [c for c in used if c not in total.channels]
+    if lacking:
+        raise DataError(
+            f"{case}: the sums lack channel {lacking[0]!r}, they hold {', '.join(total.channels)}; "
+            "name it when they are made"
+        )
+    order = int(np.max([c.order for c in columns]))
+    if order > total.lags:
+        raise DataError(
+            f"{case}: the sums reach {total.lags} lags, the equation and its instruments need "
+            f"{order}; make them again with lags={order}"
+        )

@@ -1,0 +1,358 @@
+"""A channel recorded the wrong way round, found by what the simulation misses with it negated.
+
+A sign flip is a scale of -1 of one channel. Equations whose coefficients may have either sign fit
+both; physical parameters with bounds, and those that several load cases share, fit one. So where a
+fit is poor, every channel is negated in turn and the parameters are estimated anew. A flip is
+suspected if the simulation then misses by less than half the power, and by no chance: the squared
+errors of the two fits are compared by Diebold and Mariano's (1995) test, with a correction for the
+number of channels (Bonferroni). Half the power is a heuristic: a channel that matters, taken the
+wrong way round, costs far more.
+
+Where noise makes most of what the simulation misses, either sign misses by as much. Then an input
+that no noise reaches tells them apart: the moments of instruments made of it (`sign_flips`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from casid.data.problem import Problem
+from casid.data.record import Experiment, Record
+from casid.errors import CasidError
+from casid.estimation.covariance import bartlett_lags, long_run_covariance, whiteness
+from casid.estimation.fit_statistics import nrmse_fit, rms
+from casid.estimation.holdout import Split
+from casid.estimation.nlp.nlp import Solver
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.simulation_error import Fit
+from casid.model.model import Model
+
+Array = np.ndarray[Any, Any]
+
+POOR = 80.0
+"""Fit in per cent below which signs are doubted, where the residual is no white noise."""
+
+CLEARLY = 0.5
+"""Share of the misfit's power that may be left for a flip to be suspected."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WrongSign:
+    """A channel that was probably recorded with the wrong sign.
+
+    Attributes
+    ----------
+    channel : of the model; the first of those that cannot be told apart, outputs before inputs.
+    unit : its SI unit.
+    p_value : that it fits better by chance, corrected for the number of channels tried.
+    before, after : rms simulation error by output, as recorded (NaN without any fit) and negated.
+    rivals : channel -> p-value against the named one, of those that negated fit as well; 1 where
+        instruments do not tell them apart.
+    start : values of the fit with the channel negated.
+    reference : input whose instruments told it, where the simulation errors did not.
+    left : share of the moments' J that is left with the channel negated, with a reference.
+    """
+
+    channel: str
+    unit: str
+    p_value: float
+    before: dict[str, float]
+    after: dict[str, float]
+    rivals: dict[str, float]
+    start: dict[str, float]
+    reference: str = ""
+    left: float = float("nan")
+
+    @property
+    def mend(self) -> str:
+        """What to do about it."""
+        c = self.channel
+        return (
+            f"Compare the sensor's axes with the model's (an axis that points up where the model's "
+            f"points down), and negate it: in Python record.with_channel({c!r}, -record[{c!r}], "
+            f"record.units[{c!r}]); in the problem file derived={{{c!r}: casid.Derived("
+            f"{self.unit!r}, {{'{c}_recorded': {self.unit!r}}}, "
+            f"lambda record: -record['{c}_recorded'])}}, the file's column mapped to {c}_recorded"
+        )
+
+    def __str__(self) -> str:
+        gains = ", ".join(
+            f"{output} from {self.before[output]:.3g} to {after:.3g}"
+            for output, after in self.after.items()
+        )
+        if self.reference:
+            gains += (
+                f", and Hansen's J of instruments from {self.reference}, which rejects the signs "
+                f"as recorded (p = {self.p_value:.1g}), to {100 * self.left:.2g} %"
+            )
+        others = f" (or {', '.join(self.rivals)}, which fits as well)" if self.rivals else ""
+        return (
+            f"the channel {self.channel} probably has the wrong sign, a scale of -1{others}: "
+            f"negated, it brings the rms error of {gains}. {self.mend}"
+        )
+
+
+def is_poor(fit: Fit) -> bool:
+    """True if signs should be doubted: no optimum, or much is missed that is no white noise."""
+    if not fit.solution.is_converged:
+        return True
+    at_bound = any(
+        v.name in {*fit.solution.at_lower, *fit.solution.at_upper}
+        for v in fit.criterion.variables
+        if v.source in fit.criterion.model.parameters
+    )
+    for e, d in enumerate(fit.criterion.data):
+        residual = fit.criterion.simulated(fit.x, e).residual
+        fits = nrmse_fit(np.where(d.used, d.y, np.nan), np.where(d.used, residual, np.nan))
+        for i, per_cent in enumerate(fits.tolist()):
+            used = d.used[:, i]
+            if (at_bound or per_cent < POOR) and used.sum() > 40:
+                if whiteness(residual[used, i]) > 3:
+                    return True
+    return False
+
+
+def wrong_sign(
+    problem: Problem | Model,
+    experiments: Sequence[Experiment],
+    settings: FitSettings,
+    *,
+    alpha: float = 0.05,
+) -> WrongSign | None:
+    """The channel to be suspected, if any: negated in turn, where the fit as recorded is poor.
+
+    Looks at the liveliest stretch of each record alone, 2000 samples, from one start: where nothing
+    is wrong that is one short fit. Nothing is suspected where an input rests in all records, or
+    where the simulation does not rise above what it misses.
+
+    Parameters
+    ----------
+    problem : its inputs declared free of noise are references for instruments; without any, those
+        of unknown noise that past outputs do not tell.
+    experiments : as recorded, with their load cases.
+    alpha : of the test, for all channels together.
+    """
+    if not isinstance(problem, Problem):
+        problem = Problem(problem.name, problem)
+    model = problem.model
+    inputs = [n for n, u in model.inputs.items() if u.kind == "measured"]
+    if any(all(_rests(e.record, n) for e in experiments) for n in inputs):
+        return None
+    channels = [n for n in (*model.outputs, *inputs) if all(n in e.record for e in experiments)]
+    short = [_lively(e, tuple(model.outputs)) for e in experiments]
+    quick = in_short_order(settings)
+    recorded = _fitted(model, short, quick)
+    if recorded is not None and not is_poor(recorded):
+        return None
+    found = {c: _fitted(model, negated(short, c), quick) for c in channels}
+    squares = {c: _squares(f) for c, f in found.items() if f is not None}
+    if not squares:
+        return None
+    # Of those that fit alike the first is named: outputs before inputs.
+    best = min(squares, key=lambda c: float(squares[c].sum()) * (1 + 1e-4 * channels.index(c)))
+    error = squares[best]
+    # Where nothing fits as recorded, a flip has to be better than some other.
+    others = [s for s in squares.values() if error.sum() < CLEARLY * s.sum()]
+    reference = _squares(recorded) if recorded is not None else min(others, key=_sum, default=error)
+    p = min(1.0, len(channels) * better_by_chance(reference - error))
+    missing = dict.fromkeys(model.outputs, float("nan"))
+    before = missing if recorded is None else _rms(recorded)
+    if error.sum() >= CLEARLY * reference.sum() or p >= alpha:
+        worse: set[str] = set()
+        if recorded is not None:
+            worse = {c for c, s in squares.items() if _sum(s) >= _sum(reference)}
+        return _by_reference(problem, experiments, found, before, worse, alpha)
+    fit = found[best]
+    assert fit is not None
+    if not _rises(fit):
+        return None
+    rivals = {}
+    for c, s in squares.items():
+        same = min(1.0, 2.0 * better_by_chance(s - error))
+        if c != best and s.sum() < CLEARLY * reference.sum() and same > alpha:
+            rivals[c] = same
+    return WrongSign(
+        channel=best,
+        unit=_unit(model, best),
+        p_value=p,
+        before=before,
+        after=_rms(fit),
+        rivals=rivals,
+        start=fit.values,
+    )
+
+
+def _by_reference(
+    problem: Problem,
+    experiments: Sequence[Experiment],
+    fits: Mapping[str, Fit | None],
+    before: dict[str, float],
+    worse: Collection[str],
+    alpha: float,
+) -> WrongSign | None:
+    """The channel that instruments from a reference suspect, where the simulation is no worse."""
+    from casid.identification.sign_flips import sign_flips
+
+    long = [_lively(e, tuple(problem.model.outputs), 10_000) for e in experiments]
+    for reference in _references(problem, long):
+        try:
+            flips = sign_flips(problem, long, reference=reference)
+        except CasidError:
+            continue
+        named = next((f for f in flips if f.is_suspected), None)
+        if named is None or named.p_value is None or named.p_value >= alpha:
+            return None
+        fit = fits.get(named.channel)
+        if named.ratio**2 >= CLEARLY or named.channel in worse or fit is None:
+            return None
+        return WrongSign(
+            channel=named.channel,
+            unit=_unit(problem.model, named.channel),
+            p_value=named.p_value,
+            before=before,
+            after=_rms(fit),
+            rivals={f.channel: 1.0 for f in flips if f.is_rival},
+            start=fit.values,
+            reference=reference,
+            left=named.ratio**2,
+        )
+    return None
+
+
+def _references(problem: Problem, experiments: Sequence[Experiment]) -> list[str]:
+    """Inputs that no noise reaches: declared so, or else neither noisy nor told by past outputs."""
+    inputs = [
+        n
+        for n, u in problem.model.inputs.items()
+        if u.kind == "measured" and all(n in e.record for e in experiments)
+    ]
+    quiet = [n for n in inputs if problem.noise.get(n) == 0.0]
+    if quiet:
+        return quiet
+    outputs = list(problem.model.outputs)
+    return [
+        n
+        for n in inputs
+        if n not in problem.noise and not any(_depends(e.record, n, outputs) for e in experiments)
+    ]
+
+
+def _depends(record: Record, reference: str, outputs: Sequence[str]) -> bool:
+    from casid.estimation.moments.exogeneity import reference_depends_on
+
+    try:
+        return reference_depends_on(record, reference, outputs, draws=199).depends
+    except CasidError:
+        return True
+
+
+def _rests(record: Record, channel: str) -> bool:
+    return channel in record and float(np.ptp(record[channel])) == 0.0
+
+
+def _rises(fit: Fit) -> bool:
+    """True if some simulated output moves by as much as is missed of it."""
+    for e, d in enumerate(fit.criterion.data):
+        at = fit.criterion.simulated(fit.x, e)
+        for i in range(len(fit.criterion.outputs)):
+            used = d.used[:, i]
+            if used.any() and np.std(at.y[used, i]) >= rms(at.residual[used, i]):
+                return True
+    return False
+
+
+def _unit(model: Model, channel: str) -> str:
+    return model.outputs[channel][1] if channel in model.outputs else model.inputs[channel].unit
+
+
+def _fitted(model: Model, experiments: Sequence[Experiment], settings: FitSettings) -> Fit | None:
+    try:
+        fit = fit_model(model, experiments, settings, check_rank=False, throw=False)
+    except CasidError:
+        return None
+    return fit if np.isfinite(fit.solution.value) else None
+
+
+def _lively(experiment: Experiment, outputs: tuple[str, ...], samples: int = 2000) -> Experiment:
+    """The stretch of a record in which its outputs move the most."""
+    r = experiment.record
+    if r.N <= samples:
+        return experiment
+    moves = sum((r[n] - r[n].mean()) ** 2 / max(float(np.var(r[n])), 1e-300) for n in outputs)
+    total = np.concatenate([[0.0], np.cumsum(moves)])
+    first = int(np.argmax(total[samples:] - total[:-samples]))
+    part = r.between(float(r.t[first]), float(r.t[first + samples - 1]))
+    return Experiment(replace(part, name=r.name), experiment.known, experiment.name)
+
+
+def _sum(values: Array) -> float:
+    return float(values.sum())
+
+
+def in_short_order(settings: FitSettings) -> FitSettings:
+    """One start and few iterations: enough to tell a wrong sign, not to estimate."""
+    solver = settings.solver or Solver()
+    return replace(
+        settings,
+        starts=1,
+        substeps=settings.substeps or 1,
+        solver=replace(solver, max_iterations=min(solver.max_iterations, 25)),
+    )
+
+
+def negated(experiments: Sequence[Experiment], channel: str) -> list[Experiment]:
+    """The experiments with one channel negated."""
+    return [Experiment(_negated(e.record, channel), e.known, e.name) for e in experiments]
+
+
+def negated_split(split: Split, channel: str) -> Split:
+    """What is fitted and what is held out, with one channel negated."""
+    return Split(
+        negated(split.fitted, channel),
+        negated(split.whole, channel),
+        split.held,
+        negated(split.apart, channel),
+    )
+
+
+def _negated(record: Record, channel: str) -> Record:
+    turned = record.with_channel(channel, -record[channel], record.units[channel])
+    mask = record.is_missing(channel)
+    return turned.mark_missing(channel, mask) if mask.any() else turned
+
+
+def _squares(fit: Fit) -> Array:
+    """(sum of N,) squared weighted errors of all outputs, experiments stacked."""
+    c = fit.criterion
+    parts = [
+        np.sum(np.where(d.used, c.simulated(fit.x, e).residual * c.weights, 0.0) ** 2, axis=1)
+        for e, d in enumerate(c.data)
+    ]
+    return np.concatenate(parts)
+
+
+def better_by_chance(difference: Array) -> float:
+    """One-sided p-value that squared errors fell, (N,), by chance (Diebold and Mariano 1995)."""
+    size = float(np.max(np.abs(difference), initial=0.0))
+    if not 0.0 < size < np.inf:
+        return 1.0
+    difference = difference / size  # squares of a diverging simulation would overflow
+    column = (difference - difference.mean())[:, None]
+    variance = float(long_run_covariance(column, bartlett_lags(column))[0, 0])
+    total = float(difference.sum())
+    if variance <= 0:
+        return 0.0 if total > 0 else 1.0
+    return 0.5 * math.erfc(total / math.sqrt(2.0 * variance))
+
+
+def _rms(fit: Fit) -> dict[str, float]:
+    errors = [
+        np.where(d.used, fit.criterion.simulated(fit.x, e).residual, np.nan)
+        for e, d in enumerate(fit.criterion.data)
+    ]
+    return dict(zip(fit.criterion.outputs, rms(np.concatenate(errors)).tolist(), strict=True))

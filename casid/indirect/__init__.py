@@ -1,1 +1,0 @@
-"""The indirect model as transfer functions: unknown inputs replaced by measurements of them."""

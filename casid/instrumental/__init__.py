@@ -1,1 +1,0 @@
-"""Moment equations and instruments: from cross moments to physical parameters and their errors."""

@@ -1,0 +1,98 @@
+"""State-space descriptions of signals: their matrices checked, their frequency response."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.errors import ModelError
+from casid.linear.filters import LAST_STABLE, modulus_text
+
+Array = NDArray[Any]
+_NUMBERS = 1_600_000  # numbers in the matrices that are solved at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matrices:
+    """x+ = A x + B e, s = C x + D e, with the names of its outputs."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    signals: tuple[str, ...]
+    Ts: float
+
+
+def matrices(
+    system: Any, externals: Sequence[str], signals: Sequence[str] | None, Ts: float | None
+) -> Matrices:
+    """Checked matrices, columns in the order of the externals.
+
+    Raises
+    ------
+    ModelError
+        If shapes, names or sample times disagree, or the system is of continuous time or unstable.
+    """
+    if hasattr(system, "isdtime"):
+        if not system.isdtime(strict=True):
+            raise ModelError(
+                "the state space is of continuous time; sample it, control.sample_system(sys, Ts)"
+            )
+        labels = list(system.input_labels)
+        if set(labels) == set(externals):
+            system = system[:, [labels.index(name) for name in externals]]
+        own = None if system.dt is True else float(system.dt)
+        if own is not None and Ts is not None and not np.isclose(own, Ts, rtol=1e-9, atol=0):
+            raise ModelError(f"the state space has sample time {own:g} s, Ts = {Ts:g} s; give one")
+        Ts = own if own is not None else Ts
+        signals = list(system.output_labels) if signals is None else signals
+        system = (system.A, system.B, system.C, system.D)
+    try:
+        A, B, C, D = (np.atleast_2d(np.asarray(m, dtype=float)) for m in system)
+    except (TypeError, ValueError):
+        raise ModelError(
+            "a state space is (A, B, C, D), four matrices of numbers, or a python-control one"
+        ) from None
+    nx, ne, ny = len(A), len(externals), len(C)
+    wanted = {"A": (nx, nx), "B": (nx, ne), "C": (ny, nx), "D": (ny, ne)}
+    for name, matrix in (("A", A), ("B", B), ("C", C), ("D", D)):
+        if matrix.shape != wanted[name]:
+            raise ModelError(
+                f"{name} has shape {matrix.shape}, not {wanted[name]}, for {nx} states, "
+                f"{ny} signals and the {ne} externals {', '.join(externals)}; give one column of B "
+                "and D for each external"
+            )
+    if signals is None or len(signals) != ny:
+        raise ModelError(
+            f"{ny} outputs and {'no' if signals is None else len(signals)} names; give "
+            "signals=[..], one name for each row of C"
+        )
+    poles = np.linalg.eigvals(A)
+    if nx and np.max(np.abs(poles)) >= LAST_STABLE:
+        worst = poles[np.argmax(np.abs(poles))]
+        raise ModelError(
+            f"A has the eigenvalue {worst:.4g}, {modulus_text(abs(worst))}: the signals are not "
+            "stationary and an estimate has no limit. Give the stable closed loop"
+        )
+    return Matrices(A, B, C, D, tuple(signals), 1.0 if Ts is None else float(Ts))
+
+
+def state_space_response(given: Matrices) -> Callable[[Array], Array]:
+    """z (M,) -> C (zI - A)^-1 B + D, (M, ny, ne)."""
+    eye = np.eye(len(given.A))
+    block = max(1, _NUMBERS // max(1, given.A.size))
+
+    def response(z: Array) -> Array:
+        parts = []
+        for first in range(0, len(z), block):
+            shifted = z[first : first + block, None, None] * eye - given.A
+            right = np.broadcast_to(given.B, (len(shifted), *given.B.shape))
+            parts.append(given.C @ np.linalg.solve(shifted, right) + given.D)
+        return np.concatenate(parts)
+
+    return response

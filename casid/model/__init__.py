@@ -1,0 +1,1 @@
+"""A system: states, inputs, outputs and parameters with units, and the catalogue of effects."""

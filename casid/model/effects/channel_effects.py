@@ -1,0 +1,226 @@
+"""Effects in a channel: what sensors and loggers do to a signal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from casid.errors import ModelError, UnitError
+from casid.model.effects.effect import Effect, Sizes
+from casid.model.model import Input, Model, Parameter, Stage
+from casid.model.units import same_dimension, unit_quotient
+
+
+def sensor_bias(model: Model, channel: str) -> Effect:
+    """A constant added to a measured output or input."""
+    if channel in model.outputs:
+        unit = model.outputs[channel][1]
+
+        def apply(new: Model, names: Sequence[str]) -> None:
+            expression, u = new.outputs[channel]
+            new.replace_output(channel, expression + new.symbol(names[0]), u)
+
+        priority = 1
+    else:
+        unit = model.inputs[channel].unit
+
+        def apply(new: Model, names: Sequence[str]) -> None:
+            new.substitute_symbol(channel, new.symbol(channel) - new.symbol(names[0]))
+
+        priority = 2
+    p = Parameter(f"bias_{channel}", unit, 0.0)
+    return Effect("sensor_bias", channel, (p,), apply, priority=priority)
+
+
+def time_delay(model: Model, channel: str, longest: float) -> Effect:
+    """A channel that arrives late by a constant time, at most `longest` seconds."""
+    p = Parameter(f"delay_{channel}", "s", 0.0, lower=0.0, upper=longest)
+    if channel in model.outputs:
+
+        def apply(new: Model, names: Sequence[str]) -> None:
+            new.stages = (*new.stages, Stage("delay", channel, names[0]))
+
+        return Effect("time_delay", channel, (p,), apply, sided="positive", limit=longest)
+
+    def apply_input(new: Model, names: Sequence[str]) -> None:
+        carry(new, Stage("delay_input", channel, names[0]))
+
+    return Effect(
+        "time_delay", channel, (p,), apply_input, sided="positive", limit=longest, priority=1
+    )
+
+
+def carry(model: Model, stage: Stage) -> None:
+    """Add a stage that prepares an input column, with the input that carries its tangent.
+
+    The carrier does between its samples what the channel does, so that the tangent is exact.
+    """
+    entry = model.inputs[stage.channel]
+    per_second = unit_quotient(entry.unit, "s", 1)
+    carrier = model.add_input(
+        Input(stage.carrier, per_second, "generated", entry.hold, ramp=entry.ramp)
+    )
+    model.substitute_symbol(
+        stage.channel, model.symbol(stage.channel) + model.symbol(stage.parameter) * carrier
+    )
+    model.stages = (*model.stages, stage)
+    if is_lagging(model, stage.channel):
+        for name in (stage.channel, *_carriers(model, stage.channel)):
+            unit = model.inputs[name].unit
+            model.add_input(Input(Stage.end_of(name), unit, "generated", "zoh"))
+
+
+def is_lagging(model: Model, channel: str) -> bool:
+    """True if an input acts through an actuator's lag already."""
+    return any(s.kind == "lag_input" and s.channel == channel for s in model.stages)
+
+
+def _carriers(model: Model, channel: str) -> list[str]:
+    """Inputs that carry the tangents of what is done to an input's column."""
+    found = [s.carrier for s in model.stages if s.is_of_input and s.channel == channel]
+    return list(dict.fromkeys(found))
+
+
+def sensor_scale(model: Model, channel: str) -> Effect:
+    """A sensor whose gain is 1 + s in place of 1; s = -2 is a wrong sign, and not searched here.
+
+    What a measured input did is its record over 1 + s. A parameter often absorbs it, and the effect
+    is then invisible.
+    """
+    if channel in model.outputs:
+
+        def apply(new: Model, names: Sequence[str]) -> None:
+            expression, unit = new.outputs[channel]
+            new.replace_output(channel, expression * (1 + new.symbol(names[0])), unit)
+
+        priority = 1
+    else:
+
+        def apply(new: Model, names: Sequence[str]) -> None:
+            for name in (channel, *_carriers(new, channel)):
+                new.substitute_symbol(name, new.symbol(name) / (1 + new.symbol(names[0])))
+
+        priority = 2
+    p = Parameter(f"scale_{channel}", "1", 0.0, lower=-0.9, upper=3.0)
+    return Effect("sensor_scale", channel, (p,), apply, priority=priority)
+
+
+def sensor_lag(model: Model, channel: str, longest: float) -> Effect:
+    """A sensor that follows through 1/(tau s + 1), tau at most `longest` seconds.
+
+    A measured input that lags is undone: what acted is u + tau du/dt, with the centred slope of
+    the record. To first order in tau a lag is a delay.
+    """
+    p = Parameter(f"lag_{channel}", "s", 0.0, lower=0.0, upper=longest)
+    is_output = channel in model.outputs
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        if is_output:
+            new.stages = (*new.stages, Stage("lag", channel, names[0]))
+        else:
+            carry(new, Stage("lead_input", channel, names[0]))
+
+    return Effect(
+        "sensor_lag",
+        channel,
+        (p,),
+        apply,
+        sided="positive",
+        limit=longest,
+        priority=1 if is_output else 2,  # where it is the same as a delay, a delay is named
+    )
+
+
+def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:
+    """An output that also feels another channel of its dimension: a sensor mounted askew.
+
+    `source` is an output of the model (what it would show without noise), one of its inputs, or a
+    channel recorded beside the model, in `unit`.
+    """
+    own = model.outputs[channel][1]
+    p = Parameter(f"cross_{channel}_{source}", unit_quotient(own, unit, 1), 0.0)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        expression, u = new.outputs[channel]
+        if source in new.outputs:
+            felt = new.outputs[source][0]
+        else:
+            felt = new.add_input(Input(source, unit, "known", "foh"))
+        new.replace_output(channel, expression + new.symbol(names[0]) * felt, u)
+
+    return Effect("cross_axis", channel, (p,), apply, priority=1)
+
+
+def hold(model: Model, channel: str) -> Effect:
+    """An input that does between its samples what the model does not say.
+
+    The blend b moves it by (1 - b) of the declared hold and b of the other: b = 0 is the model, an
+    estimate near 1 says that a held input is joined by straight lines, or the other way round. In a
+    slow model it is a delay of b Ts / 2. Where the record cannot tell, the hold is named for an
+    input that is said to be held, as a delay of just half a sample is rare; the delay for one that
+    is joined by straight lines, as sensors are late.
+
+    Raises
+    ------
+    ModelError
+        If the input has a blend already, or no record.
+    """
+    entry = model.inputs[channel]
+    if entry.ramp is not None or entry.kind not in ("measured", "known"):
+        raise ModelError(
+            f"{model.name}: input {channel} "
+            + (f"has the blend {entry.ramp} already" if entry.ramp else f"is {entry.kind}")
+            + "; ask for the hold of a recorded input that has none"
+        )
+    p = Parameter(f"ramp_{channel}", "1", 0.0, lower=0.0, upper=1.0)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        for name in (channel, *_carriers(new, channel)):
+            new.inputs[name] = replace(new.inputs[name], ramp=names[0])
+
+    priority = 0 if entry.hold == "zoh" else 2
+    return Effect("hold", channel, (p,), apply, sided="positive", limit=1.0, priority=priority)
+
+
+def saturation(model: Model, channel: str, limit: float) -> Effect:
+    """An output clipped at plus and minus a limit, near the largest value measured."""
+    unit = model.outputs[channel][1]
+    p = Parameter(f"limit_{channel}", unit, limit, lower=0.8 * limit, upper=1.2 * limit)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        new.stages = (*new.stages, Stage("clip", channel, names[0]))
+
+    return Effect("saturation", channel, (p,), apply, test="clip", variant=limit)
+
+
+def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) -> list[Effect]:
+    """What sensors and loggers may do to the model's channels, biases, delays and limits apart.
+
+    Parameters
+    ----------
+    recorded : channels in every record that the model does not use, name -> unit.
+    """
+    effects: list[Effect] = []
+    measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
+    for channel in (*model.outputs, *measured):
+        effects.append(sensor_scale(model, channel))
+        effects.append(sensor_lag(model, channel, 2 * sizes.longest_delay))
+    beside = {n: unit for n, (_, unit) in model.outputs.items()}
+    beside |= {n: model.inputs[n].unit for n in measured} | dict(recorded)
+    for channel, (_, own) in model.outputs.items():
+        effects += [
+            cross_axis(model, channel, source, unit)
+            for source, unit in beside.items()
+            if source != channel and _is_alike(own, unit)
+        ]
+    for channel, entry in model.inputs.items():
+        if entry.kind in ("measured", "known") and entry.ramp is None:
+            effects.append(hold(model, channel))
+    return effects
+
+
+def _is_alike(unit: str, other: str) -> bool:
+    try:
+        return same_dimension(unit, other)
+    except UnitError:
+        return False

@@ -1,0 +1,147 @@
+"""Effects without a famous name: neighbours of the named ones, called "unknown" with their shape.
+
+Where the truth is none of the named effects, the nearest named one would explain part of it and be
+taken for the cause. These stand beside them in every test: one that wins says that something acts,
+and how it grows, but nothing that a textbook names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.model.effects.effect import Effect
+from casid.model.model import Model, Parameter
+from casid.model.units import unit_quotient
+
+PRIORITY = 3
+"""Of a named effect and one without a name that do the same, the named one is told."""
+
+
+def decoys(model: Model, balance: str, speed: float) -> list[Effect]:
+    """Terms in the rate v and the position q of a balance that have no name of their own.
+
+    v^3, v^2 and |v|^1/2 sign(v), and with a position q also q^2, q^5, q v and q^2 v. `speed` (v's
+    unit) is where the root is rounded, small against the speeds met; its factor is what acts there.
+    """
+    b = model.balances[balance]
+    rate, position = b.rate, model.position_of(b.rate)
+    what = "a force" if position is not None else "a flow"
+
+    def term(
+        shape: str, says: str, of: Callable[[Any, Any], Any], v_power: int, q_power: int = 0
+    ) -> Effect:
+        unit = unit_quotient(b.unit, model.states[rate].unit, v_power)
+        if position is not None:
+            unit = unit_quotient(unit, model.states[position].unit, q_power)
+
+        def apply(new: Model, names: Sequence[str]) -> None:
+            q = new.symbol(position) if position is not None else None
+            new.add_term(balance, -new.symbol(names[0]) * of(new.symbol(rate), q))
+
+        letters = "".join(c for c in shape.replace("^", "") if c.isalnum() or c == "_")
+        return Effect(
+            "unknown",
+            balance,
+            (Parameter(f"c_{letters}", unit, 0.0),),
+            apply,
+            priority=PRIORITY,
+            shape=shape,
+            description=f"{what} {says}",
+        )
+
+    def root(v: Any, _: Any) -> Any:
+        w = v / speed
+        return w / ca.sqrt(ca.sqrt(1 + w**2))
+
+    found = [
+        term(f"{rate}^3", f"that grows with the cube of {rate}", lambda v, _: v**3, 3),
+        term(f"{rate}^2", f"that grows with {rate} squared, of one sign", lambda v, _: v**2, 2),
+        term(f"sqrt|{rate}|", f"that grows with the root of |{rate}|", root, 0),
+    ]
+    if position is None:
+        return found
+    q_ = position
+    return [
+        *found,
+        term(f"{q_}^2", f"that grows with {q_} squared, of one sign", lambda _, q: q**2, 0, 2),
+        term(f"{q_}^5", f"that grows with the fifth power of {q_}", lambda _, q: q**5, 0, 5),
+        term(f"{q_} {rate}", f"that grows with {q_} times {rate}", lambda v, q: q * v, 1, 1),
+        term(
+            f"{q_}^2 {rate}",
+            f"of damping that grows with {q_} squared",
+            lambda v, q: q**2 * v,
+            1,
+            2,
+        ),
+    ]
+
+
+def power_law(model: Model, state: str, typical: float) -> Effect | None:
+    """x becomes x (|x| / x_ref)^(n - 1) in the equations that are linear in a positive state x.
+
+    What leaves a tank in proportion to its level is met again downstream: x is exchanged in every
+    balance and derivative whose right-hand side has it with a slope that depends on no state, and
+    not in outputs. `typical` is x_ref (x's unit), at which the flow is what it was: the estimates
+    of the flow's coefficient and of n then hardly depend on each other. Near x = 0 the power is
+    rounded at a thousandth of x_ref. The null value is n = 1.
+
+    None where x has a position, is one (a spring is no flow), or stands in no such equation.
+    """
+    is_rate = model.position_of(state) is not None
+    is_position = any(model.position_of(rate) == state for rate in model.states)
+    places = [] if is_rate or is_position else _linear_in(model, state)
+    if not places:
+        return None
+    own = [name for name, b in model.balances.items() if b.rate == state]
+    small = 1e-3 * typical
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        x, n = new.symbol(state), new.symbol(names[0])
+        ratio = (x**2 + small**2) / (typical**2 + small**2)
+        law = x * ca.exp(0.5 * (n - 1) * ca.log(ratio))
+        for name in places:
+            if name in new.balances:
+                b = new.balances[name]
+                terms = tuple(ca.substitute(t, x, law) for t in b.terms)
+                new.balances[name] = replace(b, terms=terms)
+            else:
+                new._rates[name] = ca.substitute(new._rates[name], x, law)
+        new._explicit = None
+
+    return Effect(
+        "unknown",
+        own[0] if own else state,
+        (Parameter(f"exponent_{state}", "1", 1.0, lower=0.1, upper=4.0),),
+        apply,
+        priority=0,  # in a flow it is the law itself, and a constant force its tangent
+        shape=f"|{state}|^n",
+        description=f"a flow that grows with a power of {state}, not in proportion to it",
+    )
+
+
+def _linear_in(model: Model, state: str) -> list[str]:
+    """Balances, by name, and states with a derivative whose right-hand side is linear in a state.
+
+    The slope may depend on parameters and inputs alone.
+    """
+    x = model.symbol(state)
+    states = ca.vertcat(*[model.symbol(name) for name in model.states])
+    sides = {name: sum(b.terms[1:], b.terms[0]) for name, b in model.balances.items()}
+    sides |= {name: e for name, e in model._rates.items() if model.symbol(name) is not x}
+    found = []
+    for name, side in sides.items():
+        slope = ca.jacobian(ca.SX(side), x)
+        if slope.nnz() and not any(ca.which_depends(slope, states)):
+            found.append(name)
+    return found
+
+
+def is_positive(lowest_and_most: tuple[float, float]) -> bool:
+    """True if a state stays above zero by at least a thousandth of its largest value."""
+    low, most = lowest_and_most
+    return bool(np.isfinite(most)) and low > 1e-3 * most > 0.0

@@ -1,0 +1,146 @@
+"""An effect: a named, parameterised extension of a model or of a sensor, with its null value.
+
+At the null value the extended model is the model. Balances may lack a force, parameters may change,
+sensors and inputs may distort; the kinds and their names are those of `diagnosis.json`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from casid.errors import ModelError
+from casid.model.model import Model, Parameter
+
+Array = np.ndarray[Any, Any]
+Sided = Literal["positive", "both"]
+Test = Literal["score", "clip", "peak"]
+
+KINDS = frozenset(
+    """quadratic_damping coulomb_friction cubic_stiffness deadzone offset extra_input
+    periodic_disturbance parameter_drift parameter_jump scheduled_parameter sensor_bias sensor_scale
+    sensor_lag time_delay cross_axis saturation outliers hold actuator_lag missing_mode
+    unknown""".split()
+)
+"""Names of kinds that mean what `diagnosis.json` says they mean, and nothing else."""
+
+ON_THE_CLOCK = ("parameter_jump", "parameter_drift", "periodic_disturbance")
+"""Kinds with an instant, a span or a phase on the clock of the record that they were found in."""
+
+OF_SAMPLES = ("outliers", "saturation")
+"""Kinds that spoil samples, and leave the rest of the record as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Mean and range of a recorded channel over the fitted records, in its own unit."""
+
+    mean: float
+    lowest: float
+    highest: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Effect:
+    """A named, parameterised extension of a model or sensor.
+
+    Attributes
+    ----------
+    kind, where : as `diagnosis.json` names them.
+    parameters : what the extension adds, with units; `start` is the null value of the first. The
+        others do nothing while the first is null.
+    sided : "positive" where physics allows one sign only.
+    test : "score" where the simulation is differentiable in the first parameter at its null value;
+        "clip" for a limit that is met or not; "peak" for a line in the residual's spectrum.
+    variant : the value of what is searched rather than differentiated (the instant of a jump).
+    shape : what tells effects of one kind in one place apart ("p^3").
+    description : the effect in words, where its kind is no name of `KINDS` that says it.
+    """
+
+    kind: str
+    where: str
+    parameters: tuple[Parameter, ...]
+    apply: Callable[[Model, Sequence[str]], None]  # changes a copy; gets the parameters' names
+    sided: Sided = "both"
+    test: Test = "score"
+    variant: float | None = None
+    priority: int = 0  # of two that are the same thing in this model, the lower is named
+    limit: float | None = None  # largest |value| of the first parameter worth trying
+    cost: int = 1  # parameters that it is charged for
+    span: tuple[float, float] | None = None  # of the signal that moves a parameter
+    shape: str = ""
+    description: str = ""
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Kind and place, with the shape where several of a kind share the place."""
+        return self.kind, f"{self.where}: {self.shape}" if self.shape else self.where
+
+    def __repr__(self) -> str:
+        return f"<Effect {self.kind} in {self.key[1]}>"
+
+    def extend(
+        self, model: Model, *, starts: Mapping[str, float] | None = None, upper: float | None = None
+    ) -> Model:
+        """A copy of `model` with this effect; `starts` by the effect's own parameter names."""
+        new, _ = self.extended(model, starts=starts, upper=upper)
+        return new
+
+    def extended(
+        self, model: Model, *, starts: Mapping[str, float] | None = None, upper: float | None = None
+    ) -> tuple[Model, tuple[str, ...]]:
+        """As `extend`, with the names that the parameters got in the extended model."""
+        new = model.copy(f"{model.name} + {self.kind}")
+        names = []
+        for i, p in enumerate(self.parameters):
+            name = new.free_name(p.name)
+            start = (starts or {}).get(p.name, p.start)
+            p = replace(p, name=name, start=float(np.clip(start, p.lower, p.upper)))
+            if i == 0 and upper is not None:
+                p = replace(p, upper=upper, start=min(p.start, upper))
+            new.parameter(name, p.unit, start=p.start, lower=p.lower, upper=p.upper, value=p.value)
+            names.append(name)
+        try:
+            self.apply(new, names)
+        except KeyError as error:
+            raise ModelError(
+                f"{model.name}: {self.kind} in {self.where} needs {error}, which the model does "
+                "not have; apply the effect that brings it first"
+            ) from error
+        return new, tuple(names)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sizes:
+    """How large signals are in the records at hand: what smoothing and search ranges go by."""
+
+    rates: Mapping[str, float]  # state -> rms
+    largest: Mapping[str, float]  # output -> largest |measured|: a clipping cannot be below
+    window: tuple[float, float]  # s, of the fitted part
+    longest_delay: float  # s
+    Ts: float | None = None  # s
+    channels: Mapping[str, Spread] = field(default_factory=dict)  # recorded beside the model's
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # state -> least, most
+
+    def largest_motion(self, state: str) -> float:
+        """Largest |state| of the simulation; four times its rms where that is all there is."""
+        if state in self.ranges:
+            return max(abs(end) for end in self.ranges[state])
+        return 4.0 * self.rates.get(state, np.inf)
+
+
+_PINNED = {"time_delay", "sensor_lag", "missing_mode"}
+"""Kinds whose first parameter is held at its null value while many are tested: no sample is lost to
+a delay's run-in, and states that nothing feels yet need no sensitivities."""
+
+
+def extend_all(model: Model, effects: Sequence[Effect]) -> tuple[Model, list[Any]]:
+    """A model with many effects at their null values, and each effect's first parameter name."""
+    new, names = model, []
+    for effect in effects:
+        new, own = effect.extended(new, upper=0.0 if effect.kind in _PINNED else None)
+        names.append(own[0])
+    return new, names

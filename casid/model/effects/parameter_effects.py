@@ -1,0 +1,89 @@
+"""Effects in a parameter: it jumps, drifts, or depends on a channel that the model leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from casid.model.effects.effect import Effect, Spread
+from casid.model.model import Input, Model, Parameter
+from casid.model.units import unit_quotient
+
+Array = np.ndarray[Any, Any]
+
+JUMP_TIMES = 12
+"""Instants, evenly inside the window, that a jump is first searched at."""
+
+
+def jump_times(window: tuple[float, float]) -> list[float]:
+    """The instants that a jump is first searched at."""
+    start, stop = window
+    return [float(t) for t in np.linspace(start, stop, JUMP_TIMES + 2)[1:-1]]
+
+
+def parameter_jump(model: Model, name: str, time: float) -> Effect:
+    """A parameter that changes its value at `time` (seconds of the record's clock).
+
+    A jump at a searched instant costs as much as three parameters (Zhang and Siegmund 2007).
+    """
+    old = model.parameters[name]
+
+    def step(t: Array) -> Array:
+        # A fraction where the jump falls between two samples, so that its time moves smoothly.
+        Ts = t[1] - t[0]
+        return np.asarray(np.clip((t - time) / Ts + 0.5, 0.0, 1.0))
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        s = new.add_input(Input(f"step at {time:.9g} s", "1", "generated", "zoh", step))
+        new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
+
+    p = Parameter(f"jump_{name}", old.unit, 0.0)
+    return Effect("parameter_jump", name, (p,), apply, variant=time, cost=3)
+
+
+def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Effect:
+    """A parameter p that changes steadily: p + drift (t - t_mid) / (t_1 - t_0).
+
+    `window` is t_0, t_1 in seconds of the record's clock, t_mid its middle: drift, in p's unit, is
+    the change over the window, and p the value in its middle. What comes after the window (the end
+    that is held out) goes on at the same rate; in a record apart, whose clock says nothing of this
+    one's, the parameter has the value of the middle.
+    """
+    start, stop = window
+    old = model.parameters[name]
+
+    def ramp(t: Array) -> Array:
+        return np.asarray((t - 0.5 * (start + stop)) / (stop - start))
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        entry = f"share of the time from {start:.9g} to {stop:.9g} s, from its middle"
+        s = new.add_input(Input(entry, "1", "generated", "foh", ramp))
+        new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
+
+    p = Parameter(f"drift_{name}", old.unit, 0.0)
+    return Effect("parameter_drift", name, (p,), apply, span=(-0.5, 0.5))
+
+
+def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread: Spread) -> Effect:
+    """A parameter p that depends on a recorded channel c: p + s (c - c_mean).
+
+    The mean is that of the fitted records, so that p stays what it is on average there, and its
+    estimate and that of s hardly depend on each other. Noise on c makes s too small: a channel that
+    is noisy beside its own changes is better smoothed first.
+    """
+    old = model.parameters[name]
+    p = Parameter(f"slope_{name}_{channel}", unit_quotient(old.unit, unit, 1), 0.0)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        c = new.add_input(Input(channel, unit, "known", "foh"))
+        moved = new.symbol(name) + new.symbol(names[0]) * (c - spread.mean)
+        new.substitute_symbol(name, moved)
+
+    span = spread.lowest - spread.mean, spread.highest - spread.mean
+    # Of two that act alike, the one that is estimated is named.
+    priority = int(old.is_known)
+    return Effect(
+        "scheduled_parameter", f"{name}~{channel}", (p,), apply, span=span, priority=priority
+    )

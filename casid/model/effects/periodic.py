@@ -1,0 +1,54 @@
+"""A periodic force: a sinusoid of unknown amplitude, phase and frequency in a balance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.model.effects.effect import Effect
+from casid.model.model import Input, Model, Parameter
+
+Array = np.ndarray[Any, Any]
+
+
+def periodic_disturbance(
+    model: Model, balance: str, frequency: float, window: tuple[float, float]
+) -> Effect:
+    """a_cos cos(2 pi f (t - t_mid)) + a_sin sin(2 pi f (t - t_mid)) in a balance, f near a given.
+
+    Time enters as a generated input, so that the derivative in f is exact; counted from the middle
+    of the `window` (seconds of the record's clock), f and the phase are nearly uncorrelated. f may
+    move by half a line, 1/(2 T), more than which would be another peak. At a_cos = a_sin = 0 f does
+    nothing: start the amplitudes from their score (`spectral_peaks`). A second
+    generated input, one within the record's own clock, is zero in a record apart, where the phase
+    is another.
+
+    It costs as much as five parameters, the frequency as three (Djuric 1996, A model selection rule
+    for sinusoids in white Gaussian noise, IEEE Trans. Signal Process. 44, 1744-1751).
+    """
+    start, stop = window
+    middle, half = 0.5 * (start + stop), 0.5 / (stop - start)
+    unit = model.balances[balance].unit
+
+    def since(t: Array) -> Array:
+        return np.asarray(t - middle)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        t = new.add_input(Input(f"time since {middle:.9g} s", "s", "generated", "foh", since))
+        on = new.add_input(Input("one on this clock", "1", "generated", "foh", np.ones_like))
+        a, b, f = (new.symbol(name) for name in names)
+        turn = 2 * np.pi * f * t
+        new.add_term(balance, on * (a * ca.cos(turn) + b * ca.sin(turn)))
+
+    lower, upper = max(frequency - half, 0.1 * frequency), frequency + half
+    parameters = (
+        Parameter("a_cos", unit, 0.0),
+        Parameter("a_sin", unit, 0.0),
+        Parameter("frequency", "Hz", frequency, lower=lower, upper=upper),
+    )
+    return Effect(
+        "periodic_disturbance", balance, parameters, apply, test="peak", variant=frequency, cost=5
+    )

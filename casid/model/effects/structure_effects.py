@@ -1,0 +1,125 @@
+"""Effects in the structure: an actuator between command and action, a part that swings along."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casid.errors import ModelError
+from casid.model.effects.channel_effects import carry, is_lagging
+from casid.model.effects.effect import Effect, Sizes
+from casid.model.model import Model, Parameter, Stage
+from casid.model.units import unit_quotient
+
+MODES = 7
+"""Frequencies, evenly in their logarithm, that a missing mode is first searched at."""
+
+DAMPING = 0.05
+"""Damping ratio that the search for a missing mode starts from."""
+
+
+def actuator_lag(model: Model, channel: str, longest: float) -> Effect:
+    """A recorded command that acts through 1/(tau s + 1), tau at most `longest` seconds.
+
+    What the actuator did is computed exactly for the command held or joined by straight lines, and
+    handed to the simulation as a line in each sample with the same mean and first moment: neither
+    the lag nor its derivative moves anything by half a sample. Before the record the command was
+    what it is at its first sample.
+
+    Raises
+    ------
+    ModelError
+        If the input is not recorded, stands in for an unknown one, or lags already.
+    """
+    entry = model.inputs[channel]
+    if entry.kind not in ("measured", "known") or channel not in _commands(model):
+        raise ModelError(
+            f"{model.name}: {channel} is no recorded command (it is {entry.kind}, or was an output "
+            "before an elimination); ask for sensor_lag of such a channel"
+        )
+    if is_lagging(model, channel):
+        raise ModelError(
+            f"{model.name}: the command {channel} acts through a lag already; extend the model "
+            "before that one"
+        )
+    p = Parameter(f"tau_{channel}", "s", 0.0, lower=0.0, upper=longest)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        carry(new, Stage("lag_input", channel, names[0]))
+
+    return Effect("actuator_lag", channel, (p,), apply, sided="positive", limit=longest, priority=1)
+
+
+def missing_mode(model: Model, balance: str, omega: float) -> Effect:
+    """A part that swings along: relative motion q of natural frequency `omega` [rad/s] at first.
+
+        q'' + 2 zeta omega q' + omega^2 q = -dv/dt                                           (1)
+
+    and J_m (omega^2 q + 2 zeta omega q') acts back, in the balance of the rate v. At rest before
+    the record. Without J_m nothing shows omega and zeta: they are then known, and estimated where
+    the extension starts from a J_m.
+    """
+    b = model.balances[balance]
+    unit = unit_quotient(unit_quotient(b.unit, model.states[b.rate].unit, 1), "1/s", 1)
+    p = (
+        Parameter("J_m", unit, 0.0, lower=0.0),
+        Parameter("omega_m", "rad/s", omega, lower=0.3 * omega, upper=3.0 * omega),
+        Parameter("zeta_m", "1", DAMPING, lower=0.001, upper=1.0),
+    )
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        J, w0, zeta = (new.symbol(n) for n in names)
+        rate = new.states[b.rate].unit
+        q = new.state(new.free_name("q_m"), unit_quotient(rate, "1/s", 1), initial=0.0)
+        v = new.state(new.free_name("v_m"), rate, initial=0.0)
+        spring = w0**2 * q + 2 * zeta * w0 * v
+        new.derivative(q, v)
+        new.derivative(v, -spring - new.der(b.rate))
+        new.add_term(balance, J * spring)
+        if new.parameters[names[0]].start == 0.0:
+            for name in names[1:]:
+                new.parameters[name] = replace(
+                    new.parameters[name], value=new.parameters[name].start
+                )
+
+    return Effect(
+        "missing_mode", balance, p, apply, sided="positive", variant=omega, cost=3, priority=1
+    )
+
+
+def mode_frequencies(sizes: Sizes, Ts: float | None = None) -> list[float]:
+    """Frequencies [rad/s] from four cycles a record up to a third of Nyquist's."""
+    start, stop = sizes.window
+    low = 2 * math.pi * 4 / (stop - start)
+    high = math.pi / Ts / 3 if Ts is not None else 100 * low
+    return [float(w) for w in np.geomspace(low, max(high, 2 * low), MODES)]
+
+
+def structure_effects_of(model: Model, sizes: Sizes) -> list[Effect]:
+    """Actuators that may lag: one for each recorded command that does not yet."""
+    longest = 0.05 * (sizes.window[1] - sizes.window[0])
+    return [actuator_lag(model, c, longest) for c in _commands(model) if not is_lagging(model, c)]
+
+
+def missing_modes_of(model: Model, sizes: Sizes, Ts: float | None = None) -> list[Effect]:
+    """Parts that may swing along in each balance of inertia.
+
+    Such a balance is one whose rate is the derivative of a position. All of them together are cheap
+    to test where their first parameters are pinned at zero (`Effect.extended` with upper=0).
+    """
+    frequencies = mode_frequencies(sizes, Ts)
+    return [
+        missing_mode(model, balance, omega)
+        for balance, b in model.balances.items()
+        if model.position_of(b.rate) is not None
+        for omega in frequencies
+    ]
+
+
+def _commands(model: Model) -> list[str]:
+    """Recorded inputs that no elimination made of an output."""
+    gone = {m.output for m in model._measured}
+    return [n for n, u in model.inputs.items() if u.kind in ("measured", "known") and n not in gone]

@@ -1,0 +1,708 @@
+"""The model: states, inputs, outputs and parameters with units, and balances with names.
+
+A model is written once, as CasADi expressions. It is a set of equations linear in the state
+derivatives and in every eliminated input, so one symbolic linear solve gives
+
+    dx/dt = f(x, u, theta),    y = h(x, u, theta)                                           (1)
+
+and eliminating an unknown input is adding one equation (the output that feels it) and one unknown:
+the indirect model of Linder (2017, ch. 4), for gains that may depend on the state.
+"""
+
+from __future__ import annotations
+
+import copy
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from casid.errors import ModelError
+
+if TYPE_CHECKING:
+    from casid.model.effects.effect import Effect
+
+Expr = Any  # a CasADi SX expression, or a number where one is meant
+Hold = Literal["zoh", "foh"]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A physical parameter: unknown with a start and bounds, or known with a value (SI units)."""
+
+    name: str
+    unit: str
+    start: float = 1.0
+    lower: float = -np.inf
+    upper: float = np.inf
+    value: float | None = None
+    is_constant: bool = False  # of nature or of geometry: no effect ever moves it
+
+    def __post_init__(self) -> None:
+        if self.lower > self.upper:
+            raise ModelError(
+                f"parameter {self.name}: lower bound {self.lower:g} lies above the upper bound "
+                f"{self.upper:g}; exchange them"
+            )
+        if self.value is None and not self.lower <= self.start <= self.upper:
+            raise ModelError(
+                f"parameter {self.name}: start {self.start:g} lies outside its bounds "
+                f"[{self.lower:g}, {self.upper:g}]; move the start inside or widen the bounds"
+            )
+
+    @property
+    def is_known(self) -> bool:
+        """True if the parameter has a value and is not estimated."""
+        return self.value is not None
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A state: its initial value is estimated from `start`, unless it is known."""
+
+    name: str
+    unit: str
+    start: float = 0.0
+    lower: float = -np.inf
+    upper: float = np.inf
+    initial: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """An input: a recorded channel, an unknown signal, or a generated function of time.
+
+    `ramp` names a parameter b in [0, 1] that blends what the signal does between its samples: 1 - b
+    of what `hold` says and b of the other.
+    """
+
+    name: str
+    unit: str
+    kind: Literal["measured", "known", "unknown", "generated"] = "measured"
+    hold: Hold = "foh"
+    signal: Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]] | None = None
+    ramp: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """A named force or torque balance: inertia * d(rate)/dt = sum of terms."""
+
+    name: str
+    rate: str
+    inertia: Expr
+    terms: tuple[Expr, ...]
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What a sensor or an actuator does to its channel, beyond an expression.
+
+    An output may be late (`delay`), pass a first-order lag (`lag`) or be clipped (`clip`). Of an
+    input what acted is found: the recorded column moved ahead (`delay_input`), rid of its sensor's
+    lag (`lead_input`), or sent through an actuator's lag (`lag_input`). The column is prepared
+    before the simulation; `carrier` is the generated input that brings its change with `parameter`
+    into the sensitivities.
+    """
+
+    kind: Literal["delay", "lag", "clip", "delay_input", "lead_input", "lag_input"]
+    channel: str
+    parameter: str
+
+    @property
+    def is_of_input(self) -> bool:
+        """True if the stage prepares an input column."""
+        return self.kind.endswith("_input")
+
+    @property
+    def carrier(self) -> str:
+        """Name of the input that carries the tangent of an input stage."""
+        if self.kind == "delay_input":
+            return f"slope of {self.channel}"
+        return f"change of {self.channel} with {self.parameter}"
+
+    @staticmethod
+    def end_of(channel: str) -> str:
+        """Name of the input that says where a lagged input is at the end of a sample."""
+        return f"end of {channel}"
+
+
+_SENSED: Mapping[str, Literal["delay", "lag"]] = {"delay_input": "delay", "lead_input": "lag"}
+"""What the stages of a measured input are, once it is an output again."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Measured:
+    """What an elimination took away: the unknown input, and the output it was eliminated with."""
+
+    unknown: Input
+    output: str
+    residual: Expr  # 0 = output's expression - its measured symbol, before any branch was chosen
+    input_place: int
+    output_place: int
+
+
+@dataclass(frozen=True, slots=True)
+class Explicit:
+    """The model as (1): SX right-hand sides and outputs, and the symbols they are made of."""
+
+    x: Any
+    u: Any
+    p: Any
+    f: Any
+    h: Any
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    outputs: tuple[str, ...]
+    eliminated: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Model:
+    """A physical model under construction.
+
+    Example
+    -------
+    >>> m = Model("mass on a spring")
+    >>> x, v = m.state("x", "m"), m.state("v", "m/s")
+    >>> F = m.input("F", "N")
+    >>> k, d, M = m.parameter("k", "N/m"), m.parameter("d", "N s/m"), m.parameter("M", "kg")
+    >>> m.derivative(x, v)
+    >>> m.balance(v, "force", inertia=M, terms=[-k * x, -d * v, F])
+    >>> _ = m.output("position", x, "m")
+    >>> m
+    <Model mass on a spring: 2 states, 1 input, 1 output, 3 parameters (3 unknown)>
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.states: dict[str, State] = {}
+        self.inputs: dict[str, Input] = {}
+        self.parameters: dict[str, Parameter] = {}
+        self.balances: dict[str, Balance] = {}
+        self.outputs: dict[str, tuple[Expr, str]] = {}
+        self.stages: tuple[Stage, ...] = ()
+        self._symbols: dict[str, Any] = {}
+        self._derivatives: dict[str, Any] = {}  # state -> symbol of its derivative
+        self._rates: dict[str, Expr] = {}  # state -> explicit right-hand side
+        self._eliminations: list[tuple[str, str, Expr]] = []  # (unknown, equation's name, residual)
+        self._measured: list[_Measured] = []  # what each elimination took away, in that order
+        self.eliminated_units: dict[str, str] = {}
+        self._explicit: Explicit | None = None
+
+    # -- declaring ---------------------------------------------------------------------------
+
+    def state(
+        self,
+        name: str,
+        unit: str,
+        *,
+        start: float = 0.0,
+        lower: float = -np.inf,
+        upper: float = np.inf,
+        initial: float | None = None,
+    ) -> Any:
+        """Declare a state; `start` is where its estimated initial value starts.
+
+        `initial` fixes the initial value instead.
+        """
+        self.states[name] = State(name, unit, start, lower, upper, initial)
+        self._derivatives[name] = ca.SX.sym(f"der_{name}")
+        return self._declare(name)
+
+    def input(self, name: str, unit: str, *, hold: Hold = "foh", known: bool = False) -> Any:
+        """Declare an input that is recorded: measured (with noise), or exactly known.
+
+        `hold` is what the signal does between samples: ``"zoh"`` for a held command, ``"foh"``
+        (straight lines) for a sampled physical quantity.
+        """
+        if hold not in ("zoh", "foh"):
+            raise ModelError(f"input {name}: hold={hold!r} is not known; use 'zoh' or 'foh'")
+        self.inputs[name] = Input(name, unit, "known" if known else "measured", hold)
+        return self._declare(name)
+
+    def unknown_input(self, name: str, unit: str) -> Any:
+        """Declare an input that nobody measures; `eliminate` it before estimating."""
+        self.inputs[name] = Input(name, unit, "unknown")
+        return self._declare(name)
+
+    def parameter(
+        self,
+        name: str,
+        unit: str,
+        *,
+        start: float | None = None,
+        lower: float = -np.inf,
+        upper: float = np.inf,
+        value: float | None = None,
+    ) -> Any:
+        """Declare a parameter: known where `value` is given, else estimated from `start`."""
+        if start is None:
+            start = value if value is not None else float(np.clip(1.0, lower, upper))
+        self.parameters[name] = Parameter(name, unit, start, lower, upper, value)
+        return self._declare(name)
+
+    def constant(self, name: str, value: float, unit: str) -> Any:
+        """Declare a constant of nature or geometry: known, and no diagnosis suspects it to move."""
+        symbol = self.parameter(name, unit, value=value)
+        self.parameters[name] = replace(self.parameters[name], is_constant=True)
+        return symbol
+
+    def der(self, state: Any) -> Any:
+        """The time derivative of a state, for use in balances and outputs."""
+        return self._derivatives[self._state_name(state)]
+
+    def derivative(self, state: Any, expression: Expr) -> None:
+        """State that d(state)/dt = expression."""
+        name = self._state_name(state)
+        self._once(name)
+        self._rates[name] = ca.SX(expression)
+        self._explicit = None
+
+    def balance(
+        self,
+        rate: Any,
+        name: str,
+        *,
+        inertia: Expr,
+        terms: Sequence[Expr],
+        unit: str | None = None,
+    ) -> None:
+        """State that inertia * d(rate)/dt = sum(terms); missing effects enter such balances.
+
+        `unit` of the terms; N m or N by default, by the unit of the rate.
+        """
+        state = self._state_name(rate)
+        self._once(state)
+        if name in self.balances:
+            raise ModelError(f"{self.name}: balance {name!r} stated twice; give it another name")
+        if unit is None:
+            unit = "N m" if self.states[state].unit.startswith(("rad", "deg")) else "N"
+        terms = tuple(ca.SX(t) for t in terms)
+        self.balances[name] = Balance(name, state, ca.SX(inertia), terms, unit)
+        self._explicit = None
+
+    def output(self, name: str, expression: Expr, unit: str) -> Any:
+        """Declare what a sensor measures; returns the expression."""
+        if name in self.outputs or name in self.inputs:
+            raise ModelError(f"{self.name}: channel {name!r} declared twice; give it another name")
+        self.outputs[name] = (ca.SX(expression), unit)
+        self._explicit = None
+        return self.outputs[name][0]
+
+    def symbol(self, name: str) -> Any:
+        """The CasADi symbol of a state, input or parameter."""
+        try:
+            return self._symbols[name]
+        except KeyError:
+            near = difflib.get_close_matches(name, self._symbols, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(self._symbols)}"
+            raise ModelError(f"{self.name} has no {name!r}; {hint}") from None
+
+    # -- deriving ----------------------------------------------------------------------------
+
+    def eliminate(self, unknown: Any, using: str, *, solution: Expr | None = None) -> Model:
+        """Solve the output `using` for an unknown input and substitute it (the indirect model).
+
+        The output becomes a measured input of the same name. Where the output is not linear in
+        the unknown input the solution is not unique: give the branch as `solution`, an expression
+        of states, inputs, parameters and the symbol of the output (see `eliminated_symbol`).
+
+        Raises
+        ------
+        ModelError
+            If the output does not feel the input, or the branch is missing or wrong.
+
+        Source: Linder (2017), sections 4.2 and 7.3, (7.24) for the pendulum.
+        """
+        name = unknown if isinstance(unknown, str) else unknown.name()
+        if name not in self.inputs or self.inputs[name].kind != "unknown":
+            raise ModelError(
+                f"{self.name}: {name!r} is not an unknown input; declare it with unknown_input"
+            )
+        if using not in self.outputs:
+            near = difflib.get_close_matches(using, self.outputs, 1)
+            raise ModelError(
+                f"{self.name}: no output {using!r} to eliminate {name} with; "
+                f"outputs are {', '.join(self.outputs)}"
+                + (f"; did you mean {near[0]!r}?" if near else "")
+            )
+        new = self._copy(self.name)
+        places = list(self.inputs).index(name), list(self.outputs).index(using)
+        expression, unit = new.outputs.pop(using)
+        measured = self.eliminated_symbol(using)
+        residual = expression - measured
+        if solution is not None:
+            residual = self._symbols[name] - ca.SX(solution)
+            self._check_branch(expression, measured, name, ca.SX(solution), using)
+        new._symbols[using] = measured
+        new._measured.append(_Measured(new.inputs[name], using, expression - measured, *places))
+        new.eliminated_units[name] = new.inputs.pop(name).unit
+        new.inputs[using] = Input(using, unit, "measured", "foh")
+        new._eliminations.append((name, using, residual))
+        new.explicit()  # refuse here, where the user can mend it
+        return new
+
+    def direct(self) -> Model:
+        """This model with every elimination undone: unknown inputs and their outputs are back.
+
+        The direct model has as its inputs what acts on the system, unknown inputs among them, and
+        as an output each channel that an unknown input was eliminated with. Effects that came
+        later stay: a bias of the input `accel` becomes the bias of the output `accel`.
+
+        Raises
+        ------
+        ModelError
+            If an effect made an equation depend nonlinearly on an eliminated channel.
+
+        Source: Linder (2017), (4.1)-(4.4), (7.10) for the pendulum.
+        """
+        new = self._copy(self.name)
+        new._eliminations, new._measured, new.eliminated_units = [], [], {}
+        kept = list(self._measured)
+        while kept:
+            gone = kept.pop()
+            measured, residual = self._symbols[gone.output], gone.residual
+            for stage in new.stages:
+                if stage.channel == gone.output and stage.kind in _SENSED:
+                    # The output itself is late now; what carried the tangent goes.
+                    residual = ca.substitute(residual, self._symbols[stage.carrier], 0)
+                    del new.inputs[stage.carrier]
+                    late = replace(stage, kind=_SENSED[stage.kind])
+                    new.stages = tuple(late if s is stage else s for s in new.stages)
+            ramp = new.inputs[gone.output].ramp
+            if ramp is not None:
+                # An output has no course between its samples: the blend has nothing left to do.
+                p = new.parameters[ramp]
+                new.parameters[ramp] = replace(p, value=p.start if p.value is None else p.value)
+            slope_of = ca.jacobian(residual, measured)
+            if any(ca.which_depends(slope_of, measured)) or slope_of.nnz() == 0:
+                raise ModelError(
+                    f"{self.name}: {gone.output} enters its own equation nonlinearly, so it has "
+                    "no direct model; call direct() before that effect extends the model"
+                )
+            expression = -ca.substitute(residual, measured, 0) / slope_of
+            if slope_of.is_constant() and float(slope_of) == -1.0:
+                expression = ca.substitute(residual, measured, 0)
+            unit = new.inputs.pop(gone.output).unit
+            new._swap(measured, expression)
+            for i, k in enumerate(kept):
+                kept[i] = replace(k, residual=ca.substitute(k.residual, measured, expression))
+            new.inputs = _inserted(new.inputs, gone.input_place, gone.unknown.name, gone.unknown)
+            new.outputs = _inserted(new.outputs, gone.output_place, gone.output, (expression, unit))
+        new._explicit = None
+        return new
+
+    def eliminated_symbol(self, output: str) -> Any:
+        """The symbol that `output` gets when an unknown input is eliminated with it."""
+        if output not in self._symbols:
+            self._symbols[output] = ca.SX.sym(output)
+        return self._symbols[output]
+
+    def extend(self, effect: Effect) -> Model:
+        """A copy of this model with `effect` in it; the effect's parameters start at null."""
+        return effect.extend(self)
+
+    def with_known(self, **values: float) -> Model:
+        """A copy in which the named parameters are known."""
+        new = self._copy(self.name)
+        for name, value in values.items():
+            self.parameter_named(name)
+            new.parameters[name] = replace(new.parameters[name], value=float(value))
+        return new
+
+    def with_unknown(self, *names: str, **starts: float) -> Model:
+        """A copy in which the named parameters are estimated (again), from the given starts."""
+        new = self._copy(self.name)
+        for name in (*names, *starts):
+            old = self.parameter_named(name)
+            start = starts.get(name, old.value if old.value is not None else old.start)
+            new.parameters[name] = replace(old, value=None, start=float(start))
+        return new
+
+    def parameter_named(self, name: str) -> Parameter:
+        """The parameter called `name`, or an error that names the nearest."""
+        if name not in self.parameters:
+            near = difflib.get_close_matches(name, self.parameters, 1)
+            raise ModelError(
+                f"{self.name} has no parameter {name!r}; it has {', '.join(self.parameters)}"
+                + (f"; did you mean {near[0]!r}?" if near else "")
+            )
+        return self.parameters[name]
+
+    # -- what effects are made of ------------------------------------------------------------
+
+    def add_term(self, balance: str, term: Expr) -> None:
+        """Add a term to a balance (used by effects on their own copy)."""
+        old = self.balances[balance]
+        self.balances[balance] = replace(old, terms=(*old.terms, ca.SX(term)))
+        self._explicit = None
+
+    def replace_output(self, name: str, expression: Expr, unit: str) -> None:
+        """Give an output another expression (used by effects on their own copy)."""
+        self.outputs[name] = (ca.SX(expression), unit)
+        self._explicit = None
+
+    def add_input(self, entry: Input) -> Any:
+        """Add an input (used by effects on their own copy)."""
+        if entry.name in self.inputs:
+            return self._symbols[entry.name]
+        self.inputs[entry.name] = entry
+        return self._declare(entry.name)
+
+    def substitute_symbol(self, name: str, expression: Expr) -> None:
+        """Replace a parameter or input by an expression wherever it stands (used by effects)."""
+        self._swap(self._symbols[name], expression)
+
+    def _swap(self, old: Any, expression: Expr) -> None:
+        stated = [t for b in self.balances.values() for t in (b.inertia, *b.terms)]
+        stated += [*self._rates.values(), *(e for e, _ in self.outputs.values())]
+        stated += [r for _, _, r in self._eliminations]
+        stated += [m.residual for m in self._measured]
+        # All in one call: it costs the same for many expressions as for one.
+        stated = [e if isinstance(e, ca.SX) else ca.SX(e) for e in stated]
+        new = iter(ca.substitute(stated, [old], [ca.SX(expression)]))
+        self.balances = {
+            key: replace(b, inertia=next(new), terms=tuple(next(new) for _ in b.terms))
+            for key, b in self.balances.items()
+        }
+        self._rates = {key: next(new) for key in self._rates}
+        self.outputs = {key: (next(new), unit) for key, (_, unit) in self.outputs.items()}
+        self._eliminations = [(w, y, next(new)) for w, y, _ in self._eliminations]
+        self._measured = [replace(m, residual=next(new)) for m in self._measured]
+        self._explicit = None
+
+    def free_name(self, wanted: str) -> str:
+        """`wanted`, or `wanted` with a number where the name is taken."""
+        name, n = wanted, 2
+        while name in self._symbols:
+            name, n = f"{wanted}_{n}", n + 1
+        return name
+
+    def position_of(self, rate: str) -> str | None:
+        """The state whose derivative is the state `rate`, if there is one."""
+        for name, expression in self._rates.items():
+            if ca.is_equal(expression, self._symbols[rate], 2):
+                return name
+        return None
+
+    # -- the equations -----------------------------------------------------------------------
+
+    def equations(self) -> list[tuple[str, Expr, str]]:
+        """All equations as (name, residual = 0, unknown it is solved for)."""
+        rows: list[tuple[str, Expr, str]] = []
+        for name in self.states:
+            if name in self._rates:
+                rows.append((f"d{name}/dt", self._derivatives[name] - self._rates[name], name))
+        for b in self.balances.values():
+            total = sum(b.terms[1:], b.terms[0])
+            rows.append((b.name, b.inertia * self._derivatives[b.rate] - total, b.rate))
+        rows += [(f"{y} = ...", residual, w) for w, y, residual in self._eliminations]
+        return rows
+
+    def explicit(self) -> Explicit:
+        """Solve the equations for the derivatives and the eliminated inputs, once.
+
+        Raises
+        ------
+        ModelError
+            If a state has no equation, the equations are singular, or not linear in an unknown.
+        """
+        if self._explicit is None:
+            self._explicit = self._solve()
+        return self._explicit
+
+    def _solve(self) -> Explicit:
+        stated = set(self._rates) | {b.rate for b in self.balances.values()}
+        lacking = [s for s in self.states if s not in stated]
+        if lacking:
+            raise ModelError(
+                f"{self.name}: state {lacking[0]} has no equation; state one with "
+                f"derivative({lacking[0]}, ...) or balance({lacking[0]}, ...)"
+            )
+        # Eliminated inputs come first, each solved from its own output: no needless divisors.
+        eliminated = [w for w, _, _ in self._eliminations]
+        if not self.states and not eliminated:
+            raise ModelError(
+                f"{self.name} has no state, so there is nothing to simulate; fit a static relation "
+                "with casid.regress, or declare a state"
+            )
+        rows = self.equations()
+        rows = rows[len(rows) - len(eliminated) :] + rows[: len(rows) - len(eliminated)]
+        z = ca.vertcat(
+            *[self._symbols[w] for w in eliminated], *[self._derivatives[s] for s in self.states]
+        )
+        residual = ca.vertcat(*[r for _, r, _ in rows])
+        matrix = ca.jacobian(residual, z)
+        nonlinear = [
+            str(z[j]) for j in range(z.numel()) if any(ca.which_depends(ca.vec(matrix), z[j]))
+        ]
+        if nonlinear:
+            raise ModelError(
+                f"{self.name}: the equations are not linear in {', '.join(nonlinear)}, so the "
+                "solution is not unique; give the branch, eliminate(..., solution=expression)"
+            )
+        rhs = -ca.substitute(residual, z, ca.SX.zeros(z.numel()))
+        symbols = [str(z[j]) for j in range(z.numel())]
+        values = _linear_solve(matrix, rhs, self.name, symbols, len(eliminated))
+        nw = len(eliminated)
+        h = ca.vertcat(*[e for e, _ in self.outputs.values()]) if self.outputs else ca.SX(0, 1)
+        # der() and eliminated inputs stand in the outputs: put their solutions there.
+        h = ca.substitute(h, z, values)
+        return Explicit(
+            x=ca.vertcat(*[self._symbols[s] for s in self.states]),
+            u=ca.vertcat(*[self._symbols[u] for u in self.inputs]),
+            p=ca.vertcat(*[self._symbols[p] for p in self.parameters]),
+            f=values[nw:],
+            h=h,
+            states=tuple(self.states),
+            inputs=tuple(self.inputs),
+            parameters=tuple(self.parameters),
+            outputs=tuple(self.outputs),
+            eliminated={w: values[i] for i, w in enumerate(eliminated)},
+        )
+
+    # -- showing -----------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        unknown = sum(not p.is_known for p in self.parameters.values())
+
+        def count(n: int, noun: str) -> str:
+            return f"{n} {noun}{'' if n == 1 else 's'}"
+
+        return (
+            f"<Model {self.name}: {count(len(self.states), 'state')}, "
+            f"{count(len(self.inputs), 'input')}, {count(len(self.outputs), 'output')}, "
+            f"{count(len(self.parameters), 'parameter')} ({unknown} unknown)>"
+        )
+
+    def __str__(self) -> str:
+        lines = [repr(self)]
+        for b in self.balances.values():
+            terms = " + ".join(f"({t})" for t in b.terms)
+            lines.append(f"  {b.name}: ({b.inertia}) d{b.rate}/dt = {terms}   [{b.unit}]")
+        lines += [f"  d{s}/dt = {e}" for s, e in self._rates.items()]
+        lines += [f"  {name} = {e}   [{unit}]" for name, (e, unit) in self.outputs.items()]
+        lines += [f"  {w} eliminated using {y}" for w, y, _ in self._eliminations]
+        return "\n".join(lines)
+
+    # -- inside ------------------------------------------------------------------------------
+
+    def _declare(self, name: str) -> Any:
+        if name in self._symbols:
+            raise ModelError(f"{self.name}: {name!r} declared twice; give it another name")
+        self._symbols[name] = ca.SX.sym(name)
+        self._explicit = None
+        return self._symbols[name]
+
+    def _state_name(self, state: Any) -> str:
+        name = state if isinstance(state, str) else state.name()
+        if name not in self.states:
+            raise ModelError(
+                f"{self.name}: {name!r} is not a state; states are {', '.join(self.states)}"
+            )
+        return str(name)
+
+    def _once(self, name: str) -> None:
+        if name in self._rates or any(b.rate == name for b in self.balances.values()):
+            raise ModelError(f"{self.name}: state {name} has two equations; drop one")
+
+    def _check_branch(
+        self, expression: Expr, measured: Any, unknown: str, solution: Expr, using: str
+    ) -> None:
+        back = ca.substitute(expression, self._symbols[unknown], solution) - measured
+        symbols = ca.symvar(ca.veccat(expression, measured, solution))
+        rng = np.random.default_rng(1)
+        error = ca.Function("b", symbols, [back])
+        values = [error(*rng.uniform(0.1, 0.9, len(symbols))) for _ in range(5)]
+        finite = [abs(float(v)) for v in values if np.isfinite(float(v))]
+        if not finite or max(finite) > 1e-8:
+            raise ModelError(
+                f"{self.name}: the solution given for {unknown} does not satisfy the output "
+                f"{using}; it must give {using} back when it is substituted"
+            )
+
+    def _copy(self, name: str) -> Model:
+        new = copy.copy(self)
+        new.name = name
+        for key in ("states", "inputs", "parameters", "balances", "outputs"):
+            setattr(new, key, dict(getattr(self, key)))
+        new._symbols = dict(self._symbols)
+        new._derivatives = dict(self._derivatives)
+        new._rates = dict(self._rates)
+        new._eliminations = list(self._eliminations)
+        new._measured = list(self._measured)
+        new.eliminated_units = dict(self.eliminated_units)
+        new._explicit = None
+        return new
+
+    def copy(self, name: str | None = None) -> Model:
+        """An independent copy that shares the symbols."""
+        return self._copy(name or self.name)
+
+
+def _inserted(entries: Mapping[str, Any], place: int, name: str, entry: Any) -> dict[str, Any]:
+    """A dict with one more entry, at `place` in its order."""
+    items = [(k, v) for k, v in entries.items() if k != name]
+    return dict([*items[:place], (name, entry), *items[place:]])
+
+
+def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: int) -> Any:
+    """Solve matrix @ z = rhs by symbolic Gauss elimination that keeps zeros zero.
+
+    Pivots are judged at random points: structurally non-zero entries may vanish identically.
+    """
+    n = len(names)
+    a = [[matrix[i, j] for j in range(n)] for i in range(n)]
+    b = [rhs[i] for i in range(n)]
+    symbols = ca.symvar(ca.veccat(matrix, rhs))
+    rng = np.random.default_rng(7)
+    points = [rng.uniform(0.2, 1.7, len(symbols)) for _ in range(3)]
+
+    def size(entry: Any) -> float:
+        """0 where the entry vanishes identically; larger where it is a simpler pivot."""
+        if entry.is_zero():
+            return 0.0
+        if entry.is_constant():
+            return 2.0
+        value = ca.Function("v", symbols, [entry])
+        if max(abs(float(value(*p))) for p in points) < 1e-12:
+            return 0.0
+        return 1.0 / (1.0 + ca.n_nodes(entry))
+
+    order: list[int] = []
+    borrowed: list[str] = []  # inputs solved from a balance, which then has to be made up for
+    rows = list(range(n))
+    for j in range(n):
+        # An eliminated input is solved from its own output where that names it outright, and from
+        # its balance where the output feels it through a derivative alone.
+        own = [i for i in rows if i < n_first and size(a[i][j]) > 0.0] if j < n_first else []
+        best = max(own or rows, key=lambda i: size(a[i][j]))
+        if j < n_first and not own:
+            borrowed.append(names[j])
+        if size(a[best][j]) == 0.0:
+            lacking = (borrowed or [names[j]])[0]
+            raise ModelError(
+                f"{model}: the equations do not determine {lacking}; an unknown input can only be "
+                "eliminated with an output that feels it, and an inertia must not be zero"
+            )
+        rows.remove(best)
+        order.append(best)
+        for i in rows:
+            if not a[i][j].is_zero():
+                factor = a[i][j] / a[best][j]
+                a[i] = [ca.SX(0) if c == j else a[i][c] - factor * a[best][c] for c in range(n)]
+                b[i] = b[i] - factor * b[best]
+    z: list[Any] = [ca.SX(0)] * n
+    for j in reversed(range(n)):
+        row = order[j]
+        total = b[row]
+        for c in range(j + 1, n):
+            if not a[row][c].is_zero():
+                total = total - a[row][c] * z[c]
+        z[j] = total / a[row][j]
+    return ca.vertcat(*z)

@@ -1,1 +1,0 @@
-"""Dynamic networks: node sets, elimination of unknown nodes, and what may be concluded from it."""

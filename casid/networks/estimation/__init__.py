@@ -1,1 +1,0 @@
-"""Modules of a network estimated from records: least squares, instruments, two stages, joint."""

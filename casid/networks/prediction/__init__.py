@@ -1,1 +1,0 @@
-"""Predictors of a network node, their exact errors, and filters that estimate its noise."""

@@ -1,1 +1,0 @@
-"""Pages that open offline: their markup, their look, and the page of an estimate."""

@@ -1,1 +1,0 @@
-"""Prediction error: polynomial models, Kalman predictors, grey-box models with process noise."""

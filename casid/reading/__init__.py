@@ -1,1 +1,0 @@
-"""Records from files: sources, tables, columns, cells, clocks."""

@@ -1,0 +1,66 @@
+"""The figure of a calibration: are the smallest p-values of null records uniform?"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casid.report.figures.look import AFTER, BEFORE, MEASURED, visible_text
+from casid.report.figures.panels import Panels
+
+if TYPE_CHECKING:
+    from casid.diagnosis.calibration.false_alarm_rate import Calibration
+
+
+def calibration_figure(result: Calibration) -> Any:
+    """Histogram of the smallest adjusted p of every null record, against the uniform density.
+
+    Under an exact family-wise test the bars are level; a heap near zero is a test that raises too
+    many alarms.
+    """
+    bins = int(np.clip(np.sqrt(result.runs) * 2, 5, 20))
+    count, edge = np.histogram(result.smallest, bins, (0.0, 1.0))
+    expected = result.runs / bins
+    top = float(max(count.max(), expected))
+    figure = Panels(rows=1, row_height=300, gap=0)
+    figure.add(
+        0,
+        kind="Bar",
+        x=0.5 * (edge[1:] + edge[:-1]),
+        y=count,
+        width=1 / bins,
+        name="null records",
+        marker={"color": MEASURED, "line": {"color": "#ffffff", "width": 1}},
+        hovertemplate="p about %{x:.3g}: %{y} records<extra></extra>",
+    )
+    figure.add(
+        0,
+        x=[0.0, 1.0],
+        y=[expected, expected],
+        name="uniform",
+        mode="lines",
+        line={"color": AFTER, "width": 2},
+        hovertemplate="uniform: %{y:.3g} records<extra></extra>",
+    )
+    for name, at, dash in (
+        ("level asked for", result.alpha, "dash"),
+        ("corrected threshold", result.threshold, "dot"),
+    ):
+        if name == "corrected threshold" and not result.is_corrected:
+            continue
+        figure.add(
+            0,
+            x=[at, at],
+            y=[0.0, 1.05 * top],
+            name=name,
+            mode="lines",
+            line={"color": BEFORE, "width": 2, "dash": dash},
+            hovertemplate=f"{name} {at:.3g}<extra></extra>",
+        )
+    figure.x_range(0, [0.0, 1.0])
+    figure.y_range(0, [0.0, 1.1 * top])
+    figure.label(0, x="smallest adjusted p of the first round", y="null records")
+    figure.figure.update_layout(bargap=0)
+    caption = f"{visible_text(result.problem)}: {result.sentence}."
+    return figure.done(caption, ())

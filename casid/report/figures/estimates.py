@@ -1,0 +1,142 @@
+"""Parameters of estimates with their intervals, relative to the first estimate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from casid.estimation.estimate import Estimate, Estimated
+from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text, visible_text
+from casid.report.figures.panels import Panels
+
+
+def parameter_figure(estimates: Mapping[str, Estimate]) -> Any:
+    """Parameters with 95 % intervals, as change from the first estimate's value in per cent.
+
+    `estimates` maps a label ("before", "after") to an estimate; the first is the baseline. One row
+    for each parameter that is free in the baseline. Where its value is zero, the scale is the
+    largest value or half interval instead, and the row says so. Parameters that only later
+    estimates have are not drawn: they have no baseline value to relate to.
+
+    Raises
+    ------
+    ValueError
+        If there is no estimate, or no free parameter in the first.
+    """
+    if not estimates:
+        raise ValueError("no estimate to draw: pass a mapping of label to Estimate")
+    baseline = next(iter(estimates.values()))
+    free = [p for p in baseline.parameters if not p.known and math.isfinite(p.value)]
+    has_interval = {p.name for e in estimates.values() for p in e.parameters if p.std_error}
+    rows = [p for p in free if p.value != 0 or p.name in has_interval]
+    if not rows:
+        raise ValueError("the baseline has no free parameter to draw")
+    scales = [_scale(p, estimates.values()) for p in rows]
+    figure = Panels(rows=1, row_height=46 * len(rows) + 30, gap=0)
+    values: list[float] = []
+    halves: list[float] = []
+    looks = [(BEFORE, "circle-open"), (AFTER, "circle"), (FLOOR, "square"), (MEASURED, "diamond")]
+    for j, (label, estimate) in enumerate(estimates.items()):
+        colour, symbol = looks[j % len(looks)]
+        if len(estimates) == 1:
+            colour, symbol = looks[1]
+        found = {p.name: p for p in estimate.parameters if math.isfinite(p.value)}
+        shift = 0.3 * (j - (len(estimates) - 1) / 2) / max(1, len(estimates) - 1)
+        x: list[float] = []
+        y: list[float] = []
+        half: list[float] = []
+        text: list[str] = []
+        for i, (p, scale) in enumerate(zip(rows, scales, strict=True)):
+            if p.name not in found:
+                continue
+            q = found[p.name]
+            interval = q.interval
+            x.append(100 * (q.value - p.value) / scale)
+            y.append(i + shift)
+            half.append(50 * (interval[1] - interval[0]) / scale if interval else 0.0)
+            text.append(figure_text(_with_interval(q), 90))
+        values += x
+        halves += [h for h in half if math.isfinite(h)]
+        figure.add(
+            0,
+            x=x,
+            y=y,
+            name=figure_text(label),
+            mode="markers",
+            marker={
+                "color": colour,
+                "size": 10,
+                "symbol": symbol,
+                "line": {"width": 2, "color": colour},
+            },
+            error_x={
+                "type": "data",
+                "array": [h if math.isfinite(h) else None for h in half],
+                "color": colour,
+                "thickness": 2,
+                "width": 5,
+            },
+            text=text,
+            hovertemplate="%{text}<extra>%{fullData.name}</extra>",
+        )
+    reach = max((abs(v) + h for v, h in zip(values, halves, strict=False)), default=1.0)
+    sensible = 1.5 * max(abs(v) for v in values) + 6 * float(np.median(halves or [0.0]))
+    is_cut = reach > sensible > 0
+    limit = 1.12 * (sensible if is_cut else reach) or 1.0
+    figure.x_range(0, [-limit, limit])
+    figure.figure.update_yaxes(
+        tickvals=list(range(len(rows))),
+        ticktext=[
+            f"{figure_text(p.name, 20)}<br>"
+            + (f"{p.value:.4g}" if p.value != 0 else f"0, scale {scale:.3g}")
+            + f" {figure_text(p.unit, 14)}"
+            for p, scale in zip(rows, scales, strict=True)
+        ],
+        range=[len(rows) - 0.5, -0.5],
+        zeroline=False,
+        tickfont={"size": 12},
+    )
+    figure.label(0, x="change from baseline [%]" if len(estimates) > 1 else "interval [% of value]")
+    if len(estimates) > 1:
+        caption = (
+            f"Parameters of {visible_text(baseline.problem)}, {' and '.join(map(str, estimates))}, "
+            "with 95 % intervals, relative to the baseline value."
+        )
+    else:
+        caption = f"95 % intervals of {visible_text(baseline.problem)} relative to each value."
+    held = [p.name for p in free if p.std_error is None]
+    if held:
+        caption += f" Without an interval: {', '.join(map(visible_text, held))} (see the table)."
+    drawn = {p.name for p in rows}
+    new = dict.fromkeys(
+        p.name
+        for e in estimates.values()
+        for p in e.parameters
+        if not p.known and p.name not in drawn | set(held)
+    )
+    if new:
+        caption += f" Not in the baseline: {', '.join(map(visible_text, new))} (see the table)."
+    if is_cut:
+        caption += " The longest intervals leave the axis."
+    return figure.done(caption, ())
+
+
+def _scale(baseline: Estimated, estimates: Iterable[Estimate]) -> float:
+    if baseline.value != 0:
+        return abs(baseline.value)
+    sizes = [
+        max(abs(q.value), 1.96 * (q.std_error or 0.0))
+        for e in estimates
+        for q in e.parameters
+        if q.name == baseline.name
+    ]
+    return max([s for s in sizes if math.isfinite(s) and s > 0], default=1.0)
+
+
+def _with_interval(p: Estimated) -> str:
+    interval = p.interval
+    between = f", 95 % in {interval[0]:.4g} .. {interval[1]:.4g}" if interval else ""
+    return f"{p.name} = {p.value:.5g} {p.unit}{between}{f' ({p.note})' if p.note else ''}"

@@ -1,0 +1,142 @@
+"""Figures of an assessment: expected errors, correlations, profiles."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casid.identifiability.records.practical_result import POOR, SEEN, UNSEEN, WELL, Practical
+from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text, visible_text
+from casid.report.figures.panels import Panels
+
+if TYPE_CHECKING:
+    from casid.identifiability.assessment import Assessment
+    from casid.identifiability.records.profile_likelihood import Profiles
+
+_COLOURS = {WELL: FLOOR, POOR: BEFORE, UNSEEN: "#5f6073", SEEN: MEASURED}
+
+
+def figures(assessment: Assessment) -> dict[str, Any]:
+    """Plotly figures by name: "errors", "correlations" and "profiles", as far as there are data."""
+    out: dict[str, Any] = {}
+    p = assessment.practical
+    if p is not None and any(r.relative is not None and r.relative > 0 for r in p.parameters):
+        out["errors"] = error_figure(p, assessment)
+    if p is not None and sum(math.isfinite(r.std_error) for r in p.parameters) > 1:
+        out["correlations"] = correlation_figure(p)
+    if assessment.profiles is not None and len(assessment.profiles.profiles):
+        out["profiles"] = profile_figure(assessment.profiles)
+    return out
+
+
+def error_figure(practical: Practical, assessment: Assessment) -> Any:
+    """Expected relative standard error of every parameter, one bar each, on a logarithmic axis."""
+    rows = [r for r in practical.parameters if r.relative is not None]
+    shown = [r for r in rows if math.isfinite(r.relative or math.nan) and (r.relative or 0) > 0]
+    panel = Panels(row_height=60 + 26 * len(rows), gap=0)
+    largest = max((100 * (r.relative or 0.0) for r in shown), default=100.0)
+    smallest = min((100 * (r.relative or 0.0) for r in shown), default=1.0)
+    for verdict, colour in _COLOURS.items():
+        inside = [r for r in rows if r.verdict == verdict]
+        if not inside:
+            continue
+        width = [
+            100 * r.relative
+            if r.relative is not None and math.isfinite(r.relative)
+            else 30 * largest
+            for r in inside
+        ]
+        panel.add(
+            0,
+            kind="Bar",
+            orientation="h",
+            y=[figure_text(r.name) for r in inside],
+            x=width,
+            name=verdict,
+            marker={"color": colour},
+            hovertemplate="%{y}: %{x:.3g} %<extra></extra>",
+        )
+    figure = panel.figure
+    panel.label(0, x="expected standard error, % of the value")
+    figure.update_xaxes(
+        type="log",
+        range=[math.log10(smallest) - 0.7, math.log10(30 * largest)],
+        exponentformat="power",
+    )
+    figure.update_yaxes(
+        categoryorder="array", categoryarray=[figure_text(r.name) for r in reversed(rows)]
+    )
+    figure.add_vline(x=100 * practical.largest_relative, line_dash="dash", line_color=MEASURED)
+    lost = len(assessment.answer.not_identifiable)
+    caption = (
+        f"What {visible_text(', '.join(practical.records))} will tell: expected standard errors "
+        f"relative to the values; beyond the dashed line ({100 * practical.largest_relative:g} %) "
+        "a parameter is poorly determined, and a bar to the right edge is not seen at all."
+    )
+    if lost:
+        caption += f" {lost} of the parameters cannot be told by any record."
+    return panel.done(caption, ())
+
+
+def correlation_figure(practical: Practical) -> Any:
+    """Correlations of the expected errors of the parameters, as a map."""
+    inside = [
+        i for i, n in enumerate(practical.names) if n in {r.name for r in practical.parameters}
+    ]
+    names = [figure_text(practical.names[i]) for i in inside]
+    values = practical.correlation[np.ix_(inside, inside)]
+    panel = Panels(row_height=140 + 30 * len(inside), gap=0)
+    panel.add(
+        0,
+        kind="Heatmap",
+        in_legend=False,
+        name="correlation",
+        x=names,
+        y=names,
+        z=values,
+        zmin=-1,
+        zmax=1,
+        colorscale=[[0, AFTER], [0.5, "#ffffff"], [1, BEFORE]],
+        hovertemplate="%{y} and %{x}: %{z:.3f}<extra></extra>",
+        colorbar={"title": {"text": ""}, "thickness": 14},
+    )
+    panel.figure.update_yaxes(autorange="reversed")
+    return panel.done(
+        "Correlation of the expected errors: a pair near +1 or -1 is told in combination, not "
+        "one by one. Parameters that are not seen are left out.",
+        (),
+    )
+
+
+def profile_figure(profiles: Profiles) -> Any:
+    """Deviance against each parameter, all else estimated again, and the interval's threshold."""
+    columns = min(2, len(profiles.profiles))
+    panel = Panels(panels=len(profiles.profiles), columns=columns, row_height=250, gap=80)
+    for k, p in enumerate(profiles.profiles):
+        panel.add(
+            k,
+            x=p.grid,
+            y=p.deviance,
+            name="deviance",
+            mode="lines+markers",
+            line={"color": AFTER, "width": 2},
+            hovertemplate="%{x:.5g}: %{y:.3g}<extra></extra>",
+        )
+        panel.add(
+            k,
+            x=[float(p.grid[0]), float(p.grid[-1])],
+            y=[p.threshold, p.threshold],
+            name="threshold of the interval",
+            mode="lines",
+            line={"color": BEFORE, "width": 1.5, "dash": "dash"},
+        )
+        panel.label(k, x=figure_text(f"{p.name} [{p.unit}]" if p.unit else p.name), y="deviance")
+        panel.y_range(k, [0.0, 2.5 * p.threshold])
+    kinds = "; ".join(f"{visible_text(p.name)} {p.kind}" for p in profiles.profiles)
+    return panel.done(
+        f"Profile likelihood, all other parameters estimated again at every point; the "
+        f"{100 * profiles.confidence:g} % interval lies below the dashed line. {kinds}.",
+        (),
+    )

@@ -1,0 +1,216 @@
+"""A figure of equal panels, row by row, with one look for the whole package."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+
+from casid.estimation.estimate import RecordView
+from casid.report.figures.look import FONT, figure_text
+from casid.report.figures.record_views import part_shapes, time_range
+
+
+class Panels:
+    """A Plotly figure of equal panels, row by row, with one look for the whole package."""
+
+    def __init__(
+        self,
+        *,
+        row_height: int,
+        gap: int,
+        rows: int = 1,
+        panels: int | None = None,
+        columns: int = 1,
+        column_gap: float = 0.1,
+        shared_x: bool = False,
+    ) -> None:
+        from plotly.subplots import make_subplots
+
+        self.panels = panels if panels is not None else rows
+        self.columns = columns
+        self.rows = math.ceil(self.panels / columns)
+        self.row_height, self.gap = row_height, gap
+        inside = self.rows * row_height + (self.rows - 1) * gap
+        cells = self.rows * columns
+        self.figure = make_subplots(
+            rows=self.rows,
+            cols=columns,
+            shared_xaxes=shared_x,
+            vertical_spacing=gap / inside if self.rows > 1 else 0.0,
+            horizontal_spacing=column_gap if columns > 1 else 0.0,
+            specs=[
+                [{} if r * columns + c < self.panels else None for c in range(columns)]
+                for r in range(self.rows)
+            ]
+            if cells > self.panels
+            else None,
+        )
+        self.inside = inside
+        self.ticks = 8
+        self.is_log = self.has_x_label = False
+        self.legend: set[tuple[int, str]] = set()
+        self.owners: list[int] = []
+        self.menu: list[tuple[RecordView, list[dict[str, Any]], dict[str, Any]]] = []
+
+    def _at(self, k: int) -> dict[str, int]:
+        return {"row": k // self.columns + 1, "col": k % self.columns + 1}
+
+    def add(
+        self,
+        k: int,
+        *,
+        kind: str = "Scatter",
+        view: RecordView | None = None,
+        in_legend: bool = True,
+        **trace: Any,
+    ) -> None:
+        """Add a trace to panel k; each name stands once in the legend, for every record."""
+        import plotly.graph_objects as go
+
+        owner = len(self.menu) if view is not None else 0
+        name = str(trace["name"])
+        first = in_legend and (owner, name) not in self.legend
+        if in_legend:
+            self.legend.add((owner, name))
+        self.owners.append(owner)
+        trace |= {"legendgroup": name, "showlegend": first, "visible": owner == 0}
+        self.figure.add_trace(getattr(go, kind)(**trace), **self._at(k))
+
+    def label(self, k: int, *, x: str | None = None, y: str | None = None) -> None:
+        """Name the axes of panel k."""
+        if x is not None:
+            self.has_x_label = True
+            self.figure.update_xaxes(title_text=x, **self._at(k))
+        if y is not None:
+            self.figure.update_yaxes(title_text=y, **self._at(k))
+
+    def x_range(self, k: int, span: list[float]) -> None:
+        """Fix the horizontal range of panel k."""
+        self.figure.update_xaxes(range=span, **self._at(k))
+
+    def y_range(self, k: int, span: list[float]) -> None:
+        """Fix the vertical range of panel k."""
+        self.figure.update_yaxes(range=span, **self._at(k))
+
+    def time_range(self, view: RecordView) -> None:
+        """Show the record from end to end in every panel."""
+        span = time_range(view)["xaxis.range"]
+        if span is not None:
+            self.figure.update_xaxes(range=span)
+
+    def log(self) -> None:
+        """Make all axes logarithmic; digits between the decades only where decades are few."""
+        for axis, update in (("x", self.figure.update_xaxes), ("y", self.figure.update_yaxes)):
+            values = np.concatenate([[], *(np.asarray(t[axis], float) for t in self.figure.data)])
+            values = values[np.isfinite(values) & (values > 0)]
+            few = not values.size or values.max() < 80 * values.min()
+            update(
+                type="log",
+                exponentformat="power",
+                dtick="D2" if few else 1,
+                minor={"dtick": "D1", "showgrid": True, "gridcolor": "#f3f3f3"},
+            )
+        self.is_log = True
+
+    def parts(self, view: RecordView, layout: dict[str, Any], *, shaded: bool = True) -> None:
+        """Close the traces of one record: what its menu entry sets besides their visibility."""
+        self.menu.append((view, part_shapes(view) if shaded else [], layout))
+
+    def done(self, caption: str, views: Sequence[RecordView]) -> Any:
+        """Style, caption and menu; returns the figure."""
+        several = len(views) > 1
+        title = wrap(caption, 100)
+        top = 18 * len(title) + 62
+        bottom = 100 if several else 54 if self.has_x_label else 34
+        axis = {
+            "title_font": {"size": 13},
+            "automargin": True,
+            "showline": True,
+            "linecolor": "#888888",
+            "ticks": "outside",
+            "tickcolor": "#888888",
+            "ticklen": 4,
+            "gridcolor": "#e8e8e8",
+            "zerolinecolor": "#bdbdbd",
+            "zerolinewidth": 1,
+        }
+        self.figure.update_xaxes(
+            title_standoff=6,
+            tickangle=0,
+            **({"nticks": self.ticks} if not self.is_log else {}),
+            **axis,
+        )
+        self.figure.update_yaxes(title_standoff=8, **axis)
+        self.figure.update_layout(
+            template="none",
+            font={"family": FONT, "size": 13, "color": "#222222"},
+            autosize=True,
+            height=self.inside + top + bottom,
+            margin={"l": 60, "r": 44, "t": top, "b": bottom},
+            paper_bgcolor="#ffffff",
+            plot_bgcolor="#ffffff",
+            hovermode="closest",
+            hoverlabel={"namelength": -1},
+            modebar={"orientation": "v"},  # beside the plot: above it, it would cover the legend
+            title={
+                "text": "<br>".join(figure_text(line, 120) for line in title),
+                "font": {"size": 14},
+                "x": 0.01,
+                "xanchor": "left",
+                "y": 1.0,
+                "yref": "container",
+                "yanchor": "top",
+                "pad": {"t": 10},
+            },
+            legend={
+                "orientation": "h",
+                "x": 0,
+                "xanchor": "left",
+                "y": 1.0,
+                "yanchor": "bottom",
+                "itemsizing": "constant",
+                "font": {"size": 13},
+            },
+            meta={
+                "caption": caption,
+                "panels": self.panels,
+                "columns": self.columns,
+                "row_height": self.row_height,
+                "gap": self.gap,
+                "bottom": bottom,
+            },
+        )
+        if self.menu:
+            self.figure.update_layout(shapes=self.menu[0][1])
+        if several:
+            self.figure.update_layout(
+                updatemenus=[
+                    {
+                        "type": "dropdown",
+                        "direction": "up",
+                        "x": 0,
+                        "xanchor": "left",
+                        "y": 0,
+                        "yanchor": "top",
+                        "pad": {"t": 52},
+                        "bgcolor": "#ffffff",
+                        "bordercolor": "#888888",
+                        "buttons": [
+                            {
+                                "label": figure_text(f"record: {view.name}", 26),
+                                "method": "update",
+                                "args": [
+                                    {"visible": [owner == i for owner in self.owners]},
+                                    {"shapes": shapes, **layout},
+                                ],
+                            }
+                            for i, (view, shapes, layout) in enumerate(self.menu)
+                        ],
+                    }
+                ]
+            )
+        return self.figure

@@ -1,0 +1,92 @@
+"""What a figure takes from the views of records: simulations, residuals, parts, ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.estimation.estimate import RecordView
+from casid.report.figures.look import AFTER, BEFORE, visible_text
+
+Array = NDArray[Any]
+
+_HELD_OUT = "rgba(86,180,233,0.13)"
+
+
+def checked(records: Sequence[RecordView]) -> tuple[RecordView, ...]:
+    """The views of records, refused where there is none."""
+    views = tuple(records)
+    if not views:
+        raise ValueError("the result holds no record to draw; make it with records kept")
+    return views
+
+
+def simulations(view: RecordView) -> list[tuple[str, str, str, Array]]:
+    """Label, colour, dash and (N, ny) values of each simulation."""
+    if view.extended is None:
+        return [("simulated", BEFORE, "solid", view.baseline)]
+    return [
+        ("before", BEFORE, "dot", view.baseline),
+        ("after", AFTER, "solid", view.extended),
+    ]
+
+
+def finite(values: Array) -> Array:
+    """`values` with NaN, a gap of the figure, in the place of infinities."""
+    found: Array = np.where(np.isfinite(values), values, np.nan)
+    return found
+
+
+def residual(view: RecordView, simulated: Array, column: int) -> Array:
+    """Measured minus simulated, NaN where the sample is left out."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        e = view.measured[:, column] - simulated[:, column]
+    return finite(np.where(view.used[:, column], e, np.nan))
+
+
+def time_range(view: RecordView) -> dict[str, Any]:
+    """The record from end to end, as its menu entry sets it."""
+    span = [float(view.t[0]), float(view.t[-1])] if view.t.size > 1 else None
+    return {"xaxis.range": span, "xaxis.autorange": span is None}
+
+
+def part_shapes(view: RecordView) -> list[dict[str, Any]]:
+    """A shaded, labelled stretch for every held-out part, a label for every fitted one."""
+    if not view.t.size:
+        return []
+    edges = np.flatnonzero(np.diff(view.fitted.astype(np.int8))) + 1
+    shapes = []
+    for a, b in zip([0, *edges.tolist()], [*edges.tolist(), view.t.size], strict=True):
+        is_fitted = bool(view.fitted[a])
+        shapes.append(
+            {
+                "type": "rect",
+                "xref": "x",
+                "yref": "paper",
+                "x0": float(view.t[a]),
+                "x1": float(view.t[min(b, view.t.size - 1)]),
+                "y0": 0,
+                "y1": 1,
+                "layer": "below",
+                "line": {"width": 0},
+                "fillcolor": "rgba(0,0,0,0)" if is_fitted else _HELD_OUT,
+                "label": {
+                    "text": "fitted" if is_fitted else "held out",
+                    "textposition": "top left",
+                    "font": {"size": 12, "color": "#444444"},
+                },
+            }
+        )
+    return shapes
+
+
+def of_records(claim: str, views: Sequence[RecordView], *, together: bool = False) -> str:
+    """The caption: the claim, and the record or records that it is about."""
+    if len(views) == 1:
+        return f"{claim}, record {visible_text(views[0].name)}."
+    if together:
+        return f"{claim}, {len(views)} records together."
+    return f"{claim}; choose one of {len(views)} records below the figure."

@@ -1,0 +1,150 @@
+"""Measured against simulated, and the simulation error, against time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.estimation.estimate import RecordView
+from casid.report.figures.look import MEASURED, axis_text, hover_text
+from casid.report.figures.panels import Panels
+from casid.report.figures.record_views import (
+    checked,
+    finite,
+    of_records,
+    residual,
+    simulations,
+    time_range,
+)
+from casid.report.figures.thinning import points_a_trace, thinned, thinning_note
+
+Array = NDArray[Any]
+
+_LEFT_OUT = "#CC79A7"
+
+
+def simulation_figure(records: Sequence[RecordView]) -> Any:
+    """Measured outputs as points, simulations before and after as lines.
+
+    One row an output; several records are chosen from a menu below the figure. The held-out part is
+    shaded.
+
+    Raises
+    ------
+    ValueError
+        If there is no record.
+    """
+    views = checked(records)
+    outputs = views[0].outputs
+    limit = points_a_trace(len(views) * len(outputs) * 3)
+    caption = of_records(
+        "Measured outputs and free simulation"
+        + (" before and after the extension" if views[0].extended is not None else ""),
+        views,
+    )
+    figure = Panels(rows=len(outputs), row_height=250, gap=22, shared_x=True)
+    cut = False
+    for v in views:
+        ranges: dict[str, Any] = time_range(v)
+        for row, (output, unit) in enumerate(zip(v.outputs, v.output_units, strict=True)):
+            measured, used = finite(v.measured[:, row]), v.used[:, row]
+            kept = np.where(used, measured, np.nan)
+            i = thinned(kept, limit)
+            figure.add(
+                row,
+                view=v,
+                x=v.t[i],
+                y=kept[i],
+                name="measured",
+                mode="markers",
+                marker={"color": MEASURED, "size": 4.5},
+                hovertemplate=hover_text("s", unit),
+            )
+            left_out = ~used & np.isfinite(measured)
+            if left_out.any():
+                i = np.flatnonzero(left_out)
+                i = i[thinned(measured[i], limit)]
+                figure.add(
+                    row,
+                    view=v,
+                    x=v.t[i],
+                    y=measured[i],
+                    name="measured, left out",
+                    mode="markers",
+                    marker={"color": _LEFT_OUT, "size": 7, "symbol": "x-thin-open"},
+                    hovertemplate=hover_text("s", unit),
+                )
+            for label, colour, dash, simulated in simulations(v):
+                y = finite(simulated[:, row])
+                i = thinned(y, limit)
+                figure.add(
+                    row,
+                    view=v,
+                    x=v.t[i],
+                    y=y[i],
+                    name=label,
+                    mode="lines",
+                    line={"color": colour, "width": 1.3, "dash": dash},
+                    hovertemplate=hover_text("s", unit),
+                )
+            span, is_cut = _readable_range(kept, [s[:, row] for *_, s in simulations(v)])
+            cut = cut or is_cut
+            axis = "yaxis" if row == 0 else f"yaxis{row + 1}"
+            ranges[f"{axis}.range"] = span
+            ranges[f"{axis}.autorange"] = span is None
+            if v is views[0]:
+                figure.label(row, y=axis_text(output, unit))
+                if span is not None:
+                    figure.y_range(row, span)
+        figure.parts(v, ranges)
+    figure.time_range(views[0])
+    figure.label(len(outputs) - 1, x="time [s]")
+    if cut:
+        caption += " The simulation leaves the range of the data: the axis is cut."
+    return figure.done(caption + thinning_note(views, limit), views)
+
+
+def residual_time_figure(records: Sequence[RecordView]) -> Any:
+    """What the simulation leaves over against time, before and after; one row an output."""
+    views = checked(records)
+    outputs = views[0].outputs
+    limit = points_a_trace(len(views) * len(outputs) * 2)
+    figure = Panels(rows=len(outputs), row_height=230, gap=22, shared_x=True)
+    for v in views:
+        for row, (output, unit) in enumerate(zip(v.outputs, v.output_units, strict=True)):
+            for label, colour, _, simulated in simulations(v):
+                e = residual(v, simulated, row)
+                i = thinned(e, limit)
+                figure.add(
+                    row,
+                    view=v,
+                    x=v.t[i],
+                    y=e[i],
+                    name=label,
+                    mode="lines",
+                    line={"color": colour, "width": 1.0},
+                    hovertemplate=hover_text("s", unit),
+                )
+            if v is views[0]:
+                figure.label(row, y=axis_text(output, unit, "error of "))
+        figure.parts(v, time_range(v))
+    figure.time_range(views[0])
+    figure.label(len(outputs) - 1, x="time [s]")
+    caption = of_records("Simulation error, measured minus simulated, against time", views)
+    return figure.done(caption + thinning_note(views, limit), views)
+
+
+def _readable_range(measured: Array, simulated: Sequence[Array]) -> tuple[list[float] | None, bool]:
+    """An axis range that keeps the data readable when a simulation runs away; None: automatic."""
+    data = measured[np.isfinite(measured)]
+    runs = np.concatenate([s[np.isfinite(s)] for s in simulated]) if simulated else np.empty(0)
+    if not data.size or not runs.size:
+        return None, False
+    low, high = float(data.min()), float(data.max())
+    span = (high - low) or abs(high) or 1.0
+    low, high = low - 2 * span, high + 2 * span
+    is_cut = bool(runs.min() < low - span or runs.max() > high + span)
+    return ([low, high], True) if is_cut else (None, False)

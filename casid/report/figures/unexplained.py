@@ -1,0 +1,181 @@
+"""Figures of what is left unexplained: against variables, over time, and its spectrum."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from casid.diagnosis.unexplained.description import Unexplained
+from casid.diagnosis.unexplained.missing_force import MissingForce
+from casid.report.figures.look import (
+    AFTER,
+    BEFORE,
+    FLOOR,
+    MEASURED,
+    axis_text,
+    figure_text,
+    translucent,
+)
+from casid.report.figures.panels import Panels
+from casid.report.figures.thinning import thinned
+
+_POINTS = 3000
+
+
+def dependence_figure(result: Unexplained) -> Any:
+    """The missing force against each variable on which it depends, with its 95 % band.
+
+    For a product, the coefficient of the first variable against the second.
+
+    Raises
+    ------
+    ValueError
+        If no dependence was found.
+    """
+    best = _best(result)
+    drawn = [d for d in best.dependences if d.at.size > 1 and d.at.size == d.value.size]
+    if not drawn:
+        raise ValueError("no dependence was found that is a curve, so there is nothing to draw")
+    columns = min(2, len(drawn))
+    figure = Panels(panels=len(drawn), columns=columns, row_height=280, gap=70)
+    for k, d in enumerate(drawn):
+        band = 1.96 * d.sd
+        figure.add(
+            k,
+            x=np.concatenate([d.at, d.at[::-1]]),
+            y=np.concatenate([d.value + band, (d.value - band)[::-1]]),
+            name="95 % band",
+            mode="lines",
+            line={"width": 0},
+            fill="toself",
+            fillcolor=translucent(AFTER, 0.3),
+            hoverinfo="skip",
+        )
+        figure.add(
+            k,
+            x=d.at,
+            y=d.value,
+            name="missing part",
+            mode="lines+markers",
+            line={"color": AFTER, "width": 2},
+            marker={"size": 5},
+        )
+        last, unit = d.variables[-1], best.unit
+        label = f"missing {best.place}" if best.is_balance else f"error of {best.place}"
+        if len(d.variables) > 1:
+            label, unit = (
+                f"factor of {d.variables[0]}",
+                f"{best.unit}/({best.units[d.variables[0]]})",
+            )
+        figure.label(k, x=axis_text(last, best.units[last]), y=axis_text(label, unit))
+    return figure.done(
+        f"What is missing in {best.place}, as a function of what it depends on: "
+        f"{100 * best.explained:.0f} % of what is left. The model's own parameters may absorb part "
+        "of each curve.",
+        (),
+    )
+
+
+def missing_spectrum_figure(result: Unexplained) -> Any:
+    """Amplitude density of the missing force, and what noise alone would give.
+
+    Raises
+    ------
+    ValueError
+        If the best place was not estimated over time.
+    """
+    best = _best(result)
+    if best.over_time is None:
+        raise ValueError(f"{best.place} was not estimated over time, so it has no spectrum to draw")
+    s = best.over_time.spectrum
+    unit = f"({best.unit})/\u221aHz"
+    figure = Panels(rows=1, row_height=320, gap=30)
+    above = s.density > 0  # below zero by chance: nothing is seen there
+    figure.add(
+        0,
+        x=s.frequency[above],
+        y=np.sqrt(s.density[above]),
+        name=figure_text(f"missing {best.place}"),
+        mode="lines+markers",
+        line={"color": AFTER, "width": 1.6},
+        marker={"size": 4},
+    )
+    figure.add(
+        0,
+        x=s.frequency,
+        y=np.sqrt(s.floor),
+        name="noise alone",
+        mode="lines",
+        line={"color": FLOOR, "width": 2, "dash": "dash"},
+    )
+    figure.label(0, x="frequency [Hz]", y=axis_text("density", unit))
+    figure.log()
+    line = f" A line stands out at {s.line:.3g} Hz." if s.line is not None else ""
+    return figure.done(
+        f"Amplitude density of what is missing in {best.place}. Where the noise lies above, "
+        f"nothing is seen.{line}",
+        (),
+    )
+
+
+def missing_time_figure(result: Unexplained, record: int = 0) -> Any:
+    """The missing force over time with its 95 % band, above the variables, of one record.
+
+    Raises
+    ------
+    ValueError
+        If the best place was not estimated over time.
+    """
+    best = _best(result)
+    if best.over_time is None:
+        raise ValueError(f"{best.place} was not estimated over time; ask a place that was")
+    s, signals = best.over_time.series[record], result.signals[record]
+    names = list(signals)
+    figure = Panels(rows=1 + len(names), row_height=150, gap=20, shared_x=True)
+    band = 1.96 * s.sd
+    every = slice(None, None, max(1, len(s.t) // _POINTS))
+    t = s.t[every]
+    figure.add(
+        0,
+        x=np.concatenate([t, t[::-1]]),
+        y=np.concatenate([(s.force + band)[every], (s.force - band)[every][::-1]]),
+        name="95 % band",
+        mode="lines",
+        line={"width": 0},
+        fill="toself",
+        fillcolor=translucent(AFTER, 0.3),
+        hoverinfo="skip",
+    )
+    i = thinned(s.force, _POINTS)
+    figure.add(
+        0,
+        x=s.t[i],
+        y=s.force[i],
+        name=figure_text(f"missing {best.place}"),
+        mode="lines",
+        line={"color": AFTER, "width": 1.3},
+    )
+    figure.label(0, y=axis_text(best.place, best.unit))
+    for row, name in enumerate(names, start=1):
+        i = thinned(signals[name], _POINTS)
+        figure.add(
+            row,
+            x=s.t[i],
+            y=signals[name][i],
+            name=figure_text(name),
+            mode="lines",
+            line={"color": MEASURED if row % 2 else BEFORE, "width": 1.1},
+            in_legend=False,
+        )
+        figure.label(row, y=axis_text(name, best.units.get(name, "")))
+    figure.label(len(names), x="time [s]")
+    honest = "" if best.over_time.is_seen else " It is not estimated better than its noise."
+    return figure.done(f"What is missing in {best.place} over time, record {s.name}.{honest}", ())
+
+
+def _best(result: Unexplained) -> MissingForce:
+    best = result.best
+    if best is None or not result.is_something:
+        raise ValueError("nothing is left beyond the noise, so there is nothing to draw")
+    return best

@@ -1,0 +1,104 @@
+"""Parts of a page that tell of estimates: parameters, evidence, provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from casid.estimation.estimate import Estimate
+from casid.report.pages.markup import Html, element, join, mapping_table, safe, table
+from casid.report.pages.numbers import estimated_texts, number_text
+
+
+def notice(notes: Sequence[str], warnings: Sequence[str]) -> Html:
+    """Warnings and notes in a frame, each warning once."""
+    items = [element("li", element("b", "Warning: ") + safe(w)) for w in dict.fromkeys(warnings)]
+    items += [element("li", n) for n in notes]
+    return element("ul", join(items), class_="notice") if items else Html("")
+
+
+def parameter_table(estimates: Mapping[str, Estimate]) -> Html:
+    """Estimates side by side by label, with standard errors and intervals."""
+    several = len(estimates) > 1
+    names = dict.fromkeys(n for e in estimates.values() for n in e.names)
+    found = {
+        label: {p.name: p for p in (*e.parameters, *e.initial_states)}
+        for label, e in estimates.items()
+    }
+    header = ["parameter", "unit"]
+    for label in estimates:
+        before = f"{label}: " if several else ""
+        header += [f"{before}estimate", "std. error", "95 % interval"]
+    header += ["start", "note"]
+    rows = []
+    for name in names:
+        here = [found[label].get(name) for label in estimates]
+        any_one = next(p for p in here if p is not None)
+        cells = [name, any_one.unit]
+        for p in here:
+            cells += ["\u2013"] * 3 if p is None else list(estimated_texts(p))
+        notes = [
+            (f"{label}: " if several else "") + p.note
+            for label, p in zip(estimates, here, strict=True)
+            if p is not None and p.note
+        ]
+        if several and len({p.note for p in here if p is not None}) == 1 and None not in here:
+            notes = [any_one.note] if any_one.note else []
+        start = "" if any_one.start is None else number_text(any_one.start)
+        rows.append([*cells, start, "; ".join(notes) or ("known" if any_one.known else "")])
+    if not rows:
+        return Html("")
+    width = 3 * len(estimates)
+    return table(
+        "Estimates with standard errors and normal 95 % intervals, SI units",
+        header,
+        rows,
+        numbers=tuple(range(2, 3 + width)),
+    )
+
+
+def error_bars(estimates: Mapping[str, Estimate]) -> list[str]:
+    """What the error bars assume, once where all assume the same."""
+    assumed = {label: e.assumes for label, e in estimates.items() if e.assumes}
+    if len(set(assumed.values())) == 1:
+        return [f"Error bars: {next(iter(assumed.values()))}"]
+    return [f"Error bars {label}: {text}" for label, text in assumed.items()]
+
+
+def evidence_table(estimates: Mapping[str, Estimate]) -> Html:
+    """Solver, identifiability and residuals of each estimate."""
+    columns = []
+    for e in estimates.values():
+        i = e.identifiability
+        seen = "all unknowns" if i.rank == i.unknowns else i.unseen or "not all unknowns"
+        facts = {
+            "method": e.method,
+            "status": e.status if e.is_converged else f"NOT converged: {e.status}",
+            "solver": f"{e.iterations} iterations, largest scaled gradient {e.scaled_gradient:.0e}",
+            "starts": f"{e.starts_agreeing} of {e.starts_tried} agree",
+            "identifiable": f"{seen} (rank {i.rank} of {i.unknowns} at the estimate, smallest "
+            f"singular value {i.smallest_singular_value:.2g}, scaled)",
+            **({"whatever the data": i.structural} if i.structural else {}),
+        }
+        residuals = {f"residual of {k}": v for k, v in e.whiteness.items()}
+        columns.append(facts | dict(e.evidence) | residuals)
+    rows = dict.fromkeys(k for facts in columns for k in facts)
+    return table(
+        "Solver, identifiability and residuals",
+        ("", *estimates),
+        [(k, *(facts.get(k, "\u2013") for facts in columns)) for k in rows],
+    )
+
+
+def provenance(
+    lines: Sequence[str], settings: Mapping[str, str], versions: Mapping[str, str]
+) -> Iterable[Html]:
+    """Where the data come from, and what settings and versions worked on them."""
+    if lines:
+        yield element("h3", "Data")
+        yield element("ol", join(element("li", element("code", s)) for s in lines), class_="lines")
+    if settings:
+        yield element("h3", "Settings")
+        yield mapping_table(settings, ("setting", "value"))
+    if versions:
+        yield element("h3", "Versions")
+        yield mapping_table(versions, ("package", "version"))

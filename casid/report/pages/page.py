@@ -1,0 +1,120 @@
+"""The shell of a page: one self-contained HTML file that opens offline.
+
+The page carries plotly.js once and its figures as JSON; it loads nothing. Two things keep text from
+a file from becoming code: every string is escaped where it enters the page, and the page's content
+security policy lets only its own two scripts run, named by their SHA-256.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from casid.report.figures.look import visible_text
+from casid.report.pages.drawing import DRAW
+from casid.report.pages.markup import Html, element, join
+from casid.report.pages.style import STYLE
+
+
+class Page:
+    """Sections of a page, and the figures that its script draws."""
+
+    def __init__(self, figures: Mapping[str, Any]) -> None:
+        self.figures = figures
+        self.sections: list[tuple[str, str, Html]] = []
+        self.data: list[Html] = []
+
+    def figure(self, name: str) -> Html:
+        """The named figure's place with its caption, nothing where there is no such figure."""
+        if name not in self.figures:
+            return Html("")
+        figure = self.figures[name]
+        caption = str(figure.layout.meta["caption"])
+        self.data.append(
+            Html(
+                f'<script type="application/json" id="data-{name}">{_figure_json(figure)}</script>'
+            )
+        )
+        place = (
+            f'<div class="plot" id="figure-{name}" role="img" '
+            f'style="height:{int(figure.layout.height)}px" '
+            f'aria-label="{html.escape(visible_text(caption))}"></div>'
+        )
+        return element("figure", Html(place) + element("figcaption", caption))
+
+    def section(self, heading: str, *parts: str) -> None:
+        """Add a section, unless it is empty."""
+        content = join(parts)
+        if content:
+            self.sections.append((f"s{len(self.sections)}", heading, content))
+
+    def text(self, title: str, kind: str, problem: str) -> str:
+        """The whole page."""
+        from plotly.offline import get_plotlyjs
+
+        library = _script(get_plotlyjs())
+        drawing = _script(DRAW)
+        policy = (
+            "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
+            f"script-src {_hash(library)} {_hash(drawing)}; base-uri 'none'; form-action 'none'"
+        )
+        links = join(
+            element("a", heading, href=f"#{anchor}")
+            for anchor, heading, _ in self.sections
+            if heading
+        )
+        body = join(
+            element("section", (element("h2", heading) if heading else "") + content, id=anchor)
+            for anchor, heading, content in self.sections
+        )
+        return "\n".join(
+            (
+                "<!DOCTYPE html>",
+                '<html lang="en"><head><meta charset="utf-8">',
+                f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+                '<meta name="viewport" content="width=device-width, initial-scale=1">',
+                '<meta name="referrer" content="no-referrer">',
+                element("title", f"{title} - casid"),
+                f"<style>{STYLE}</style></head><body>",
+                element(
+                    "header",
+                    element("p", f"casid \u00b7 {kind}", class_="kicker") + element("h1", problem),
+                ),
+                element("nav", links, aria_label="Sections") if links else "",
+                "<noscript><p>The figures need JavaScript; every number also stands in a table."
+                "</p></noscript>",
+                element("main", body),
+                *self.data,
+                f"<script>{library}</script>" if self.data else "",
+                f"<script>{drawing}</script>" if self.data else "",
+                "</body></html>\n",
+            )
+        )
+
+
+def _figure_json(figure: Any) -> str:
+    """The figure as JSON that cannot end its script block; its title, the caption, taken out."""
+    content = json.loads(figure.to_json(engine="json"))
+    content["layout"].pop("title", None)
+    content["layout"]["margin"]["t"] = 40
+    # The mode bar stands beside the plot, never on it.
+    content["layout"]["margin"]["r"] = max(content["layout"]["margin"].get("r", 0), 44)
+    content["layout"]["height"] = figure.layout.height - figure.layout.margin.t + 40
+    text = json.dumps(content, separators=(",", ":"), ensure_ascii=True)
+    for sign in "<>&":
+        text = text.replace(sign, f"\\u{ord(sign):04x}")
+    return text
+
+
+def _script(text: str) -> str:
+    """A script as the page's parser will see it: one kind of line end, no end tag inside."""
+    return text.replace("\r\n", "\n").replace("\r", "\n").replace("</script", "<\\/script")
+
+
+def _hash(script: str) -> str:
+    digest = hashlib.sha256(script.encode("utf-8")).digest()
+    return f"'sha256-{base64.b64encode(digest).decode('ascii')}'"

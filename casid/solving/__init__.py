@@ -1,1 +1,0 @@
-"""Nonlinear programs, compiled once or solved once, and their solvers."""

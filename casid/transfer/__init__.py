@@ -1,1 +1,0 @@
-"""Rational transfer functions and matrices of them, as values that are computed with exactly."""

@@ -1,0 +1,1 @@
+"""Indirect models in transfer functions: the unknown input eliminated with an output."""

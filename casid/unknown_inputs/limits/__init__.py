@@ -1,0 +1,1 @@
+"""Limits, covariances and mean square errors of estimators on linear systems."""

@@ -1,0 +1,177 @@
+"""Where in a plane of two letters one estimator beats another, in variance and in total error.
+
+Linder (2017), Figure 3.5, for any two estimators of one coefficient that have formulas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from casid.errors import ModelError
+from casid.unknown_inputs.limits.asymptotics import Asymptotics
+
+Array = NDArray[Any]
+REGIONS = ("in neither", "in variance alone", "in mean square error alone", "in both")
+_COLOURS = ("#f2f2f2", "#E69F00", "#56B4E9", "#009E73")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecisionMap:
+    """Differences first minus second over a grid; negative where the first is better.
+
+    Attributes
+    ----------
+    x, y : letters on the axes; x_values (nx,), y_values (ny,).
+    variance, amse : (ny, nx) of one sample and of N samples, coefficient unit squared.
+    """
+
+    first: str
+    second: str
+    parameter: str
+    x: str
+    y: str
+    x_values: Array
+    y_values: Array
+    variance: Array
+    amse: Array
+    N: float
+
+    @property
+    def regions(self) -> Array:
+        """(ny, nx) index into `REGIONS` of where the first estimator is better."""
+        return np.asarray((self.variance < 0) + 2 * (self.amse < 0))
+
+    def plot(self, curves: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None) -> Any:
+        """The map as a Plotly figure.
+
+        Parameters
+        ----------
+        curves : name -> (x, y) of a boundary to be drawn beside, such as a closed form.
+        """
+        import plotly.graph_objects as go
+
+        from casid.report.figures.look import figure_text
+
+        figure = go.Figure()
+        steps = [[k / 4, c] for i, c in enumerate(_COLOURS) for k in (i, i + 1)]
+        figure.add_heatmap(
+            x=self.x_values,
+            y=self.y_values,
+            z=self.regions,
+            zmin=-0.5,
+            zmax=3.5,
+            colorscale=steps,
+            colorbar={
+                "tickvals": [0, 1, 2, 3],
+                "ticktext": list(REGIONS),
+                "title": f"{figure_text(self.first)} better",
+            },
+            name="regions",
+        )
+        for values, name, dash in (
+            (self.variance, "equal variance", "solid"),
+            (self.amse, f"equal mean square error, N = {self.N:g}", "dash"),
+        ):
+            figure.add_contour(
+                x=self.x_values,
+                y=self.y_values,
+                z=values,
+                contours={"start": 0, "end": 0, "size": 1, "coloring": "none"},
+                line={"color": "black", "width": 2, "dash": dash},
+                showscale=False,
+                showlegend=True,
+                name=name,
+            )
+        for name, (x, y) in (curves or {}).items():
+            figure.add_scatter(
+                x=np.asarray(x),
+                y=np.asarray(y),
+                mode="lines",
+                line={"color": "#D55E00", "width": 3, "dash": "dot"},
+                name=figure_text(name),
+            )
+        caption = (
+            f"Where {self.first} estimates {self.parameter} better than {self.second}, "
+            f"over {self.x} and {self.y}."
+        )
+        figure.update_layout(
+            template="plotly_white",
+            title=figure_text(caption, 140),
+            xaxis={"title": self.x, "range": [self.x_values[0], self.x_values[-1]]},
+            yaxis={"title": self.y, "range": [self.y_values[0], self.y_values[-1]]},
+            legend={"orientation": "h", "y": -0.15},
+            meta={"caption": caption},
+        )
+        return figure
+
+
+def decision_map(
+    first: Asymptotics,
+    second: Asymptotics,
+    parameter: str,
+    x: tuple[str, Sequence[float] | Array],
+    y: tuple[str, Sequence[float] | Array],
+    values: Mapping[str, float] | None = None,
+    *,
+    N: float = 1,
+) -> DecisionMap:
+    """Compare two estimators with formulas over a plane.
+
+    Parameters
+    ----------
+    first, second : from `regression_limit` of a system in letters, with truth.
+    parameter : the coefficient.
+    x, y : letter and its values, (nx,) and (ny,).
+    values : numbers of all other letters.
+    N : samples of the mean square error; 1 as in the thesis, (2.60).
+
+    Raises
+    ------
+    ModelError
+        If a letter is left without a value, or an axis is no letter of the estimators.
+    """
+    import sympy
+
+    swap = {sympy.Symbol(k): sympy.sympify(v) for k, v in (values or {}).items()}
+    difference = {
+        "variance": first.variance(parameter) - second.variance(parameter),
+        "amse": first.amse(parameter, N) - second.amse(parameter, N),
+    }
+    axes = [sympy.Symbol(x[0]), sympy.Symbol(y[0])]
+    letters = {s for d in difference.values() for s in sympy.sympify(d).free_symbols}
+    absent = [str(a) for a in axes if a not in letters]
+    if absent:
+        raise ModelError(
+            f"{', '.join(absent)} is no letter of these estimators of {parameter}; they have "
+            f"{', '.join(sorted(map(str, letters)))}"
+        )
+    left = letters - set(axes) - set(swap)
+    if left:
+        raise ModelError(
+            f"no value of {', '.join(sorted(map(str, left)))}; give values={{..}} for every letter "
+            "that is not on an axis"
+        )
+    X, Y = np.meshgrid(np.asarray(x[1], dtype=float), np.asarray(y[1], dtype=float))
+    found = {}
+    for name, expression in difference.items():
+        put = sympy.sympify(expression).subs(swap)
+        with np.errstate(all="ignore"):
+            grid = sympy.lambdify(axes, put, "numpy")(X, Y)
+        found[name] = np.broadcast_to(np.asarray(grid, dtype=float), X.shape)
+    return DecisionMap(
+        first.method,
+        second.method,
+        parameter,
+        x[0],
+        y[0],
+        X[0],
+        Y[:, 0],
+        found["variance"],
+        found["amse"],
+        N,
+    )

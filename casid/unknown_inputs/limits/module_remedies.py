@@ -1,0 +1,189 @@
+"""Remedies for unknown inputs of dynamic modules, estimated by prediction error, IV or two stages.
+
+The remedies of `remedies` for modules: neglect the input, approximate it or its
+contribution, take its measurement for it, predict it, or eliminate it. The noise model and the
+other modules take up what they can of the input that is left out; the limits show how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from casid.errors import ModelError
+from casid.estimation.nlp.nlp import Solver
+from casid.estimation.prediction_error.polynomial_orders import Layout, Orders, PerInput
+from casid.unknown_inputs.limits.asymptotics import Asymptotics
+from casid.unknown_inputs.limits.comparison import Comparison, RemedyRow
+from casid.unknown_inputs.limits.estimated_row import estimated_row
+from casid.unknown_inputs.limits.input_measurement import InputMeasurement
+from casid.unknown_inputs.limits.linear_signals import LinearSignals
+from casid.unknown_inputs.limits.polynomial_regression import instrumental_limit
+from casid.unknown_inputs.limits.prediction_limit import prediction_error_limit
+from casid.unknown_inputs.limits.two_stage_limit import two_stage_limit
+
+
+def compare_module_remedies(
+    system: LinearSignals,
+    output: str,
+    inputs: Sequence[str],
+    unknown: str | Sequence[str],
+    orders: Orders,
+    truth: Mapping[str, float],
+    *,
+    approximations: Mapping[str, str] | None = None,
+    explain: Mapping[str, int] | None = None,
+    measured: Mapping[str, str] | InputMeasurement | None = None,
+    eliminated: Mapping[str, str] | None = None,
+    known: Sequence[str] = (),
+    N: float = 1000,
+    accuracy: Mapping[str, float] | None = None,
+    solver: Solver | None = None,
+) -> Comparison:
+    """Compare remedies for A y = sum (B_i/F_i) u_i + (C/D) e with some of the inputs unknown.
+
+    Parameters
+    ----------
+    inputs : all inputs of the true relation, unknown ones among them.
+    orders : of all inputs; where an input is neglected its module is left out. Where C and D
+        would cancel (the noise is simpler), both orders are lowered, and a note says so.
+    truth : coefficient -> true value, by the names of the structure: "b1[u_U]", "f1[u_U]". A
+        noise model is part of the structure; its coefficients need no truth.
+    approximations, measured, eliminated, N, accuracy : as in `compare_remedies`.
+    explain : known signal -> coefficients of an FIR filter, from lag 0 on, through which it stands
+        in the place of the unknown inputs.
+    known : references, externals of the system that are known. With them there are two more
+        estimators: instrumental variables, whose instruments are the regressors as the references
+        make them, for A y = sum B_i u_i (one F may be there, it is the common denominator), and
+        two stages, in which the measured input is predicted from the references.
+
+    Raises
+    ------
+    ModelError
+        If a signal or coefficient is not there.
+    IdentifiabilityError
+        If the input measurement cannot recover the inputs.
+    """
+    asked = [unknown] if isinstance(unknown, str) else list(unknown)
+    lost = [name for name in asked if name not in inputs]
+    if lost:
+        raise ModelError(f"unknown input {lost[0]} is no input; they are {', '.join(inputs)}")
+    for name in truth:
+        if name not in Layout.of(orders, inputs).names:
+            raise ModelError(
+                f"truth of {name}: no coefficient of this structure; it has "
+                f"{', '.join(Layout.of(orders, inputs).names)}"
+            )
+    if isinstance(measured, InputMeasurement):
+        system, measured = measured.recover(system)
+    tried: list[tuple[str, str, dict[str, str]]] = [
+        ("all inputs known", "known", {name: name for name in inputs}),
+        ("neglect", "neglect", {name: name for name in inputs if name not in asked}),
+    ]
+    for verb, kind, by in (
+        ("approximate by", "approximate", approximations),
+        ("measure", "measure", measured),
+        ("eliminate with", "eliminate", eliminated),
+    ):
+        if by:
+            wrong = [name for name in by if name not in asked]
+            if wrong:
+                raise ModelError(
+                    f"{by[wrong[0]]} is given for {wrong[0]}, which is no unknown input; these are "
+                    f"{', '.join(asked)}"
+                )
+            here = {name: by.get(name, name) for name in inputs if name in by or name not in asked}
+            left = [name for name in asked if name not in by]
+            told = ", ".join(by.values()) + (f" and neglect {', '.join(left)}" if left else "")
+            tried.append((f"{verb} {told}", kind, here))
+    if explain:
+        here = {name: name for name in inputs if name not in asked}
+        tried.append((f"explain by {', '.join(explain)}", "approximate", here))
+    task = _Task(system, output, orders, dict(truth), tuple(known), dict(explain or {}), solver)
+    rows: list[RemedyRow] = []
+    for name, kind, sources in tried:
+        rows += task.rows(name, kind, sources)
+    return Comparison(tuple(rows), tuple(truth), tuple(asked), N, dict(accuracy or {}))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """What all rows share."""
+
+    system: LinearSignals
+    output: str
+    orders: Orders
+    truth: Mapping[str, float]
+    known: tuple[str, ...]
+    explain: Mapping[str, int]
+    solver: Solver | None
+
+    def rows(self, name: str, kind: str, sources: Mapping[str, str]) -> list[RemedyRow]:
+        """One remedy by prediction error and, with references, IV and two stages."""
+        own = _restricted(self.orders, tuple(sources))
+        if name.startswith("explain"):
+            own, sources = self._explained(own, sources)
+        true = {n: v for n, v in self.truth.items() if n in Layout.of(own, list(sources)).names}
+
+        def direct(orders: Orders) -> Asymptotics:
+            return prediction_error_limit(
+                self.system, self.output, sources, orders, true,
+                solver=self.solver, method=f"{name}, PEM",
+            )  # fmt: skip
+
+        def by_instruments(orders: Orders) -> Asymptotics:
+            return self._by_instruments(sources, orders, true, f"{name}, IV")
+
+        def in_two_stages(orders: Orders) -> Asymptotics:
+            replaced = [n for n, signal in sources.items() if n != signal]
+            return two_stage_limit(
+                self.system, self.output, sources, self.known, orders, true,
+                predicted=replaced, solver=self.solver, method=predicted,
+            )  # fmt: skip
+
+        predicted = f"predict from {name.removeprefix('measure ')}, two-stage"
+        made = [estimated_row(f"{name}, PEM", kind, direct, own)]
+        if self.known and kind != "approximate":
+            made.append(estimated_row(f"{name}, IV", kind, by_instruments, own))
+        if self.known and kind == "measure":
+            made.insert(0, estimated_row(predicted, "predict", in_two_stages, own))
+        return made
+
+    def _explained(self, own: Orders, sources: Mapping[str, str]) -> tuple[Orders, dict[str, str]]:
+        """The known inputs, and FIR filters of the signals that explain."""
+        nb, nf, nk = (
+            {n: order[n] if isinstance(order, Mapping) else order for n in sources}
+            for order in (own.nb, own.nf, own.nk)
+        )
+        for name, lags in self.explain.items():
+            nb[name], nf[name], nk[name] = lags, 0, 0
+        return replace(own, nb=nb, nf=nf, nk=nk), {**sources, **{n: n for n in self.explain}}
+
+    def _by_instruments(
+        self, sources: Mapping[str, str], orders: Orders, truth: Mapping[str, float], name: str
+    ) -> Asymptotics:
+        layout = Layout.of(orders, list(sources))
+        with_f = [n for n, nf in zip(layout.inputs, layout.nf, strict=True) if nf]
+        if len(with_f) > 1 or (with_f and (layout.na or len(sources) > 1)):
+            raise ModelError(
+                f"A y = sum B u is linear, with F of {', '.join(with_f)} beside other terms it is "
+                "not; give na in place of nf, or a structure with one input"
+            )
+        linear = replace(orders, na=layout.na + sum(layout.nf), nf=0, nc=0, nd=0)
+        found = instrumental_limit(self.system, self.output, sources, self.known, linear)
+        # With one input, A is its F.
+        names = tuple(f"f{n[1:]}[{with_f[0]}]" if with_f and n[0] == "a" else n
+                      for n in found.names)  # fmt: skip
+        true = {n: v for n, v in truth.items() if n in names}
+        return replace(found, method=name, names=names, truth=true)
+
+
+def _restricted(orders: Orders, inputs: Sequence[str]) -> Orders:
+    """The orders of these inputs alone."""
+
+    def own(order: PerInput) -> PerInput:
+        if not isinstance(order, Mapping):
+            return order if inputs else 0
+        return {name: value for name, value in order.items() if name in inputs} or 0
+
+    return replace(orders, nb=own(orders.nb), nf=own(orders.nf), nk=own(orders.nk))

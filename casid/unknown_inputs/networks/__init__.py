@@ -1,0 +1,1 @@
+"""Dynamic networks in which some nodes have no sensor."""

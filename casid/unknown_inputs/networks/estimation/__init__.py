@@ -1,0 +1,1 @@
+"""Estimation of one module of a network of known structure."""

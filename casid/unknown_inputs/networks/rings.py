@@ -1,0 +1,160 @@
+"""Recursive elimination: unknown nodes ring by ring, until the target's equation holds none.
+
+Eliminating an unknown node by a measurement brings in whatever else acts on the measured node.
+Those of them that nobody observes are the next ring, to be eliminated by measurements further out
+(Linder 2017, section 4.3.1 and Figure 4.2); with every ring the model grows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from casid.algebra.rational import Rational
+from casid.algebra.realisation import mcmillan_degree
+from casid.algebra.transfer_matrix import RationalMatrix
+from casid.unknown_inputs.networks.elimination import immerse
+from casid.unknown_inputs.networks.equations import NodeEquations, node_equations
+from casid.unknown_inputs.networks.indirect_equations import eliminate_by_measurement
+from casid.unknown_inputs.networks.left_inverse import recoverable
+from casid.unknown_inputs.networks.network import Network, Node, labels, node_label
+from casid.unknown_inputs.networks.node_sets import node_sets
+
+
+@dataclass(frozen=True, slots=True)
+class Ring:
+    """The target's equation after one ring.
+
+    Attributes
+    ----------
+    number : 0 before anything is eliminated.
+    eliminated : unknown nodes gone in this ring.
+    by : measured nodes that stand for them; empty in the last ring if the rest is immersed.
+    inputs : measured nodes in the target's equation.
+    unobserved : unknown nodes still in it.
+    externals : nodes whose delta and tau are in it.
+    involved : nodes whose own equation was used, the target among them.
+    degree : McMillan degree of the row of modules; None where symbols have no value.
+    """
+
+    number: int
+    eliminated: tuple[Node, ...]
+    by: tuple[Node, ...]
+    inputs: tuple[Node, ...]
+    unobserved: tuple[Node, ...]
+    externals: tuple[Node, ...]
+    involved: tuple[Node, ...]
+    degree: int | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecursiveElimination:
+    """The rings, and the equations after the last.
+
+    Attributes
+    ----------
+    target : j.
+    rings : ring 0 is the target's own equation.
+    immersed : unknown nodes that no free measurement was left for.
+    equations : of all nodes that are left.
+    """
+
+    target: Node
+    rings: tuple[Ring, ...]
+    immersed: tuple[Node, ...]
+    equations: NodeEquations
+
+    def __str__(self) -> str:
+        lines = [f"Recursive elimination towards {node_label(self.target)}"]
+        for ring in self.rings:
+            degree = "symbolic" if ring.degree is None else f"degree {ring.degree}"
+            by = f" by {labels(ring.by)}" if ring.by else " immersed" if ring.eliminated else ""
+            lines.append(
+                f"  {ring.number}  {labels(ring.eliminated)}{by}: inputs {labels(ring.inputs)}; "
+                f"unobserved {labels(ring.unobserved)}; {len(ring.involved)} nodes involved, "
+                f"{degree}"
+            )
+        if self.immersed:
+            lines.append(
+                f"  {labels(self.immersed)}: no measurement is left that tells them; a sensor on a "
+                "node that they act on would"
+            )
+        return "\n".join(lines)
+
+
+def eliminate_recursively(
+    network: Network, target: Node, *, sensors: Iterable[Node] | None = None
+) -> RecursiveElimination:
+    """Eliminate unknown nodes by measurements, ring by ring, and immerse what is left at the end.
+
+    Every additional observable node is used once. The field is that of rational functions.
+
+    Raises
+    ------
+    ModelError
+        If the target is not observable.
+    """
+    sets = node_sets(network, target, sensors=sensors)
+    equations = node_equations(network)
+    involved, free = [target], list(sets.A)
+    rings = [_ring(network, equations, target, 0, (), (), involved, sets.S)]
+    while True:
+        unknown = tuple(k for k in equations.nodes if k in equations.G[target] and k in sets.U)
+        tellers = [m for m in free if any(u in equations.G[m] for u in unknown)]
+        chosen, by = recoverable(equations, unknown, tellers)
+        if not chosen:
+            break
+        equations = eliminate_by_measurement(equations, chosen, by)
+        involved += by
+        free = [m for m in free if m not in by]
+        rings.append(_ring(network, equations, target, len(rings), chosen, by, involved, sets.S))
+    left = tuple(n for n in equations.nodes if n in sets.U)
+    needed = _needed(equations, target, left)
+    if left:
+        equations = immerse(equations, [n for n in equations.nodes if n not in left])
+    if needed:
+        involved += needed
+        rings.append(_ring(network, equations, target, len(rings), needed, (), involved, sets.S))
+    return RecursiveElimination(target, tuple(rings), needed, equations)
+
+
+def _needed(equations: NodeEquations, target: Node, left: tuple[Node, ...]) -> tuple[Node, ...]:
+    """The unknown nodes that immersion has to go through for the target's row."""
+    found: list[Node] = []
+    front = [target]
+    while front:
+        row = equations.G[front.pop()]
+        new = [k for k in left if k in row and k not in found]
+        found += new
+        front += new
+    return tuple(n for n in left if n in found)
+
+
+def _ring(
+    network: Network,
+    equations: NodeEquations,
+    target: Node,
+    number: int,
+    eliminated: tuple[Node, ...],
+    by: tuple[Node, ...],
+    involved: list[Node],
+    S: tuple[Node, ...],
+) -> Ring:
+    row = equations.G[target]
+    outside = (*network.excitations, *network.disturbances)
+    return Ring(
+        number,
+        eliminated,
+        by,
+        tuple(k for k in network.nodes if k in row and k in S),
+        tuple(k for k in network.nodes if k in row and k not in S),
+        tuple(k for k in network.nodes if k in equations.F[target] and k in outside),
+        tuple(n for n in network.nodes if n in involved),
+        _degree([equations.module(target, k) for k in row]),
+    )
+
+
+def _degree(row: list[Rational]) -> int | None:
+    if not row or any(g.parameters for g in row):
+        return None if row else 0
+    return mcmillan_degree(RationalMatrix((tuple(row),)))

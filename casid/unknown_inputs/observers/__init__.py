@@ -1,0 +1,1 @@
+"""Observers decoupled from unknown inputs, and estimates of the inputs themselves."""

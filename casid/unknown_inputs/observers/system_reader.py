@@ -1,0 +1,171 @@
+"""Systems with unknown inputs from what a user has: casid models, python-control objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.errors import ModelError
+from casid.linear.linear_model import LinearModel, linearise
+from casid.model.expressions import nearest
+from casid.model.model import Model
+from casid.unknown_inputs.observers.unknown_input_system import UnknownInputSystem
+
+Array = NDArray[Any]
+
+
+def unknown_input_system(
+    system: Any,
+    unknown: Sequence[str] | str | None = None,
+    *,
+    values: Mapping[str, float] | None = None,
+    outputs: Sequence[str] | None = None,
+) -> UnknownInputSystem:
+    """System (1) from a casid Model or LinearModel, or a python-control system.
+
+    Parameters
+    ----------
+    system : a `Model` (linear, or linearised about zero), a `LinearModel`, a
+        ``control.StateSpace`` with named inputs, or an `UnknownInputSystem`, which is returned.
+    unknown : names of the unknown inputs; those of a `Model` that are declared so by default.
+    values : parameter -> value, for parameters of a Model that are not known.
+    outputs : those that are measured; all by default.
+
+    Raises
+    ------
+    ModelError
+        If a name is wrong, no input is unknown, an unknown parameter has no value, or the model
+        rests elsewhere than at zero.
+    """
+    if isinstance(system, UnknownInputSystem):
+        return system
+    chosen = None if unknown is None else (unknown,) if isinstance(unknown, str) else tuple(unknown)
+    if isinstance(system, Model):
+        units, holds = _units(system), {n: i.hold for n, i in system.inputs.items()}
+        if chosen is None:
+            chosen = tuple(n for n, i in system.inputs.items() if i.kind == "unknown")
+        return _from_linear(linearise(system), chosen, values, outputs, units, holds)
+    if isinstance(system, LinearModel):
+        return _from_linear(system, chosen, values, outputs, {}, {})
+    return _from_control(system, chosen, outputs)
+
+
+def _units(model: Model) -> dict[str, str]:
+    units = {n: s.unit for n, s in model.states.items()}
+    units |= {n: i.unit for n, i in model.inputs.items()}
+    return units | {n: unit for n, (_, unit) in model.outputs.items()}
+
+
+def _from_linear(
+    linear: LinearModel,
+    unknown: tuple[str, ...] | None,
+    values: Mapping[str, float] | None,
+    outputs: Sequence[str] | None,
+    units: Mapping[str, str],
+    holds: Mapping[str, str],
+) -> UnknownInputSystem:
+    import casadi as ca
+
+    A, B, C, D = linear.matrices(values)
+    rest = ca.Function("rest", [linear.p], [ca.vertcat(*linear.equilibrium.values())])
+    at = np.array(rest(linear.vector(values))).ravel()
+    away = [n for n, v in zip(linear.equilibrium, at, strict=True) if v != 0]
+    if away:
+        raise ModelError(
+            f"{linear.name}: {', '.join(away)} are not zero at rest; subtract the value there from "
+            "the channel, and leave the constant out of the model"
+        )
+    return _split(
+        (A, B, C, D),
+        linear.states,
+        linear.inputs,
+        linear.outputs,
+        unknown,
+        outputs,
+        0.0,
+        linear.name,
+        units,
+        holds,
+    )
+
+
+def _from_control(
+    system: Any, unknown: tuple[str, ...] | None, outputs: Sequence[str] | None
+) -> UnknownInputSystem:
+    import control
+
+    if isinstance(system, control.TransferFunction):
+        raise ModelError(
+            "a transfer function names no states; give a realisation, control.ss(system), with "
+            "inputs=[...] and outputs=[...]"
+        )
+    if not isinstance(system, control.StateSpace):
+        raise ModelError(
+            f"a {type(system).__name__} is no linear system; give a casid Model, a LinearModel or "
+            "a control.StateSpace with named inputs"
+        )
+    if system.dt is True:
+        raise ModelError(
+            f"{system.name}: discrete without a sample time; give dt in seconds, "
+            "control.StateSpace(A, B, C, D, 0.01)"
+        )
+    return _split(
+        (system.A, system.B, system.C, system.D),
+        tuple(system.state_labels),
+        tuple(system.input_labels),
+        tuple(system.output_labels),
+        unknown,
+        outputs,
+        float(system.dt or 0.0),
+        str(system.name),
+        {},
+        {},
+    )
+
+
+def _split(
+    matrices: tuple[Array, Array, Array, Array],
+    states: Sequence[str],
+    inputs: Sequence[str],
+    measured: Sequence[str],
+    unknown: tuple[str, ...] | None,
+    outputs: Sequence[str] | None,
+    Ts: float,
+    name: str,
+    units: Mapping[str, str],
+    holds: Mapping[str, str],
+) -> UnknownInputSystem:
+    """Columns of the inputs sorted into known and unknown ones, rows of the outputs chosen."""
+    if not unknown:
+        raise ModelError(
+            f"{name}: which input is unknown? Give unknown='...', one of {', '.join(inputs)}"
+        )
+    for wanted, there, what in ((unknown, inputs, "input"), (outputs or (), measured, "output")):
+        for one in wanted:
+            if one not in there:
+                raise ModelError(f"{name} has no {what} {one!r}{nearest(one, there)}")
+    A, B, C, D = matrices
+    known = tuple(i for i in inputs if i not in unknown)
+    k, u = ([list(inputs).index(i) for i in group] for group in (known, unknown))
+    kept = tuple(measured) if outputs is None else tuple(outputs)
+    rows = [list(measured).index(o) for o in kept]
+    C, D = C[rows], D[rows]
+    return UnknownInputSystem(
+        A,
+        B[:, k],
+        B[:, u],
+        C,
+        D[:, k],
+        D[:, u],
+        Ts,
+        tuple(states),
+        known,
+        unknown,
+        kept,
+        dict(units),
+        {n: v for n, v in holds.items() if n in known},
+        name,
+    )

@@ -1,0 +1,197 @@
+"""What a record is worth is told before anything is estimated from it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from casid.data.quality import check
+from casid.data.record import Record
+from casid.errors import DataError
+from tests.support.shared import shared
+
+N = 4096
+TIME = 0.01 * np.arange(N)
+
+
+def record(y: np.ndarray, unit: str = "1", **others: np.ndarray) -> Record:
+    channels = {"y": y, **others}
+    return Record(channels, dict.fromkeys(channels, "1") | {"y": unit}, 0.01, name="run")
+
+
+def smooth(noise: float = 0.01, seed: int = 3) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.sin(3.1 * TIME) * np.cos(0.37 * TIME) + noise * rng.standard_normal(N)
+
+
+def texts(report, channel="y"):
+    return [f.text for f in report.findings if f.channel == channel]
+
+
+def test_a_sound_record_has_no_findings():
+    report = check(record(smooth()))
+    assert report.findings == ()
+    assert report.is_usable
+    assert repr(report) == "<CheckReport run: 0 errors, 0 warnings, 0 notes>"
+    assert "findings   none" in str(report)
+
+
+def test_the_noise_floor_is_the_standard_deviation_of_white_noise():
+    """Median of 41 lines, each averaged over 15 segments: 5 % of the density, half of it in sd.
+
+    The median of a mean of chi-squares lies 1/(3 * 15) below its mean, 1 % in sd.
+    """
+    (y,) = check(record(smooth(noise=0.02))).channels
+    assert y.noise == pytest.approx(0.02, rel=0.1)
+
+
+def test_the_bandwidth_is_where_the_signal_sinks_into_the_noise():
+    wave = np.sin(2 * np.pi * 7.0 * TIME) + 0.01 * np.random.default_rng(3).standard_normal(N)
+    (y,) = check(record(wave)).channels
+    assert 6.5 < y.bandwidth_hz < 9.0  # lines of 0.2 Hz, a Hann window four lines wide
+
+
+def test_a_clipped_signal_is_found_at_its_plateau():
+    y = np.clip(smooth(), -0.6, 0.5)
+    (finding,) = [f for f in check(record(y)).findings if "clipped" in f.text]
+    assert finding.severity == "warning"
+    assert "equal samples at the m" in finding.text
+    assert "mark the plateau missing" in finding.mend
+
+
+def test_the_flat_top_of_a_rounded_wave_is_no_clipping():
+    assert not any("clipped" in t for t in texts(check(record(np.round(smooth(0.0), 3)))))
+
+
+@pytest.mark.parametrize("step", [0.05, 0.002, 1e-4])
+def test_the_quantisation_step_is_found(step):
+    y = step * np.round(smooth() / step)
+    report = check(record(y))
+    assert report.channels[0].step == pytest.approx(step, rel=1e-9)
+    coarse = any("coarsely quantised" in t for t in texts(report))
+    assert coarse == (step > (y.max() - y.min()) / 200)
+
+
+def test_continuous_samples_have_no_step():
+    assert check(record(smooth())).channels[0].step is None
+
+
+def test_isolated_spikes_are_counted_and_placed():
+    y = smooth()
+    y[[700, 1500, 3000]] += 0.4
+    report = check(record(y))
+    assert report.channels[0].spikes == 3
+    (finding,) = report.findings
+    assert "t = 7, 15, 30 s" in finding.text
+    assert "mark_missing('y', mask)" in finding.mend
+
+
+def test_steps_of_an_input_are_no_spikes():
+    telegraph = np.sign(np.sin(2.0 * TIME) + 1e-9)
+    assert check(record(telegraph)).channels[0].spikes == 0
+
+
+def test_a_stuck_sensor_a_constant_and_a_copy_are_named():
+    y = smooth()
+    y[1000:1100] = y[1000]
+    report = check(record(y, u=np.full(N, 2.5), copy=y))
+    assert any("100 equal samples in a row from t = 10 s" in t for t in texts(report))
+    assert texts(report, "u") == ["constant at 2.5 1."]
+    assert "holds the same samples as y." in texts(report, "copy")
+    assert report.channels[0].longest_run == 100
+    assert report.is_usable
+
+
+def test_an_angle_that_wraps_is_found_and_unwrapped_by_the_mend():
+    angle = np.mod(0.9 * TIME + 0.1 * np.sin(TIME), 2 * np.pi)
+    (finding,) = [f for f in check(record(angle, "rad")).findings if "wraps" in f.text]
+    assert "numpy.unwrap(record['y'])" in finding.mend
+    mended = record(angle, "rad").with_channel("y", np.unwrap(angle), "rad")
+    assert not any("wraps" in t for t in texts(check(mended)))
+
+
+def test_a_trend_and_missing_samples_are_noted():
+    mask = np.arange(N) < 10
+    y = smooth() + 0.2 * TIME
+    report = check(record(y).mark_missing("y", mask))
+    assert any("a trend: 8.1" in t for t in texts(report))
+    assert "10 samples are marked missing." in texts(report)
+    assert report.channels[0].missing == 10
+    gone = record(y).mark_missing("y", np.ones(N, dtype=bool))
+    assert texts(check(gone)) == ["every sample is missing."]
+
+
+@settings(max_examples=15, deadline=None)
+@given(scale=st.sampled_from([1e-6, 0.25, 8.0, 1e5]), sign=st.sampled_from([-1.0, 1.0]))
+def test_findings_do_not_depend_on_the_unit(scale, sign):
+    y = np.clip(smooth(), -5, 0.5)
+    y[700] -= 0.9
+    plain, scaled = check(record(y)), check(record(sign * scale * y))
+    assert [f.mend for f in plain.findings] == [f.mend for f in scaled.findings]
+    assert scaled.channels[0].noise == pytest.approx(scale * plain.channels[0].noise, rel=1e-9)
+    assert scaled.channels[0].bandwidth_hz == plain.channels[0].bandwidth_hz
+
+
+def test_all_faults_of_a_file_are_told_at_once(tmp_path):
+    path = tmp_path / "bad.csv"
+    path.write_text("t,a,b,c\n0,1,1,1\n1,x,2,2\n2,3,,3\n3,4,4,4\n9,5,inf,5\n")
+    report = check(path)
+    assert not report.is_usable
+    errors = [f for f in report.findings if f.severity == "error"]
+    assert [f.channel for f in errors] == ["a", "b", None]
+    assert "line 3: 'x'" in errors[0].text
+    assert "1 empty or NaN, 1 Inf" in errors[1].text
+    assert "1 gap longer" in errors[2].text
+    assert all(f.mend for f in errors)
+    assert report.clock is not None
+    assert report.clock.interval_max == 6.0
+
+
+def test_a_record_with_one_bad_column_still_has_its_others_looked_at(tmp_path):
+    path = tmp_path / "half.csv"
+    path.write_text("t,a,b\n" + "".join(f"{k},{'x' if k == 3 else k},{k * k}\n" for k in range(9)))
+    report = check(path)
+    assert [f.severity for f in report.findings][0] == "error"
+    assert [c.name for c in report.channels] == ["b"]
+
+
+def test_a_file_that_cannot_be_opened_is_a_report_too(tmp_path):
+    report = check(tmp_path / "none.csv")
+    assert not report.is_usable
+    assert report.N is None
+    assert "no such file" in str(report)
+    with pytest.raises(DataError, match="12:194"):
+        check("run.csv@a:b")
+
+
+def test_a_clock_that_drifts_is_noticed_although_every_interval_is_within_one_percent(tmp_path):
+    """An interval that changes by 1 % over 1000 samples bends the grid by a sample and more."""
+    times = np.cumsum(np.linspace(0.0995, 0.1004, 1000))
+    path = tmp_path / "drift.csv"
+    path.write_text("t,y\n" + "".join(f"{t!r},{float(np.sin(t))!r}\n" for t in times.tolist()))
+    (finding,) = [f for f in check(path).findings if "drifts" in f.text]
+    assert "Resample onto Ts = 0.09995" in finding.mend
+
+
+def test_the_report_as_json_is_plain_and_complete():
+    data = check(record(np.clip(smooth(), -5, 0.5))).to_json()
+    assert data["schema"] == "casid.check/1"
+    assert data["N"] == N
+    assert data["channels"][0]["name"] == "y"
+    assert data["findings"][0]["severity"] == "warning"
+    assert json.loads(json.dumps(data, allow_nan=False)) == data
+
+
+def test_real_measurements_tell_what_is_known_of_them():
+    """The tanks' sensor saturates at 10 V; the roll angle comes in steps of 0.005 deg."""
+    tanks = check(shared("data/cascaded_tanks/estimation.csv"))
+    assert any("maximum 10 V" in t for t in texts(tanks, "y_V"))
+    ship = check(shared("data/kvlcc2_rolldecay_sspa/run_21337.csv"))
+    roll = next(c for c in ship.channels if c.name == "phi_rad")
+    assert roll.step == pytest.approx(np.radians(0.005), rel=1e-3)
+    assert tanks.is_usable
+    assert ship.is_usable

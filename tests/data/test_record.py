@@ -1,0 +1,198 @@
+"""A record is uniform, finite, in SI units, and never changes."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from casid.data.record import Experiment, Record
+from casid.errors import DataError, UnitError
+
+
+def roll(N: int = 400, t0: float = 0.0, Ts: float = 0.1) -> Record:
+    t = Ts * np.arange(N)
+    return Record(
+        {"phi": np.sin(t), "p": np.cos(t)},
+        {"phi": "rad", "p": "rad/s"},
+        Ts,
+        t0,
+        "roll-03",
+        provenance=("made",),
+    )
+
+
+def test_a_record_prints_itself_in_one_line():
+    assert repr(roll()) == ("<Record roll-03: N = 400, 2 channels (phi, p), Ts = 0.1 s, 40 s long>")
+
+
+def test_the_report_and_the_page_name_every_channel_unit_and_step():
+    for text in (str(roll()), roll()._repr_html_()):
+        assert all(word in text for word in ("phi", "rad/s", "made"))
+
+
+def test_samples_are_copied_and_read_only():
+    values = np.zeros(10)
+    record = Record({"y": values}, {"y": "1"}, 0.1)
+    values[0] = 7.0
+    assert record["y"][0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        record["y"][0] = 1.0
+    with pytest.raises(TypeError):
+        record.channels["z"] = values  # type: ignore[index]
+
+
+def test_a_record_survives_pickling():
+    record = roll().mark_missing("p", np.arange(400) < 3)
+    again = pickle.loads(pickle.dumps(record))
+    assert repr(again) == repr(record)
+    assert all(np.array_equal(again[n], record[n]) for n in record)
+    assert again.is_missing("p").sum() == 3
+    experiment = pickle.loads(pickle.dumps(Experiment(record, {"M": 22.04})))
+    assert dict(experiment.known) == {"M": 22.04}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what", "mend"),
+    [
+        (({}, {}, 0.1), "at least one channel", "Give Record"),
+        (
+            ({"y": np.ones(3), "u": np.ones(4)}, {"y": "1", "u": "1"}, 0.1),
+            "y has 3, u has 4",
+            "Cut",
+        ),
+        (({"y": np.ones(1)}, {"y": "1"}, 0.1), "1 sample;", "Widen the window"),
+        (({"y": np.ones((2, 3))}, {"y": "1"}, 0.1), r"shape \(2, 3\)", r"values\[:, 0\]"),
+        (({"y": ["a", "b"]}, {"y": "1"}, 0.1), "else than numbers", "Convert"),
+        (({"y": np.ones(3)}, {}, 0.1), "no unit for y", "'1' where it has none"),
+        (({"y": np.ones(3)}, {"y": "1", "u": "1"}, 0.1), "u, which is no channel", "remove"),
+        (({"y": np.ones(3)}, {"y": "1"}, 0.0), "Ts = 0.0", "positive number of seconds"),
+        (({"y": np.ones(3)}, {"y": "1"}, float("nan")), "Ts = nan", "positive number"),
+        (({"y": np.ones(3)}, {"y": "1"}, 0.1, float("inf")), "t0 = inf", "finite number"),
+    ],
+)
+def test_what_is_no_record_is_refused_with_the_mend(arguments, what, mend):
+    with pytest.raises(DataError, match=what) as caught:
+        Record(*arguments)
+    with pytest.raises(DataError, match=mend):
+        raise caught.value
+
+
+def test_a_unit_that_is_not_si_is_refused_with_the_conversion():
+    with pytest.raises(DataError, match=r"to_si\(values, 'deg'\).*'rad'"):
+        Record({"phi": np.ones(3)}, {"phi": "deg"}, 0.1)
+    with pytest.raises(UnitError, match="ambiguous"):
+        Record({"phi": np.ones(3)}, {"phi": "g"}, 0.1)
+
+
+def test_samples_that_are_not_finite_are_refused_with_number_place_and_time():
+    values = np.zeros(10)
+    values[[4, 6, 7]] = np.nan, np.inf, np.nan
+    with pytest.raises(DataError, match=r"y holds 3 .*\(2 NaN, 1 Inf\)") as caught:
+        Record({"y": values}, {"y": "1"}, 0.5, t0=10.0)
+    message = str(caught.value)
+    assert "k = 4 (t = 12 s)" in message
+    assert "record.between(t0, t1)" in message
+    assert "missing" in message
+
+
+def test_samples_that_are_not_finite_are_welcome_where_marked_missing():
+    values = np.array([0.0, np.nan, 2.0, 3.0])
+    record = Record({"y": values}, {"y": "1"}, 1.0, missing={"y": ~np.isfinite(values)})
+    assert record.filled("y").tolist() == [0.0, 1.0, 2.0, 3.0]
+    with pytest.raises(DataError, match="which is no channel.*remove the mask"):
+        Record({"y": np.ones(4)}, {"y": "1"}, 1.0, missing={"u": np.zeros(4, dtype=bool)})
+    with pytest.raises(DataError, match=r"Give a bool array of shape \(4,\)"):
+        Record({"y": np.ones(4)}, {"y": "1"}, 1.0, missing={"y": np.zeros(3, dtype=bool)})
+    gone = roll().mark_missing("p", np.ones(400, dtype=bool))
+    with pytest.raises(DataError, match=r"every sample of p is missing.*without\('p'\)"):
+        gone.filled("p")
+
+
+def test_constant_channels_are_named_not_refused():
+    record = Record({"y": np.ones(5), "u": np.arange(5.0)}, {"y": "1", "u": "1"}, 1.0)
+    assert record.constant_channels() == ("y",)
+
+
+@given(t0=st.floats(-1e4, 1e4), first=st.integers(0, 100), length=st.integers(1, 200))
+def test_a_window_is_equivariant_to_the_origin_of_time(t0, first, length):
+    """Moving the clock moves the window, and not the samples it keeps."""
+    still, moved = roll(), roll(t0=t0)
+    start, stop = 0.1 * first, 0.1 * (first + length)
+    a, b = still.between(start, stop), moved.between(t0 + start, t0 + stop)
+    assert a.N == b.N == length + 1
+    assert np.array_equal(a["phi"], b["phi"])
+    assert b.t0 - t0 == pytest.approx(a.t0, abs=1e-9)
+    assert np.allclose(b.t, moved.t[first : first + length + 1], rtol=0, atol=1e-9)
+
+
+def test_a_window_remembers_its_parent_and_keeps_masks_in_step():
+    mask = np.zeros(400, dtype=bool)
+    mask[105] = True
+    cut = roll().mark_missing("p", mask).between(10.0, 20.0)
+    assert cut.name == "roll-03@10:20"
+    assert cut.provenance[-1] == "window 10:20 s: samples 100 to 200"
+    assert np.flatnonzero(cut.is_missing("p")).tolist() == [5]
+    assert roll().between(-np.inf, 1.0).N == 11
+
+
+@pytest.mark.parametrize(
+    ("window", "what", "mend"),
+    [((50.0, 60.0), "outside", "0 to 39.9 s"), ((3.0, 2.0), "backward", "earlier time first"),
+     ((1.01, 1.05), "keeps 0 samples", "Widen"), ((float("nan"), 3.0), "empty", "earlier")],
+)  # fmt: skip
+def test_a_bad_window_is_refused_with_the_record_s_own_span(window, what, mend):
+    with pytest.raises(DataError, match=what) as caught:
+        roll().between(*window)
+    assert mend in str(caught.value)
+    assert "runs from 0 to 39.9 s of its own clock" in str(caught.value)
+
+
+def test_changes_give_new_records_that_say_what_was_done():
+    record = roll()
+    more = record.with_channel("delta", np.full(400, 180.0), "deg")
+    assert more["delta"][0] == pytest.approx(np.pi)
+    assert more.units["delta"] == "rad"
+    assert "delta" not in record
+    assert more.without("p").names == ("phi", "delta")
+    renamed = more.rename({"p": "gyro"})
+    assert renamed.names == ("phi", "gyro", "delta")
+    assert renamed.units["gyro"] == "rad/s"
+    assert "renamed p to gyro" in renamed.provenance
+    assert len(renamed.provenance) == 3
+
+
+def test_changes_that_cannot_be_made_are_refused():
+    record = roll()
+    with pytest.raises(DataError, match="Did you mean 'phi'.*It holds phi, p"):
+        record["ph"]
+    with pytest.raises(DataError, match="3 samples, the record 400.*Resample"):
+        record.with_channel("y", np.ones(3), "1")
+    with pytest.raises(DataError, match="name phi to two channels.*different names"):
+        record.rename({"p": "phi"})
+    with pytest.raises(DataError, match="at least one channel"):
+        record.without("p", "phi")
+    with pytest.raises(DataError, match="no channel 'q'"):
+        record.without("q")
+
+
+def test_a_load_case_holds_finite_numbers():
+    experiment = Experiment(roll(), {"M": 22})
+    assert experiment.name == "roll-03"
+    assert "M = 22" in repr(experiment)
+    with pytest.raises(DataError, match="known value M = 'heavy'.*number in SI"):
+        Experiment(roll(), {"M": "heavy"})  # type: ignore[dict-item]
+    with pytest.raises(DataError, match="needs a Record.*read_record"):
+        Experiment({"phi": 1})  # type: ignore[arg-type]
+
+
+def test_the_order_of_channels_is_the_caller_s_and_changes_nothing():
+    record = roll()
+    turned = Record(
+        dict(reversed(record.channels.items())), record.units, record.Ts, name=record.name
+    )
+    assert turned.names == ("p", "phi")
+    assert np.array_equal(turned.between(3, 9)["p"], record.between(3, 9)["p"])

@@ -1,0 +1,123 @@
+"""What the indirect pendulum cannot show, and what would mend it.
+
+With S a_s as its input and the gyro as its output, k, d and I_x are found up to the sensors' scales
+and nothing tells a constant torque from a constant angle (Linder 2017, section 7.3).
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import casid
+from casid.diagnosis.advice.undetectable import Invisible, invisible
+from casid.diagnosis.evidence.score_tests import score_test
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.model.effects.balance_effects import extra_input, offset, quadratic_damping
+from casid.model.effects.channel_effects import sensor_bias, time_delay
+from casid.model.effects.effect import Effect
+from casid.model.model import Model, Parameter
+from problems import pendulum
+from tests.support import truth
+
+
+def scale(model: Model, channel: str) -> Effect:
+    """A sensor that shows 1 + s times its quantity."""
+    p = Parameter(f"scale_{channel}", "1", 0.0)
+
+    def apply(new, names):
+        s = 1 + new.symbol(names[0])
+        if channel in new.outputs:
+            expression, unit = new.outputs[channel]
+            new.replace_output(channel, expression * s, unit)
+        else:
+            new.substitute_symbol(channel, new.symbol(channel) / s)
+
+    return Effect("sensor_scale", channel, (p,), apply)
+
+
+@pytest.fixture(scope="module")
+def experiments() -> list[casid.Experiment]:
+    hidden = truth.cart_pendulum(seed=4, duration=20, Ts=0.02)
+    columns = {n: np.asarray(c) for n, c in hidden.columns.items() if n != "t"}
+    columns["speed"] = np.zeros(len(columns["gyro"]))  # stands still
+    record = casid.Record(columns, {n: hidden.units[n] for n in columns}, Ts=0.02, name="record")
+    return [casid.Experiment(record, {"m": 0.0})]
+
+
+@pytest.fixture(scope="module")
+def fitted(experiments):
+    return fit_model(pendulum.problem.model, experiments, FitSettings(starts=1))
+
+
+def asked(fit, effects, **options) -> dict[tuple[str, str], Invisible]:
+    model = fit.criterion.model
+    table = score_test(fit, effects, input_sd={}, draws=50)
+    found = invisible(table, model, fit.criterion.experiments, **options)
+    return {(i.kind, i.where): i for i in found}
+
+
+def test_a_constant_torque_and_a_bias_of_the_accelerometer_are_the_initial_angle(fitted):
+    model = fitted.criterion.model
+    found = asked(fitted, [offset(model, "torque"), sensor_bias(model, "accel")])
+    assert len(found) == 2
+    for i in found.values():
+        assert i.reason == "structural"
+        assert i.absorbed_by == ("phi(0)",)
+        assert "Add a sensor of phi, make its initial value known" in i.mend
+
+
+@pytest.mark.parametrize("channel", ["gyro", "accel"])
+def test_the_scale_of_a_sensor_is_stiffness_damping_and_inertia_together(fitted, channel):
+    i = asked(fitted, [scale(fitted.criterion.model, channel)])["sensor_scale", channel]
+    assert i.is_structural
+    assert i.visible < 1e-4
+    assert {"k", "d", "I_x"} <= set(i.absorbed_by)
+    assert "Give one of k, d, I_x a known value, or calibrate" in i.mend
+
+
+def test_what_is_told_of_the_confounded_parameters_stands_with_them(fitted, monkeypatch):
+    monkeypatch.setattr(
+        "casid.diagnosis.advice.undetectable.FORMULA_LIMIT", 20.0
+    )  # a slow machine's time
+    i = asked(fitted, [scale(fitted.criterion.model, "gyro")])["sensor_scale", "gyro"]
+    assert "d/k" in i.told
+    assert "told all the same" in i.why
+
+
+def test_a_known_stiffness_makes_the_scale_of_the_gyro_visible(fitted, experiments):
+    """The mend that was named works."""
+    model = pendulum.problem.model.with_known(k=fitted.values["k"])
+    fit = fit_model(model, experiments, FitSettings(starts=1))
+    assert asked(fit, [scale(model, "gyro")]) == {}
+
+
+def test_a_channel_that_rests_hides_what_depends_on_it_in_this_record_alone(fitted):
+    model = fitted.criterion.model
+    effect = extra_input(model, "torque", "speed", "m/s")
+    i = asked(fitted, [effect])["extra_input", "speed"]
+    assert i.reason == "practical"
+    assert i.mend == "Record speed while it moves: it rests in record."
+
+
+def test_a_delay_is_not_asked_structurally(fitted):
+    """It has no exact algebra; nearly all of it is absorbed here, and the threshold says so."""
+    model = fitted.criterion.model
+    i = asked(fitted, [time_delay(model, "gyro", 0.2)], threshold=0.5)["time_delay", "gyro"]
+    assert i.reason == "practical (not asked structurally)"
+    assert "wider band" in i.mend
+
+
+def test_what_is_visible_is_not_listed_and_structural_causes_come_first(fitted):
+    model = fitted.criterion.model
+    effects = [
+        quadratic_damping(model, "torque"),
+        extra_input(model, "torque", "speed", "m/s"),
+        offset(model, "torque"),
+    ]
+    found = asked(fitted, effects)
+    assert list(found) == [("offset", "torque"), ("extra_input", "speed")]
+    plain = json.loads(json.dumps([i.to_json() for i in found.values()]))
+    assert plain[0]["reason"] == "structural"

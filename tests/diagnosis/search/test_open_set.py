@@ -1,0 +1,114 @@
+"""What no effect of the catalogue explains is called unknown, and described, not named after kin.
+
+The strange effects are those of `tests/support/truth.py` that the catalogue does not have.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import pytest
+
+import casid
+from casid.diagnosis.diagnosis import Cause
+from casid.diagnosis.search.open_set import DOUBTFUL, Left, with_the_unknown
+from casid.diagnosis.verdict.remainder import Remaining
+from problems import pendulum
+from tests.diagnosis.test_diagnose import record_of
+from tests.support import samples, truth
+from tests.support.sample_parts import unexplained
+
+# -- the rules ------------------------------------------------------------------------------------
+
+
+@functools.cache
+def left() -> Left:
+    """Something that acts in the torque, found with p = 1e-12."""
+    return Left(1e-12, 0.01, unexplained(samples.view(N=600)))
+
+
+def cause(kind: str, where: str = "torque") -> Cause:
+    return Cause(kind, where, 1e-6, (), share=0.6, sentence=f"{kind} in {where}")
+
+
+def after(share: float, *causes: Cause) -> list[Cause]:
+    """What becomes of the causes where `share` of the excess misfit remains."""
+    return with_the_unknown(causes, left(), Remaining((), share))
+
+
+def test_where_nothing_is_named_the_unknown_is_the_cause():
+    (only,) = after(1.0)
+    assert (only.kind, only.where) == ("unknown", left().unexplained.where)
+    assert only.p_value == 1e-12
+    assert only.parameters == ()
+    assert only.description == left().unexplained.sentence
+    assert "no effect of the catalogue explains" in only.sentence
+
+
+def test_one_name_that_leaves_much_is_the_nearest_of_the_catalogue_and_no_cause():
+    (only,) = after(DOUBTFUL + 0.1, cause("quadratic_damping"))
+    assert only.kind == "unknown"
+    assert [(a.kind, a.where) for a in only.alternatives] == [("quadratic_damping", "torque")]
+    assert "it explains 75 % of the excess misfit" in only.alternatives[0].why
+    assert only.share == 0.6  # of the misfit, as far as the nearest takes it away
+
+
+def test_names_that_leave_little_stand_alone():
+    named = [cause("quadratic_damping")]
+    assert after(DOUBTFUL - 0.01, *named) == named
+
+
+def test_several_names_keep_their_places_and_the_unknown_comes_last():
+    named = [cause("quadratic_damping"), cause("coulomb_friction")]
+    found = after(DOUBTFUL + 0.1, *named)
+    assert found[:-1] == named
+    assert found[-1].kind == "unknown"
+    assert found[-1].alternatives == ()
+
+
+@pytest.mark.parametrize("kind", ["outliers", "saturation"])
+def test_spoilt_samples_are_no_name_of_what_is_left(kind):
+    spoilt = cause(kind, "gyro")
+    found = after(0.01, spoilt)
+    assert found[0] == spoilt
+    assert found[1].kind == "unknown"
+    nearest = after(0.5, cause("cubic_stiffness"), spoilt)
+    assert [c.kind for c in nearest] == ["unknown", kind]
+    assert nearest[0].alternatives[0].kind == "cubic_stiffness"
+
+
+def test_what_is_left_untold_counts_as_all():
+    (only,) = with_the_unknown([cause("quadratic_damping")], left(), None)
+    assert only.kind == "unknown"
+    assert "explains 0 %" in only.alternatives[0].why
+
+
+# -- on records -----------------------------------------------------------------------------------
+
+
+@functools.cache
+def hiding(kind: str, seed: int) -> casid.Diagnosis:
+    hidden = truth.cart_pendulum(kind, 3.0, seed=seed, duration=40.0, Ts=0.02)
+    return casid.diagnose(pendulum.problem, record_of(hidden), max_causes=2, advise=False)
+
+
+STRANGERS = [("hysteresis", 1), ("knock", 2)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "seed"), STRANGERS)
+def test_an_effect_that_is_not_in_the_catalogue_is_called_unknown(kind, seed):
+    d = hiding(kind, seed)
+    assert d.verdict == "deficient"
+    assert "unknown" in {c.kind for c in d.causes}
+    assert d.unexplained is not None
+    unknown = next(c for c in d.causes if c.kind == "unknown")
+    assert unknown.description == d.unexplained.sentence
+    assert unknown.p_value < 0.05
+
+
+@pytest.mark.slow
+def test_an_effect_of_the_catalogue_leaves_nothing_unknown():
+    d = hiding("quadratic_damping", 3)
+    assert [c.kind for c in d.causes] == ["quadratic_damping"]
+    assert d.unexplained is None

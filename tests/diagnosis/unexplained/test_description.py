@@ -1,0 +1,102 @@
+"""What is left without a name is described: where, on what it depends, when, and how surely."""
+
+from __future__ import annotations
+
+import functools
+import json
+
+import numpy as np
+import pytest
+
+import casid
+from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.unexplained.description import Unexplained, unexplained
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.report.figures.unexplained import (
+    dependence_figure,
+    missing_spectrum_figure,
+    missing_time_figure,
+)
+from problems import pendulum
+from tests.support import truth
+from tests.support.hidden_forces import RECORDED, fitted
+
+
+@functools.cache
+def on_the_pendulum(kind: str, strength: float, seed: int) -> Unexplained:
+    hidden = truth.cart_pendulum(kind, strength, seed=seed, duration=40.0)
+    names = [n for n in hidden.columns if n != "t"]
+    record = casid.Record(
+        {n: hidden.columns[n] for n in names}, {n: hidden.units[n] for n in names}, Ts=hidden.Ts
+    )
+    made = [casid.Experiment(record, {}, "run")]
+    fit = fit_model(pendulum.problem.model, made, FitSettings(starts=1), throw=False)
+    at = Weighing(made).weigh(pendulum.problem.model, fit)
+    return unexplained(at, made, pendulum.problem.recorded)
+
+
+@functools.cache
+def of(kind: str, seed: int, disturbance: float = 0.0) -> Unexplained:
+    at, made = fitted(kind, seed, disturbance)
+    return unexplained(at, made, RECORDED)
+
+
+@pytest.mark.parametrize(
+    ("kind", "variable"),
+    [("cubic_stiffness", "phi"), ("quadratic_damping", "p"), ("coulomb_friction", "p")],
+)
+def test_on_the_indirect_pendulum_the_variable_is_found_with_a_noisy_input(
+    kind: str, variable: str
+) -> None:
+    """At a misfit of the size of the noise, odd in every case."""
+    found = on_the_pendulum(kind, 1.0, 1)
+    assert found.where == "torque"
+    assert found.best is not None
+    leading = found.best.leading
+    assert leading is not None
+    assert leading.variables == (variable,)
+    assert leading.parity == "odd"
+    assert f"missing torque that depends on {variable} (odd" in found.sentence
+
+
+def test_a_sine_in_torque_is_told_by_its_frequency():
+    found = on_the_pendulum("periodic_disturbance", 1.0, 2)
+    hidden = truth.cart_pendulum("periodic_disturbance", 1.0, seed=2, duration=40.0)
+    force = found.best.over_time if found.best is not None else None
+    assert force is not None
+    assert force.spectrum.line == pytest.approx(hidden.truth["frequency"], abs=1 / 40)
+    assert found.where == "torque"
+    assert "a sine in time" in found.sentence
+
+
+def test_a_white_disturbance_has_a_place_but_no_dependence():
+    found = of("none", 41, 0.05)
+    assert found.best is not None
+    assert not found.best.dependences
+    assert found.where == "force"
+    assert "looks like a disturbance" in found.sentence
+
+
+def test_a_record_without_an_effect_yields_nothing():
+    found = of("none", 22)
+    assert not found.is_something
+    assert found.where == ""
+    assert found.sentence.startswith("Nothing is left beyond the noise")
+    with pytest.raises(ValueError, match="nothing is left beyond the noise"):
+        dependence_figure(found)
+
+
+def test_what_is_told_can_be_written_and_drawn():
+    found = of("quadratic damping", 1)
+    told = json.loads(json.dumps(found.to_json()))
+    assert told["where"] == "force"
+    assert told["dependences"][0]["variables"] == ["v_m"]
+    assert len(told["over_time"]["series"][0]["t"]) <= 1000
+    curve = dependence_figure(found)
+    line = next(t for t in curve.data if t.name == "missing part")
+    assert found.best is not None
+    np.testing.assert_allclose(line.y, found.best.dependences[0].value)
+    assert "v_m" in curve.layout.xaxis.title.text
+    assert "noise alone" in {t.name for t in missing_spectrum_figure(found).data}
+    over_time = missing_time_figure(found)
+    assert len({t.yaxis for t in over_time.data}) == 1 + len(found.signals[0])

@@ -1,0 +1,66 @@
+"""What a diagnosis says to do next follows from its reason, and what has no name is described."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from casid.diagnosis.calibration.false_alarm_rate import Calibration
+from casid.diagnosis.diagnosis import Alternative, Cause
+from casid.diagnosis.verdict.sentences import advice
+from tests.support.samples import deficient as small
+
+
+@pytest.mark.parametrize(
+    "why",
+    [
+        "gyro is zero in every sample that is fitted: check the sensor, its cable and the mapping",
+        "gyro is constant, and what moves lies in the held-out part: fit the part that moves "
+        "(--window, or --hold-out 0)",
+        "the fitted part hides nothing, but the simulation of gyro is wrong where it was not "
+        "fitted: diagnose the whole record (--hold-out 0), or that part of it (--window)",
+    ],
+)
+def test_where_the_reason_carries_its_own_mend_no_longer_record_is_asked_for(why):
+    said = advice("undecided", [], None, why)
+    assert said == "Mend what the reason names, then diagnose again."
+
+
+def test_where_the_record_says_too_little_more_of_it_is_asked_for():
+    why = "12 samples are too few to judge a model with 4 unknowns; 40 are the least"
+    assert advice("undecided", [], None, why).startswith("Record longer")
+
+
+UNKNOWN = Alternative("unknown", "torque", 0.2, "explains as much", "p^3")
+NAMED = Cause(
+    "quadratic_damping", "torque", 1e-9, (), (UNKNOWN,), sentence="damping grows with the rate"
+)
+
+
+def test_a_rival_without_a_name_is_told_by_what_it_is_like():
+    assert "from unknown in torque (p^3):" in advice("deficient", [NAMED], None, "")
+    famous = replace(UNKNOWN, kind="coulomb_friction", description="friction")
+    said = advice("deficient", [replace(NAMED, alternatives=(famous,))], None, "")
+    assert "from coulomb_friction in torque:" in said
+
+
+def test_the_text_describes_what_has_no_name_and_tells_the_notes_of_a_calibration():
+    unknown = replace(NAMED, kind="unknown", description="a torque like p^3", alternatives=())
+    calibration = Calibration(
+        problem="a",
+        alpha=0.05,
+        asked=200,
+        levels=np.full(40, 0.5),
+        smallest=np.full(40, 0.5),
+        alarms=np.zeros(40, bool),
+        seed=0,
+        undecided=3,
+        is_interrupted=True,
+    )
+    text = str(replace(small(), causes=(NAMED, unknown), calibration=calibration))
+    assert "or unknown in torque (p^3) (p = 0.2): explains as much" in text
+    assert "2. unknown in torque (p = 1.0e-09): a torque like p^3" in text
+    assert "interrupted: 40 of 200 null records were done" in text
+    assert "3 null records were undecided, which is no alarm" in text

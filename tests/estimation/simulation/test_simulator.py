@@ -1,0 +1,109 @@
+"""A simulation has its integrator's order, holds inputs as told, and knows its own gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete
+
+import casid
+from casid.estimation.simulation.simulator import Simulator
+
+M, D, K, TS = 2.0, 1.5, 50.0, 0.05
+
+
+def oscillator(hold: str = "foh") -> casid.Model:
+    m = casid.Model("oscillator")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    force = m.input("force", "N", hold=hold)
+    mass = m.parameter("m", "kg", start=M)
+    d = m.parameter("d", "N s/m", start=D)
+    k = m.parameter("k", "N/m", start=K)
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=mass, terms=[-k * x - 40.0 * x**3, -d * v, force])
+    m.output("position", x, "m")
+    m.output("acceleration", m.der(v), "m/s^2")
+    return m
+
+
+def linear(hold: str) -> casid.Model:
+    m = casid.Model("linear")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    force = m.input("force", "N", hold=hold)
+    k = m.parameter("k", "N/m", start=K)
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=M, terms=[-k * x, -D * v, force])
+    m.output("position", x, "m")
+    return m
+
+
+def test_halving_the_step_divides_the_error_of_the_fourth_order_method_by_sixteen():
+    """Global error C h^4 of classical Runge-Kutta (Hairer, Norsett, Wanner 1993, II.1)."""
+    u = np.sin(np.arange(41) * TS)[:, None]
+    p, x0 = np.array([M, D, K]), np.array([0.4, 0.0])
+    end = {
+        n: Simulator(oscillator(), TS, substeps=n).simulate(u, p, x0).x[-2] for n in (2, 4, 8, 64)
+    }
+    error = [float(np.linalg.norm(end[n] - end[64])) for n in (2, 4, 8)]
+    # The next term is of relative size w h = 0.06 at the coarser pair.
+    assert error[0] / error[1] == pytest.approx(16, rel=0.25)
+    assert error[1] / error[2] == pytest.approx(16, rel=0.15)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_inputs_are_held_or_joined_by_straight_lines_as_declared(hold):
+    """The sampled system is scipy's exact discretisation under the same hold."""
+    u = np.random.default_rng(3).normal(size=(60, 1))
+    A, B = np.array([[0.0, 1.0], [-K / M, -D / M]]), np.array([[0.0], [1 / M]])
+    C, Z = np.array([[1.0, 0.0]]), np.zeros((1, 1))
+    a, b, c, d, _ = cont2discrete((A, B, C, Z), TS, method=hold)
+    # scipy's first-order hold shifts the state: x_s = x - b_1 u with the direct term d.
+    y = np.zeros(60)
+    x = np.zeros(2) if hold == "zoh" else -_feed(A, B) @ u[0]
+    for k in range(60):
+        y[k] = (c @ x + d @ u[k])[0]
+        x = a @ x + b @ u[k]
+    run = Simulator(linear(hold), TS, substeps=20).simulate(u, np.array([K]), np.zeros(2))
+    assert run.y[:, 0] == pytest.approx(y, abs=1e-9)  # (w h)^5 with h = 2.5 ms: 2e-10
+
+
+def _feed(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """The direct term of the state under a first-order hold: scipy's d with C = I."""
+    return cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), TS, method="foh")[3]
+
+
+def test_sensitivities_are_the_derivatives_of_the_simulation_as_computed():
+    rng = np.random.default_rng(3)
+    u, p, x0 = rng.normal(size=(50, 1)), np.array([M, D, K]), np.array([0.3, -0.2])
+    s = Simulator(oscillator(), TS, ["m", "d", "k"], substeps=2)
+    run = s.sensitivities(u, p, x0, after=np.array([0.7]))
+    v = np.r_[p, x0]
+    extended = np.vstack([u, [[0.7]]])
+    for i in range(5):
+        h = 1e-6 * max(abs(v[i]), 0.1)
+        up, down = v.copy(), v.copy()
+        up[i] += h
+        down[i] -= h
+        a, b = (s.simulate(extended, w[:3], w[3:]) for w in (up, down))
+        # Central differences: truncation h^2 and rounding eps / h, both below 1e-8 of the size.
+        slope = (a.y - b.y)[:50] / (2 * h)
+        assert run.dy[:, :, i] == pytest.approx(slope, abs=1e-6 * np.abs(slope).max())
+        slope = (a.x - b.x)[50] / (2 * h)
+        assert run.dx_end[:, i] == pytest.approx(slope, abs=1e-6 * np.abs(slope).max())
+
+
+def test_simulation_with_and_without_sensitivities_is_the_same():
+    u, p, x0 = np.ones((30, 1)), np.array([M, D, K]), np.array([0.1, 0.0])
+    s = Simulator(oscillator(), TS, ["k"])
+    assert s.sensitivities(u, p, x0).y == pytest.approx(s.simulate(u, p, x0).y, abs=1e-15)
+
+
+def test_a_diverging_simulation_returns_values_that_are_not_finite():
+    m = casid.Model("explosion")
+    x = m.state("x", "m")
+    m.parameter("a", "1/(m s)", start=1.0)
+    m.derivative(x, m.symbol("a") * x**2)
+    m.output("y", x, "m")
+    run = Simulator(m, 0.1).simulate(np.zeros((60, 0)), np.array([1.0]), np.array([1.0]))
+    assert not np.all(np.isfinite(run.y))
+    assert np.all(np.isfinite(run.y[:9]))  # x = 1 / (1 - t) until its pole

@@ -1,0 +1,160 @@
+"""Covariances are those of the textbook sums, and cover what repeated experiments show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import casid
+from casid.estimation.covariance import (
+    autocorrelation,
+    bartlett_lags,
+    long_run_covariance,
+    sample_through,
+    sandwich,
+    whiteness,
+)
+from casid.estimation.simulation.simulation_error import SimulationError, minimize_simulation_error
+
+
+@pytest.mark.parametrize("lags", [0, 1, 7, 40])
+def test_the_long_run_covariance_is_the_bartlett_sum(lags):
+    """Sum of w_l Gamma_l, w_l = 1 - |l| / (L + 1) (Newey and West 1987, (5))."""
+    s = np.random.default_rng(3).normal(size=(200, 3)) @ np.array(
+        [[1.0, 0.5, 0.0], [0.0, 2.0, 1.0], [0.0, 0.0, 0.1]]
+    )
+    c = s - s.mean(axis=0)
+    total = c.T @ c
+    for lag in range(1, lags + 1):
+        gamma = c[lag:].T @ c[:-lag]
+        total += (1 - lag / (lags + 1)) * (gamma + gamma.T)
+    assert long_run_covariance(s, lags) == pytest.approx(total, rel=1e-9, abs=1e-9)
+
+
+def test_the_number_of_lags_follows_andrews_for_a_first_order_autoregression():
+    """1.1447 (alpha(1) n)^(1/3), alpha(1) = 4 rho^2 / ((1 - rho)^2 (1 + rho)^2) (Andrews 1991)."""
+    n, rho = 4000, 0.8
+    s = lfilter([1.0], [1.0, -rho], np.random.default_rng(3).normal(size=n))[:, None]
+    wanted = 1.1447 * (4 * rho**2 / ((1 - rho) ** 2 * (1 + rho) ** 2) * n) ** (1 / 3)
+    # sd of the estimated rho is 0.0095; it moves the number by 1.7 % a 0.01.
+    assert bartlett_lags(s) == pytest.approx(wanted, rel=0.10)
+    assert bartlett_lags(np.random.default_rng(4).normal(size=(n, 1))) <= 5
+
+
+def test_white_residuals_give_the_least_squares_covariance():
+    """H^-1 (sum s s') H^-1 with unit weights is sigma^2 (J'J)^-1 (Ljung 1999, (9.42))."""
+    rng = np.random.default_rng(3)
+    J, n = rng.normal(size=(4000, 2)), 4000
+    r = 0.5 * rng.normal(size=n)
+    P, _ = sandwich(J.T @ J, J * r[:, None], np.array([True, True]))
+    theory = 0.25 * np.linalg.inv(J.T @ J)
+    # A variance from n samples has relative error sqrt(2 / n) = 2 %; some lags add as much each.
+    assert np.diag(P) == pytest.approx(np.diag(theory), rel=0.12)
+
+
+def test_a_constraint_takes_its_direction_out_of_the_covariance():
+    rng = np.random.default_rng(3)
+    J = rng.normal(size=(500, 3))
+    A = np.array([[1.0, -2.0, 0.5]])
+    P, _ = sandwich(J.T @ J, J * rng.normal(size=(500, 1)), np.ones(3, dtype=bool), A)
+    assert A @ P @ A.T == pytest.approx(np.zeros((1, 1)), abs=1e-12)
+    assert np.linalg.matrix_rank(P, tol=1e-9) == 2
+
+
+def test_a_parameter_at_its_bound_has_no_variance():
+    rng = np.random.default_rng(3)
+    J = rng.normal(size=(500, 2))
+    P, _ = sandwich(J.T @ J, J * rng.normal(size=(500, 1)), np.array([True, False]))
+    assert P[1, 1] == 0.0
+    assert P[0, 0] > 0.0
+
+
+def test_autocorrelation_is_that_of_the_definition():
+    r = np.random.default_rng(3).normal(size=300)
+    c = r - r.mean()
+    wanted = [float(c[k:] @ c[:-k] / (c @ c)) for k in range(1, 11)]
+    assert autocorrelation(r, 10) == pytest.approx(wanted, abs=1e-12)
+
+
+def test_white_noise_leaves_the_band_as_rarely_as_it_says_and_coloured_noise_often():
+    white = np.random.default_rng(3).normal(size=(50, 2000))
+    outside = sum(whiteness(w) for w in white)
+    # Binomial(1000, 0.05): mean 50, sd 6.9; four of them.
+    assert 50 - 28 <= outside <= 50 + 28
+    assert whiteness(lfilter([1.0], [1.0, -0.9], white[0])) >= 10
+
+
+def test_draws_that_fail_are_left_out_and_their_share_is_reported():
+    """sqrt of N(1, 1) fails with probability Phi(-1) = 0.1587."""
+    drawn = sample_through(
+        lambda x: np.sqrt(x), np.array([1.0]), np.array([[1.0]]), draws=10_000, seed=3
+    )
+    sd = np.sqrt(0.1587 * 0.8413 / 10_000)
+    assert drawn.share_invalid == pytest.approx(0.1587, abs=4 * sd)
+    assert len(drawn.values) == round(10_000 * (1 - drawn.share_invalid))
+
+
+def test_a_linear_map_of_draws_has_the_covariance_of_the_linear_map():
+    P = np.array([[2.0, 0.6], [0.6, 1.0]])
+    a = np.array([1.0, -2.0])
+    drawn = sample_through(lambda x: a @ x, np.array([3.0, 1.0]), P, draws=20_000, seed=3)
+    sd = float(np.sqrt(a @ P @ a))
+    assert drawn.mean[0] == pytest.approx(1.0, abs=4 * sd / np.sqrt(20_000))
+    assert drawn.std[0] == pytest.approx(sd, rel=4 / np.sqrt(2 * 20_000))
+    low, high = drawn.interval(0.95)[:, 0]
+    assert high - low == pytest.approx(2 * 1.96 * sd, rel=0.05)
+    assert drawn.share_invalid == 0.0
+
+
+def test_draws_that_the_caller_calls_invalid_are_left_out():
+    drawn = sample_through(
+        lambda x: x, np.array([0.0]), np.eye(1), draws=4000, seed=3, valid=lambda v: v[0] > 0
+    )
+    assert drawn.share_invalid == pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(4000))
+    assert np.all(drawn.values > 0)
+
+
+def _first_order() -> casid.Model:
+    m = casid.Model("first order")
+    x = m.state("x", "m", initial=0.0)
+    u = m.input("u", "m", hold="zoh", known=True)
+    a = m.parameter("a", "1/s", start=1.0, lower=0.01)
+    b = m.parameter("b", "1/s", start=1.0)
+    m.derivative(x, -a * x + b * u)
+    m.output("y", x, "m")
+    return m
+
+
+@pytest.mark.slow
+def test_standard_errors_cover_repeated_experiments_with_coloured_noise():
+    """The sandwich holds for autocorrelated residuals (Newey and West 1987); white errors do not.
+
+    The input is slow, so that the noise, AR(1) with rho = 0.8, has up to (1 + rho) / (1 - rho) = 9
+    times the power of white noise of the same size where the estimate listens.
+    """
+    Ts, n, runs, rho = 0.1, 600, 60, 0.8
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.choice([-1.0, 1.0], n // 20 + 1), 20)[:n]
+    decay = np.exp(-Ts)
+    clean = lfilter([0.0, 1 - decay], [1.0, -decay], u)
+    found, sandwiches, naive = [], [], []
+    for _ in range(runs):
+        e = lfilter([1.0], [1.0, -rho], rng.normal(size=n + 100))[100:] * np.sqrt(1 - rho**2)
+        record = casid.Record({"u": u, "y": clean + 0.05 * e}, {"u": "m", "y": "m"}, Ts=Ts)
+        criterion = SimulationError(_first_order(), [casid.Experiment(record, {}, "r")])
+        fit = minimize_simulation_error(criterion, check_rank=False)
+        H, s = fit.solution.hessian, criterion.scores(fit.x)
+        P, _ = sandwich(H, s, np.array([True, True]))
+        found.append(fit.x)
+        sandwiches.append(np.sqrt(np.diag(P)))
+        naive.append(np.sqrt(np.diag(np.linalg.inv(H)) * 2 * fit.solution.value / n))
+    empirical = np.std(found, axis=0, ddof=1)
+    ratio = np.mean(sandwiches, axis=0) / empirical
+    # The empirical sd of 60 runs has relative error 1 / sqrt(118) = 9 %: three of them; Bartlett's
+    # weights lose up to a tenth of the long-run variance at this length.
+    assert np.all(ratio > 1 - 0.28 - 0.05)
+    assert np.all(ratio < 1 + 0.28)
+    assert np.all(np.mean(naive, axis=0) / empirical < 0.6)
+    bias = np.abs(np.mean(found, axis=0) - 1.0)
+    assert np.all(bias < 4 * empirical / np.sqrt(runs) + 0.01)

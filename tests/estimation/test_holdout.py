@@ -1,0 +1,101 @@
+"""What is held out is simulated and never fitted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete
+
+import casid
+from casid.estimation.holdout import split_records, why_no_better
+
+TS = 0.02
+
+
+def problem() -> casid.Problem:
+    m = casid.Model("oscillator")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    force = m.input("force", "N", hold="zoh", known=True)
+    d = m.parameter("d", "N s/m", start=1.0, lower=0.0)
+    k = m.parameter("k", "N/m", start=40.0, lower=0.0)
+    mass = m.constant("m", 2.0, "kg")
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=mass, terms=[-k * x, -d * v, force])
+    m.output("position", x, "m")
+    return casid.Problem(name="oscillator", model=m, starts=1)
+
+
+def experiment(
+    x0: float = 0.05, N: int = 1000, noise: float = 0.01, seed: int = 3, name: str = "r"
+) -> casid.Experiment:
+    rng = np.random.default_rng(seed)
+    F = np.repeat(rng.normal(0.0, 4.0, N // 25 + 1), 25)[:N]
+    A, B = np.array([[0.0, 1.0], [-25.0, -0.75]]), np.array([[0.0], [0.5]])
+    a, b, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), TS, method="zoh")
+    x, y = np.array([x0, 0.0]), np.empty(N)
+    for i in range(N):
+        y[i] = x[0]
+        x = a @ x + b[:, 0] * F[i]
+    record = casid.Record(
+        {"force": F, "position": y + noise * rng.normal(size=N)},
+        {"force": "N", "position": "m"},
+        Ts=TS,
+        name=name,
+    )
+    return casid.Experiment(record, {}, name)
+
+
+def test_the_last_share_of_a_record_is_held_out():
+    split = split_records([experiment()], 0.3)
+    assert split.fitted[0].record.N == 700
+    assert split.whole[0].record.N == 1000
+    assert np.flatnonzero(split.held[0]).tolist() == list(range(700, 1000))
+
+
+def test_what_is_held_out_has_no_part_in_the_fit():
+    e = experiment()
+    spoilt = e.record.with_channel(
+        "position",
+        np.where(np.arange(1000) >= 700, 99.0, e.record["position"]),
+        "m",
+    )
+    a = casid.identify(problem(), e, hold_out=0.3)
+    b = casid.identify(problem(), casid.Experiment(spoilt, {}, "r"), hold_out=0.3)
+    assert a["k"] == b["k"]
+    assert b.held_out_rmse["r"]["position"] > 90
+
+
+def test_the_true_model_predicts_held_out_samples_to_their_noise():
+    a = casid.identify(problem(), experiment(), hold_out=0.3)
+    # sd of an rms of 300 white samples is 4 %; the parameters' own error adds two in 700.
+    assert a.held_out_rmse["r"]["position"] == pytest.approx(0.01, rel=0.16)
+
+
+def test_a_record_held_out_starts_from_an_initial_state_of_its_own():
+    other = experiment(x0=-0.4, seed=5, name="other")
+    a = casid.identify(problem(), experiment(), hold_out=[other])
+    assert a.held_out_rmse["other"]["position"] == pytest.approx(0.01, rel=0.1)
+    assert set(a.rmse) == {"r"}
+
+
+def test_a_share_that_leaves_nothing_to_fit_is_refused_with_a_better_one():
+    with pytest.raises(casid.DataError, match=r"use 0 to 0\.9, for example 0\.3"):
+        casid.identify(problem(), experiment(), hold_out=0.95)
+
+
+def test_an_improvement_is_accepted_unless_it_may_be_chance():
+    """Diebold and Mariano (1995): the mean fall of the squared error against its own spread."""
+    rng = np.random.default_rng(3)
+    noise = rng.normal(size=(1000, 1))
+    misfit = np.sin(np.arange(1000) * 0.1)[:, None]
+    assert why_no_better(noise + misfit, noise) == ""
+    assert "does not improve" in why_no_better(noise, noise + misfit)
+    other = rng.normal(size=(1000, 1))
+    other *= 0.99 * np.sqrt(np.mean(noise**2) / np.mean(other**2))  # 2 % less, and 6 % its spread
+    assert "may be chance" in why_no_better(noise, other)
+    assert "diverges" in why_no_better(noise, np.full((1000, 1), np.inf))
+
+
+def test_nothing_held_out_refuses_nothing():
+    assert why_no_better(np.zeros((0, 1)), np.zeros((0, 1))) == ""
+    assert split_records([experiment()], 0.0).is_empty

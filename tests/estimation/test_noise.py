@@ -1,0 +1,220 @@
+"""Noise of sensors and of measured inputs is told apart by what the model does to it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import casid
+from casid.estimation.noise import (
+    NoiseModel,
+    Response,
+    estimate_noise,
+    input_noise_floor,
+    noise_response,
+)
+from casid.estimation.simulation.simulation_error import (
+    SimulationError,
+    minimize_simulation_error,
+    signals_of,
+)
+from casid.model.effects.channel_effects import sensor_lag
+from casid.model.effects.structure_effects import actuator_lag
+from problems import pendulum
+from tests.support import truth
+
+OUTPUT, INPUT = 0.01, 0.01  # rad/s, m/s^2: the truth's white noise
+
+
+def record_of(hidden: truth.TruthRecord) -> casid.Record:
+    return casid.Record(
+        {n: c for n, c in hidden.columns.items() if n != "t"},
+        {n: u for n, u in hidden.units.items() if n != "t"},
+        Ts=hidden.Ts,
+    )
+
+
+def fitted(seed: int, duration: float = 60.0):
+    hidden = truth.cart_pendulum(seed=seed, duration=duration)
+    experiment = casid.Experiment(record_of(hidden), {}, "r")
+    criterion = SimulationError(pendulum.problem.model, [experiment])
+    return hidden, minimize_simulation_error(criterion)
+
+
+def test_the_noise_of_gyro_and_accelerometer_is_recovered():
+    """The resonance amplifies the accelerometer's noise: colour tells the two apart."""
+    found = []
+    for seed in range(40, 46):
+        _, fit = fitted(seed)
+        noise = estimate_noise(fit.criterion, fit.x)
+        found.append([noise.output_sd[0], noise.source_sd["accel"]])
+    mean = np.mean(found, axis=0)
+    # 6000 white samples: sd of an sd 0.9 %. The input's shows within the resonance only, some 3 %
+    # of the band and twice as many samples as bins there: 5 % a record, 2 % for the mean of six.
+    assert mean[0] == pytest.approx(OUTPUT, rel=0.02)
+    assert mean[1] == pytest.approx(INPUT, rel=0.05)
+    assert np.all(np.abs(np.array(found)[:, 0] / OUTPUT - 1) < 0.05)
+    assert np.all(np.abs(np.array(found)[:, 1] / INPUT - 1) < 0.20)
+
+
+def test_a_known_noise_is_used_and_not_estimated():
+    _, fit = fitted(40)
+    noise = estimate_noise(fit.criterion, fit.x, known={"gyro": 0.0123})
+    assert noise.output_sd[0] == pytest.approx(0.0123, rel=1e-9)
+
+
+def test_the_floor_is_the_rms_error_of_the_true_model():
+    """(1) integrated over frequency is the variance of what the true parameters leave."""
+    hidden, fit = fitted(41)
+    noise = estimate_noise(fit.criterion, fit.x)
+    rms = float(np.std(hidden.columns["gyro"] - fit.criterion.simulate(fit.x, 0)[0][:, 0]))
+    assert noise.floor(0)[0] == pytest.approx(rms, rel=0.05)
+
+
+def test_whitened_residuals_of_the_model_are_white_and_of_unit_size():
+    _, fit = fitted(41)
+    noise = estimate_noise(fit.criterion, fit.x)
+    c = fit.criterion
+    r = noise.whiten(c.simulated(fit.x, 0).residual[:, :, None] * c.weights[:, None], 0)[:, 0, 0]
+    assert np.std(r) == pytest.approx(1.0, rel=4 / np.sqrt(2 * len(r)) + 0.02)
+    spectrum = np.abs(np.fft.rfft(r)) ** 2 / len(r)
+    parts = [p.mean() for p in np.array_split(spectrum[1:], 10)]
+    # 300 bins each, exponential: sd 6 %; four of them, and the fit's own error.
+    assert parts == pytest.approx(np.ones(10), abs=0.25)
+
+
+def test_the_response_is_that_of_the_linear_model():
+    """G(i w) of (7.24), times (sin x / x)^4, x = w Ts / 2, for straight lines between samples."""
+    _, fit = fitted(41)
+    r = noise_response(fit.criterion, fit.x, 0)
+    v, c = fit.values, pendulum.problem.model.parameters
+    S = c["M"].value * c["z_g"].value
+    I_2 = v["I_x"] + c["M"].value * c["z_g"].value ** 2 - c["z_s"].value * S
+    w = r.omega / 0.01
+    s = 1j * w
+    G = s / (I_2 * s**2 + v["d"] * s + v["k"])
+    j = r.sources.index("torque")
+    band = (w > 0.5) & (w < 40.0)  # above, the spectrum folds
+    G = G * np.sinc(w * 0.01 / (2 * np.pi)) ** 2
+    assert r.gain2[band, 0, j] == pytest.approx(np.abs(G[band]) ** 2, rel=1e-3)
+    i = r.sources.index("accel")
+    assert r.gain2[band, 0, i] == pytest.approx(S**2 * np.abs(G[band]) ** 2, rel=1e-3)
+
+
+def test_the_quiet_part_of_an_inputs_spectrum_bounds_its_noise():
+    hidden = truth.cart_pendulum(seed=41)
+    experiment = casid.Experiment(record_of(hidden), {}, "r")
+    model = pendulum.problem.model
+    bound = input_noise_floor([signals_of(model, experiment)], list(model.inputs))
+    # The quietest 5 of 20 bands of 150 bins (sd of a power 8 %, tapered 10 %) lie below the mean.
+    assert 0.85 * INPUT < bound["accel"] < 1.1 * INPUT
+
+
+def test_inputs_that_act_alike_share_what_is_found_and_the_rest_is_a_disturbance():
+    """Gains of 1, 2 and 1 with bounds of 3 and 2: together 9 + 16 of the variance at most."""
+    gain2 = np.ones((5, 1, 3)) * np.array([1.0, 4.0, 1.0])
+    response = Response(np.linspace(0, np.pi, 5), gain2, ("a", "b", "force"))
+
+    def noise(variance: float) -> NoiseModel:
+        sd = {"a": variance**0.5, "b": 0.0, "force": 0.0}
+        return NoiseModel(np.ones(1), sd, [response], np.ones(1), (("a", "b", "force"),))
+
+    bounds = {"a": 3.0, "b": 2.0}
+    assert noise(25.0 / 4).of_inputs(bounds) == pytest.approx({"a": 1.5, "b": 1.0})
+    assert noise(100.0).of_inputs(bounds) == pytest.approx(bounds)
+    assert noise(0.0).of_inputs(bounds) == {"a": 0.0, "b": 0.0}
+
+
+def test_the_bound_on_an_inputs_noise_is_that_of_white_noise_however_short_the_record():
+    """Uncorrected, the quietest quarter of forty parts would lie a fifth below."""
+    rng, model = np.random.default_rng(3), pendulum.problem.model
+    units = {"gyro": "rad/s", "accel": "m/s^2"}
+    found = []
+    for _ in range(20):
+        made = []
+        for name in ("one", "two"):
+            channels = dict(zip(units, rng.standard_normal((2, 1400)), strict=True))
+            record = casid.Record(channels, units, Ts=0.02)
+            made.append(signals_of(model, casid.Experiment(record, {}, name)))
+        found.append(input_noise_floor(made, list(model.inputs))["accel"])
+    # sd of one bound is near 4 %, of the mean of twenty 1 %
+    assert np.mean(found) == pytest.approx(1.0, abs=0.04)
+
+
+def driven(extend=lambda m: m) -> SimulationError:
+    """A damped mass driven by a measured force, its position measured; 60 s at 50 Hz."""
+    m = casid.Model("damped mass")
+    x, v = m.state("x", "m", initial=0.0), m.state("v", "m/s", initial=0.0)
+    force = m.input("force", "N", hold="foh")
+    k = m.parameter("k", "N/m", start=40.0)
+    m.derivative(x, v)
+    m.balance(v, "forces", inertia=1.0, terms=[-k * x, -3.0 * v, force])
+    m.output("position", x, "m")
+    columns = {"force": np.zeros(3000), "position": np.zeros(3000)}
+    record = casid.Record(columns, {"force": "N", "position": "m"}, Ts=0.02)
+    return SimulationError(extend(m), [casid.Experiment(record, {}, "r")], weights=np.ones(1))
+
+
+def at(criterion: SimulationError, value: float) -> np.ndarray:
+    return np.array([v.start if v.name == "k" else value for v in criterion.variables])
+
+
+TAU = 0.15
+STAGES = {
+    "actuator lag": (lambda m: actuator_lag(m, "force", 1.0).extend(m), -1),
+    "sensor lag of the input": (lambda m: sensor_lag(m, "force", 1.0).extend(m), +1),
+    "sensor lag of the output": (lambda m: sensor_lag(m, "position", 1.0).extend(m), -1),
+}
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_what_lags_passes_noise_as_its_equation_says(stage):
+    """|G|^2 is that without the lag times (1 + w^2 tau^2) to the power -1, or +1 where undone."""
+    extend, power = STAGES[stage]
+    bare, lagging = driven(), driven(extend)
+    before = noise_response(bare, bare.start, 0)
+    after = noise_response(lagging, at(lagging, TAU), 0)
+    w = before.omega / 0.02
+    low = w < 20.0  # samples a tenth of that period: joined by lines they are 2 % short there
+    expected = (1 + (w * TAU) ** 2) ** power
+    found = after.gain2[:, 0, 0] / before.gain2[:, 0, 0]
+    assert found[low] == pytest.approx(expected[low], rel=0.06)
+    # A force that nobody models knows of the output's sensor, and of no input's.
+    force = after.gain2[:, 0, 1] / before.gain2[:, 0, 1]
+    assert force[low] == pytest.approx(
+        expected[low] if stage == "sensor lag of the output" else np.ones(low.sum()), rel=0.06
+    )
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_the_response_with_a_lag_is_that_of_the_simulation(stage):
+    """One noisy sample, simulated, has |G|^2 for its periodogram at every frequency."""
+    lagging = driven(STAGES[stage][0])
+    x = at(lagging, TAU)
+    r = noise_response(lagging, x, 0)
+    d = lagging.data[0]
+    u = np.zeros_like(d.u)
+    u[1000, list(lagging.model.inputs).index("force")] = 1.0
+    y = lagging.simulate(x, 0, signals=replace(d, u=u))[0][:, 0]
+    spectrum = np.abs(np.fft.rfft(y, 6000)) ** 2
+    # What rings on at the end, 40 s later, is exp(-1.5 * 40) of it.
+    assert r.gain2[1:, 0, 0] == pytest.approx(spectrum[1:], rel=1e-6, abs=1e-9 * spectrum.max())
+
+
+def test_a_sensor_that_lags_does_not_filter_its_own_noise():
+    lagging = driven(STAGES["sensor lag of the output"][0])
+    r = noise_response(lagging, at(lagging, TAU), 0)
+    noise = NoiseModel(np.array([0.1]), {"force": 0.0, "forces": 0.0}, [r], np.ones(1))
+    assert noise.spectrum(0) == pytest.approx(np.full((3001, 1), 0.01))
+
+
+def test_whitening_in_groups_is_whitening_column_by_column():
+    _, fit = fitted(41, duration=20.0)
+    noise = estimate_noise(fit.criterion, fit.x)
+    columns = np.random.default_rng(0).standard_normal((2000, 1, 19))
+    once = noise.whiten(columns, 0)
+    each = [noise.whiten(columns[:, :, [j]], 0) for j in range(19)]
+    assert any(noise.source_sd.values())
+    assert once == pytest.approx(np.concatenate(each, axis=2), abs=1e-12)

@@ -1,0 +1,175 @@
+"""Neighbours without a name: each is the model at its null value, and none another's double."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import casid
+from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.diagnosis.evidence.score_tests import score_test
+from casid.diagnosis.evidence.signal_sizes import sizes_of
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.dimensions import check_units
+from casid.model.effects.catalogue import catalogue
+from casid.model.effects.decoys import decoys, power_law
+from casid.model.effects.effect import KINDS, Effect
+from problems import pendulum
+
+Array = np.ndarray
+AREA, LEVEL = 0.01, 0.2  # m^2, m
+
+
+def tanks() -> casid.Model:
+    """Two tanks, one above the other, with outflows in proportion to the levels."""
+    m = casid.Model("cascaded tanks")
+    h1, h2 = m.state("h1", "m", start=0.15, lower=0.0), m.state("h2", "m", start=0.15, lower=0.0)
+    u = m.input("u", "m^3/s", hold="zoh", known=True)
+    k1 = m.parameter("k1", "m^2/s", start=5e-4, lower=0.0)
+    k2 = m.parameter("k2", "m^2/s", start=5e-4, lower=0.0)
+    m.balance(h1, "upper", inertia=AREA, terms=[-k1 * h1, u], unit="m^3/s")
+    m.balance(h2, "lower", inertia=AREA, terms=[k1 * h1, -k2 * h2], unit="m^3/s")
+    m.output("level", h2, "m")
+    return m
+
+
+def tank_record(power: float, N: int = 700, seed: int = 0) -> casid.Record:
+    """Outflows c |h / LEVEL|^power, Torricelli's law where it is a half; 1 mm of noise."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(0.5e-4, 2e-4, N // 50 + 1), 50)[:N]
+
+    def rates(h: Array, inflow: float) -> Array:
+        upper, lower = 1e-4 * (h / LEVEL) ** power * np.array([1.0, 1.1])
+        return np.array([inflow - upper, upper - lower]) / AREA
+
+    h, levels = np.array([0.15, 0.15]), np.empty(N)
+    for i in range(N):
+        levels[i] = h[1]
+        for _ in range(2):  # Heun's method, its steps short against the 40 s of a tank
+            first = rates(h, u[i])
+            h = h + 0.25 * (first + rates(h + 0.5 * first, u[i]))
+    levels += 1e-3 * rng.standard_normal(N)
+    return casid.Record({"u": u, "level": levels}, {"u": "m^3/s", "level": "m"}, Ts=1.0)
+
+
+def both() -> list[tuple[casid.Model, Effect]]:
+    model, system = pendulum.problem.model, tanks()
+    out = [(model, e) for e in decoys(model, "torque", 0.01)]
+    out += [(system, e) for b in system.balances for e in decoys(system, b, 0.01)]
+    laws = [power_law(system, h, LEVEL) for h in ("h1", "h2")]
+    return out + [(system, law) for law in laws if law is not None]
+
+
+@pytest.mark.parametrize(("model", "effect"), both(), ids=repr)
+def test_at_its_null_value_a_decoy_is_nothing_and_its_units_agree(
+    model: casid.Model, effect: Effect
+):
+    extended = model.extend(effect)
+    check_units(extended)
+    e, base = extended.explicit(), model.explicit()
+    import casadi as ca
+
+    rng = np.random.default_rng(2)
+    x, u, p = (rng.uniform(0.2, 1.5, v.numel()) for v in (base.x, base.u, base.p))
+    f = ca.Function("f", [e.x, e.u, e.p], [e.f])(x, u, [*p, effect.parameters[0].start])
+    before = ca.Function("f", [base.x, base.u, base.p], [base.f])(x, u, p)
+    assert np.allclose(f, before, rtol=1e-13, atol=1e-13)
+
+
+def test_decoys_are_unknown_each_by_its_shape():
+    for _, effect in both():
+        assert effect.kind == "unknown"
+        assert effect.shape
+        assert effect.description.startswith("a f")
+    found = decoys(pendulum.problem.model, "torque", 0.01)
+    assert len({e.key for e in found}) == len(found) == 7
+    assert found[0].key == ("unknown", "torque: p^3")
+    assert "unknown" in KINDS
+
+
+def test_a_tank_has_no_position_and_no_decoys_of_one():
+    shapes = {e.shape for e in decoys(tanks(), "upper", 0.01)}
+    assert shapes == {"h1^3", "h1^2", "sqrt|h1|"}
+
+
+def test_no_two_effects_of_the_pendulums_torque_have_one_signature():
+    """Cosines of whitened signatures, the baseline's tangent projected off: |c| = 1 is a double."""
+    record = pendulum.simulate(duration=20.0, seed=3)
+    experiments = [casid.Experiment(record, {}, "r")]
+    model = pendulum.problem.model.with_known(m=0.0)
+    fit = fit_model(model, experiments, FitSettings(starts=1))
+    at = Weighing(experiments).weigh(model, fit, rounds=1)
+    every = [e for e in catalogue(model, sizes_of(at, {}), {}) if e.key[1].startswith("torque")]
+    every = [e for e in every if e.kind != "offset"]  # the initial angle absorbs it
+    table = score_test(at.fit, every, input_sd=at.input_sd, draws=200)
+    assert len(every) >= 11
+    assert min(s.visible for s in table.scores) > 1e-4
+    c = np.abs(table.cosines - np.eye(len(every)))
+    assert np.max(c) < 0.99
+
+
+def test_a_power_law_changes_the_flow_in_every_tank_that_it_enters():
+    """x_ref (x / x_ref)^n: the same at x_ref, and n times as steep there."""
+    import casadi as ca
+
+    model = tanks()
+    effect = power_law(model, "h1", LEVEL)
+    assert effect is not None
+    assert effect.where == "upper"
+    extended, names = effect.extended(model)
+    assert extended.parameters[names[0]].start == 1.0
+    e = extended.explicit()
+    slope = ca.Function("s", [e.x, e.u, e.p], [ca.jacobian(e.f, e.x)])
+    f = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    value = {"k1": 5e-4, "k2": 3e-4, "A": AREA, names[0]: 0.5}
+    p = [value[n] for n in e.parameters]
+    at = [LEVEL, 0.3]
+    assert np.ravel(f(at, [0.0], p)) == pytest.approx(
+        np.array([-5e-4 * LEVEL, 5e-4 * LEVEL - 3e-4 * 0.3]) / AREA, rel=1e-9
+    )
+    # The rounding near zero is a millionth of the slope at x_ref.
+    expected = np.array([[-0.5 * 5e-4, 0.0], [0.5 * 5e-4, -3e-4]]) / AREA
+    assert np.array(slope(at, [0.0], p)) == pytest.approx(expected, rel=1e-5)
+
+
+def test_springs_and_speeds_with_a_position_follow_no_power_law():
+    model = pendulum.problem.model
+    assert power_law(model, "phi", 0.1) is None
+    assert power_law(model, "p", 0.1) is None
+
+
+def test_the_sensitivity_to_an_exponent_is_its_derivative():
+    model = tanks()
+    effect = power_law(model, "h1", LEVEL)
+    assert effect is not None
+    extended, names = effect.extended(model)
+    record = casid.Experiment(tank_record(0.5, N=200), {}, "r")
+    c = SimulationError(extended, [record], start={names[0]: 0.8})
+    i = c.names.index(names[0])
+    jacobian = c.simulated(c.start, 0).jacobian[:, 0, i]
+    up, down = c.start, c.start
+    up[i] += 1e-5
+    down[i] -= 1e-5
+    slope = (c.simulate(up, 0)[0] - c.simulate(down, 0)[0])[:, 0] / 2e-5
+    assert np.max(np.abs(jacobian - slope)) < 1e-6 * np.max(np.abs(slope))
+
+
+def test_torricellis_law_is_recovered_as_a_power_of_one_half():
+    """Both outflows free; the estimate within three standard errors of white output noise."""
+    model = tanks()
+    for state in ("h1", "h2"):
+        effect = power_law(model, state, LEVEL)
+        assert effect is not None
+        model = model.extend(effect)
+    fit = fit_model(
+        model, [casid.Experiment(tank_record(0.5), {}, "r")], FitSettings(starts=1, substeps=1)
+    )
+    c = fit.criterion
+    r, j = c.columns(fit.x, 0)
+    covariance = np.linalg.inv(np.einsum("kin,kim->nm", j, j)) * np.var(r)
+    for state in ("h1", "h2"):
+        i = c.names.index(f"exponent_{state}")
+        sd = float(np.sqrt(covariance[i, i]))
+        assert sd < 0.05
+        assert fit.x[i] == pytest.approx(0.5, abs=3 * sd)

@@ -1,0 +1,232 @@
+"""Actuators lag as their equation says; a part that swings along acts back with its inertia."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casid
+from casid.estimation.simulation.simulation_error import SimulationError, minimize_simulation_error
+from casid.estimation.simulation.simulator import Simulator
+from casid.model.effects.effect import Sizes
+from casid.model.effects.structure_effects import (
+    MODES,
+    actuator_lag,
+    missing_mode,
+    missing_modes_of,
+    mode_frequencies,
+    structure_effects_of,
+)
+from problems import pendulum
+
+TS = 0.02
+N = 700
+T = TS * np.arange(N)
+M, D, K = 2.0, 1.5, 50.0
+COMMAND = np.repeat(np.random.default_rng(4).standard_normal(N // 14), 14)
+SIZES = Sizes({"x": 0.1, "v": 1.0}, {}, (0.0, N * TS), 0.1)
+
+
+def oscillator(kind: str = "foh", known: bool = True) -> casid.Model:
+    m = casid.Model("oscillator")
+    x, v = m.state("x", "m", initial=0.0), m.state("v", "m/s", initial=0.0)
+    force = m.input("force", "N", hold=kind, known=known)
+    k = m.parameter("k", "N/m", start=K)
+    m.derivative(x, v)
+    m.balance(v, "force balance", inertia=M, terms=[-k * x, -D * v, force])
+    m.output("position", x, "m")
+    return m
+
+
+def criterion_of(model, force=COMMAND, y=None) -> SimulationError:
+    y = np.zeros(len(force)) if y is None else y
+    record = casid.Record({"force": force, "position": y}, {"force": "N", "position": "m"}, Ts=TS)
+    return SimulationError(model, [casid.Experiment(record, {}, "r")], weights=np.ones(1))
+
+
+def at(criterion, **values: float) -> np.ndarray:
+    return np.array([values.get(v.name, v.start) for v in criterion.variables])
+
+
+def positions(model, force=COMMAND, **values: float) -> np.ndarray:
+    criterion = criterion_of(model, force)
+    return criterion.simulate(at(criterion, **values), 0)[0][:, 0]
+
+
+def held_through_a_lag(tau: float, command=COMMAND) -> np.ndarray:
+    """The plant behind the actuator, its command held, by scipy from sample to sample."""
+
+    def rate(_t, z, u):
+        x, v, a = z
+        return [v, (-K * x - D * v + a) / M, (u - a) / tau]
+
+    z, out = np.array([0.0, 0.0, command[0]]), np.empty(len(command))
+    for i, u in enumerate(command):
+        out[i] = z[0]
+        z = solve_ivp(rate, (0, TS), z, args=(u,), rtol=1e-9, atol=1e-12).y[:, -1]
+    return out
+
+
+@pytest.mark.parametrize("kind", ["zoh", "foh"])
+@pytest.mark.parametrize("tau", [0.0, 0.004, 0.03, 0.5])
+def test_the_lag_of_an_actuator_has_the_derivative_of_what_is_computed(tau, kind):
+    m = oscillator(kind)
+    model, (name,) = actuator_lag(m, "force", 2.0).extended(m)
+    if tau == 0.0:
+        assert positions(model) == pytest.approx(positions(m), abs=1e-15)
+    criterion = criterion_of(model)
+    jac = criterion.simulate(at(criterion, **{name: tau}), 0, tangent=True)[2][:, 0]
+    jac = jac[:, criterion.names.index(name)]
+    s = 1e-6
+    if tau == 0.0:
+        y = [positions(model, **{name: k * s}) for k in range(3)]
+        slope = (-3 * y[0] + 4 * y[1] - y[2]) / (2 * s)
+    else:
+        slope = (positions(model, **{name: tau + s}) - positions(model, **{name: tau - s})) / 2 / s
+    assert jac == pytest.approx(slope, abs=1e-5 * np.abs(jac).max())
+
+
+def test_at_first_order_a_short_lag_is_a_delay_without_half_a_sample_of_error():
+    """dy/dtau at tau = 0 is -dy/dt of a plant that was at rest before the record."""
+    m = oscillator("zoh")
+    model, (name,) = actuator_lag(m, "force", 1.0).extended(m)
+    criterion = criterion_of(model, np.where(T < 14 * TS, 0.0, COMMAND))
+    jac = criterion.simulate(at(criterion), 0, tangent=True)[2][:, 0, criterion.names.index(name)]
+    _, states, _ = criterion.simulate(at(criterion), 0)
+    v = states[:, 1]
+    assert np.abs(jac + v).max() < 0.002 * np.abs(v).max()
+    late = np.abs(jac[1:] + v[:-1]).max()
+    assert late > 0.05 * np.abs(v).max()  # what a whole sample would be
+
+
+@pytest.mark.parametrize("tau", [0.005, 0.02, 0.15])
+def test_a_held_command_behind_a_lag_moves_the_plant_as_scipy_says(tau):
+    """Mean and first moment of the actuator's motion are exact: what is left is Ts^3 w^2 / 60."""
+    m = oscillator("zoh")
+    y = positions(actuator_lag(m, "force", 2.0).extend(m), tau_force=tau)
+    exact = held_through_a_lag(tau)
+    assert np.abs(y - exact).max() < 3e-4 * np.abs(exact).max()
+
+
+def test_a_refit_finds_the_lag_of_the_actuator():
+    m = oscillator("zoh")
+    sd, true = 1e-4, 0.04
+    y = held_through_a_lag(true) + sd * np.random.default_rng(1).standard_normal(N)
+    model = actuator_lag(m, "force", 0.5).extend(m)
+    fit = minimize_simulation_error(criterion_of(model, y=y))
+    i = fit.criterion.names.index("tau_force")
+    error = sd * np.sqrt(np.linalg.inv(fit.solution.hessian)[i, i])
+    assert abs(fit.x[i] - true) < 3 * error
+    assert true > 20 * error
+
+
+def test_only_recorded_commands_lag_and_only_once():
+    m = oscillator()
+    extended = actuator_lag(m, "force", 0.5).extend(m)
+    with pytest.raises(casid.ModelError, match="through a lag already; extend the model before"):
+        actuator_lag(extended, "force", 0.5)
+    assert structure_effects_of(extended, SIZES) == []
+    with pytest.raises(casid.ModelError, match="ask for sensor_lag of such a channel"):
+        actuator_lag(pendulum.problem.model, "accel", 0.5)
+    assert structure_effects_of(pendulum.problem.model, SIZES) == []
+
+
+# -- modes ----------------------------------------------------------------------------------------
+
+OMEGA, ZETA, J = 7.0, 0.04, 0.3
+
+
+def with_an_appendage() -> np.ndarray:
+    """Body and appendage as two masses in absolute coordinates, by scipy."""
+
+    def rate(t, z):
+        x, v, s, r = z
+        pull = J * (OMEGA**2 * (s - x) + 2 * ZETA * OMEGA * (r - v))
+        return [v, (-K * x - D * v + pull + np.interp(t, T, COMMAND)) / M, r, -pull / J]
+
+    solved = solve_ivp(rate, (0, T[-1]), np.zeros(4), t_eval=T, max_step=TS, rtol=1e-8, atol=1e-11)
+    return solved.y[0]
+
+
+def test_a_part_that_swings_along_moves_the_body_as_two_masses_do():
+    m = oscillator()
+    model = missing_mode(m, "force balance", OMEGA).extend(m, starts={"J_m": J, "zeta_m": ZETA})
+    exact = with_an_appendage()
+    y = positions(model)
+    assert np.abs(y - exact).max() < 3e-4 * np.abs(exact).max()
+    assert np.abs(positions(m) - exact).max() > 0.1 * np.abs(exact).max()
+
+
+def test_a_refit_from_a_neighbouring_frequency_finds_the_mode():
+    m = oscillator()
+    sd = 2e-4
+    y = with_an_appendage() + sd * np.random.default_rng(2).standard_normal(N)
+    model = missing_mode(m, "force balance", 6.0).extend(m, starts={"J_m": 0.1})
+    fit = minimize_simulation_error(criterion_of(model, y=y))
+    errors = sd * np.sqrt(np.diag(np.linalg.inv(fit.solution.hessian)))
+    for name, true in (("J_m", J), ("omega_m", OMEGA), ("zeta_m", ZETA)):
+        i = fit.criterion.names.index(name)
+        assert abs(fit.x[i] - true) < 3 * errors[i]
+        assert true > 5 * errors[i]
+
+
+def test_without_inertia_the_mode_is_not_there_and_its_other_parameters_are_known():
+    m = oscillator()
+    effect = missing_mode(m, "force balance", OMEGA)
+    model, names = effect.extended(m)
+    assert positions(model) == pytest.approx(positions(m), abs=1e-15)
+    assert [model.parameters[n].is_known for n in names] == [False, True, True]
+    fitted, names = effect.extended(m, starts={"J_m": 0.1})
+    assert [fitted.parameters[n].is_known for n in names] == [False, False, False]
+
+
+def test_pinned_at_zero_a_mode_costs_no_sensitivities_and_its_own_stays_exact():
+    m = oscillator()
+    effect = missing_mode(m, "force balance", OMEGA)
+    free, (name, *_) = effect.extended(m)
+    pinned, _ = effect.extended(m, upper=0.0)
+    jacs = []
+    for model in (free, pinned):
+        criterion = criterion_of(model)
+        jacs.append(criterion.simulate(at(criterion), 0, tangent=True)[2])
+    assert jacs[1] == pytest.approx(jacs[0], abs=1e-12 * np.abs(jacs[0]).max())
+    s = 1e-5
+    slope = (positions(free, **{name: s}) - positions(free)) / s
+    i = criterion_of(free).names.index(name)
+    assert jacs[0][:, 0, i] == pytest.approx(slope, abs=1e-3 * np.abs(slope).max())
+    simulator = Simulator(pinned, TS, ["k", name], pinned={name: 0.0})
+    full = Simulator(pinned, TS, ["k", name])
+    p = np.array([q.start if q.value is None else q.value for q in pinned.parameters.values()])
+    u = COMMAND[:, None]
+    a, b = (s.sensitivities(u, p, np.zeros(4)) for s in (simulator, full))
+    assert a.dy == pytest.approx(b.dy, abs=1e-12)
+    assert a.dx_end is not None
+    assert a.dx_end.shape == (4, 6)
+
+
+def test_modes_are_sought_in_balances_of_inertia_from_slow_to_fast():
+    tanks = casid.Model("tank")
+    h = tanks.state("h", "m")
+    tanks.balance(
+        h, "volume", inertia=1.0, terms=[-tanks.parameter("c", "m^2/s") * h], unit="m^3/s"
+    )
+    tanks.output("level", h, "m")
+    sizes = Sizes({"h": 1.0}, {}, (0.0, 60.0), 0.1)
+    assert missing_modes_of(tanks, sizes) == []
+    found = missing_modes_of(oscillator(), SIZES, TS)
+    assert len(found) == MODES
+    assert len({e.key for e in found}) == 1
+    assert found[0].parameters[0].unit == "N s^2/m"
+    frequencies = mode_frequencies(SIZES, TS)
+    assert frequencies[0] == pytest.approx(2 * np.pi * 4 / (N * TS))
+    assert frequencies[-1] == pytest.approx(np.pi / TS / 3)
+
+
+def test_a_mode_of_an_indirect_model_stays_in_its_direct_one():
+    m = pendulum.problem.model
+    model = missing_mode(m, "torque", 9.0).extend(m, starts={"J_m": 0.01})
+    direct = model.direct()
+    assert {"q_m", "v_m"} < set(direct.states)
+    assert "a_y" in direct.inputs
+    direct.explicit()

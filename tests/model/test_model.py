@@ -1,0 +1,211 @@
+"""The model: solved as its equations stand, extended without change, refused with a mend."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from casid.errors import ModelError
+from casid.model.effects.balance_effects import (
+    coulomb_friction,
+    cubic_stiffness,
+    offset,
+    quadratic_damping,
+)
+from casid.model.model import Model, Parameter
+
+
+def oscillator() -> Model:
+    m = Model("oscillator")
+    q, v = m.state("q", "m"), m.state("v", "m/s")
+    F = m.input("F", "N")
+    M, d, k = m.parameter("M", "kg"), m.parameter("d", "N s/m"), m.parameter("k", "N/m")
+    m.derivative(q, v)
+    m.balance(v, "force", inertia=M, terms=[F, -d * v, -k * q])
+    m.output("q", q, "m")
+    return m
+
+
+def rates(model: Model, x, u, **values):
+    e = model.explicit()
+    f = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    return np.array(f(x, u, [values[n] for n in e.parameters])).ravel()
+
+
+def test_a_balance_divided_by_its_inertia_is_the_rate():
+    got = rates(oscillator(), [0.3, -0.7], [1.1], M=2.0, d=0.5, k=3.0)
+    np.testing.assert_allclose(got, [-0.7, (1.1 + 0.5 * 0.7 - 3.0 * 0.3) / 2.0], rtol=1e-15)
+
+
+def test_coupled_inertias_are_solved_together():
+    """[[a, c], [c, b]] [v1'; v2'] = [F; 0]: derivatives may stand in each other's balances."""
+    m = Model("two masses joined by a massive link")
+    v, w = m.state("v", "m/s"), m.state("w", "m/s")
+    F = m.input("F", "N")
+    a, b, c = m.parameter("a", "kg"), m.parameter("b", "kg"), m.parameter("c", "kg")
+    m.balance(v, "first", inertia=a, terms=[F, -c * m.der(w)])
+    m.balance(w, "second", inertia=b, terms=[-c * m.der(v)])
+    m.output("v", v, "m/s")
+    got = rates(m, [0.0, 0.0], [1.3], a=2.0, b=3.0, c=0.5)
+    np.testing.assert_allclose(got, np.linalg.solve([[2.0, 0.5], [0.5, 3.0]], [1.3, 0.0]))
+
+
+def test_a_derivative_in_an_output_is_the_solved_one():
+    m = oscillator()
+    m.output("accel", m.der("v"), "m/s^2")
+    e = m.explicit()
+    h = ca.Function("h", [e.x, e.u, e.p], [e.h])
+    p = [{"M": 2.0, "d": 0.5, "k": 3.0}[n] for n in e.parameters]
+    assert float(h([0.3, -0.7], [1.1], p)[1]) == pytest.approx((1.1 + 0.35 - 0.9) / 2.0)
+
+
+@pytest.mark.parametrize("make", [quadratic_damping, offset, cubic_stiffness])
+def test_an_extended_model_at_the_null_value_is_the_model(make):
+    base = oscillator()
+    effect = make(base, "force")
+    extended = base.extend(effect)
+    name = effect.parameters[0].name
+    values = {"M": 2.0, "d": 0.5, "k": 3.0}
+    np.testing.assert_allclose(
+        rates(extended, [0.3, -0.7], [1.1], **values, **{name: 0.0}),
+        rates(base, [0.3, -0.7], [1.1], **values),
+        rtol=1e-15,
+    )
+    assert name not in base.parameters
+
+
+def test_friction_smoothed_below_no_speed_is_the_sign_of_the_rate():
+    extended = oscillator().extend(coulomb_friction(oscillator(), "force", speed=1e-9))
+    values = {"M": 2.0, "d": 0.0, "k": 0.0, "F_c": 0.4}
+    for v in (-0.7, 0.7):
+        assert rates(extended, [0.0, v], [0.0], **values)[1] == pytest.approx(-np.sign(v) * 0.2)
+
+
+def test_copies_with_known_or_unknown_parameters_leave_the_model_alone():
+    m = oscillator()
+    known = m.with_known(M=2.0)
+    assert known.parameters["M"].is_known
+    assert not m.parameters["M"].is_known
+    again = known.with_unknown("M")
+    assert not again.parameters["M"].is_known
+    assert again.parameters["M"].start == 2.0
+
+
+def test_the_position_of_a_rate_is_the_state_it_is_the_derivative_of():
+    assert oscillator().position_of("v") == "q"
+    assert oscillator().position_of("q") is None
+
+
+def test_a_constant_is_known_and_marked_as_one():
+    m = Model("falling")
+    m.constant("g", 9.81, "m/s^2")
+    assert m.parameters["g"].is_known
+    assert m.parameters["g"].is_constant
+
+
+def test_a_model_prints_its_equations():
+    text = str(oscillator())
+    assert "1 input" in text
+    assert "force" in text
+    assert "[N]" in text
+
+
+# -- refusals ----------------------------------------------------------------------------------
+
+
+def test_a_state_without_an_equation_is_refused():
+    m = Model("half a model")
+    x = m.state("x", "m")
+    m.output("x", x, "m")
+    with pytest.raises(ModelError, match=r"state x has no equation; state one with derivative"):
+        m.explicit()
+
+
+def test_a_model_without_a_state_is_refused_with_what_fits_it():
+    m = Model("static")
+    u = m.input("u", "V")
+    m.output("y", m.parameter("a", "1") * u, "V")
+    with pytest.raises(ModelError, match="has no state.*casid.regress"):
+        m.explicit()
+
+
+def test_two_equations_for_a_state_are_refused():
+    m = oscillator()
+    with pytest.raises(ModelError, match=r"state v has two equations; drop one"):
+        m.derivative(m.symbol("v"), m.symbol("F"))
+
+
+def test_a_name_declared_twice_is_refused():
+    m = oscillator()
+    with pytest.raises(ModelError, match=r"'k' declared twice; give it another name"):
+        m.parameter("k", "N/m")
+
+
+def test_an_inertia_that_vanishes_is_refused():
+    m = Model("massless")
+    v = m.state("v", "m/s")
+    F, M = m.input("F", "N"), m.parameter("M", "kg")
+    m.balance(v, "force", inertia=M - M, terms=[F])
+    m.output("v", v, "m/s")
+    with pytest.raises(ModelError, match=r"do not determine der_v.*inertia must not be zero"):
+        m.explicit()
+
+
+def test_a_mistyped_parameter_is_answered_with_the_nearest():
+    m = Model("long names")
+    m.parameter("stiffness", "N/m")
+    with pytest.raises(ModelError, match=r"did you mean 'stiffness'"):
+        m.with_known(stifness=1.0)
+
+
+def test_a_hold_that_is_none_is_refused():
+    with pytest.raises(ModelError, match=r"use 'zoh' or 'foh'"):
+        Model("m").input("F", "N", hold="linear")  # type: ignore[arg-type]
+
+
+def test_bounds_are_checked_when_a_parameter_is_declared():
+    with pytest.raises(ModelError, match=r"above the upper bound .*exchange them"):
+        Parameter("k", "N/m", 1.0, 2.0, 0.0)
+    with pytest.raises(ModelError, match=r"outside its bounds .*move the start inside"):
+        Parameter("k", "N/m", 5.0, 0.0, 2.0)
+
+
+def test_only_an_unknown_input_is_eliminated():
+    m = oscillator()
+    with pytest.raises(ModelError, match=r"'F' is not an unknown input; declare it with"):
+        m.eliminate("F", using="q")
+
+
+def test_an_unknown_input_left_in_a_model_is_refused_before_estimating():
+    from casid.data.record import Experiment, Record
+    from casid.estimation.simulation.simulation_error import signals_of
+
+    m = Model("mass in the wind")
+    v, w = m.state("v", "m/s"), m.unknown_input("w", "N")
+    m.balance(v, "force", inertia=m.parameter("M", "kg"), terms=[w])
+    m.output("v", v, "m/s")
+    record = Record({"v": np.zeros(50)}, {"v": "m/s"}, Ts=0.1)
+    with pytest.raises(ModelError, match=r"input w is unknown; eliminate it"):
+        signals_of(m, Experiment(record, {}, "r"))
+
+
+def test_an_input_is_eliminated_with_an_output_that_feels_it_through_a_derivative_alone() -> None:
+    """An accelerometer on mass 1 shows the unknown force on it, once the balance is read back."""
+    m = Model("two masses")
+    x1, v1 = m.state("x1", "m"), m.state("v1", "m/s")
+    x2, v2 = m.state("x2", "m"), m.state("v2", "m/s")
+    f = m.unknown_input("f", "N")
+    k, M1, M2 = m.parameter("k", "N/m"), m.parameter("M1", "kg"), m.parameter("M2", "kg")
+    m.derivative(x1, v1)
+    m.derivative(x2, v2)
+    m.balance(v1, "first", inertia=M1, terms=[k * (x2 - x1), f])
+    m.balance(v2, "second", inertia=M2, terms=[k * (x1 - x2)])
+    m.output("accel", m.der(v1), "m/s^2")
+    m.output("position", x2, "m")
+    e = m.eliminate(f, using="accel").explicit()
+    rates = ca.Function("f", [e.x, e.u, e.p], [e.f])
+    x = [0.1, 0.2, 0.3, 0.4]
+    assert np.array(rates(x, [5.0], [2.0, 3.0, 4.0])).ravel() == pytest.approx(
+        [0.2, 5.0, 0.4, 2.0 * (0.1 - 0.3) / 4.0]
+    )

@@ -1,0 +1,172 @@
+"""Units are a fixed list of names, with pint as the authority."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from casid.errors import DataError, UnitError
+from casid.model.units import (
+    BASE_UNITS,
+    parse_unit,
+    pint_expression,
+    same_dimension,
+    si_unit,
+    to_si,
+    unit_aliases,
+    unit_names,
+    unit_quotient,
+)
+
+COMPOSITE = [
+    "deg/s", "m/s^2", "m/s2", "m/s²", "N m", "N*m", "N·m", "N m s/rad", "kg m^2", "N s^2/m^2",
+    "N m s^2/rad^2", "N/(m s)", "kg m^2/s^2", "1/s", "s-1", "V^0.5/s", "m^(1/2)", "kN s/m",
+    "deg/s^2", "N/m/s", "kg**2 m", "rad/V", "g0/V", "km / h", "1/(rpm^2)",
+]  # fmt: skip
+
+_PINT = [
+    "[mass]", "[length]", "[time]", "[current]", "[temperature]", "[substance]", "[luminosity]"
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def registry():
+    pint = pytest.importorskip("pint")
+    return pint.UnitRegistry(autoconvert_offset_to_baseunit=True)
+
+
+@pytest.mark.parametrize("text", [*unit_names(), *unit_aliases(), *COMPOSITE])
+def test_every_unit_converts_as_pint_says(text, registry):
+    """Two values fix factor and offset; the dimension is pint's, exponent for exponent."""
+    unit = parse_unit(text)
+    for value in (0.0, 3.7):
+        quantity = registry.Quantity(value, registry.parse_units(pint_expression(text)))
+        expected = quantity.to_base_units()
+        got = float(to_si(value, text))
+        # Twenty roundings of one unit in the last place each are room enough for any product.
+        assert got == pytest.approx(expected.magnitude, rel=20 * 2**-52, abs=1e-13)
+    exponents = dict(expected.dimensionality)
+    assert unit.dimension == tuple(
+        Fraction(exponents.get(name, 0)).limit_denominator(12) for name in _PINT
+    )
+    assert len(unit.dimension) == len(BASE_UNITS)
+
+
+@pytest.mark.parametrize("text", [*unit_names(), *unit_aliases(), *COMPOSITE])
+def test_the_si_text_measures_the_same_dimension_and_needs_no_conversion(text):
+    assert same_dimension(text, si_unit(text))
+    assert parse_unit(si_unit(text)).is_si
+    assert si_unit(si_unit(text)) == si_unit(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "si"),
+    [("deg/s", "rad/s"), ("kn", "m/s"), ("rpm", "rad/s"), ("kN m s^2/deg^2", "N m s^2/rad^2"),
+     ("km/h", "m/s"), ("%", "1"), ("N s/(m rad)", "N s/(m rad)"), ("V^0.5/s", "V^(1/2)/s"),
+     ("degC", "K"), ("g0", "m/s^2")],
+)  # fmt: skip
+def test_si_text_is_written_as_engineers_write_it(text, si):
+    assert si_unit(text) == si
+
+
+@pytest.mark.parametrize(
+    ("unit", "other", "power", "quotient"),
+    [("N m", "rad/s", 2, "N m s^2/rad^2"), ("kN", "s", 1, "N/s"), ("m", "m", 1, "1"),
+     ("deg/s", "m", -1, "rad m/s"), ("1", "rad", 1, "1/rad")],
+)  # fmt: skip
+def test_the_quotient_of_two_units_is_written_in_si(unit, other, power, quotient):
+    assert unit_quotient(unit, other, power) == quotient
+    divided = parse_unit(f"({quotient})" if "/" not in quotient else quotient).dimension
+    pairs = zip(parse_unit(unit).dimension, parse_unit(other).dimension, strict=True)
+    assert divided == tuple(a - power * b for a, b in pairs)
+
+
+def test_kilonewton_and_knot_are_told_apart_by_case():
+    assert to_si(1.0, "kN") == 1000.0
+    assert to_si(1.0, "kn") == pytest.approx(1852 / 3600)
+    assert not same_dimension("kN", "kn")
+
+
+@pytest.mark.parametrize(
+    ("text", "choices"),
+    [("KN", ("kN", "kn")), ("nm", ("nmi", "N m", "nanometre")), ("g", ("gram", "g0")),
+     ("M", ("metre",)), ("T", ("tonne", "s (time)")), ("m/g", ("gram", "g0")),
+     ("ton", ("1000 kg", "907")), ("kg m/S", ("second",))],
+)  # fmt: skip
+def test_a_name_with_two_readings_is_refused_with_the_choice_named(text, choices):
+    with pytest.raises(UnitError, match="ambiguous") as caught:
+        parse_unit(text)
+    assert all(choice in str(caught.value) for choice in choices)
+    assert "Write which" in str(caught.value)
+
+
+def test_a_quotient_with_two_readings_is_refused_with_both_ways_of_writing_it():
+    with pytest.raises(UnitError, match="two ways") as caught:
+        parse_unit("N/m s")
+    assert "'N s/m'" in str(caught.value)
+    assert "'N/(m s)'" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["10", "m/", "m^", "(m", "m)", "/s", "m**", "*m", "m^(1/0)", "2 m"]
+)
+def test_text_that_is_no_unit_is_refused_with_an_example(text):
+    with pytest.raises(UnitError, match="for example"):
+        parse_unit(text)
+
+
+def test_an_unknown_name_is_refused_with_the_nearest():
+    with pytest.raises(UnitError, match="Nearest: kg"):
+        parse_unit("Kg m^2")
+    with pytest.raises(UnitError, match="must be text"):
+        parse_unit(1.0)  # type: ignore[arg-type]
+
+
+def test_a_temperature_with_an_offset_stands_for_itself_only():
+    assert to_si([0.0, 20.0], "degC").tolist() == [273.15, 293.15]
+    with pytest.raises(UnitError, match="Write K"):
+        parse_unit("W/degC")
+
+
+def test_a_unit_of_another_dimension_is_refused_with_both_named():
+    with pytest.raises(UnitError, match=r"'kn' measures m/s, but 'N' measures kg m/s\^2") as caught:
+        to_si([1.0], "kn", "N")
+    assert "map another column" in str(caught.value)
+    assert isinstance(caught.value, DataError)
+
+
+def test_hertz_is_no_angular_rate_but_rpm_is():
+    assert to_si(60.0, "rpm", "rad/s") == pytest.approx(2 * math.pi)
+    with pytest.raises(UnitError, match="2 pi.*rev/s or rpm"):
+        to_si(1.0, "Hz", "rad/s")
+
+
+@given(
+    value=st.floats(-1e6, 1e6),
+    text=st.sampled_from(
+        [n for n in unit_names() if parse_unit(n).offset == 0.0 and n not in {"1", "km/h"}]
+    ),
+    power=st.integers(1, 3),
+)
+def test_a_unit_and_its_reciprocal_undo_each_other(value, text, power):
+    there = to_si(value, f"{text}^{power}")
+    assert to_si(there, f"1/{text}^{power}") == pytest.approx(value, rel=1e-12)
+
+
+@given(factors=st.permutations(["kN", "m", "s^2", "deg^-1"]))
+def test_the_order_of_factors_does_not_matter(factors):
+    unit = parse_unit(" ".join(factors))
+    assert unit.dimension == parse_unit("kN m s^2/deg").dimension
+    assert unit.factor == pytest.approx(1000 * 180 / math.pi, rel=1e-14)
+
+
+def test_conversion_keeps_the_shape_and_leaves_its_argument_alone():
+    values = np.ones((3, 2))
+    assert to_si(values, "deg").shape == (3, 2)
+    to_si(values, "m")[0, 0] = 7.0
+    assert values[0, 0] == 1.0

@@ -1,0 +1,130 @@
+"""The report in a browser: it draws every figure, fits a phone, and runs no script but its own."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from casid.report.figures.diagnosis import diagnosis_figures
+from casid.report.pages.diagnosis_page import diagnosis_page
+from tests.support import samples
+
+
+@pytest.fixture(scope="module")
+def rich() -> str:
+    return diagnosis_page(samples.rich())
+
+
+@pytest.fixture(scope="module")
+def hostile() -> str:
+    return diagnosis_page(samples.hostile())
+
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+BROWSER = os.environ.get("CASID_CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), None)
+in_browser = pytest.mark.skipif(
+    BROWSER is None, reason="no Chromium found; name one in CASID_CHROMIUM"
+)
+WIDTHS = (1280, 390)
+PROBE = """<script>window.addEventListener("load", function () {
+  var wide = Array.prototype.filter.call(document.querySelectorAll("body *"), function (e) {
+    return e.getBoundingClientRect().right > innerWidth + 1 && !e.closest(".scroll, .plot");
+  }).map(function (e) { return e.tagName + "." + e.className; });
+  var out = document.createElement("pre");
+  out.textContent = "PROBE " + document.documentElement.scrollWidth + " " + innerWidth + " " +
+    wide.length + " END";
+  document.body.appendChild(out);
+  parent.postMessage(out.textContent, "*");
+});</script>"""
+FRAMES = """<!DOCTYPE html><body style="margin:0"><pre id="out"></pre><script>
+window.addEventListener("message", function (e) {
+  document.getElementById("out").textContent += e.data; });
+</script>""" + "".join(
+    f'<iframe src="page.html" style="width:{width}px;height:2000px;border:0"></iframe>'
+    for width in WIDTHS
+)
+
+
+def browse(path: Path, tmp: Path, *arguments: str) -> tuple[str, list[str]]:
+    """The DOM after the scripts ran, and what the page said on the console."""
+    done = subprocess.run(
+        [
+            str(BROWSER),
+            *"--headless --no-sandbox --disable-gpu --disable-quic --no-first-run".split(),
+            *"--disable-background-networking --disable-component-update --disable-sync".split(),
+            f"--user-data-dir={tmp / 'profile'}",
+            *"--enable-logging=stderr --v=0 --hide-scrollbars".split(),
+            "--virtual-time-budget=5000",
+            *arguments,
+            path.as_uri(),
+        ],
+        capture_output=True,
+        timeout=60,
+        check=False,
+    )
+    console = [s for s in done.stderr.decode(errors="replace").splitlines() if "CONSOLE" in s]
+    return done.stdout.decode(errors="replace"), console
+
+
+@in_browser
+def test_a_script_that_slipped_into_the_page_is_refused(rich, tmp_path):
+    path = tmp_path / "page.html"
+    intruder = "<script>document.title = 'intruder';</script></body></html>"
+    path.write_text(rich.replace("</body></html>", intruder), encoding="utf-8")
+    dom, console = browse(path, tmp_path, "--window-size=1280,2000", "--dump-dom")
+    assert "<title>intruder" not in dom
+    assert len(console) == 1
+    assert "Content Security Policy" in console[0]
+
+
+def probed(page: str) -> str:
+    """The page with a script of the test's own, which its policy would stop."""
+    page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page, count=1)
+    return page.replace("</body></html>", PROBE + "</body></html>")
+
+
+@in_browser
+@pytest.mark.parametrize("name", ["rich", "hostile"])
+def test_a_browser_draws_every_figure_without_a_complaint(name, request, tmp_path):
+    path = tmp_path / "page.html"
+    path.write_text(request.getfixturevalue(name), encoding="utf-8")
+    dom, console = browse(path, tmp_path, "--window-size=1280,2000", "--dump-dom")
+    assert console == []  # an error, a refused script or an uncaught exception would be a line
+    plots = re.split(r'<div class="plot[ "]', dom)[1:]
+    figures = len(diagnosis_figures(getattr(samples, name)()))
+    assert len(plots) == figures
+    assert all('class="main-svg"' in p for p in plots)
+    if name == "hostile":
+        assert "<img" not in dom
+        assert dom.count("<script") == figures + 2
+        assert "&lt;script&gt;alert(1)" in plots[0]  # the axis title, shown as text
+
+
+@in_browser
+@pytest.mark.parametrize("name", ["rich", "hostile"])
+def test_nothing_makes_the_page_scroll_sideways(name, request, tmp_path):
+    """On a screen and on a phone: headless windows are no narrower than 500 px, frames are."""
+    (tmp_path / "page.html").write_text(probed(request.getfixturevalue(name)), encoding="utf-8")
+    path = tmp_path / "frames.html"
+    path.write_text(FRAMES, encoding="utf-8")
+    dom, console = browse(path, tmp_path, "--window-size=1700,2100", "--dump-dom")
+    assert console == []
+    probes = [tuple(map(int, p)) for p in re.findall(r"PROBE (\d+) (\d+) (\d+) END", dom)]
+    assert sorted(inner for _, inner, _ in probes) == sorted(WIDTHS)
+    for scroll, inner, wide in probes:
+        assert scroll <= inner
+        assert wide == 0
+
+
+@in_browser
+def test_the_screenshot_is_not_blank(rich, tmp_path):
+    path, picture = tmp_path / "page.html", tmp_path / "page.png"
+    path.write_text(rich, encoding="utf-8")
+    browse(path, tmp_path, "--window-size=1280,2000", f"--screenshot={picture}")
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert picture.stat().st_size > 50_000  # an empty page of this size is a few kB

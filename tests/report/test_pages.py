@@ -1,0 +1,254 @@
+"""The report is one page that opens offline, says all there is, and lets no text become code."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from casid.report.figures.diagnosis import diagnosis_figures
+from casid.report.pages.diagnosis_page import diagnosis_page
+from casid.report.pages.estimate_page import estimate_page
+from tests.support import sample_parts, samples
+
+FIGURES = {"page": 7, "rich": 15, "hostile": 15}
+SECTIONS = (
+    "What remains",
+    "What is unknown",
+    "Parameters that moved",
+    "What cannot be told apart",
+    "Invisible in this set-up",
+    "Next experiment",
+    "Calibration",
+)
+
+
+class Seen(HTMLParser):
+    """Tags, attributes, scripts and text of a page, as a parser that is not a browser sees them."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.scripts: list[str] = []
+        self.text = ""
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_data(self, data):
+        if self.cdata_elem == "script":
+            self.scripts[-1] += data
+        elif self.cdata_elem is None:
+            self.text += data
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return diagnosis_page(samples.deficient())
+
+
+@pytest.fixture(scope="module")
+def rich() -> str:
+    return diagnosis_page(samples.rich())
+
+
+@pytest.fixture(scope="module")
+def hostile() -> str:
+    return diagnosis_page(samples.hostile())
+
+
+def test_the_verdict_stands_first_in_words(page):
+    d = samples.deficient(N=100)
+    text = Seen(page).text
+    assert text.index("deficient") < text.index(d.sentence) < text.index(d.causes[0].sentence)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (samples.adequate, ("adequate", "None. No effect of the catalogue")),
+        (samples.undecided, ("undecided", "the record cannot support an answer")),
+    ],
+)
+def test_a_diagnosis_without_a_cause_says_why(make, words):
+    text = Seen(diagnosis_page(make())).text
+    for word in words:
+        assert word in text
+
+
+def test_everything_the_diagnosis_knows_stands_in_the_text(page):
+    d = samples.deficient(N=100)
+    text = Seen(page).text
+    for expected in (
+        "0.034 \u2192 0.0104",  # key numbers
+        "\u221269 %",
+        "0.349 \u00b1 0.011",
+        "0.327 .. 0.371",
+        "Could also be:",
+        d.causes[0].alternatives[0].why,
+        "absorbed by s and I",  # invisible candidate
+        "refit gains too little",
+        d.advice,
+        *d.notes,
+        *d.noise.values(),
+        *d.provenance,
+        *d.settings.values(),
+        *d.versions.values(),
+        *d.sources,
+        d.baseline.assumes,
+        d.baseline.whiteness["gyro"],
+        "rank 3 of 3",
+        "at lower bound",
+    ):
+        assert expected in text, expected
+
+
+def test_warnings_of_both_fits_are_printed_beside_the_key_numbers():
+    d = samples.deficient(N=100)
+    d = replace(d, baseline=replace(d.baseline, warnings=("only 1 of 4 starts agrees",)))
+    text = Seen(diagnosis_page(d)).text
+    assert text.index("Warning: only 1 of 4 starts agrees") < text.index(d.causes[0].sentence)
+
+
+def test_the_page_loads_nothing_and_carries_plotly_once(page):
+    seen = Seen(page)
+    for tag, attributes in seen.tags:
+        assert tag not in ("link", "img", "iframe", "object", "embed", "base"), tag
+        for name in ("src", "href", "action", "srcset", "data"):
+            value = attributes.get(name)
+            assert value is None or value.startswith("#"), (tag, name, value)
+        assert not [a for a in attributes if a.startswith("on")], (tag, attributes)
+    assert "@import" not in page
+    assert page.count("* plotly.js v") == 1
+    kinds = [a.get("type", "") for t, a in seen.tags if t == "script"]
+    assert kinds == ["application/json"] * FIGURES["page"] + ["", ""]
+
+
+def test_the_page_has_language_title_viewport_and_a_name_for_every_figure(page):
+    seen = Seen(page)
+    assert ("html", {"lang": "en"}) in seen.tags
+    assert any(a.get("name") == "viewport" for _, a in seen.tags)
+    assert "<title>Diagnosis of pendulum - casid</title>" in page
+    plots = [a for _, a in seen.tags if a.get("class") == "plot"]
+    assert len(plots) == FIGURES["page"]
+    assert all(a["aria-label"] for a in plots)
+    assert page.count("<figcaption>") == FIGURES["page"]
+
+
+def headings(page: str) -> list[str]:
+    return [html.unescape(h) for h in re.findall(r"<h2>(.*?)</h2>", page)]
+
+
+def test_a_section_stands_only_where_there_is_something_to_say(page, rich):
+    assert [h for h in headings(page) if h in SECTIONS] == ["What cannot be told apart"]
+    assert [h for h in headings(rich) if h in SECTIONS] == list(SECTIONS)
+
+
+def test_every_figure_of_a_diagnosis_stands_on_its_page(rich):
+    for name in diagnosis_figures(samples.rich()):
+        assert f'id="figure-{name}"' in rich, name
+        assert f'id="data-{name}"' in rich, name
+
+
+def test_what_a_rich_diagnosis_knows_stands_in_the_text(rich):
+    d = samples.rich()
+    text = Seen(rich).text
+    for expected in (
+        d.remaining.sentence,
+        d.unexplained.sentence,
+        "an error of the sensor",  # the other place
+        f"{d.remaining.test}: p 0.31",
+        "unexplained",
+        "0.3300 \u00b1 0.0040",  # d before,
+        "0.0810 \u00b1 0.0040",  # and after
+        "-62.2",  # standard errors
+        "The same in this record: time_delay in gyro, sensor_lag in gyro",
+        *(i.why for i in d.invisible),
+        *(i.mend for i in d.invisible),
+        "any record of these channels",
+        *(p.description for p in d.proposals),
+        "never",  # the same again does not tell
+        d.calibration.sentence,
+        *d.calibration.notes,
+        "swing-11",
+    ):
+        assert expected in text, expected
+
+
+def test_a_cause_without_a_name_is_told_by_what_it_does(rich):
+    """Kind "unknown": no kind of the catalogue stands in its frame."""
+    cause = samples.rich().causes[1]
+    frame = re.findall(r"<article class=\"cause\">(.*?)</article>", rich, re.S)[1]
+    text = Seen(frame).text
+    assert "unknown cause in torque" in text
+    assert cause.description in text
+    assert "Something that the catalogue has no name for acts in the torque balance." in text
+    for kind, _ in sample_parts.KEYS:
+        assert kind not in text or kind == "unknown"
+
+
+def test_the_text_of_a_rich_diagnosis_is_compact():
+    text = str(samples.rich())
+    lines = text.splitlines()
+    for start in (
+        "remains",
+        "unknown",
+        "moved",
+        "invisible",
+        "false alarms",
+        "next",
+    ):
+        assert any(line.startswith(f"  {start}") for line in lines), start
+    assert len(lines) < 45
+    assert "2. unknown in torque (p = 4.0e-07): It depends on p" in text
+    assert "swing-10: h = 0.112 +- 0.008" in text
+
+
+def test_the_same_diagnosis_gives_the_same_page(page):
+    assert diagnosis_page(samples.deficient()) == page
+
+
+def test_hostile_names_stay_text(hostile, rich):
+    """No tag, attribute or script beyond those of a harmless page."""
+    seen = Seen(hostile)
+    assert {t for t, _ in seen.tags} <= {t for t, _ in Seen(rich).tags}
+    assert seen.scripts[-2:] == Seen(rich).scripts[-2:]  # plotly.js and ours, unchanged
+    assert len(seen.scripts) == FIGURES["hostile"] + 2
+    assert html.unescape(seen.text).count("alert(1)") > 20  # shown, not swallowed
+    for data in seen.scripts[:-2]:
+        json.loads(data)
+        assert not re.search(r"[<>&]", data)
+    hostile.encode("utf-8")
+
+
+def test_only_the_two_scripts_named_by_their_hash_may_run(hostile):
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', hostile)[1]
+    scripts = re.search(r"script-src ([^;]*)", policy)[1]
+    assert scripts.count("'sha256-") == 2
+    assert "unsafe" not in scripts
+    assert policy.startswith("default-src 'none'")
+
+
+def test_an_unfinished_number_is_named_not_printed_as_nan():
+    d = samples.deficient(N=100)
+    d = replace(d, fitted={"baseline_rmse": {"gyro": float("nan")}, "extended_rmse": {}})
+    text = Seen(diagnosis_page(d)).text
+    assert "not finite" in text
+    assert not re.search(r"\bnan\b", text)
+
+
+def test_an_estimate_has_a_page_with_its_parameters_and_fit():
+    d = samples.adequate()
+    page = estimate_page(d.baseline, d.records)
+    text = Seen(page).text
+    for expected in ("10.520", "10.481 .. 10.559", "known", "at lower bound", d.baseline.assumes):
+        assert expected in text
+    assert page.count('class="plot"') == 2
+    assert estimate_page(d.baseline).count('class="plot"') == 1
