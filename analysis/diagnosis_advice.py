@@ -33,6 +33,7 @@ from analysis import diagnosis_advice_records as records
 from analysis.diagnosis_advice_records import Cause, Drive
 from analysis.output import Output
 from analysis.targets import Target, report
+from casid.arrays import Array
 from casid.diagnosis.advice.isolability import MARGIN, POWER, likeness, separation_energy
 from casid.diagnosis.advice.next_experiment import Advice, Suspect, next_experiment
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
@@ -55,7 +56,6 @@ from casid.model.effects.effect import Effect, Spread
 from casid.model.effects.parameter_effects import parameter_jump, scheduled_parameter
 from problems import pendulum
 
-Array = np.ndarray[Any, Any]
 Key = tuple[str, str]
 
 UNITS = {"gyro": "rad/s", "accel": "m/s^2", "yaw_rate": "rad/s", "speed": "m/s"}

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 
-Array = np.ndarray[Any, Any]
+from casid.arrays import Array
 
 CONSTANTS = {"M": 22.04, "z_g": -0.018, "z_s": -0.218, "z_m": -0.274, "g": 9.81}
 K, D, I_X = 10.39, 0.1067, 0.1385  # Table 7.2

@@ -28,11 +28,11 @@ from scipy.signal import detrend, savgol_filter
 import casid
 from analysis.diagnosis_power_cases import Hidden
 from analysis.diagnosis_power_energy import FITTED
+from casid.arrays import Array
 from casid.data.record import Experiment
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import Fit
 
-Array = np.ndarray[Any, Any]
 Row = dict[str, Any]
 Name = tuple[str, str]
 

@@ -17,16 +17,14 @@ import dataclasses
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 import casid
+from casid.arrays import Array
 from problems import ship
 from problems.ship import TABLE_8_2, waves
-
-Array = np.ndarray[Any, np.dtype[np.float64]]
 
 SOUGHT = ("k", "d", "K_r", "K_delta", "m")
 """Of Table 8.2: five parameters for the five coefficients that one record shows."""

@@ -28,17 +28,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.load_monitoring_records import ABOARD, PERIOD, TS, Calibration, calibrate, instruments
 from analysis.targets import Target, at_most, conclude
+from casid.arrays import Array
 from casid.estimation.moments.change_detection import ChangeDetector
 from casid.estimation.moments.gram import Moments
 from casid.identification.parameter_monitor import Derived, Monitor, MonitorSettings, Status
 from problems import ship
 from problems.ship_4dof import Load, Ship, stability
-
-Array = NDArray[Any]
 
 DAY = 86_400.0
 RATE = 0.2 * PERIOD / DAY  # a window: expected false alarms in a day at most 0.2

@@ -16,9 +16,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
+from casid.arrays import Array
 from casid.estimation.moments.gram import Moments
 from casid.estimation.moments.moment_equations import MomentEquations, Part
 from casid.estimation.moments.moment_settings import MomentSettings
@@ -32,8 +32,6 @@ from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column
 from problems import ship, ship_sensors, ship_waves
 from problems.ship_4dof import LOAD_CASES, Load, random_steps, simulate, zigzag
-
-Array = NDArray[Any]
 
 TS = 0.02  # s
 ANGLE, EVERY = math.radians(10.0), 10.0  # of the zigzag

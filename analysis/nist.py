@@ -24,14 +24,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import CasidError
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.regression import RegressionEstimate, regress
 from casid.model.expressions import parse
 
-Array = NDArray[Any]
 STARTS = ("start1", "start2")
 PARAMETER_DIGITS = 6.0
 ERROR_DIGITS = 4.0

@@ -16,13 +16,12 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
+from casid.arrays import Array
 from casid.data.preparation import FirFilter, equiripple
 from problems.pendulum import CART_LAG, TABLE_7_2, motion, telegraph
 
-Array = NDArray[np.float64]
 Truth = Literal["linear", "nonlinear"]
 
 TS = 0.01

@@ -11,15 +11,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.estimation.moments.instruments import Instruments
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.propagation import jacobian_of
 from casid.identification.moment_estimators import MomentEstimate, Prior, Reusable, StageSpec
 from problems import pendulum_rig as rig
-
-Array = NDArray[np.float64]
 
 MODEL = rig.problem.model.with_unknown(m=0.08, z_m=-0.1)
 INSTRUMENTS = Instruments("ref", initial="reference", n_delta0=4, n_delta=0, n_y=4, n_u=4)

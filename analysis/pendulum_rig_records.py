@@ -11,13 +11,11 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
+from casid.arrays import Array
 from casid.data.preparation import equiripple
 from problems import pendulum_rig as rig
-
-Array = NDArray[np.float64]
 
 TORQUE = 0.0045
 """Disturbance torque, rms between 0.3 and 3 Hz [N m]: validation fits about as low as published."""

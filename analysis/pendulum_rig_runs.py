@@ -14,14 +14,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.pendulum_rig_estimators import FREE, TILTED, TRUTH, joint, staged
 from analysis.pendulum_rig_records import Draws
 from casid.campaigns.campaign import Campaign
 from casid.identification.moment_estimators import Prior, Reusable
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -28,12 +28,12 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.pendulum_records import TS, Study, low_pass
 from analysis.pendulum_study_numbers import HEADER, Line, lines, load_by_formula, shares
 from analysis.pendulum_study_runs import Bench, Estimator, Floor, Profiles, Runs, bench
 from analysis.targets import Target, at_most, conclude, near
+from casid.arrays import Array
 from casid.campaigns.campaign import Campaign, campaign
 from casid.linear.discretisation_bias import bias_table
 from casid.linear.linear_model import linearise
@@ -46,7 +46,6 @@ from problems.pendulum import (
     telegraph,
 )
 
-Array = NDArray[Any]
 AMPLITUDES = (0.15, 0.2, 0.3, 1.0)
 SHOWN = 0.3
 """The amplitude of the 10 000 runs [m/s^2]."""

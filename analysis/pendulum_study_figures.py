@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.pendulum_study_runs import THETA, Bench
+from casid.arrays import Array
 from casid.linear.difference_equation import difference_equation
 from problems.pendulum import TABLE_7_2, indirect_model
-
-Array = NDArray[Any]
 
 LABELS = {
     "I_x": "moment of inertia I_x [kg m^2]",

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.pendulum_records import TS
 from analysis.pendulum_study_runs import FREE
+from casid.arrays import Array
 from problems.pendulum import TABLE_7_2
-
-Array = NDArray[Any]
 
 PUBLISHED = {
     # Re-created with a telegraph of another seed and 25 runs; the thesis does not give delta.

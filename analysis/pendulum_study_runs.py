@@ -21,9 +21,9 @@ from time import process_time
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.pendulum_records import INSTRUMENT_LAG, Study
+from casid.arrays import Array
 from casid.estimation.moments.column_products import column_products
 from casid.estimation.moments.instruments import Instruments
 from casid.estimation.moments.moment_equations import Part, moment_covariance, parts_of
@@ -35,7 +35,6 @@ from casid.identification.moment_estimators import Reusable, StageSpec
 from casid.identification.resampling import profile
 from problems.pendulum import TABLE_7_2, indirect_model
 
-Array = NDArray[Any]
 Estimator = Literal["ls", "iv", "identity"]
 FREE = ("I_x", "d", "m", "z_m")
 THETA = ("a1", "a2", "b0")

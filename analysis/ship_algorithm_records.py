@@ -13,14 +13,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
+from casid.arrays import Array
 from problems.ship import LOAD_CASES, TABLE_8_2
 from problems.ship_4dof import Coefficients, Load, Ship, linearised, simulate
 from problems.ship_sensors import Channel, InertialUnit, for_roll, measure
-
-Array = NDArray[np.float64]
 
 TS = 0.02  # s
 THREE = ("nominal", "calibration", "loaded")

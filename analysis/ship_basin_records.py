@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
 from analysis.ship_algorithm_records import (
@@ -27,8 +26,6 @@ from analysis.ship_algorithm_records import (
 )
 from problems.ship_4dof import Load, Ship, simulate
 from problems.ship_sensors import for_roll, measure
-
-Array = NDArray[np.float64]
 
 LIGHT = {"m": 0.2, "zbar_m": -0.256}
 HEAVY = {"m": 0.4, "zbar_m": -0.268}

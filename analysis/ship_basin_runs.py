@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
 from analysis.ship_algorithm import EIGHT
 from analysis.ship_algorithm import SETTINGS as ALGORITHM
 from analysis.ship_basin_records import CASES, Basin, basin, experiments_of, halves, truth_of
+from casid.arrays import Array
 from casid.campaigns.campaign import Campaign, campaign
 from casid.errors import CasidError
 from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
@@ -27,7 +27,6 @@ from casid.identification.moment_estimators import MomentEstimate, Reusable, Sta
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
 
-Array = NDArray[np.float64]
 
 LOAD = ("m", "zbar_m")
 CHANNELS = ("gyro", "accel", "r")

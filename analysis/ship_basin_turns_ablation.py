@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
 from analysis.output import Output
@@ -26,9 +25,8 @@ from analysis.ship_basin_turns_residuals import (
     with_torques,
 )
 from analysis.targets import Target, at_most
+from casid.arrays import Array
 from problems.ship_4dof import Ship
-
-Array = NDArray[np.float64]
 
 ANGLE = 0.3  # rad
 THESIS_PEAK = 10.0  # of the residual at turn entries, in averages

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.output import Output
 from analysis.ship_algorithm import EIGHT, LOAD, TRUTH, fit
@@ -25,8 +24,7 @@ from analysis.ship_basin_turns_speed import (
     surge_time,
 )
 from analysis.targets import Target, at_most
-
-Array = NDArray[np.float64]
+from casid.arrays import Array
 
 ANGLE = 0.3  # rad
 

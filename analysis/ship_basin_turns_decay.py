@@ -18,14 +18,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
 from analysis.ship_algorithm_records import TS, load
 from analysis.ship_basin_turns_tangent import NAMES, about, steady_turn
+from casid.arrays import Array
 from problems.ship_4dof import Motion, Ship, Start, simulate
 
-Array = NDArray[np.float64]
 Where = Literal["in the turn", "after it"]
 
 TORQUE, KICK, EVERY, WINDOW = 0.3, 0.1, 4.0, 3.0  # N m, s, s, s

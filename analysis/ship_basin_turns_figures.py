@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.output import titled
 from analysis.ship_algorithm_records import TS
 from analysis.ship_basin_turns_decay import Decay
 from analysis.ship_basin_turns_lean import Lean
 from analysis.ship_basin_turns_records import Sailed
-
-Array = NDArray[np.float64]
+from casid.arrays import Array
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 DASHES = ("solid", "dash", "dot")

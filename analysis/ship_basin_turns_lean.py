@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.ship_algorithm_records import SIDEWAYS, TS, load
 from analysis.ship_basin_turns_records import Sailed, changes, sail, u_turn
 from analysis.ship_basin_turns_tangent import NAMES, SteadyTurn, about
+from casid.arrays import Array
 from problems.ship_4dof import Ship, linearised, simulate
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,12 +24,12 @@ from analysis.ship_algorithm_records import (
     load,
     unit,
 )
+from casid.arrays import Array
 from casid.errors import ModelError
 from problems.ship import LOAD_CASES
 from problems.ship_4dof import Actuator, Motion, PolynomialArm, Ship, simulate
 from problems.ship_sensors import for_roll, measure
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 BEFORE = 10.0  # s of straight course before a long set is recorded

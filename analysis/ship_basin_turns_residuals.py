@@ -15,14 +15,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
 from analysis.ship_basin_turns_records import Sailed, changes, near_changes
+from casid.arrays import Array
 from casid.estimation.moments.moment_equations import Part, parts_of
 from casid.model.model import Model
-
-Array = NDArray[np.float64]
 
 AFTER, BEFORE = 0.8, 0.2
 """A turn's entry or exit [s]: until a rudder of 0.4 rad/s has moved by 0.2 rad and the roll has

@@ -11,14 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
 from analysis.ship_algorithm_records import TS
 from analysis.ship_basin_turns_records import Sailed
+from casid.arrays import Array
 from casid.estimation.prediction_error.coordinated_turn import Track
-
-Array = NDArray[np.float64]
 
 CAMERA = {"x": 2e-3, "y": 2e-3, "psi": 2e-3}
 """Standard deviations of positions [m] and heading [rad], chosen."""

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.arrays import Array
 from problems.ship_4dof import LOAD_CASES, Load, Ship, Start, dynamics, simulate
-
-Array = NDArray[np.float64]
 
 ROWS = (2, 4, 5, 6, 7)
 """phi, u, v, p, r of the simulator's state: positions and heading act on nothing."""

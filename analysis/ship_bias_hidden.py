@@ -20,17 +20,16 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
 from analysis.ship_bias_records import CASES, SHIP, TS, Rudder, load
+from casid.arrays import Array
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.estimation.estimate import Estimated
 from problems import ship
 from problems.ship_4dof import LOG_NOISE, PolynomialArm, Ship, simulate
 from problems.ship_sensors import Channel, InertialUnit, for_roll, measure
 
-Array = NDArray[np.float64]
 Hidden = Literal["nothing", "damping", "speed", "rudder"]
 
 _NONLINEAR = (

@@ -19,13 +19,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
+from casid.arrays import Array
 from problems.ship import LOAD_CASES, TABLE_8_2
 from problems.ship_4dof import Coefficients, Load, Ship, linearised
-
-Array = NDArray[np.float64]
 
 TS = 0.02  # s
 CASES = ("nominal", "calibration", "loaded")

@@ -6,16 +6,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.ship_bias_records import SHIP, TS, Answers, Imperfection, Rudder, answers, respond
 from analysis.ship_bias_records import load as load_of
 from analysis.ship_bias_table import LAGS, TRUE, Estimator, model_at_truth
+from casid.arrays import Array
 from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
 from casid.identification.moment_estimators import instrumental_variables
 from problems.ship_waves import Jonswap, sample_sea
-
-Array = NDArray[np.float64]
 
 SENSORS = Imperfection(gyro=0.0005, accel=0.005, r=0.0005)
 SCALE = 24.0

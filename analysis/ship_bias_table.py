@@ -11,18 +11,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
 from analysis.ship_bias_records import IMPERFECTIONS, Imperfection, Rudder, answers
+from casid.arrays import Array
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.identification.moment_estimators import Reusable, StageSpec
 from problems import ship
 from problems.ship import TABLE_8_2
-
-Array = NDArray[np.float64]
 
 BACKGROUND = Imperfection(gyro=2e-4, accel=1e-3, r=2e-4)
 SOUGHT = ("m", "zbar_m")

@@ -23,10 +23,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
 from analysis.ship_initial_values_records import TS, Integrator, matrices, of_case
@@ -46,11 +44,10 @@ from analysis.ship_initial_values_runs import (
 )
 from analysis.ship_initial_values_runs import starts as start_points
 from analysis.targets import Target, at_most, near, report
+from casid.arrays import Array
 from casid.errors import IdentifiabilityError
 from casid.identifiability.requirement import require_identifiable
 from problems.ship import LOAD_CASES, NINE, TABLE_8_2, indirect_model
-
-Array = NDArray[Any]
 
 TABLE_8_3 = {
     "A_x": (0.1261, 0.0296),

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.ship_initial_values_runs import Program, admissible, family
+from casid.arrays import Array
 from problems.ship import NINE, TABLE_8_2
-
-Array = NDArray[Any]
 
 LABELS = {
     "k": "k [N m/rad]",

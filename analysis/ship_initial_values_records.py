@@ -20,15 +20,14 @@ Nothing here is shared with the estimator: matrices are written down from (8.3),
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.linear.lagged_columns import Column
 from problems.ship import LOAD_CASES, TABLE_8_2
 
-Array = NDArray[Any]
 Integrator = Literal["trapezoidal", "zoh", "foh"]
 TS = 0.02
 """Sample time [s]: 50 Hz."""

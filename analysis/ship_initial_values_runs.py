@@ -30,17 +30,15 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.ship_initial_values_records import TS, Integrator, instruments, of_case, record
+from casid.arrays import Array
 from casid.estimation.moments.moment_equations import MomentEquations
 from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
 from casid.estimation.moments.moments import moments
 from casid.estimation.nlp.nlp import Solution, Solver
 from casid.linear.difference_equation import DifferenceEquation, difference_equation
 from problems.ship import LOAD_CASES, NINE, TABLE_8_2, indirect_model
-
-Array = NDArray[Any]
 
 BOUNDS = {
     "k": (0.0, 100.0),

@@ -15,13 +15,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.ship_signals_model import accelerometer, matrices, values_of
+from casid.arrays import Array
 from problems.ship_4dof import Actuator, Ship, simulate
 from problems.ship_sensors import InertialUnit, for_roll, measure
-
-Array = NDArray[np.float64]
 
 SIGNALS = ("gyro", "accel", "r")
 """y_O, a_s and the yaw rate."""

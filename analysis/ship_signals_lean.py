@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.ship_signals_model import NEGLECTED, letters
+from casid.arrays import Array
 from casid.linear.laplace import solve
 from problems.ship_4dof import Actuator, Coefficients, Ship, Start, linearised, simulate
-
-Array = NDArray[np.float64]
 
 HULLS = {"Table 8.2": 0.1, "chapter 9": 0.96}
 """K_vdot (and Y_pdot, which is its mirror) [kg m]: of Table 8.2, and about Tables 9.5-9.9."""

@@ -17,15 +17,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 import casid
 from casid.algebra.symbolic import to_sympy
+from casid.arrays import Array
 from problems.ship import TABLE_8_2
 from problems.ship_4dof import LOAD_CASES, Coefficients, Load, Ship
 
 Algebra = Any  # a sympy expression or matrix
-Array = NDArray[np.float64]
 
 UNITS = {
     "M_t": "kg", "S": "kg m", "A_x": "kg m^2", "A_z": "kg m^2", "hull": "N m/rad",

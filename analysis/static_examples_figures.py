@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.static_examples_formulas import TRUTH, variance_boundary
+from casid.arrays import Array
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.decision_map import DecisionMap, decision_map
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
@@ -16,7 +16,6 @@ from casid.unknown_inputs.limits.regression import Regression
 from casid.unknown_inputs.limits.regression_limit import regression_limit
 from problems.static_input import VARIANCES
 
-Array = NDArray[Any]
 UNIT = {"alpha": 1.0, "l1": 1.0, "lO": 1.0, "bU": 1.0}
 """The numbers of Figure 3.5."""
 

@@ -7,13 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.static_examples_formulas import ClosedForm
+from casid.arrays import Array
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.regression import Regression, split_term
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,10 +4,11 @@ The public names stand in `__init__.pyi`, each with its module, and are loaded a
 so that `import casid` takes no longer than importing a small module.
 """
 
-import difflib
 from typing import Any
 
 import lazy_loader
+
+from casid.errors import nearest
 
 __version__ = "0.1.0"
 
@@ -18,6 +19,5 @@ def __getattr__(name: str) -> Any:
     try:
         return _load(name)
     except AttributeError:
-        near = difflib.get_close_matches(name, __all__, 1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = nearest(name, __all__)
         raise AttributeError(f"module 'casid' has no attribute {name!r}{hint}") from None

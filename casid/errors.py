@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class CasidError(Exception):
     """Base of every error that casid raises on purpose."""
@@ -25,3 +28,14 @@ class IdentifiabilityError(CasidError):
 
 class SolveError(CasidError):
     """A simulation diverged or a solver gave up."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """``; did you mean 'b1'?`` for the nearest known name, or what there is; for messages."""
+    known = sorted(known)
+    lowered = {k.lower(): k for k in reversed(known)}
+    close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
+    if close:
+        return f"; did you mean {lowered[close[0]]!r}?"
+    listing = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
+    return f"; known are: {listing}" if known else "; none is declared"

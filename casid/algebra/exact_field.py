@@ -9,11 +9,10 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import IdentifiabilityError
 
-Array = NDArray[Any]
 RANK = 1e-10  # smallest singular value of scaled moments that is not zero
 
 

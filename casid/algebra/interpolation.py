@@ -17,9 +17,9 @@ import numpy as np
 
 from casid.algebra.prime_field import null_space, random_prime, to_rational
 from casid.algebra.rational_degrees import univariate_degrees
+from casid.arrays import Array
 from casid.errors import ModelError
 
-Array = np.ndarray[Any, Any]
 Monomial: TypeAlias = tuple[int, ...]
 Function: TypeAlias = Callable[[Mapping[str, int], int], Array]
 """(values of the variables modulo p, p) -> (m,) values of m functions modulo p; it raises

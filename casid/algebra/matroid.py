@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
 from casid.algebra.prime_field import echelon
-
-Array = np.ndarray[Any, Any]
+from casid.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,13 +6,11 @@ Numbers are int64 in [0, p) with p < 2^31, so that a product fits and nothing is
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.errors import ModelError
-
-Array = np.ndarray[Any, Any]
 
 LOWEST_PRIME = 2**30
 """Primes are drawn from [2^30, 2^31)."""

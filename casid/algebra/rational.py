@@ -8,16 +8,14 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra import polynomial as poly
 from casid.algebra.polynomial import Coefficient, Polynomial
+from casid.arrays import Array
 from casid.errors import ModelError
 
 if TYPE_CHECKING:
     from casid.algebra.roots import Root
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

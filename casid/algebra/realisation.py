@@ -10,9 +10,9 @@ from casid.algebra import polynomial as poly
 from casid.algebra.minors import pole_polynomial
 from casid.algebra.rational import Rational
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.arrays import Array
 from casid.errors import ModelError
 
-Array = np.ndarray[Any, np.dtype[np.float64]]
 Matrices = tuple[Array, Array, Array, Array]
 
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from casid.algebra.prime_field import echelon, matmul
-
-Array = np.ndarray[Any, Any]
+from casid.arrays import Array
 
 
 class Basis:

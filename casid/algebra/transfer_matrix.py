@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra.rational import Rational
+from casid.arrays import Array
 from casid.errors import ModelError
 
 if TYPE_CHECKING:
     from casid.algebra.roots import Root
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

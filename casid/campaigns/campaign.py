@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.campaigns.dask_backend import outliving_workers
 from casid.campaigns.manifest import manifest_of
 from casid.campaigns.parquet_parts import FAILED, RUN, Parts, Row, row_of
@@ -40,7 +41,6 @@ from casid.errors import CasidError, DataError, SolveError
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
 
-Array = np.ndarray[Any, Any]
 Function = Callable[["SeedSequence"], Mapping[str, Any]]
 
 _SECONDS = 2.0  # that a batch is to take: what a killed campaign loses of each worker

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.campaigns.campaign import Campaign, campaign
 from casid.campaigns.manifest import manifest_of, name_of
 from casid.data.problem import Problem, load_problem
@@ -36,7 +37,6 @@ from casid.model.model import Model
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
 
-Array = np.ndarray[Any, Any]
 Method = Callable[[Problem, Sequence[Experiment], FitSettings], Any]
 """Returns a `casid.Estimate`, or what carries one as `.estimate` (`casid.MomentEstimate`, ...)."""
 

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from casid.arrays import TINY
 from casid.data.record import BoolArray, FloatArray, Record
 from casid.errors import DataError
 
@@ -603,7 +604,7 @@ def _fraction_of_a_sample(a: FloatArray, b: FloatArray) -> tuple[float, float]:
     width = max(9, int(0.5 * np.sqrt(n)) | 1)
     cross = _smoothed(A * B.conj(), width)
     coherence = np.abs(cross) ** 2 / np.maximum(
-        _smoothed(np.abs(A) ** 2, width).real * _smoothed(np.abs(B) ** 2, width).real, 1e-300
+        _smoothed(np.abs(A) ** 2, width).real * _smoothed(np.abs(B) ** 2, width).real, TINY
     )
     weight = np.where(coherence > 1 - 0.05 ** (1 / (width - 1)), coherence, 0.0)
     weight[0] = 0.0

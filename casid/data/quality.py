@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.arrays import TINY
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.columns import Columns, ColumnSpec
 from casid.data.reading.survey import survey
@@ -369,7 +370,7 @@ def _channel(record: Record, name: str) -> tuple[ChannelCheck, list[Finding]]:
     if abs(drift) > 3 * spread:
         notice(
             "note",
-            f"a trend: {drift:.4g} {unit} over the record, {abs(drift) / max(spread, 1e-300):.3g} "
+            f"a trend: {drift:.4g} {unit} over the record, {abs(drift) / max(spread, TINY):.3g} "
             "times the scatter about it.",
             "Where it is the sensor's drift, use record.detrend(1) or a bias parameter.",
         )

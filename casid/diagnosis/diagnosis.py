@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from casid.diagnosis.verdict.remainder import Moved, Remaining
 from casid.estimation.estimate import Estimate, Estimated, RecordView
 
@@ -20,7 +18,6 @@ if TYPE_CHECKING:
     from casid.diagnosis.calibration.false_alarm_rate import Calibration
     from casid.diagnosis.unexplained.description import Unexplained
 
-Array = np.ndarray[Any, Any]
 Verdict = Literal["adequate", "deficient", "undecided"]
 
 

@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from casid.arrays import TINY, Array
 
 
 def bartlett_lags(scores: Array, *, largest: int | None = None) -> int:
@@ -30,7 +29,7 @@ def bartlett_lags(scores: Array, *, largest: int | None = None) -> int:
         return 0
     centred = scores - scores.mean(axis=0)
     variance = np.einsum("ij,ij->j", centred, centred)
-    keep = variance > 1e-14 * max(float(variance.max(initial=0.0)), 1e-300)
+    keep = variance > 1e-14 * max(float(variance.max(initial=0.0)), TINY)
     if not keep.any():
         return 0
     rho = np.einsum("ij,ij->j", centred[1:], centred[:-1])[keep] / variance[keep]
@@ -94,7 +93,7 @@ def sandwich(
     lags = bartlett_lags(scores[:, index]) if index.size else 0
     meat = long_run_covariance(scores, lags)
     reduced = basis.T @ hessian @ basis
-    d = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
+    d = 1 / np.sqrt(np.maximum(np.diag(reduced), TINY))
     inverse = d[:, None] * np.linalg.pinv(reduced * np.outer(d, d), rcond=1e-13) * d[None, :]
     covariance = basis @ inverse @ (basis.T @ meat @ basis) @ inverse @ basis.T
     # Fitted residuals are smaller than the errors: the usual degrees-of-freedom factor.
@@ -108,7 +107,7 @@ def autocorrelation(residual: Array, lags: int) -> Array:
     size = 1 << (len(centred) + lags).bit_length()
     spectrum = np.abs(np.fft.rfft(centred, size)) ** 2
     gamma = np.fft.irfft(spectrum, size)[: lags + 1]
-    return np.asarray(gamma[1:] / max(float(gamma[0]), 1e-300))
+    return np.asarray(gamma[1:] / max(float(gamma[0]), TINY))
 
 
 def whiteness(residual: Array, lags: int = 20) -> int:

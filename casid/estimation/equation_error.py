@@ -18,8 +18,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment
 from casid.errors import DataError, IdentifiabilityError, ModelError
@@ -28,8 +28,6 @@ from casid.estimation.estimate import Estimate, Estimated, Identifiability
 from casid.estimation.simulation.simulation_error import Signals, signals_of
 from casid.model.effects.effect import Effect
 from casid.model.model import Model
-
-Array = NDArray[np.float64]
 
 SOURCES = (
     "M. Gautier, W. Khalil, Direct calculation of minimum set of inertial parameters of serial "

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.estimation.covariance import Sampled, sample_through
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True)

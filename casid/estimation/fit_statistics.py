@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from casid.arrays import TINY, Array
 
 
 def rms(error: Array) -> Array:
@@ -18,4 +16,4 @@ def rms(error: Array) -> Array:
 def nrmse_fit(measured: Array, error: Array) -> Array:
     """(ny,) 100 (1 - |y - yhat| / |y - mean y|) per cent, NaN left out."""
     spread = np.nansum((measured - np.nanmean(measured, axis=0)) ** 2, axis=0)
-    return np.asarray(100 * (1 - np.sqrt(np.nansum(error**2, axis=0) / np.maximum(spread, 1e-300))))
+    return np.asarray(100 * (1 - np.sqrt(np.nansum(error**2, axis=0) / np.maximum(spread, TINY))))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.data.record import Experiment, Record
 from casid.errors import DataError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
@@ -20,8 +20,6 @@ from casid.estimation.simulation.simulation_error import (
     minimize_simulation_error,
     signals_of,
 )
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from casid.arrays import TINY, Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +34,7 @@ def local_rank(hessian: Array, x: Array, names: Sequence[str], scale: Array) -> 
     """Rank of J from J'J with columns of unit length; directions relative to the values."""
     length = np.sqrt(np.maximum(np.diag(hessian), 0.0))
     largest = float(np.max(length * scale, initial=0.0))
-    seen = length * scale > 1e-9 * max(largest, 1e-300)
+    seen = length * scale > 1e-9 * max(largest, TINY)
     null: list[Mapping[str, float]] = [{names[i]: 1.0} for i in np.flatnonzero(~seen).tolist()]
     index = np.flatnonzero(seen)
     smallest = 0.0

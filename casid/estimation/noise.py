@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -23,13 +22,11 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.optimize import nnls
 from scipy.special import gammaincinv
 
+from casid.arrays import TINY, Array
 from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
 from casid.estimation.simulation.simulation_error import Signals, SimulationError
 from casid.estimation.simulation.simulator import rk4_sample
 from casid.model.model import Model
-
-Array = np.ndarray[Any, Any]
-
 
 GROUP = 8
 """Columns that are whitened at once: their transforms take eight times their own room."""
@@ -220,8 +217,8 @@ class NoiseModel:
             total += per * np.trapezoid(self.spectrum(e), omega, axis=0)
             other += per * np.trapezoid(s, omega, axis=0)
             square += per * np.trapezoid(s**2, omega, axis=0)
-        i = int(np.argmax(total / np.maximum(other, 1e-300)))
-        floor = max(float(other[i]), 1e-300)
+        i = int(np.argmax(total / np.maximum(other, TINY)))
+        floor = max(float(other[i]), TINY)
         return float(total[i]) / floor, float(np.sqrt(square[i])) / floor
 
     def whiten(self, columns: Array, experiment: int) -> Array:
@@ -292,8 +289,8 @@ def estimate_noise(
             power, gain2, count = bins[i]
             part: Array = np.zeros((len(power), ny + len(sources)))
             part[:, i] = 1.0
-            for j, s in enumerate(sources):
-                part[:, ny + j] = gain2[:, responses[e].sources.index(s)]
+            for j, source in enumerate(sources):
+                part[:, ny + j] = gain2[:, responses[e].sources.index(source)]
             rows.append(part)
             targets.append(power)
             counts.append(count)
@@ -305,12 +302,12 @@ def estimate_noise(
             fixed[i], value[i] = True, known[name] ** 2
     offset = design @ value
     free = design[:, ~fixed]
-    s = np.maximum(power, 1e-12 * max(float(power.max(initial=0.0)), 1e-300)) + offset
+    s = np.maximum(power, 1e-12 * max(float(power.max(initial=0.0)), TINY)) + offset
     solution = new = np.zeros(free.shape[1])
-    floor = 1e-8 * max(float(np.average(power, weights=count)), 1e-300)
+    floor = 1e-8 * max(float(np.average(power, weights=count)), TINY)
     for k in range(60):
         weight = np.sqrt(count) / s
-        scale = np.sqrt(np.sum((free * weight[:, None]) ** 2, axis=0)) + 1e-300
+        scale = np.sqrt(np.sum((free * weight[:, None]) ** 2, axis=0)) + TINY
         new = (
             _least(free * (weight[:, None] / scale), np.maximum(power - offset, 0.0) * weight, new)
             / scale
@@ -348,7 +345,7 @@ def _alike(
     """Sources among `asked` in groups whose |G|^2 are multiples of one another; none that is 0."""
     groups: list[list[str]] = []
     stacked = np.concatenate([r.gain2.reshape(-1, len(sources)) for r in responses])
-    logs = 0.5 * np.log(np.maximum(stacked, 1e-300))
+    logs = 0.5 * np.log(np.maximum(stacked, TINY))
     for name in asked:
         j = sources.index(name)
         strong = stacked[:, j] > 1e-6 * stacked[:, j].max(initial=0.0)

@@ -17,14 +17,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.local_rank import LocalRank, describe_null
 from casid.estimation.nlp.compiled import Compiled
 from casid.estimation.nlp.nlp import Nlp
-
-Array = NDArray[Any]
 
 LEVEL = 0.001
 """Readings contradict where chance would make them differ so in one case out of a thousand."""
@@ -122,7 +120,7 @@ class Reconciled:
 
     def _index(self, name: str) -> int:
         if name not in self.names:
-            from casid.model.expressions import nearest
+            from casid.errors import nearest
 
             raise ModelError(
                 f"{self.title}: no quantity {name!r}{nearest(name, self.names)}; there are "
@@ -388,7 +386,7 @@ class Reconciliation:
         sd = np.array([self._readings[name][1] for name in noisy])
         while len(chosen) < degrees and chi2.sf(left, degrees - len(chosen)) < LEVEL:
             power = np.diag(cover).copy()
-            seen = power > 1e-9 * np.maximum(np.diag(free), 1e-300)
+            seen = power > 1e-9 * np.maximum(np.diag(free), TINY)
             seen &= power > 1e-12
             if not seen.any():
                 break

@@ -16,9 +16,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
+from casid.arrays import TINY
+from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError, nearest
 from casid.estimation.nlp.nlp import Array, Evaluation, Nlp, Solver
-from casid.model.expressions import names, nearest, parse
+from casid.model.expressions import names, parse
 
 HESSIANS = ("exact", "gauss-newton")
 _OFFSET = 1e-6  # relative offset of a converged fit; Bates & Watts (1981) are content with 1e-3
@@ -603,11 +604,11 @@ class _Point:
         self.singular_values = np.linalg.svd(self.R, compute_uv=False)
         tolerance = 10 * np.finfo(float).eps * max(tangent.shape)
         top = self.singular_values[0] if self.singular_values.size else 1.0
-        self.rank = int(np.sum(self.singular_values > tolerance * max(top, 1e-300)))
+        self.rank = int(np.sum(self.singular_values > tolerance * max(top, TINY)))
         self.dof = len(r) - self.Z.shape[1]
         self.is_deficient = self.rank < self.Z.shape[1]
         projected = self._project(r)
-        self.offset = float(np.linalg.norm(projected)) / max(float(np.sqrt(self.rss)), 1e-300)
+        self.offset = float(np.linalg.norm(projected)) / max(float(np.sqrt(self.rss)), TINY)
         # Below the rounding of the model's own evaluation no direction of r means anything.
         self.rounding = 4 * np.finfo(float).eps * problem.level
         small = self.offset < _OFFSET or float(np.linalg.norm(projected)) < 25 * self.rounding

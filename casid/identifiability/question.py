@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from casid.algebra.symbolic import exact
 from casid.data.problem import Problem, load_problem
-from casid.errors import CasidError, ModelError
+from casid.errors import CasidError, ModelError, nearest
 from casid.identifiability.equations.equation_file import EquationFile, read_equations
 from casid.identifiability.equations.model_system import system_of, translated
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.experiments import merge, replicas
 from casid.identifiability.rank.system import System
-from casid.model.expressions import nearest
 from casid.model.model import Model
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, SolveError
@@ -29,8 +29,6 @@ from casid.linear.kalman import Predictor
 from casid.linear.noisy_model import White, noise_sources
 from casid.model.model import Model
 from casid.versions import versions
-
-Array = NDArray[Any]
 
 SOURCES = (
     "L. Ljung, System Identification, 2nd ed., Prentice Hall 1999: prediction error",

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
-
-import numpy as np
 
 from casid.data.problem import Problem, experiments_of
 from casid.data.record import Experiment, Record
@@ -16,8 +13,6 @@ from casid.estimation.estimate_builder import estimate_of, standing_channels
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.identifiability.requirement import require_identifiable
 from casid.model.model import Model
-
-Array = np.ndarray[Any, Any]
 
 
 def identify(

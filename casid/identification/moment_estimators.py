@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment
 from casid.errors import ModelError
@@ -31,8 +31,6 @@ from casid.estimation.noise import white_floor
 from casid.identifiability.requirement import require_identifiable
 from casid.model.model import Model
 from casid.versions import versions
-
-Array = NDArray[Any]
 
 SOURCES = (
     "J. Linder, Indirect System Identification for Unknown Input Problems, 2017, ch. 2, 5 and 7",
@@ -502,7 +500,7 @@ def as_estimate(
             left = e.equation.left.samples(e.signals, e.start)
             rmse.setdefault(part.record, {})[output] = float(np.sqrt(np.mean(remainder**2)))
             nrmse.setdefault(part.record, {})[output] = float(
-                100 * (1 - np.linalg.norm(remainder) / max(float(np.linalg.norm(left)), 1e-300))
+                100 * (1 - np.linalg.norm(remainder) / max(float(np.linalg.norm(left)), TINY))
             )
             outside = whiteness(remainder)
             white[part.name] = f"filtered equation error: {outside} of 20 lags outside 95 %" + (
@@ -570,7 +568,7 @@ def _mostly_noise(st: StageFit) -> list[str]:
             floors = {c: white_floor([np.asarray(e.signals[c])]) for c in channels}
             noise = sum((weight * floors[channel]) ** 2 for channel, _, weight in column.taps)
             mean = column.samples(e.signals, e.start).mean()
-            share = noise / max(float(e.second[i, i]) - mean**2, 1e-300)
+            share = noise / max(float(e.second[i, i]) - mean**2, TINY)
             if noise > 0 and share > worst.get(column.name, (NOISY, ""))[0]:
                 worst[column.name] = (min(share, 1.0), e.name)
     return [

@@ -24,11 +24,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimation.moments.change_detection import Change, ChangeDetector
 from casid.estimation.moments.gram import Moments
@@ -38,7 +38,6 @@ from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column
 from casid.model.model import Model
 
-Array = NDArray[Any]
 Function = Callable[[Mapping[str, float]], float]
 
 
@@ -299,7 +298,7 @@ class Monitor:
         self._Phi_0 = np.mean([Phi for _, Phi in pairs], axis=0)
         self._known_slope_0 = self._Phi_0 @ known_slope
         self._offset = mean if self.settings.differential else np.zeros(nz)
-        size = np.sqrt(np.maximum(np.diag(self._spread), 1e-300))
+        size = np.sqrt(np.maximum(np.diag(self._spread), TINY))
         values, vectors = np.linalg.eigh(self._spread / np.outer(size, size))
         keep = values > 1e-10 * values[-1]
         self._root = (vectors[:, keep] / np.sqrt(values[keep])).T / size  # R'R = V^-1
@@ -323,7 +322,7 @@ class Monitor:
     def _power(self, window: Moments, theta: Array) -> float:
         phi = (self._equation.left, *self._equation.columns)
         v = np.concatenate([[1.0], -theta])
-        return max(float(v @ window.between(phi, phi) @ v) / float(window.total[-1, -1]), 1e-300)
+        return max(float(v @ window.between(phi, phi) @ v) / float(window.total[-1, -1]), TINY)
 
     def _coefficients(self, theta_p: Array) -> tuple[Array, Array, Array]:
         """g, dg/d free, dg/d known."""
@@ -439,7 +438,7 @@ class Monitor:
                 self._low.discard(name)
             elif name not in self._low:
                 self._low.add(name)
-                away = (i.value - d.limit) / max(i.std_error, 1e-300)
+                away = (i.value - d.limit) / max(i.std_error, TINY)
                 p = float(ndtr(-away))
                 raised.append(Alarm("limit", name, self._time, self._time, away, p, found, found))
         return raised

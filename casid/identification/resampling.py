@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import ModelError, SolveError
 from casid.estimation.moments.long_run_covariance import memory
 from casid.estimation.moments.moment_equations import moment_covariance
@@ -22,8 +22,6 @@ from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
 from casid.estimation.moments.propagation import are_short, combined_covariance, free_slope
 from casid.estimation.moments.stage import StageFit
 from casid.identification.moment_estimators import MomentEstimate
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtrc
 
+from casid.arrays import TINY
 from casid.data.problem import Problem
 from casid.data.record import Experiment
 from casid.errors import CasidError
@@ -209,7 +210,7 @@ def _by_squares(model: Model, experiments: Sequence[Experiment]) -> Fitted:
     """Geometric mean over equations of their rms error, each relative to its left side."""
     (stage,) = least_squares(model, experiments).stages
     logs = [
-        np.log(e.error_power(theta) / max(float(e.second[0, 0]), 1e-300)) / 2
+        np.log(e.error_power(theta) / max(float(e.second[0, 0]), TINY)) / 2
         for e, theta in zip(stage.equations, stage.thetas, strict=True)
     ]
     return Fitted(float(np.exp(np.mean(logs))), 0)

@@ -17,10 +17,10 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from casid.arrays import TINY, Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment, Record
 from casid.errors import CasidError
@@ -31,8 +31,6 @@ from casid.estimation.nlp.nlp import Solver
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import Fit
 from casid.model.model import Model
-
-Array = np.ndarray[Any, Any]
 
 POOR = 80.0
 """Fit in per cent below which signs are doubted, where the residual is no white noise."""
@@ -283,7 +281,7 @@ def _lively(experiment: Experiment, outputs: tuple[str, ...], samples: int = 200
     r = experiment.record
     if r.N <= samples:
         return experiment
-    moves = sum((r[n] - r[n].mean()) ** 2 / max(float(np.var(r[n])), 1e-300) for n in outputs)
+    moves = sum((r[n] - r[n].mean()) ** 2 / max(float(np.var(r[n])), TINY) for n in outputs)
     total = np.concatenate([[0.0], np.cumsum(moves)])
     first = int(np.argmax(total[samples:] - total[:-samples]))
     part = r.between(float(r.t[first]), float(r.t[first + samples - 1]))

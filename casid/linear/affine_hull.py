@@ -17,12 +17,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casid.algebra.symbolic import evaluate_exactly
+from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError, ModelError
 from casid.linear.linear_constraints import check_consistent as check_consistent
 from casid.linear.linear_constraints import coefficient_names, largest_one, relation
@@ -30,8 +30,6 @@ from casid.linear.parameter_draws import ParameterDraw, Range, count_of_coeffici
 from casid.linear.structural_relations import echelon
 from casid.linear.symbolic_hull import SymbolicHull as SymbolicHull
 from casid.linear.symbolic_hull import symbolic_hull as symbolic_hull
-
-Array = np.ndarray[Any, Any]
 
 # Rows and columns have entries of size one, so a singular value is a relative size. What lies
 # between the two numbers is neither rounding for sure nor something else for sure.
@@ -318,7 +316,7 @@ def _residual(B: Array, b: Array, rows: Array) -> float:
     full = np.hstack([B, -b[:, None]])
     mismatch = np.abs(rows @ full.T)
     terms = np.abs(rows) @ np.abs(full.T)
-    return float(np.max(mismatch / np.maximum(terms, 1e-300)))
+    return float(np.max(mismatch / np.maximum(terms, TINY)))
 
 
 def _exact_points(f: ca.Function, draw: ParameterDraw) -> Iterator[list[Fraction]]:

@@ -24,14 +24,13 @@ from typing import Any
 import numpy as np
 
 from casid.algebra.symbolic import exact
-from casid.errors import ModelError
+from casid.arrays import Array
+from casid.errors import ModelError, nearest
 from casid.linear.discrete_loop import DiscreteLoop, bilinear
 from casid.linear.laplace import Laplace, solve
 from casid.linear.loop_text import Verdict, page, verdicts
-from casid.model.expressions import nearest
 from casid.model.model import Model
 
-Array = np.ndarray[Any, Any]
 Algebra = Any  # a sympy expression or matrix
 
 _WELL_POSED = 1e-6  # smallest leading coefficient of the loop, relative to its terms

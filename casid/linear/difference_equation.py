@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.linear.discretisation import (
     SUBSTITUTIONS,
@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from casid.linear.affine_hull import AffineHull
     from casid.linear.parameter_draws import Range
 
-Array = NDArray[Any]
 Expr = Any  # a CasADi SX expression
 
 

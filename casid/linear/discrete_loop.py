@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from casid.errors import ModelError, SolveError
-from casid.model.expressions import nearest
-
-Array = np.ndarray[Any, Any]
+from casid.arrays import Array
+from casid.errors import ModelError, SolveError, nearest
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,9 +23,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from casid.errors import ModelError
+from casid.arrays import Array
+from casid.errors import ModelError, nearest
 from casid.linear.linear_model import (
     LinearModel,
     TransferMatrix,
@@ -34,10 +34,8 @@ from casid.linear.linear_model import (
     parameter_vector,
     unpacked_rows,
 )
-from casid.model.expressions import nearest
 from casid.model.model import Parameter
 
-Array = NDArray[Any]
 Expr = Any  # a CasADi SX expression
 
 METHODS = ("bilinear", "forward", "backward", "zoh", "foh")

@@ -14,18 +14,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casid.errors import IdentifiabilityError, ModelError
+from casid.arrays import Array
+from casid.errors import IdentifiabilityError, ModelError, nearest
 from casid.linear.difference_equation import DifferenceEquation, difference_equation
 from casid.linear.discretisation import METHODS, check_method, discretise
 from casid.linear.inverse_map import invert
 from casid.linear.lagged_columns import Column
 from casid.linear.linear_model import LinearModel, linearise
-from casid.model.expressions import nearest
 from casid.model.model import Model
 
-Array = NDArray[Any]
 Spectrum = Callable[[Array], Array]
 """Frequencies [rad/s] -> spectral density, up to a factor."""
 

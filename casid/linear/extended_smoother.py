@@ -17,11 +17,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import DataError, ModelError, SolveError
-
-Array = NDArray[Any]
 
 FAR = float(np.log(1e5))
 """Standard deviation of ln(level / start) before the data: the start may be off by any factor that

@@ -17,16 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from casid.errors import IdentifiabilityError, ModelError, SolveError
-from casid.model.expressions import nearest
+from casid.arrays import Array
+from casid.errors import IdentifiabilityError, ModelError, SolveError, nearest
 
 if TYPE_CHECKING:
     from casid.linear.difference_equation import DifferenceEquation
     from casid.linear.linear_model import TransferMatrix
 
-Array = NDArray[Any]
 
 _ITERATIONS = 60
 _STARTS = 24  # further starts, where the first does not converge

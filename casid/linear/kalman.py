@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from casid.arrays import TINY, Array
 from casid.errors import ModelError
 from casid.linear.noisy_system import NoisySystem
-
-Array = NDArray[Any]
 
 ON_CIRCLE = 1e-8
 """Modes this near to the unit circle count as lying on it."""
@@ -231,7 +229,7 @@ def why_no_steady_state(s: NoisySystem) -> str:
     for value, vector in _modes(s.A):
         if abs(value) < 1 - ON_CIRCLE:
             continue
-        seen = np.linalg.norm(s.C @ vector) / max(float(np.linalg.norm(s.C)), 1e-300)
+        seen = np.linalg.norm(s.C @ vector) / max(float(np.linalg.norm(s.C)), TINY)
         if seen < 1e-9:
             return (
                 f"not detectable: {_mode(s, value, vector)} does not decay and no output sees it; "
@@ -243,7 +241,7 @@ def why_no_steady_state(s: NoisySystem) -> str:
     for value, left in _modes(A.T):
         if abs(abs(value) - 1) > ON_CIRCLE:
             continue
-        moved = abs(left.conj() @ Q @ left) / max(float(np.linalg.norm(Q)), 1e-300)
+        moved = abs(left.conj() @ Q @ left) / max(float(np.linalg.norm(Q)), TINY)
         if moved < 1e-14:
             return (
                 f"no steady state: {_mode(s, value, left)} lies on the unit circle and no noise "
@@ -267,7 +265,7 @@ def _modes(A: Array) -> list[tuple[complex, Array]]:
 
 def _mode(s: NoisySystem, value: complex, vector: Array) -> str:
     """A mode in words: the states it lives in, and where its pole lies."""
-    share = np.abs(vector) / max(float(np.max(np.abs(vector))), 1e-300)
+    share = np.abs(vector) / max(float(np.max(np.abs(vector))), TINY)
     names = [s.state_name(i) for i in np.flatnonzero(share > 0.1).tolist()]
     pole = f"{value.real:.6g}" + (f"{value.imag:+.6g}j" if abs(value.imag) > 1e-12 else "")
     return f"the mode at z = {pole} (in {', '.join(names)})"

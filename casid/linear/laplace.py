@@ -18,8 +18,7 @@ import casadi as ca
 import numpy as np
 
 from casid.algebra.symbolic import exact, to_sympy
-from casid.errors import ModelError
-from casid.model.expressions import nearest
+from casid.errors import ModelError, nearest
 from casid.model.model import Model
 
 Algebra = Any  # a sympy expression or matrix

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from casid.arrays import TINY, Array
 from casid.errors import ModelError
-
-Array = np.ndarray[Any, Any]
 
 
 def check_consistent(
@@ -61,7 +60,7 @@ def check_consistent(
             f"linear constraints: {names[broken[0]]} holds a number that is not finite; look for a "
             "known parameter that is zero or missing and stands in a denominator"
         )
-    size = np.maximum(np.max(np.abs(B), axis=1, initial=0.0), 1e-300)
+    size = np.maximum(np.max(np.abs(B), axis=1, initial=0.0), TINY)
     empty = [i for i in range(m) if not B[i].any()]
     for i in empty:
         if b[i] != 0:
@@ -70,7 +69,7 @@ def check_consistent(
                 "take it out"
             )
     rows, right = B / size[:, None], b / size
-    columns = np.maximum(np.max(np.abs(rows), axis=0, initial=0.0), 1e-300)
+    columns = np.maximum(np.max(np.abs(rows), axis=0, initial=0.0), TINY)
     rows = rows / columns
     kept: list[int] = []
     for i in range(m):

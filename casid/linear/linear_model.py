@@ -20,13 +20,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.linear.vanishing_expressions import float_points, remove_zeros
 from casid.model.model import Model, Parameter
 
-Array = NDArray[Any]
 Expr = Any  # a CasADi SX expression
 
 

@@ -15,15 +15,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.errors import ModelError
 from casid.linear.kalman import SystemTangent
 from casid.linear.linear_model import linearise
 from casid.linear.noisy_system import NoisySystem, sample_noise, sample_system
 from casid.model.model import Input, Model
-
-Array = NDArray[Any]
 
 _STEP = 1e-40  # of the complex step: no subtraction, so as small as may be
 
@@ -263,7 +261,7 @@ class NoisyModel:
         held = np.array([w.held for w in self.process], dtype=bool)
         flowing = B[:, :, nu:][:, :, ~held]
         instant = np.abs(D[0, :, nu:]) * ~held
-        if np.any(instant > 1e-12 * max(float(np.max(np.abs(D[0]))), 1e-300)):
+        if np.any(instant > 1e-12 * max(float(np.max(np.abs(D[0]))), TINY)):
             self._refuse_instant(instant)
         index = [*range(nu), *(nu + np.flatnonzero(held)).tolist()]
         hold = [*self.hold, *["zoh"] * int(held.sum())]

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casid.algebra.symbolic import exact
-from casid.errors import ModelError
-from casid.model.expressions import nearest
+from casid.arrays import Array
+from casid.errors import ModelError, nearest
 
-Array = np.ndarray[Any, Any]
 Range = tuple[float, float]
 
 

@@ -11,15 +11,12 @@ T^-1 A T = diag(As, Aa), As stable and Aa anti-stable,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from casid.arrays import Array
 from casid.linear.kalman import recursion
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.linear.filters import LAST_STABLE, modulus_text
 
-Array = NDArray[Any]
 _NUMBERS = 1_600_000  # numbers in the matrices that are solved at once
 
 

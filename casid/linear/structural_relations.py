@@ -13,13 +13,12 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.linear.discretisation import DiscreteTransfer, discretise, substitution
 from casid.linear.linear_model import TransferMatrix
 from casid.linear.vanishing_expressions import exact_points, float_points
 
-Array = NDArray[Any]
 Expr = Any  # a CasADi SX expression
 
 _SMALL = 1e-9  # relative size of a relation's error that is rounding, where it is not rational

@@ -8,12 +8,10 @@ to itself would invert it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from casid.arrays import TINY, Array
 
 TOLERANCE = 1e-9
 """Singular values below this, in units of the factors' size, count as zero."""
@@ -60,7 +58,7 @@ def unobservable_subspace(A: Array, C: Array, relative: float = TOLERANCE) -> Ar
     """Orthonormal basis (nx, k) of the largest A-invariant subspace in the null space of C."""
     A, T = _balanced(A)
     C = _unit_rows(C @ T)
-    A = A / max(size(A), 1e-300)
+    A = A / max(size(A), TINY)
     V = null_space(C, relative)
     while V.shape[1]:
         leaves = A @ V - V @ (V.T @ A @ V)
@@ -117,7 +115,7 @@ def invariant_zeros(A: Array, E: Array, C: Array, F: Array, relative: float = TO
     section 7.3: the zeros are the eigenvalues of A + E U on it, where u = U x keeps x there.
     """
     n, nu = E.shape
-    speed = max(size(A), 1e-300)
+    speed = max(size(A), TINY)
     A, T = _balanced(A / speed)
     rows = _unit_rows(np.hstack([C @ T, F]))
     E, C, F = np.linalg.solve(T, E) / speed, rows[:, :n], rows[:, n:]

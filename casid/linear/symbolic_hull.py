@@ -16,11 +16,10 @@ import casadi as ca
 import numpy as np
 
 from casid.algebra.symbolic import exact, rational_operations, walk
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.linear.linear_constraints import coefficient_names, largest_one
 from casid.linear.parameter_draws import check_names, count_of_coefficients
-
-Array = np.ndarray[Any, Any]
 
 _DEGREE = 30  # of numerators and denominators that are worth expanding
 

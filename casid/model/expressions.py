@@ -7,15 +7,14 @@ declared names, five operators and a list of functions, and nothing else: text n
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import casadi as ca
 
-from casid.errors import ModelError
+from casid.errors import ModelError, nearest
 
 MAX_LENGTH = 20_000  # characters of one formula
 MAX_DEPTH = 60  # brackets, signs and powers inside one another
@@ -137,17 +136,6 @@ def names(text: str, *, where: str = "") -> tuple[str, ...]:
         if t[0] == "name" and i not in called and t[1] not in CONSTANTS
     )
     return tuple(dict.fromkeys(found))
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """``; did you mean 'b1'?`` for the nearest known name, or what there is; for messages."""
-    known = sorted(known)
-    lowered = {k.lower(): k for k in reversed(known)}
-    close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
-    if close:
-        return f"; did you mean {lowered[close[0]]!r}?"
-    listing = ", ".join(known[:12]) + (", ..." if len(known) > 12 else "")
-    return f"; known are: {listing}" if known else "; none is declared"
 
 
 class _Parser:

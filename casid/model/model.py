@@ -12,7 +12,6 @@ the indirect model of Linder (2017, ch. 4), for gains that may depend on the sta
 from __future__ import annotations
 
 import copy
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import casadi as ca
 import numpy as np
 
-from casid.errors import ModelError
+from casid.errors import ModelError, nearest
 
 if TYPE_CHECKING:
     from casid.model.effects.effect import Effect
@@ -299,9 +298,8 @@ class Model:
         try:
             return self._symbols[name]
         except KeyError:
-            near = difflib.get_close_matches(name, self._symbols, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(self._symbols)}"
-            raise ModelError(f"{self.name} has no {name!r}; {hint}") from None
+            hint = nearest(name, self._symbols)
+            raise ModelError(f"{self.name} has no {name!r}{hint}") from None
 
     # -- deriving ----------------------------------------------------------------------------
 
@@ -325,11 +323,9 @@ class Model:
                 f"{self.name}: {name!r} is not an unknown input; declare it with unknown_input"
             )
         if using not in self.outputs:
-            near = difflib.get_close_matches(using, self.outputs, 1)
             raise ModelError(
-                f"{self.name}: no output {using!r} to eliminate {name} with; "
-                f"outputs are {', '.join(self.outputs)}"
-                + (f"; did you mean {near[0]!r}?" if near else "")
+                f"{self.name}: no output {using!r} to eliminate {name} with"
+                f"{nearest(using, self.outputs)}"
             )
         new = self._copy(self.name)
         places = list(self.inputs).index(name), list(self.outputs).index(using)
@@ -427,10 +423,8 @@ class Model:
     def parameter_named(self, name: str) -> Parameter:
         """The parameter called `name`, or an error that names the nearest."""
         if name not in self.parameters:
-            near = difflib.get_close_matches(name, self.parameters, 1)
             raise ModelError(
-                f"{self.name} has no parameter {name!r}; it has {', '.join(self.parameters)}"
-                + (f"; did you mean {near[0]!r}?" if near else "")
+                f"{self.name} has no parameter {name!r}{nearest(name, self.parameters)}"
             )
         return self.parameters[name]
 

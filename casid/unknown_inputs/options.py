@@ -11,10 +11,8 @@ from __future__ import annotations
 import html
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.data.problem import Problem
 from casid.data.record import Experiment, Record
@@ -33,8 +31,6 @@ from casid.identification.identify import identify
 from casid.linear.noisy_model import White, noise_sources
 from casid.model.model import Model
 from casid.unknown_inputs.observers.input_estimate import noise_guess
-
-Array = NDArray[Any]
 
 KNOWN = "known"
 AS_EXACT = "measured, taken as exact"

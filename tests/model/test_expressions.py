@@ -11,8 +11,8 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from casid.errors import ModelError
-from casid.model.expressions import MAX_DEPTH, MAX_LENGTH, names, nearest, parse
+from casid.errors import ModelError, nearest
+from casid.model.expressions import MAX_DEPTH, MAX_LENGTH, names, parse
 
 POINT = {"x": 0.7, "y": -1.3, "b1": 2.5}
 KINDS = pytest.mark.parametrize("kind", [ca.SX, ca.MX], ids=["SX", "MX"])

@@ -9,20 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import casadi as ca
 import numpy as np
 from scipy.fft import rfft, rfftfreq
 
+from casid.arrays import TINY, Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment, Record
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.errors import CasidError
 from casid.estimation.simulation.simulator import Simulator
 from casid.model.model import Model
-
-Array = np.ndarray[Any, Any]
 
 LONGEST_SETTLING = 0.5
 """Share of the record's length that one free decay may take."""
@@ -199,4 +197,4 @@ class FittedMotion:
             [criterion.simulated(self.at.fit.x, e).y for e in range(len(criterion.data))]
         )
         size = np.sqrt(np.mean(y**2, axis=0))
-        return float(np.min(self.at.noise.output_sd / np.maximum(size, 1e-300)))
+        return float(np.min(self.at.noise.output_sd / np.maximum(size, TINY)))

@@ -38,11 +38,11 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm
 
+from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.score_tests import INVISIBLE, ScoreTable
 from casid.errors import DataError
 from casid.model.effects.effect import Effect
 
-Array = np.ndarray[Any, Any]
 Key = tuple[str, str]
 
 MARGIN = 6.0
@@ -89,7 +89,7 @@ def win_probability(energy: float, cosine: float, *, margin: float = MARGIN) -> 
 
     The product of two independent normals is integrated over one of them.
     """
-    scale = 2 * sqrt(max(1 - cosine * cosine, 1e-300))
+    scale = 2 * sqrt(max(1 - cosine * cosine, TINY))
     s_mean, t_mean = sqrt(energy * (1 + cosine) / 2), sqrt(energy * (1 - cosine) / 2)
     # Of the two factors, integrate over the one further from zero.
     far, near = max(s_mean, t_mean), min(s_mean, t_mean)

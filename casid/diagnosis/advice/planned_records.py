@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from scipy.fft import irfft, rfftfreq
 
+from casid.arrays import Array
 from casid.data.record import Experiment
 from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.errors import CasidError
 from casid.model.model import Model
 
-Array = np.ndarray[Any, Any]
 Change = Callable[[Array], Array]  # (N,) of one input, less its mean -> (M,)
 
 Bands = tuple[tuple[float, float], ...]

@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.stats import binomtest
 
+from casid.arrays import Array
 from casid.campaigns.campaign import campaign
 from casid.campaigns.manifest import manifest_of
 from casid.campaigns.monte_carlo import digest
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
     from casid.diagnosis.diagnosis import Diagnosis
     from casid.diagnosis.evidence.prewhitening import Weighted
 
-Array = np.ndarray[Any, Any]
 Diagnose = Callable[..., "Diagnosis"]
 """Called with problem and experiments, and `hold_out` and `false_alarm_rate` by name."""
 

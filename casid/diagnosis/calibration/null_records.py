@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.data.record import Experiment, Record
 from casid.errors import SolveError
 from casid.estimation.holdout import Split
@@ -26,8 +27,6 @@ from casid.estimation.simulation.simulation_error import (
     minimize_simulation_error,
 )
 from casid.model.model import Input, Model
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.data.record import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import TIME, Group, Linearised, Regression, Table
-
-Array = np.ndarray[Any, Any]
 
 
 def regressions(

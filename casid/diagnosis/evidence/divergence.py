@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
+from casid.arrays import TINY, Array
 from casid.estimation.simulation.simulation_error import Fit, SimulationError
 from casid.model.effects.effect import Effect
-
-Array = np.ndarray[Any, Any]
 
 SHARE = 0.01
 """Size of the trial: what the effect adds to a derivative or an output, over the rms of that."""
@@ -68,4 +65,4 @@ def _added(wide: SimulationError, x: Array, name: str) -> float:
         slopes.append(np.array(found[1]))
     sizes = np.sqrt(np.mean(np.concatenate(values, axis=1) ** 2, axis=1))
     added = np.sqrt(np.mean(np.concatenate(slopes, axis=1) ** 2, axis=1))
-    return float(np.max(added / np.maximum(sizes, 1e-300), initial=0.0)) or float("nan")
+    return float(np.max(added / np.maximum(sizes, TINY), initial=0.0)) or float("nan")

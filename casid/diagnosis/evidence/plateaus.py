@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.stats import poisson
 from scipy.stats import t as student
 
-Array = np.ndarray[Any, Any]
+from casid.arrays import TINY, Array
 
 FEWEST = 4
 """Equal samples at an end that are a plateau at all."""
@@ -74,7 +73,7 @@ def find_plateaus(
     for side in ends:
         level = float(np.max(side * values))
         at = [u & (side * y >= level) for y, u in zip(measured, used, strict=True)]
-        p = max(_ties(side * values), 1e-300)
+        p = max(_ties(side * values), TINY)
         beyond = np.concatenate([side * y[m] - level for y, m in zip(simulated, at, strict=True)])
         if p >= alpha or not np.all(np.isfinite(beyond)):
             continue
@@ -84,7 +83,7 @@ def find_plateaus(
         size = float(1.4826 * np.median(np.abs(elsewhere - np.median(elsewhere))))
         mean, spread = float(beyond.mean()), float(beyond.std(ddof=1))
         error = np.hypot(spread, size) / np.sqrt(len(beyond))
-        is_beyond = float(student.sf(mean / max(error, 1e-300), len(beyond) - 1)) < alpha
+        is_beyond = float(student.sf(mean / max(error, TINY), len(beyond) - 1)) < alpha
         is_beyond = is_beyond and mean >= 0.5 * size and spread >= 0.1 * mean
         if not (is_beyond or _runs_in(measured, at)):
             continue

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.data.record import Experiment
 from casid.diagnosis.evidence.score_tests import LONGEST, step_without_bias
 from casid.estimation.nlp.nlp import Solver
@@ -22,8 +22,6 @@ from casid.estimation.simulation.simulation_error import (
     minimize_simulation_error,
 )
 from casid.model.model import Model
-
-Array = np.ndarray[Any, Any]
 
 HIDDEN = 1.1
 """Residual over the sensors' noise beyond which misfit is taken to hide in the noise model.

@@ -24,13 +24,13 @@ from scipy.fft import rfft
 from scipy.special import kolmogorov
 from scipy.stats import gamma, norm
 
+from casid.arrays import TINY, Array
 from casid.data.record import Experiment
 from casid.diagnosis.evidence.candidate_functions import regressions
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import Regression
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 
-Array = np.ndarray[Any, Any]
 Left = Literal[
     "noise as estimated",
     "a disturbance (random, uncorrelated with inputs and states)",
@@ -281,14 +281,14 @@ def _changes(whitened: Sequence[Array], simulated: Sequence[Array]) -> tuple[flo
     square = np.sum(e**2, axis=1)
     p_mean = min(1.0, ny * min(_bridge(e[:, i]) for i in range(ny)))
     p_power = _bridge(square)
-    amplitude = np.sum((y / np.maximum(y.std(axis=0), 1e-300)) ** 2, axis=1)
+    amplitude = np.sum((y / np.maximum(y.std(axis=0), TINY)) ** 2, axis=1)
     # A sudden peak of the amplitude must not decide alone: ranks in place of values.
     rank = np.argsort(np.argsort(amplitude)) / len(amplitude) - 0.5
     # Ranks of power, too: the law of a sum of squares under a few large residuals is far off.
     height = np.argsort(np.argsort(square)) / len(square) - 0.5
     product = (rank * height)[:, None]
     sd = float(np.sqrt(long_run_covariance(product, bartlett_lags(product))[0, 0]))
-    p_amplitude = float(2 * norm.sf(abs(float(product.sum())) / max(sd, 1e-300)))
+    p_amplitude = float(2 * norm.sf(abs(float(product.sum())) / max(sd, TINY)))
     return p_mean, p_power, p_amplitude
 
 

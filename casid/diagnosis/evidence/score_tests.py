@@ -27,18 +27,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 
+from casid.arrays import TINY, Array
 from casid.errors import ModelError, SolveError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.noise import GROUP
 from casid.estimation.simulation.simulation_error import Fit, SimulationError, widened
 from casid.model.effects.effect import Effect, extend_all
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,7 +193,7 @@ def score_test(
     ny = len(wide.outputs)
     e, t_all, rest = (_joined(p) for p in (e_parts, tangent_parts, psi_parts))
     # Signatures are as long as all records: they are scaled and projected where they are.
-    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), 1e-300))
+    size = np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), TINY))
     rest /= size
     if not np.all(np.isfinite(t_all)):
         raise SolveError(
@@ -203,7 +201,7 @@ def score_test(
             "window, or change the parameters that make it grow"
         )
     # Columns of T may be nearly dependent: project by an orthonormal basis.
-    t_size = np.sqrt(np.maximum(np.einsum("ij,ij->j", t_all, t_all), 1e-300))
+    t_size = np.sqrt(np.maximum(np.einsum("ij,ij->j", t_all, t_all), TINY))
     u, s, vt = np.linalg.svd(t_all / t_size, full_matrices=False)
     keep = s > 1e-8 * s[0]
     gamma = (vt[keep].T / s[keep]) @ (u[:, keep].T @ rest)
@@ -226,7 +224,7 @@ def score_test(
         z -= given.sum(axis=0)
         # One draw is as far from its mean as chance has it: that is uncertainty, too.
         covariance = covariance + long_run_covariance(given, lags)
-    sd_z = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    sd_z = np.sqrt(np.maximum(np.diag(covariance), TINY))
     gram = rest.T @ rest
     possible = _between_samples(base, effects, np.abs(gram) * size)
     ratio, bias = (np.where(visible, a / sd_z, 0.0) for a in (z, possible))
@@ -236,10 +234,10 @@ def score_test(
     near, far = np.abs(ratio) - bias, np.abs(ratio) + bias
     both = student.sf(near, freedom) + student.sf(far, freedom)
     p = np.where(one, student.sf(ratio - bias, freedom), np.minimum(both, 1.0))
-    p = np.where(visible, np.clip(p, 1e-300, 1.0), 1.0)
+    p = np.where(visible, np.clip(p, TINY, 1.0), 1.0)
     family = _family_of(covariance, visible, one, freedom, draws, seed)
     adjusted = np.where(visible, [family(float(each)) for each in p], 1.0)
-    norms = np.sqrt(np.maximum(left, 1e-300))
+    norms = np.sqrt(np.maximum(left, TINY))
     cosines = gram / np.outer(norms, norms)
     scores = tuple(
         Score(
@@ -248,7 +246,7 @@ def score_test(
             p_value=float(p[j]),
             adjusted=float(adjusted[j]),
             energy=float(left[j] * size[j] ** 2),
-            step=float(z[j] / max(left[j], 1e-300) / size[j]) if visible[j] else 0.0,
+            step=float(z[j] / max(left[j], TINY) / size[j]) if visible[j] else 0.0,
             unrobust=float(z[j] ** 2 / left[j])
             if visible[j] and not (one[j] and z[j] < 0)
             else 0.0,
@@ -300,14 +298,14 @@ def step_without_bias(
             moved, turned, _ = _antithetic(criterion, x, k, range(n), [], [], sd, rng)
             gradient -= turned.T @ moved
             noise += turned.T @ turned
-    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    size = np.sqrt(np.maximum(np.diag(matrix), TINY))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     seen = values > 1e-12 * values[-1]
     root = vectors[:, seen] / np.sqrt(values[seen]) / size[:, None]  # root' (T'T) root = 1
     share, axes = np.linalg.eigh(np.eye(int(seen.sum())) - root.T @ noise @ root)
     step = axes @ ((axes.T @ (root.T @ gradient)) / np.maximum(share, 0.2))
     length = float(np.linalg.norm(step))
-    step *= min(1.0, LONGEST / max(length, 1e-300))
+    step *= min(1.0, LONGEST / max(length, TINY))
     lower, upper = (
         np.array([getattr(v, side) for v in criterion.variables]) for side in ("lower", "upper")
     )
@@ -334,11 +332,11 @@ def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
     mine = base.names.index(own)
     e = e + t_all[:, mine] * fit.x[mine]
     rest = np.delete(t_all, mine, axis=1)
-    rest = rest / np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), 1e-300))
+    rest = rest / np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), TINY))
     q, _ = np.linalg.qr(rest)
     e = e - q @ (q.T @ e)
     _take_out(psi, q, q.T @ psi)
-    size = np.maximum(np.einsum("ij,ij->j", psi, psi), 1e-300)
+    size = np.maximum(np.einsum("ij,ij->j", psi, psi), TINY)
     return np.asarray(e @ e - (psi.T @ e) ** 2 / size)
 
 
@@ -426,7 +424,7 @@ def _family_of(
     index = np.flatnonzero(visible)
     if not index.size:
         return Family(np.zeros(0), 0)
-    sd = np.sqrt(np.maximum(np.diag(covariance)[index], 1e-300))
+    sd = np.sqrt(np.maximum(np.diag(covariance)[index], TINY))
     correlation = covariance[np.ix_(index, index)] / np.outer(sd, sd)
     values, vectors = np.linalg.eigh(correlation)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

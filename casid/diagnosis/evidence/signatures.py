@@ -23,6 +23,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.stats import f as fisher
 
+from casid.arrays import TINY, Array
 from casid.data.record import Experiment
 from casid.diagnosis.evidence.score_tests import BETWEEN_SAMPLES
 from casid.errors import ModelError
@@ -38,7 +39,6 @@ from casid.estimation.simulation.simulation_error import (
 from casid.estimation.simulation.simulator import rk4_sample
 from casid.model.model import Input, Model
 
-Array = np.ndarray[Any, Any]
 Table = Mapping[str, Array]  # variable -> (N,) of one record
 
 TIME = "time"
@@ -307,7 +307,7 @@ class Regression:
         self.odd = np.concatenate(drawn) if drawn else None
         edges = np.cumsum([0, *self._widths])
         self.slices = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-        self.size = np.sqrt(np.maximum(np.einsum("ij,ij->j", self.psi, self.psi), 1e-300))
+        self.size = np.sqrt(np.maximum(np.einsum("ij,ij->j", self.psi, self.psi), TINY))
 
     def _stack(self, k: int, d: Signals) -> Array:
         """Whitened residual, tangent and signatures of one record, (N ny, 1 + n + K)."""
@@ -392,7 +392,7 @@ class Regression:
         n = len(self.x)
         taken = [j for g in chosen for j in range(self.slices[g].start, self.slices[g].stop)]
         base = np.hstack([self.tangent, self.psi[:, taken]])
-        base_size = np.sqrt(np.maximum(np.einsum("ij,ij->j", base, base), 1e-300))
+        base_size = np.sqrt(np.maximum(np.einsum("ij,ij->j", base, base), TINY))
         u, s, vt = np.linalg.svd(base / base_size, full_matrices=False)
         keep = s > 1e-6 * s[0]
         unit = self.psi / self.size
@@ -471,7 +471,7 @@ class Regression:
         )
         out = []
         for k, i in enumerate(free):
-            own_p = max(float(p[k]), 1e-300)
+            own_p = max(float(p[k]), TINY)
             share = (np.searchsorted(smallest, own_p, side="right") + 1) / (draws + 1)
             adjusted = min(
                 1.0, len(free) * own_p, float(share) if share > 20 / max(draws, 1) else 1.0

@@ -21,17 +21,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.optimize import minimize_scalar
 
+from casid.arrays import TINY, Array
 from casid.estimation.simulation.simulation_error import Fit, SimulationError, widened
 from casid.model.effects.effect import Effect
 from casid.model.effects.periodic import periodic_disturbance
-
-Array = np.ndarray[Any, Any]
 
 GUARD = 2
 """Lines beside the one judged that its own leakage reaches: not taken for its level."""
@@ -82,7 +80,7 @@ def find_peaks(
             for f, amplitude, power, p in _peaks_of(r[:, i], step, most):
                 adjusted = -np.expm1(tried * np.log1p(-min(p, 1.0 - 1e-12)))
                 adjusted = min(1.0, tried * p) if p < 1e-9 else float(adjusted)
-                found.append(Peak(f, amplitude, max(adjusted, 1e-300), power, k, i))
+                found.append(Peak(f, amplitude, max(adjusted, TINY), power, k, i))
     found.sort(key=lambda peak: (peak.p_value, -peak.power))
     kept: list[Peak] = []
     for peak in found:
@@ -163,7 +161,7 @@ def _levels(raw: Array, lines: Array) -> tuple[Array, int, int]:
         near = around[np.argsort(np.abs(around - j), kind="stable")[2 * GUARD + 1 :]]
         near = near[:n]
         level[j] = np.partition(values[near], r - 1)[r - 1] / a
-    return np.maximum(level, 1e-300), n, r
+    return np.maximum(level, TINY), n, r
 
 
 def _refined(e: Array, t: Array, f: float) -> tuple[float, float]:
@@ -214,7 +212,7 @@ def periodic_candidates(
             model, names = effect.extended(base.model)
             wide = widened(fit, model.with_known(**{names[2]: peak.frequency}))
             e, psi, tangent = _split_columns(wide, names[:2])
-            q, _ = np.linalg.qr(tangent / np.maximum(np.linalg.norm(tangent, axis=0), 1e-300))
+            q, _ = np.linalg.qr(tangent / np.maximum(np.linalg.norm(tangent, axis=0), TINY))
             rest = psi - q @ (q.T @ psi)
             step, *_ = np.linalg.lstsq(rest, e - q @ (q.T @ e), rcond=1e-10)
             starts = {p.name: float(s) for p, s in zip(effect.parameters[:2], step, strict=True)}

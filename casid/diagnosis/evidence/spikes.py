@@ -13,13 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-Array = np.ndarray[Any, Any]
+from casid.arrays import TINY, Array
 
 FAINTEST = 2.5
 """Variance of the spikes in d over that of its noise, below which they are none (heuristic)."""
@@ -101,7 +100,7 @@ def find_spikes(
         share=count / total,
         size=float(np.median(height)),
         energy=float(np.sum(height**2)),
-        p_value=float(min(1.0, max(p, 1e-300))),
+        p_value=float(min(1.0, max(p, TINY))),
     )
 
 
@@ -117,7 +116,7 @@ def _is_white(differences: Sequence[Array]) -> bool:
     """True if d has the correlations of white noise; a misfit has others."""
     power = sum(float(d @ d) for d in differences)
     one, two = (
-        sum(float(d[:-lag] @ d[lag:]) for d in differences if len(d) > lag) / max(power, 1e-300)
+        sum(float(d[:-lag] @ d[lag:]) for d in differences if len(d) > lag) / max(power, TINY)
         for lag in (1, 2)
     )
     return abs(one + 2 / 3) < LIKE_WHITE and abs(two - 1 / 6) < LIKE_WHITE
@@ -143,12 +142,12 @@ def _scale(d: Array) -> float:
     body = core[: int(0.96 * len(core))]
     # Standard deviation of a normal cut off at its central 96 %, undone.
     spread = float(np.sqrt(np.mean(body**2))) / 0.880
-    return max(mad, spread, 1e-300)
+    return max(mad, spread, TINY)
 
 
 def _fourth_moment(h: Array) -> float:
     """(1) for standardised differences, the variance taken from themselves."""
-    h = h / max(float(np.std(h)), 1e-300)
+    h = h / max(float(np.std(h)), TINY)
     spread = 24 * (1 + 2 * (2 / 3) ** 4 + 2 * (1 / 6) ** 4)
     return float(np.sqrt(len(h) / spread) * np.mean(h**4 - 6 * h**2 + 3))
 

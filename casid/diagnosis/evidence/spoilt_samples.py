@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.diagnosis.evidence.plateaus import Plateaus, find_plateaus
 from casid.diagnosis.evidence.spikes import Spikes, find_spikes
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
 from casid.estimation.simulation.simulation_error import Fit
-
-Array = np.ndarray[Any, Any]
 
 SHARE = 1 / 50
 """Of the false-alarm rate, spent on each of these tests in each channel."""

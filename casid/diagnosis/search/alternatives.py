@@ -11,19 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2, norm
 
+from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighted, use_samples_of
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.candidates import Candidate, Rival
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.model.effects.effect import ON_THE_CLOCK
-
-Array = np.ndarray[Any, Any]
 
 STRONG = 6.0
 """Units of BIC that reject a rival."""
@@ -47,7 +45,7 @@ def by_what_is_left(refitting: Refitting, at: Weighted, found: list[Candidate]) 
     r2 = _losses(max(found, key=lambda c: c.gain))
     spread = float(np.var(r2)) * len(r2)
     long_run = float(long_run_covariance(r2[:, None], bartlett_lags(r2[:, None]))[0, 0])
-    n = float(np.clip(len(r2) * spread / max(long_run, 1e-300), 8.0, len(r2)))
+    n = float(np.clip(len(r2) * spread / max(long_run, TINY), 8.0, len(r2)))
     out = []
     before = refitting.value(at)
     for c in found:
@@ -115,7 +113,7 @@ def p_value(table: ScoreTable, candidate: Candidate) -> float:
         refit = 2 * count * float(norm.sf(np.sqrt(max(candidate.gain, 0.0) / 3)))
     else:
         refit = 2 * count * float(norm.sf(abs(candidate.wald)))
-    return float(max(min(score, refit, 1.0), 1e-300))
+    return float(max(min(score, refit, 1.0), TINY))
 
 
 def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tuple[Rival, ...]:
@@ -136,7 +134,7 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
         p = float(norm.sf(total / sd)) if sd > 0 else 1.0
         is_open = at.is_hidden and p > 0.05 and c.merit > 0.5 * best.merit
         if c.merit > best.merit - STRONG or is_open:
-            out.append(Rival(c, max(p, 1e-300)))
+            out.append(Rival(c, max(p, TINY)))
     return tuple(sorted(out, key=lambda r: -r.p_value))
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from casid.arrays import TINY
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.residual_tests import (
@@ -149,7 +150,7 @@ def _unknown(
     return Cause(
         kind="unknown",
         where=where,
-        p_value=max(left.p_value, 1e-300),
+        p_value=max(left.p_value, TINY),
         parameters=(),
         alternatives=alternatives,
         share=share,

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casid.arrays import TINY
 from casid.data.record import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score
@@ -86,7 +87,7 @@ def _misfit_in_head(at: Weighted, share: float) -> float:
         power = np.sum(at.criterion.columns(at.fit.x, e)[0] ** 2, axis=1)
         inside += float(power[: round(share * d.N)].sum())
         total += float(power.sum())
-    return inside / max(total, 1e-300)
+    return inside / max(total, TINY)
 
 
 def _head(experiment: Experiment, share: float) -> Experiment:

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
+from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.search.candidates import Adopted
 from casid.errors import SolveError
@@ -24,8 +24,6 @@ from casid.estimation.covariance import sandwich
 from casid.estimation.estimate import Estimated
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import Fit
-
-Array = np.ndarray[Any, Any]
 
 LEVEL = 0.01
 """Level below which sizes are called different."""
@@ -76,7 +74,7 @@ def record_specific(
     except SolveError:
         return (), fit, at
     specific = tuple(
-        Specific(key, max(p, 1e-300), _values(apart, asked[key][0])) for key, p in kept.items()
+        Specific(key, max(p, TINY), _values(apart, asked[key][0])) for key, p in kept.items()
     )
     return specific, apart, weighing.weigh(apart.criterion.model, apart, rounds=1)
 

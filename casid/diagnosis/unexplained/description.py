@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
+from casid.arrays import Array
 from casid.data.record import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.residual_tests import IN_TIME, NOISE, ResidualTests, residual_tests
 from casid.diagnosis.evidence.signatures import TIME, variables_of
 from casid.diagnosis.unexplained.missing_force import MissingForce, missing_force, quiet_fit
 from casid.diagnosis.unexplained.smoothed_force import ForceSeries, smoothed_force
-
-Array = np.ndarray[Any, Any]
 
 APART = 12.0
 """Squares by which a place must explain more than another to be told alone: six units of BIC, which

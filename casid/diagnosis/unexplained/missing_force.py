@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.arrays import TINY, Array
 from casid.data.record import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import (
@@ -35,8 +36,6 @@ from casid.diagnosis.evidence.signatures import (
 from casid.diagnosis.unexplained.smoothed_force import SmoothedForce, smoothed_force
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.simulation_error import Fit
-
-Array = np.ndarray[Any, Any]
 
 SINE = "a sine in time"
 """Name of what repeats at a line of the spectrum."""
@@ -211,7 +210,7 @@ def missing_force(
         ]
         rivals.append(tuple(n for n in near if n)[:4])
         dependent.update(groups[best.group].names, *near)
-    total = max(regression.misfit, sum(t.gain - t.chance for t in chosen), 1e-300)
+    total = max(regression.misfit, sum(t.gain - t.chance for t in chosen), TINY)
     dependences = _describe(regression, chosen, rivals, joined, knots, total, at, seed)
     units = units_of(criterion.model, recorded)
     own = {v for g in groups for v in g.names}

@@ -13,16 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.fft import rfft
 
+from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.signatures import Linearised
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.simulation_error import SimulationError
-
-Array = np.ndarray[Any, Any]
 
 BANDS = 60
 
@@ -162,7 +160,7 @@ def _levels(ordinates: list[list[_Ordinates]], Ts: float) -> tuple[float, float,
         return np.asarray((count * (np.log(total) + power / total)).sum(axis=-1))
 
     none = float(loss(np.zeros(1), Ts)[0])
-    scale = float(np.sum(count * power) / max(float(np.sum(count * gain2)), 1e-300))
+    scale = float(np.sum(count * power) / max(float(np.sum(count * gain2)), TINY))
     best = (0.0, 0.0, Ts)
     longest = 2 * np.pi / float(omega.min()) * Ts
     for memory in np.geomspace(0.5 * Ts, longest / 4, 14):
@@ -213,7 +211,7 @@ def _spectrum(
     return ForceSpectrum(
         frequency=centre[known],
         density=to_density * top[known] / bottom[known],
-        floor=to_density / np.sqrt(np.maximum(floor[known], 1e-300)),
+        floor=to_density / np.sqrt(np.maximum(floor[known], TINY)),
         sd=to_density / np.sqrt(bottom[known]),
         line=where / (2 * np.pi * Ts) if p < 1e-4 else None,
         line_p=p,
@@ -284,7 +282,7 @@ def _rauch_tung_striebel(
         x[k], P[k] = m, C
         m = F[k] @ m
         C = F[k] @ C @ F[k].T + Q[k]
-    size = np.sqrt(np.maximum(np.einsum("tii->ti", P_ahead[1:]), 1e-300))
+    size = np.sqrt(np.maximum(np.einsum("tii->ti", P_ahead[1:]), TINY))
     unit = P_ahead[1:] / (size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(nz)
     G = (np.linalg.solve(unit, (F[:-1] @ P[:-1]) / size[:, :, None]) / size[:, :, None]).transpose(
         0, 2, 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from casid.arrays import TINY
 from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.evidence.score_tests import INVISIBLE
 from casid.diagnosis.evidence.spoilt_samples import Spoilt
@@ -39,7 +40,7 @@ def causes_of(
     clipped = spoilt.plateaus  # a fact, however little it cuts off
     lost = sum(s.energy * scale[s.channel] for s in spikes)
     lost += sum(c.energy * scale[c.channel] for c in clipped)
-    total = max(sum(losses) + lost, 1e-300)
+    total = max(sum(losses) + lost, TINY)
     for a, loss in zip(adopted, losses, strict=True):
         effect = a.candidate.effect
         alternatives = tuple(
@@ -145,7 +146,7 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
 def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fit) -> list[Cause]:
     """The wrong sign in front of what was found with it mended."""
     lost = max(before.solution.value - after.solution.value, 0.0)
-    share = lost / max(before.solution.value, 1e-300)
+    share = lost / max(before.solution.value, TINY)
     alternatives = tuple(
         Alternative("sensor_scale", c, p, "negated, it fits as well: look at both sensors' axes")
         for c, p in turned.rivals.items()

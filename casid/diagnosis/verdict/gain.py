@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.estimation.estimate import RecordView
@@ -15,8 +15,6 @@ from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, record_views, simulate_apart, whole_simulation
 from casid.estimation.simulation.simulation_error import Fit
 from casid.identification.wrong_signs import WrongSign
-
-Array = np.ndarray[Any, Any]
 
 
 def rmse(

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from casid.arrays import TINY
 from casid.data.problem import Problem
 from casid.diagnosis.diagnosis import Cause, Verdict
 from casid.diagnosis.evidence.prewhitening import Weighted
@@ -180,7 +181,7 @@ def noise_text(at: Weighted) -> dict[str, str]:
                     f"; the residual shows more than {source} itself moves ({moves:.3g} {unit}): "
                     f"it is no noise of {source}, but a misfit"
                 )
-            elif sd > 1.5 * max(own, 1e-300):
+            elif sd > 1.5 * max(own, TINY):
                 text += f"; the residual shows as much as {sd:.3g}, a disturbance or a misfit"
         else:
             text = f"disturbance {sd:.3g} {at.model.balances[source].unit} a sample"

@@ -11,12 +11,12 @@ import difflib
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.signal import correlate
 from scipy.stats import norm
 
+from casid.arrays import TINY, Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
@@ -34,8 +34,6 @@ from casid.estimation.simulation.simulation_error import (
 from casid.model.effects.effect import KINDS
 from casid.model.effects.user_effects import user_effects
 from casid.model.model import Model
-
-Array = np.ndarray[Any, Any]
 
 PER_UNKNOWN = 10
 """Samples that every unknown must have at least (a heuristic)."""
@@ -327,7 +325,7 @@ def why_undecided(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> 
         y = c.simulated(fit.x, e).y
         for i in range(len(c.outputs)):
             noise = float(at.noise.output_sd[i])
-            loudest = max(loudest, float(np.std(y[d.used[:, i], i])) / max(noise, 1e-300))
+            loudest = max(loudest, float(np.std(y[d.used[:, i], i])) / max(noise, TINY))
     if loudest < 1.0:
         return (
             f"the simulated outputs move by {loudest:.2g} of the noise only: nothing excites the "
@@ -398,7 +396,7 @@ def unweighed(fit: Fit) -> Weighted:
     sources = tuple(n for n, u in c.model.inputs.items() if u.kind == "measured")
     flat = Response(np.array([0.0, math.pi]), np.zeros((2, len(sd), len(sources))), sources)
     noise = NoiseModel(
-        output_sd=np.maximum(sd, 1e-300),
+        output_sd=np.maximum(sd, TINY),
         source_sd=dict.fromkeys(sources, 0.0),
         responses=[flat] * len(c.data),
         weights=c.weights,

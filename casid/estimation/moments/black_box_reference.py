@@ -16,19 +16,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.data.record import Experiment
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.moments.instruments import Instruments
 from casid.estimation.moments.reference_filter import Filter, ReferenceFilter, SampledFilter
 from casid.estimation.prediction_error.polynomial_estimation import arx, oe
 from casid.model.model import Model
-
-Array = NDArray[Any]
 
 SLOWEST = 0.9999
 """Poles of a black box nearer to the unit circle are drawn back to this modulus (a heuristic)."""
@@ -274,11 +272,11 @@ def _inside(a: Array) -> tuple[Array, str]:
         return a, ""
     outside = size >= 1.0
     roots = np.where(outside, 1.0 / np.conj(np.where(outside, roots, 1.0)), roots)
-    roots = roots * np.minimum(1.0, SLOWEST / np.maximum(np.abs(roots), 1e-300))
+    roots = roots * np.minimum(1.0, SLOWEST / np.maximum(np.abs(roots), TINY))
     moved = ", ".join(f"{s:.5f}" for s in size[outside])
     return np.asarray(np.real(np.poly(roots))), moved and f"|z| = {moved}"
 
 
 def _fit(y: Array, simulated: Array) -> float:
     error = np.linalg.norm(y - simulated - (y - simulated).mean())
-    return float(100 * (1 - error / max(float(np.linalg.norm(y - y.mean())), 1e-300)))
+    return float(100 * (1 - error / max(float(np.linalg.norm(y - y.mean())), TINY)))

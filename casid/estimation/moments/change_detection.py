@@ -24,14 +24,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from casid.arrays import Array
 from casid.errors import DataError
-
-Array = NDArray[Any]
 
 WIDTHS = (1, 2, 3, 4, 6, 9, 15)
 """How far back a change is looked for, in steps."""

@@ -12,15 +12,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError, ModelError
 from casid.estimation.local_rank import describe_null, local_rank
 from casid.linear.affine_hull import affine_hull
 from casid.linear.difference_equation import DifferenceEquation
 from casid.model.model import Parameter
-
-Array = NDArray[Any]
 
 
 class Image:
@@ -98,7 +96,7 @@ class Image:
                 continue
             # Coefficients such as a1 and a2 differ from a constant by little: scale the rows by
             # what the parameters move them.
-            J = J / np.maximum(np.max(np.abs(J * x), axis=1, keepdims=True), 1e-300)
+            J = J / np.maximum(np.max(np.abs(J * x), axis=1, keepdims=True), TINY)
             rank = local_rank(J.T @ J, x, self.free, np.abs(x))
             if rank.is_full:
                 return

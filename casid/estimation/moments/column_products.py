@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.linear.lagged_columns import Column
-
-Array = NDArray[Any]
 
 BLOCK = 16_384  # samples a dot product: two channels stay in the cache
 

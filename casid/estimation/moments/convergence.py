@@ -11,12 +11,10 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.estimation.moments.prefilters import eta_distance
 from casid.estimation.moments.stage import StageFit
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

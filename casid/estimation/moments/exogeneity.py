@@ -24,6 +24,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.arrays import TINY
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.estimation.covariance import bartlett_lags
@@ -263,7 +264,7 @@ def _own_order(r: FloatArray, largest: int) -> int:
 
 def _basis(columns: FloatArray, beside: FloatArray | None = None) -> FloatArray:
     """Orthonormal basis of the columns' span, less that of the basis `beside`."""
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), TINY)
     if beside is not None:
         for _ in range(2):  # twice is enough (Giraud et al. 2005)
             scaled = scaled - beside @ (beside.T @ scaled)
@@ -304,4 +305,4 @@ def _regression(
 def _ratio(e: FloatArray, energy: FloatArray, q: FloatArray) -> FloatArray:
     """Energy that the space explains over what it leaves, F up to its degrees of freedom."""
     explained = np.sum((q.T @ e) ** 2, axis=0)
-    return np.asarray(explained / np.maximum(energy - explained, 1e-300))
+    return np.asarray(explained / np.maximum(energy - explained, TINY))

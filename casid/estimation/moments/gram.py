@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import DataError
 from casid.estimation.moments.lag_products import fast_two_sum, two_sum
 from casid.linear.lagged_columns import Column
-
-Array = NDArray[Any]
 
 CONSTANT = "1"  # the channel that is 1 at every sample, for offsets
 

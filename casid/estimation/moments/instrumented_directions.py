@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError
 from casid.estimation.moments.moment_equations import Correlation, MomentEquations
-
-Array = NDArray[Any]
 
 
 def require_seen(
@@ -42,7 +39,7 @@ def require_seen(
     for e, J in zip(equations, jacobians, strict=True):
         w = e.whitener()
         surplus += len(w)
-        weight = e.N / max(float(e.second[0, 0]), 1e-300)
+        weight = e.N / max(float(e.second[0, 0]), TINY)
         moved = w @ e.Phi @ J
         seen += weight * moved.T @ moved
         total += weight * J.T @ e.second[1:, 1:] @ J
@@ -51,7 +48,7 @@ def require_seen(
     moves = np.diag(total) * size**2
     if not np.all(np.isfinite(total)) or np.min(moves) < 1e-16 * np.max(moves):
         return correlations  # a special point, as a load of 0 kg: nothing can be said there
-    scale = 1 / np.sqrt(np.maximum(np.diag(total), 1e-300))
+    scale = 1 / np.sqrt(np.maximum(np.diag(total), TINY))
     values_, vectors = np.linalg.eigh(total * np.outer(scale, scale))
     root = vectors / np.sqrt(np.maximum(values_, 1e-14 * values_[-1]))
     shares, directions = np.linalg.eigh(root.T @ (seen * np.outer(scale, scale)) @ root)

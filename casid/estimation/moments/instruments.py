@@ -22,16 +22,14 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.errors import DataError, ModelError
 from casid.estimation.moments.reference_filter import Filter, ReferenceFilter
 from casid.linear.discretisation import discretise
 from casid.linear.lagged_columns import Column, lagged
 from casid.linear.linear_model import linearise
 from casid.model.model import Model
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,7 +295,7 @@ def independent(columns: Sequence[Column]) -> tuple[Column, ...]:
     for i, c in enumerate(columns):
         for channel, lag, weight in c.taps:
             table[i, where[channel, lag]] += weight
-    table /= np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-300)
+    table /= np.maximum(np.linalg.norm(table, axis=1, keepdims=True), TINY)
     _, s, vt = np.linalg.svd(table, full_matrices=False)
     rank = int(np.sum(s > 1e-10 * s[0]))
     if rank == len(taps):

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from casid.arrays import Array
 
 BLOCK = 65_536  # samples a dot product: fits the cache, and bounds the rounding
 

@@ -18,14 +18,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.linear.lagged_columns import Column
-
-Array = NDArray[Any]
 
 LONGEST_SEGMENT = 8192
 """Samples of a segment where the record is long enough for at least 7 overlapping ones."""

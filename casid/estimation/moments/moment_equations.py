@@ -14,11 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.data.record import Experiment
 from casid.errors import DataError, ModelError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
@@ -36,7 +36,6 @@ from casid.linear.difference_equation import DifferenceEquation, difference_equa
 from casid.linear.lagged_columns import Column
 from casid.model.model import Model
 
-Array = NDArray[Any]
 Weighting = Literal["2sls", "optimal", "identity"]
 Covariance = Literal["independent", "scores", "white"]
 
@@ -230,7 +229,7 @@ class MomentEquations:
             size = np.sqrt(np.maximum(np.diag(self.Z), 0.0))
             size = np.where(size > 0, size, 1.0)
             values, vectors = np.linalg.eigh(self.Z / np.outer(size, size))
-            keep = values > 1e-12 * max(float(values[-1]), 1e-300)
+            keep = values > 1e-12 * max(float(values[-1]), TINY)
             self._whitener.append((vectors[:, keep] / np.sqrt(values[keep])).T / size)
         return self._whitener[0]
 
@@ -242,7 +241,7 @@ class MomentEquations:
     def error_power(self, theta: Array) -> float:
         """Mean square of the equation error at theta (ntheta,)."""
         v = np.concatenate([[1.0], -theta])
-        return max(float(v @ self.second @ v), 1e-300)
+        return max(float(v @ self.second @ v), TINY)
 
     def root_weight(self, weighting: Weighting, theta: Array, covariance: Array | None) -> Array:
         """R (r, nz) with R'R = Q of (2.42), so that ||R (Y - Phi theta)||^2 is a sum of N terms.
@@ -302,7 +301,7 @@ class MomentEquations:
         `with_memory` counts independent samples, else every sample counts as one.
         """
         w = self.whitener()
-        scale = np.sqrt(np.maximum(np.diag(self.second)[1:], 1e-300))
+        scale = np.sqrt(np.maximum(np.diag(self.second)[1:], TINY))
         values, vectors = np.linalg.eigh(self.second[1:, 1:] / np.outer(scale, scale))
         root = (vectors / np.sqrt(np.maximum(values, 1e-15 * values[-1]))).T / scale
         u, s, vt = np.linalg.svd(w @ self.Phi @ root.T, full_matrices=False)
@@ -318,7 +317,7 @@ class MomentEquations:
             za, pb = za - za.mean(), pb - pb.mean()
             half = min(max(memory(za), memory(pb)), len(za) // 4)
             ra, rb = cross_covariances(za, za, half), cross_covariances(pb, pb, half)
-            spread = float(np.sum(ra * rb) / max(ra[half] * rb[half], 1e-300))
+            spread = float(np.sum(ra * rb) / max(ra[half] * rb[half], TINY))
             effective = self.N / max(spread, 1e-3)
         return Correlation(
             full,

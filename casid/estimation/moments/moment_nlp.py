@@ -16,14 +16,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.estimation.moments.moment_equations import MomentEquations
 from casid.estimation.nlp.nlp import Nlp, Solution, Solver
 from casid.linear.difference_equation import DifferenceEquation
 from casid.model.model import Parameter
 
-Array = NDArray[Any]
 Constraint = Callable[[Mapping[str, Any]], Any]
 
 

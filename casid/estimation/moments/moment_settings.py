@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
-from numpy.typing import NDArray
-
+from casid.arrays import Array
 from casid.estimation.moments.moment_equations import Covariance, Weighting
 from casid.estimation.moments.moment_nlp import Constraint
 from casid.estimation.nlp.nlp import Solver
 
-Array = NDArray[Any]
 Form = Literal["linear", "eliminated", "lifted"]
 
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from casid.arrays import Array
 from casid.errors import DataError
 from casid.estimation.moments.gram import CONSTANT, Moments, checked_channels, checked_lags
 from casid.estimation.moments.lag_products import BLOCK, Core, Window, short_stretch, two_sum
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 __all__ = ["CONSTANT", "Accumulator", "Moments", "moments", "of_file", "of_record", "weighted"]
 
-Array = NDArray[Any]
 Rational = tuple[ArrayLike, ArrayLike]
 
 

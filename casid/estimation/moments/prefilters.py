@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.moments.moment_equations import Part
-
-Array = NDArray[Any]
 
 
 def noise_models(

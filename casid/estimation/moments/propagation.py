@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.estimation.moments.long_run_covariance import (
     LONGEST_SEGMENT,
     independent_covariances,
@@ -32,8 +32,6 @@ from casid.estimation.moments.long_run_covariance import (
 from casid.estimation.moments.moment_equations import MomentEquations, moment_covariance
 from casid.estimation.moments.stage import StageFit
 from casid.linear.lagged_columns import Column
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +122,7 @@ def propagate(
             rows.append((A, root @ earlier, root @ (e.Y - e.Phi @ st.thetas[k])))
         basis = _tangent(st, free)
         reduced = basis.T @ normal @ basis
-        scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
+        scale = 1 / np.sqrt(np.maximum(np.diag(reduced), TINY))
         inverse = (
             basis
             @ (
@@ -148,7 +146,7 @@ def propagate(
     value = np.concatenate(statistic_parts)
     covariance = left @ noise @ left.T
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    size = np.where(size > 1e-9 * max(float(np.max(size, initial=0.0)), 1e-300), size, np.inf)
+    size = np.where(size > 1e-9 * max(float(np.max(size, initial=0.0)), TINY), size, np.inf)
     eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     keep = eigenvalues > 1e-8
     projected = vectors[:, keep].T @ (value / size)

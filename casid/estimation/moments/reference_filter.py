@@ -10,14 +10,12 @@ for validation by simulation it has to be right. Where no guess is at hand it is
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import DataError, ModelError
-
-Array = NDArray[Any]
 
 
 class Filter(Protocol):

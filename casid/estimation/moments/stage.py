@@ -18,8 +18,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import IdentifiabilityError, ModelError
 from casid.estimation.moments.coefficient_image import Image
 from casid.estimation.moments.instrumented_directions import require_seen
@@ -39,8 +39,6 @@ from casid.estimation.moments.stage_instruments import StageInstruments
 from casid.estimation.moments.stage_programs import StagePrograms
 from casid.estimation.nlp.nlp import Solution
 from casid.model.model import Model
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

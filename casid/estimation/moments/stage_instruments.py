@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from numpy.typing import NDArray
-
+from casid.arrays import Array
 from casid.estimation.moments.instruments import (
     Instruments,
     Loop,
@@ -18,8 +17,6 @@ from casid.estimation.moments.instruments import (
 )
 from casid.estimation.moments.moment_equations import Part
 from casid.model.model import Model
-
-Array = NDArray[Any]
 
 
 class StageInstruments:

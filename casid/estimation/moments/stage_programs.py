@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.errors import ModelError, SolveError
 from casid.estimation.moments.coefficient_image import Image
 from casid.estimation.moments.moment_equations import MomentEquations
@@ -19,8 +18,6 @@ from casid.estimation.nlp.null_space import null_space_least_squares
 from casid.estimation.nlp.solution import not_converged
 from casid.linear.difference_equation import DifferenceEquation
 from casid.model.model import Parameter
-
-Array = NDArray[Any]
 
 
 class StagePrograms:
@@ -132,8 +129,8 @@ class StagePrograms:
         span = 1e-6 * np.maximum(np.abs(x), 1e-3)
         at_low, at_high = x <= low + span, x >= high - span
         inside = ~(at_low | at_high)
-        length = max(float(np.sqrt(r @ r + rest)), 1e-300)
-        cosines = np.abs(J.T @ r) / np.maximum(np.linalg.norm(J, axis=0), 1e-300) / length
+        length = max(float(np.sqrt(r @ r + rest)), TINY)
+        cosines = np.abs(J.T @ r) / np.maximum(np.linalg.norm(J, axis=0), TINY) / length
         solution = replace(
             found,
             names=self.free,

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.data.record import Experiment
 from casid.errors import DataError, SolveError
 from casid.estimation.moments.instruments import (
@@ -28,8 +28,6 @@ from casid.estimation.moments.instruments import (
     transient,
 )
 from casid.model.model import Model
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,7 +212,7 @@ def _compare(
         record=record,
         channel=channel,
         unit=unit,
-        fit=float(100 * (1 - np.linalg.norm(y - z) / max(float(np.linalg.norm(y)), 1e-300))),
+        fit=float(100 * (1 - np.linalg.norm(y - z) / max(float(np.linalg.norm(y)), TINY))),
         rmse=float(np.sqrt(np.mean((y - z) ** 2))),
         period=period * Ts,
         period_error=simulated_period / period - 1,

@@ -15,17 +15,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from casid.arrays import Array
 from casid.errors import DataError
 from casid.estimation.moments.gram import Moments, checked_channels, checked_lags
 from casid.estimation.moments.moments import moments
 from casid.linear.lagged_columns import Column
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,9 +13,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.arrays import TINY, Array
 from casid.estimation.nlp.program_values import at_start, fill, inside, views
 from casid.estimation.nlp.solution import (
-    Array,
     Evaluation,
     Solution,
     account,
@@ -394,7 +394,7 @@ def _judgement(derivatives: Any, symbol: Any, scale: Array, box: Any) -> Any:
     weight = ca.if_else(curved, 1 / root, weighs / ca.sqrt(safe))
     unit = ca.if_else(curved, ca.fmax(ca.sqrt(ca.fabs(f)), 1e-4 * root * weighs), ca.sqrt(safe))
     # Only a constraint at its limit has a multiplier, and it pushes inwards.
-    tolerance = 1e-6 * ca.fmax(ca.mtimes(ca.fabs(jacobian), weighs), 1e-300)
+    tolerance = 1e-6 * ca.fmax(ca.mtimes(ca.fabs(jacobian), weighs), TINY)
     _, objective, rows = ca.vertsplit(units, [0, size, size + 1, size + 1 + m])
     pull = lam * objective / rows
     at_low, at_high = ca.fabs(low - g) < tolerance, ca.fabs(high - g) < tolerance

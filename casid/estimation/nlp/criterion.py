@@ -7,7 +7,8 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from casid.estimation.nlp.solution import Array, Evaluation
+from casid.arrays import Array
+from casid.estimation.nlp.solution import Evaluation
 
 
 class Criterion(Protocol):

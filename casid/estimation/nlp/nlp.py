@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from casid.arrays import Array
 from casid.errors import SolveError
 from casid.estimation.nlp.criterion import (
     SCALED_IPOPT,
@@ -27,7 +28,6 @@ from casid.estimation.nlp.criterion import (
 )
 from casid.estimation.nlp.program_values import at_start, fill, inside, views
 from casid.estimation.nlp.solution import (
-    Array,
     Evaluation,
     Solution,
     account,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from casid.arrays import TINY
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.nlp.nlp import Array
 
@@ -49,11 +50,11 @@ def null_space_least_squares(Phi: Array, Y: Array, B: Array, b: Array) -> Array:
     B, b = B / length[:, None], b / length
     Q, R, order = qr(B.T, pivoting=True)  # B.T[:, order] = Q R
     diagonal = np.abs(np.diagonal(R))
-    rank = int(np.sum(diagonal > 1e-12 * max(diagonal.max(initial=0.0), 1e-300)))
+    rank = int(np.sum(diagonal > 1e-12 * max(diagonal.max(initial=0.0), TINY)))
     R1, Q1, Q2 = R[:rank], Q[:, :rank], Q[:, rank:]
     w = solve_triangular(R1[:, :rank], b[order[:rank]], trans="T") if rank else np.zeros(0)
     gap = np.abs(R1.T @ w - b[order])
-    if gap.max(initial=0.0) > 1e-9 * max(np.abs(b).max(initial=0.0), 1e-300):
+    if gap.max(initial=0.0) > 1e-9 * max(np.abs(b).max(initial=0.0), TINY):
         row = int(order[int(np.argmax(gap))])
         raise SolveError(
             f"constrained least squares: row {row} of B theta = b contradicts the others; drop it "
@@ -63,7 +64,7 @@ def null_space_least_squares(Phi: Array, Y: Array, B: Array, b: Array) -> Array:
     if Q2.shape[1]:
         reduced = Phi @ Q2
         values, directions = np.linalg.svd(reduced, full_matrices=False)[1:]
-        seen = int(np.sum(values > 1e-12 * max(values.max(initial=0.0), 1e-300)))
+        seen = int(np.sum(values > 1e-12 * max(values.max(initial=0.0), TINY)))
         if seen < Q2.shape[1]:
             V = np.linalg.svd(reduced)[2] if len(values) < Q2.shape[1] else directions
             lost = Q2 @ V[-1] / size

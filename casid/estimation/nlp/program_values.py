@@ -6,12 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casid.errors import SolveError
-from casid.model.expressions import nearest
-
-Array = NDArray[Any]
+from casid.arrays import Array
+from casid.errors import SolveError, nearest
 
 
 def views(shapes: Mapping[str, tuple[int, int]], flat: Array) -> dict[str, Array]:

@@ -7,8 +7,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.errors import SolveError
-from casid.estimation.nlp.solution import Array, Evaluation, Solution, judged
+from casid.estimation.nlp.solution import Evaluation, Solution, judged
 from casid.estimation.nlp.solver_processes import SLSQP, timed
 
 

@@ -8,11 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.errors import SolveError
-
-Array = NDArray[Any]
 
 _MENDS = {
     "Infeasible_Problem_Detected": "the constraints contradict each other near the start: "
@@ -221,7 +219,7 @@ def _scaled_gradient(
     rows = jacobian * weight
     length = np.linalg.norm(rows, axis=1)
     rows = rows / np.where(length > 0, length, 1.0)[:, None]
-    tolerance = 1e-6 * np.maximum(np.abs(jacobian) @ size, 1e-300)
+    tolerance = 1e-6 * np.maximum(np.abs(jacobian) @ size, TINY)
     near_lower, near_upper = np.abs(to_lower) < tolerance, np.abs(to_upper) < tolerance
     equality = to_lower == to_upper
     active = np.flatnonzero(equality | near_lower | near_upper)

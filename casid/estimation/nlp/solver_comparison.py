@@ -18,6 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.arrays import TINY
 from casid.errors import CasidError, SolveError
 from casid.estimation.nlp.compiled import Compiled
 from casid.estimation.nlp.nlp import Array, Nlp, Solution, Solver
@@ -408,7 +409,7 @@ def _reference(
         return None, "none: no solver met the constraints"
     lowest = min(solution.value for solution, _ in optima)
     # Of those in the deepest valley the one with the smallest gradient.
-    near = [e for e in optima if e[0].value <= lowest + 1e-6 * abs(lowest) + 1e-300]
+    near = [e for e in optima if e[0].value <= lowest + 1e-6 * abs(lowest) + TINY]
     best, name = min(near, key=lambda entry: entry[0].scaled_gradient)
     words = f"best optimum ({name})"
     if polish and isinstance(program, Compiled):
@@ -423,7 +424,7 @@ def _multipliers(program: Program, solution: Solution) -> Array:
     _, _, low, high = program.box
     at = program.evaluate(solution.x)
     size = np.maximum(np.abs(solution.x), program.scale)
-    near = 1e-6 * np.maximum(np.abs(at.jacobian) @ size, 1e-300)
+    near = 1e-6 * np.maximum(np.abs(at.jacobian) @ size, TINY)
     at_low, at_high = np.abs(at.constraints - low) < near, np.abs(at.constraints - high) < near
     held = {*solution.at_lower, *solution.at_upper}
     free = np.array([name not in held for name in solution.names])
@@ -492,7 +493,7 @@ def _resolution(program: Program, x: Array) -> float:
     rng = np.random.default_rng(0)
     near = [x * (1 + 4e-16 * rng.integers(-4, 5, len(x))) for _ in range(24)]
     values = np.array([program.evaluate(point).value for point in near])
-    level = max(abs(float(np.mean(values))), 1e-300)
+    level = max(abs(float(np.mean(values))), TINY)
     return float(np.sqrt(2 * np.std(values) / level))
 
 
@@ -512,7 +513,7 @@ def _reason(
             f"constraints violated by {size}, and every solver violates them: they contradict each "
             "other, at least near the start; drop one, or start elsewhere"
         )
-    excess = (solution.value - objective) / max(abs(objective), 1e-300)
+    excess = (solution.value - objective) / max(abs(objective), TINY)
     gradient = f"scaled gradient {solution.scaled_gradient:.0e}"
     if solution.is_converged and excess > 1e-6:
         return f"another stationary point: its criterion exceeds the best by {excess:.2g} of it"

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from casid.arrays import TINY, Array
 from casid.errors import DataError, ModelError
 from casid.estimation.moments.moments import Moments, moments
 from casid.estimation.nlp.nlp import Solver
@@ -26,8 +26,6 @@ from casid.estimation.prediction_error.polynomial_orders import (
     settling,
 )
 from casid.estimation.prediction_error.polynomial_start import long_model, long_order
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +186,7 @@ def arma_order(
             place = [*range(1, na + 1), *range(lags + 2, lags + 2 + nc)]
             gram, right = total.gram[np.ix_(place, place)], total.gram[place, 0]
             explained = float(right @ np.linalg.lstsq(gram, right, rcond=1e-12)[0])
-            variance = max(float(total.gram[0, 0]) - explained, 1e-300) / count
+            variance = max(float(total.gram[0, 0]) - explained, TINY) / count
             judged.append((count * np.log(variance) + (na + nc) * np.log(count), na, nc))
     finalists = [(na, nc) for _, na, nc in sorted(judged)[:3]]
     fits = [arma(residual, na, nc, throw=False) for na, nc in finalists]

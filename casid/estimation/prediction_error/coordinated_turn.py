@@ -19,13 +19,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
 from casid.linear.extended_smoother import ExtendedSmoother, Levels, Smoothed, StochasticModel
-
-Array = NDArray[Any]
 
 OUTPUTS = {"x": "m", "y": "m", "psi": "rad"}
 """What is measured, in the earth's axes: x north, y east, psi from x to y, or any other pair."""
@@ -176,7 +174,7 @@ class Track:
         """(N,) standard deviation of U [m/s], to first order; that of u + v where U is zero."""
         if not self.drifts:
             return self.u_sd
-        speed = np.maximum(self.U, 1e-300)
+        speed = np.maximum(self.U, TINY)
         slope = np.column_stack([self.u / speed, self.v / speed])
         slope[self.U == 0] = 1.0
         variance = np.einsum("ti,tij,tj->t", slope, self.smoothed.P[:, 4:6, 4:6], slope)

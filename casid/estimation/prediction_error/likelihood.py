@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.data.record import Experiment
 from casid.errors import DataError, ModelError, SolveError
 from casid.estimation.nlp.nlp import Evaluation
@@ -38,8 +38,6 @@ from casid.linear.kalman import (
 )
 from casid.linear.noisy_model import NoisyModel, Sampled, White, noise_sources
 from casid.model.model import Model
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -332,7 +330,7 @@ class PredictionError:
         m, nx = len(tangent.A), s.nx
         dP: Array = np.zeros((m, nx, nx))
         scale = covariance_scale(limit.P, P)
-        d_scale = np.max(np.abs(limit_dP / scale), axis=(1, 2)) + 1e-300
+        d_scale = np.max(np.abs(limit_dP / scale), axis=(1, 2)) + TINY
         nil = np.zeros((nx, s.ny, s.ny))
         eps, jac, F_all, dF_all = [], [], [], []
         for t in range(len(y)):

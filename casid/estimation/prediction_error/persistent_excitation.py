@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import IdentifiabilityError
 from casid.estimation.local_rank import LocalRank, local_rank
 from casid.estimation.moments.moments import moments
-
-Array = NDArray[Any]
 
 
 def unseen(gram: Array, names: Sequence[str]) -> tuple[LocalRank, str]:

@@ -14,15 +14,13 @@ Filters start from rest; the first residuals of a record, where that is wrong, d
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.estimation.nlp.nlp import Evaluation
 from casid.estimation.prediction_error.polynomial_orders import Layout, is_stable
 
-Array = NDArray[Any]
 Shifts = list[tuple[Array, int, int, float]]  # base signal, first lag, number of lags, sign
 CHUNK = 16384  # samples at a time in the products: the buffer stays in the cache
 

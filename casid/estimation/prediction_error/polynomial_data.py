@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from casid.arrays import Array
 from casid.data.record import Experiment, Record
 from casid.errors import DataError
-
-Array = NDArray[Any]
 
 
 def one_record(y: ArrayLike, u: Any, inputs: Sequence[str] | None = None) -> tuple[Array, Any]:

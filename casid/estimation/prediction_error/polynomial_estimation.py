@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from casid.arrays import TINY, Array
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimation.covariance import sandwich
 from casid.estimation.nlp.nlp import Nlp, Solution, Solver
@@ -35,7 +36,6 @@ from casid.estimation.prediction_error.polynomial_orders import (
 from casid.estimation.prediction_error.polynomial_residuals import residual_input_correlation
 from casid.estimation.prediction_error.polynomial_start import Candidate, Data, candidates
 
-Array = NDArray[Any]
 Errors = Literal["white", "robust"]
 NEAR = 0.999  # a root with this modulus or more is at the unit circle
 CANCEL = 0.5  # samples' worth of scaled information: with less, roots may cancel by accident
@@ -340,7 +340,7 @@ def _minimise(criterion: PredictionErrors, theta: Array, solver: Solver | None) 
 
 def _information(solution: Solution) -> tuple[Array, Array, Array]:
     """Eigenvalues and vectors of the Gauss-Newton matrix scaled to unit diagonal, and the scale."""
-    root = np.sqrt(np.maximum(np.diag(solution.hessian), 1e-300))
+    root = np.sqrt(np.maximum(np.diag(solution.hessian), TINY))
     values, vectors = np.linalg.eigh(solution.hessian / np.outer(root, root))
     return values, vectors, root
 

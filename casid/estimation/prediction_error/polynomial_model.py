@@ -12,16 +12,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from casid.arrays import TINY, Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, SolveError
 from casid.estimation.covariance import whiteness
 from casid.estimation.prediction_error.polynomial_data import one_record
 from casid.estimation.prediction_error.polynomial_orders import is_stable, largest_root
 from casid.estimation.prediction_error.polynomial_residuals import LAGS
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +116,7 @@ class PolynomialModel:
 
     @property
     def _minus_two_log_likelihood(self) -> float:
-        return self.N * (float(np.log(2 * np.pi * max(2 * self.loss, 1e-300))) + 1)
+        return self.N * (float(np.log(2 * np.pi * max(2 * self.loss, TINY))) + 1)
 
     @property
     def is_stable(self) -> bool:

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import ModelError
 
-Array = NDArray[Any]
 PerInput = int | Mapping[str, int]
 LAST_STABLE = 1 - 1e-6  # a root nearer to the unit circle counts as lying on it
 

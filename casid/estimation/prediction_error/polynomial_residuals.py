@@ -11,14 +11,12 @@ samples is asymptotically normal with variance P / N,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.estimation.covariance import autocorrelation
 
-Array = NDArray[Any]
 LAGS = 20
 
 

@@ -14,11 +14,10 @@ Several candidates are returned; whoever asks takes the one with the smallest cr
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.estimation.moments.moments import moments
 from casid.estimation.prediction_error.polynomial_orders import (
     Layout,
@@ -27,7 +26,6 @@ from casid.estimation.prediction_error.polynomial_orders import (
     settling,
 )
 
-Array = NDArray[Any]
 Data = Sequence[tuple[Array, Mapping[str, Array]]]
 Candidate = tuple[str, Array, tuple[str, ...]]  # how it was found, theta, notes
 Block = tuple[int, int, int]  # signal, first lag, number of lags
@@ -51,7 +49,7 @@ def regress(records: Sequence[Sequence[Array]], blocks: Sequence[Block], lags: i
             total = total + moments(named, lags).gram
     place = [s * (lags + 1) + k for s, first, n in blocks for k in range(first, first + n)]
     gram, right = total[np.ix_(place, place)], total[place, 0]
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    size = np.sqrt(np.maximum(np.diag(gram), TINY))
     scaled = np.linalg.lstsq(gram / np.outer(size, size), right / size, rcond=1e-12)[0]
     return np.asarray(scaled / size)
 

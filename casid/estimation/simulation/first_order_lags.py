@@ -17,7 +17,7 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.special import hyp1f1
 
-Array = np.ndarray[Any, Any]
+from casid.arrays import Array
 
 
 def lag_columns(y: Array, samples: float) -> tuple[Array, Array]:

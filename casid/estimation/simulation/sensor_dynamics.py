@@ -8,14 +8,12 @@ into a generated column, its carrier, which the model multiplies by that paramet
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.estimation.simulation.first_order_lags import lag_columns, lag_inputs
 from casid.model.model import Model, Stage
-
-Array = np.ndarray[Any, Any]
 
 MEMORY = {"delay": 1.0, "lag": 5.0}
 """Of an output stage: how long the unknown past is felt, in units of its parameter.

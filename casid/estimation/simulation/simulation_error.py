@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.data.record import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError, UnitError
 from casid.estimation.local_rank import describe_null, local_rank
@@ -26,7 +27,6 @@ from casid.estimation.simulation.simulator import Simulator
 from casid.model.model import Model
 from casid.model.units import describe_dimension, parse_unit, to_si
 
-Array = np.ndarray[Any, Any]
 Whitener = Callable[[Array, int], Array]  # ((N, ny, m) columns, experiment) -> same shape
 
 

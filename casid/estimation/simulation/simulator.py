@@ -18,9 +18,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.arrays import Array
 from casid.model.model import Explicit, Model, Stage
-
-Array = np.ndarray[Any, Any]
 
 BLOCK = 200
 """Samples that one mapped CasADi function steps through."""

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from casid.algebra.prime_field import null_space
+from casid.arrays import Array
 from casid.errors import IdentifiabilityError
 from casid.identifiability.combinations.family import Family, family
 from casid.identifiability.combinations.fixing_sets import FixingSets
@@ -26,8 +27,6 @@ from casid.identifiability.combinations.null_direction import (
 )
 from casid.identifiability.rank.observability import Search
 from casid.identifiability.rank.system import System
-
-Array = np.ndarray[Any, Any]
 
 
 class OutOfTime(Exception):

@@ -13,15 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import IdentifiabilityError
 from casid.identifiability.combinations.family import Family, family
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

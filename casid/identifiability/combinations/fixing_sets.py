@@ -14,16 +14,13 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, islice
-from typing import Any
 
 import numpy as np
 
 from casid.algebra.matroid import Basis, bases, components, dependent
 from casid.algebra.prime_field import echelon, null_space, rank
-from casid.errors import IdentifiabilityError
-from casid.model.expressions import nearest
-
-Array = np.ndarray[Any, Any]
+from casid.arrays import Array
+from casid.errors import IdentifiabilityError, nearest
 
 
 @dataclass(frozen=True, slots=True)

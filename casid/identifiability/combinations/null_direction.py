@@ -15,10 +15,9 @@ import numpy as np
 
 from casid.algebra.interpolation import interpolate
 from casid.algebra.prime_field import echelon
-from casid.errors import IdentifiabilityError
-from casid.model.expressions import nearest
+from casid.arrays import Array
+from casid.errors import IdentifiabilityError, nearest
 
-Array = np.ndarray[Any, Any]
 Expr: TypeAlias = Any  # a sympy expression
 NullAt: TypeAlias = Callable[[Mapping[str, int], int], Array]
 """(values of all variables modulo p, p) -> (d, n) null basis modulo p, the identity on the free

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from casid.errors import DataError, ModelError
+from casid.errors import DataError, ModelError, nearest
 from casid.identifiability.equations.equation_text import parse_system as parse_system
 from casid.identifiability.equations.equation_text import parse_systems, text_of
 from casid.identifiability.rank.system import System
-from casid.model.expressions import nearest
 
 MAX_BYTES = 5_000_000  # of a file
 

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from casid.algebra.symbolic import exact
+from casid.arrays import Array
 from casid.errors import DataError, ModelError
 from casid.identifiability.equations.formula_scope import is_finite
 from casid.identifiability.rank.system import System
@@ -24,8 +25,6 @@ from casid.model.model import Model, Stage
 if TYPE_CHECKING:
     from casid.data.problem import Problem
     from casid.data.record import Experiment
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

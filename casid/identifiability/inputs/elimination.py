@@ -17,10 +17,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from casid.errors import ModelError
+from casid.errors import ModelError, nearest
 from casid.identifiability.inputs.structure_algorithm import StructureAlgorithm, written
 from casid.identifiability.rank.system import System
-from casid.model.expressions import nearest
 
 
 @dataclass(frozen=True, slots=True, eq=False)

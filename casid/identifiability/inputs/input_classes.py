@@ -19,10 +19,10 @@ from typing import Any
 
 import casadi as ca
 
-from casid.errors import ModelError
+from casid.errors import ModelError, nearest
 from casid.identifiability.inputs.signals import differentiated, free_name
 from casid.identifiability.rank.system import System
-from casid.model.expressions import nearest, parse
+from casid.model.expressions import parse
 
 Expr = Any  # a CasADi SX expression
 

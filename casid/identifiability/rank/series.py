@@ -18,16 +18,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
 from casid.algebra.prime_field import matmul, to_field, to_rational
+from casid.arrays import Array
 from casid.identifiability.rank.program import ONE, Program
 from casid.identifiability.rank.program_reader import program_of
 from casid.identifiability.rank.system import System
-
-Array = np.ndarray[Any, Any]
 
 
 class SpecialPoint(Exception):

@@ -17,8 +17,7 @@ from typing import Any
 
 import casadi as ca
 
-from casid.errors import ModelError
-from casid.model.expressions import nearest
+from casid.errors import ModelError, nearest
 
 Expr = Any  # a CasADi SX expression
 

@@ -18,11 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.estimation.covariance import autocorrelation
-
-Array = np.ndarray[Any, Any]
 
 SOURCES = ("L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, section 13.2",)
 ROUNDING = 1e-9

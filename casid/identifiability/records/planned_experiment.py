@@ -10,21 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from casid.arrays import TINY, Array
 from casid.data.problem import Problem, experiments_of
 from casid.data.record import Experiment, Record
-from casid.errors import DataError, ModelError, SolveError
+from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import rms
 from casid.estimation.noise import input_noise_floor
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.expressions import nearest
 from casid.model.model import Model
 
-Array = np.ndarray[Any, Any]
 Experiments = Sequence[Experiment | Record] | Experiment | Record | None
 MOST_SUBSTEPS = 16
 
@@ -196,7 +194,7 @@ def _resolved(
         finer, better = at(2 * steps)
         length = np.sqrt(np.maximum(np.diag(better), 0.0))
         size = np.outer(length, length)
-        moved = np.abs(better - information) > 1e-3 * size + 1e-300
+        moved = np.abs(better - information) > 1e-3 * size + TINY
         if not moved.any():
             break
         steps, criterion, information = 2 * steps, finer, better

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.errors import IdentifiabilityError
 from casid.estimation.estimate import Estimate
@@ -36,8 +36,6 @@ from casid.identifiability.records.practical_result import (
 from casid.model.model import Model
 
 __all__ = ["Direction", "Practical", "Row", "practical_identifiability"]
-
-Array = np.ndarray[Any, Any]
 
 
 def practical_identifiability(

@@ -7,11 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-
+from casid.arrays import Array
 from casid.identifiability.records.planned_experiment import Noise
 
-Array = np.ndarray[Any, Any]
 Verdict = Literal[
     "well determined", "poorly determined", "not seen by this record", "seen, not judged"
 ]

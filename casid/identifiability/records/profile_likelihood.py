@@ -17,18 +17,17 @@ from typing import Any
 
 import numpy as np
 
+from casid.arrays import TINY, Array
 from casid.data.problem import Problem, experiments_of
-from casid.errors import DataError, ModelError, SolveError
+from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.estimate import Estimate
 from casid.estimation.nlp.nlp import Evaluation, Nlp, Solver
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identifiability.records.planned_experiment import Experiments, Planned, plan, values_of
 from casid.identifiability.records.profile_result import Kind, ProfileLikelihood, Profiles
-from casid.model.expressions import nearest
 from casid.model.model import Model
 
-Array = np.ndarray[Any, Any]
 __all__ = ["ProfileLikelihood", "Profiles", "profile_likelihood"]
 
 _FLAT = 1e-3  # of the threshold
@@ -292,7 +291,7 @@ class _Profiled:
         """The other variables moved along: dx = -H_oo^+ H_op (to - x_p), inside their bounds."""
         hessian = self.criterion.evaluate(x).hessian
         others = np.arange(len(x)) != place
-        length = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+        length = np.sqrt(np.maximum(np.diag(hessian), TINY))
         unit = hessian / np.outer(length, length)
         move = -np.linalg.pinv(unit[np.ix_(others, others)], rcond=1e-10) @ unit[others, place]
         guess = x.copy()

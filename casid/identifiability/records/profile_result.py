@@ -7,9 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
+from casid.arrays import Array
 
-Array = np.ndarray[Any, Any]
 Kind = Literal["identifiable", "practically non-identifiable", "flat"]
 
 ASSUMES = (

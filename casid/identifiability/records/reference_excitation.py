@@ -19,8 +19,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.arrays import Array
 from casid.data.problem import Problem
-from casid.errors import DataError
+from casid.errors import DataError, nearest
 from casid.estimation.estimate import Estimate
 from casid.identifiability.records.excitation_order import (
     ROUNDING,
@@ -35,10 +36,7 @@ from casid.identifiability.records.excitation_order import (
     singular_values,
 )
 from casid.identifiability.records.planned_experiment import Experiments, Planned, plan
-from casid.model.expressions import nearest
 from casid.model.model import Model
-
-Array = np.ndarray[Any, Any]
 
 SOURCES = (
     "J. Linder, Indirect System Identification for Unknown Input Problems, Linkoping 2017, "

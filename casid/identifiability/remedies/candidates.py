@@ -9,10 +9,10 @@ from typing import Any, Literal
 
 import casadi as ca
 
-from casid.errors import IdentifiabilityError, ModelError
+from casid.errors import IdentifiabilityError, ModelError, nearest
 from casid.identifiability.rank.system import System
 from casid.model.expressions import names as names_in
-from casid.model.expressions import nearest, parse
+from casid.model.expressions import parse
 
 Expr = Any  # a CasADi SX expression
 Kind = Literal["sensor", "experiment", "known parameter", "known initial state"]

@@ -9,17 +9,15 @@ linear algebra.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from casid.algebra.row_basis import Basis
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.identifiability.rank.observability import ATTEMPTS, Search
 from casid.identifiability.rank.series import Series, SpecialPoint
 from casid.identifiability.rank.system import System
-
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

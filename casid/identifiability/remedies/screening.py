@@ -15,14 +15,13 @@ import numpy as np
 
 from casid.algebra.prime_field import echelon, random_prime
 from casid.algebra.row_basis import unit_vectors
-from casid.errors import IdentifiabilityError
+from casid.arrays import Array
+from casid.errors import IdentifiabilityError, nearest
 from casid.identifiability.rank.observability import Search
 from casid.identifiability.rank.rank_result import PointRank
 from casid.identifiability.rank.system import System
 from casid.identifiability.remedies.candidates import Candidate, can_mount, check, with_sensor
-from casid.model.expressions import nearest
 
-Array = np.ndarray[Any, Any]
 Prepare = Callable[[System], System]
 Origin = tuple[int, int]  # candidate (-1: there already), number among its experiments
 

@@ -12,13 +12,11 @@ import numpy as np
 
 from casid.algebra.prime_field import random_prime
 from casid.algebra.row_basis import Basis, unit_vectors
-from casid.errors import IdentifiabilityError
+from casid.errors import IdentifiabilityError, nearest
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.system import System
 from casid.identifiability.remedies.output_spans import OutputSpans, Spans
-from casid.model.expressions import nearest
 
-Array = np.ndarray[Any, Any]
 Subset = tuple[int, ...]  # positions of outputs, ascending
 
 MAX_POINTS = 50

@@ -15,7 +15,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
-from casid.errors import ModelError
+from casid.errors import ModelError, nearest
 from casid.identifiability.rank.system import System
 from casid.identifiability.symbolic.lie_derivatives import Budget, output_derivatives
 from casid.identifiability.symbolic.reduced_form import (
@@ -25,7 +25,6 @@ from casid.identifiability.symbolic.reduced_form import (
     text_table,
 )
 from casid.identifiability.symbolic.symbolic_rank import Profile, profile, reduced_row_echelon, tidy
-from casid.model.expressions import nearest
 
 Expr = Any  # a sympy expression
 Matrix = Any  # a sympy matrix

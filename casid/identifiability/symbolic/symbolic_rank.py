@@ -15,10 +15,10 @@ import numpy as np
 
 from casid.algebra import prime_field
 from casid.algebra.interpolation import interpolate
+from casid.arrays import Array
 from casid.errors import ModelError
 
 Expr = Any  # a sympy expression
-Array = np.ndarray[Any, Any]
 Values = Mapping[Any, Any]
 
 POINTS = 3

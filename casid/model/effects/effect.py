@@ -15,7 +15,6 @@ import numpy as np
 from casid.errors import ModelError
 from casid.model.model import Model, Parameter
 
-Array = np.ndarray[Any, Any]
 Sided = Literal["positive", "both"]
 Test = Literal["score", "clip", "peak"]
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.model.effects.effect import Effect, Spread
 from casid.model.model import Input, Model, Parameter
 from casid.model.units import unit_quotient
-
-Array = np.ndarray[Any, Any]
 
 JUMP_TIMES = 12
 """Instants, evenly inside the window, that a jump is first searched at."""

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casid.arrays import Array
 from casid.model.effects.effect import Effect
 from casid.model.model import Input, Model, Parameter
-
-Array = np.ndarray[Any, Any]
 
 
 def periodic_disturbance(

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casid.errors import ModelError, UnitError
+from casid.errors import ModelError, UnitError, nearest
 from casid.model.dimensions import check_units
 from casid.model.effects.effect import KINDS, Effect
 from casid.model.model import Model
-
-Array = np.ndarray[Any, Any]
 
 NAME = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -61,9 +57,7 @@ def _check_name(model: Model, effect: Effect) -> None:
         )
     places = [*model.balances, *model.parameters, *model.states, *model.inputs, *model.outputs]
     if not is_ours and where not in places:
-        near_ = difflib.get_close_matches(where, places, 1)
-        hint = f"did you mean {near_[0]!r}?" if near_ else f"it has {', '.join(places)}"
-        raise ModelError(f"effect {kind}: {model.name} has no {where!r}; {hint}")
+        raise ModelError(f"effect {kind}: {model.name} has no {where!r}{nearest(where, places)}")
 
 
 def _check_null(model: Model, effect: Effect) -> None:
@@ -131,7 +125,7 @@ def _check_units(extended: Model) -> None:
 def _is_ours(effect: Effect) -> bool:
     """True for what the catalogue's own functions made."""
     maker = effect.apply.__module__ or ""
-    return maker.startswith("casid.effects.") and maker != "casid.model.effects.user_effects"
+    return maker.startswith("casid.model.effects.") and maker != "casid.model.effects.user_effects"
 
 
 def _told(names: Sequence[str], values: Sequence[float]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from casid.arrays import TINY
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.report.figures.look import AFTER, figure_text, visible_text
 from casid.report.figures.panels import Panels
@@ -147,7 +148,7 @@ def ranking_figure(diagnosis: Diagnosis) -> Any:
 
 
 def _exponent(p: float) -> float:
-    return -math.log10(max(p, 1e-300)) if math.isfinite(p) else 0.0
+    return -math.log10(max(p, TINY)) if math.isfinite(p) else 0.0
 
 
 def _evidence(p: float) -> float:

@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text
 from casid.report.figures.thinning import thinned
 from casid.unknown_inputs.observers.input_estimate import InputEstimate
 from casid.unknown_inputs.observers.noncausal_inverse import NoncausalInverse
-
-Array = NDArray[Any]
 
 _COLOURS = (AFTER, BEFORE, FLOOR, "#CC79A7")
 _TWO_SIDED = 1.959964  # 95 % of a normal distribution

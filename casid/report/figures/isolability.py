@@ -8,13 +8,13 @@ import numpy as np
 from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 
+from casid.arrays import Array
 from casid.report.figures.look import AFTER, BEFORE, figure_text
 from casid.report.figures.panels import Panels
 
 if TYPE_CHECKING:
     from casid.diagnosis.advice.isolability import Isolability
 
-Array = np.ndarray[Any, Any]
 
 _SHOWN = 24
 

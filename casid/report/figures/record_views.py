@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.estimation.estimate import RecordView
 from casid.report.figures.look import AFTER, BEFORE, visible_text
-
-Array = NDArray[Any]
 
 _HELD_OUT = "rgba(86,180,233,0.13)"
 

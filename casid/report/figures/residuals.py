@@ -7,15 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.estimation.estimate import RecordView
 from casid.report.figures.look import FLOOR, axis_text, hover_text, translucent
 from casid.report.figures.panels import Panels
 from casid.report.figures.record_views import checked, finite, of_records, residual, simulations
 from casid.report.figures.thinning import MOST_POINTS, POINTS, thinned
-
-Array = NDArray[Any]
 
 _SCATTER_POINTS = 800
 _BINS = 24

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.estimation.estimate import RecordView
 from casid.report.figures.look import MEASURED, axis_text, hover_text
 from casid.report.figures.panels import Panels
@@ -20,8 +20,6 @@ from casid.report.figures.record_views import (
     time_range,
 )
 from casid.report.figures.thinning import points_a_trace, thinned, thinning_note
-
-Array = NDArray[Any]
 
 _LEFT_OUT = "#CC79A7"
 

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.estimation.estimate import RecordView
-
-Array = NDArray[Any]
 
 POINTS = 4000  # most points drawn in one trace
 MOST_POINTS = 60_000  # more, and a browser drags

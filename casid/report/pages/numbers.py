@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from casid.arrays import TINY
 from casid.estimation.estimate import Estimated
 
 
@@ -11,7 +12,7 @@ def p_text(p: float) -> str:
     """A p-value as text."""
     if not math.isfinite(p):
         return "\u2013"
-    if p <= 1e-300:
+    if p <= TINY:
         return "< 1e-300"
     return f"{p:.2g}" if p >= 1e-3 else f"{p:.0e}"
 

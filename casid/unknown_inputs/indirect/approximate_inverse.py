@@ -20,16 +20,14 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra.rational import Rational
 from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.unknown_inputs.indirect.blocks import frequency_grid, lies_outside
 from casid.unknown_inputs.indirect.left_inverse import LeftInverse, unstable_poles
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra.rational import Rational
 from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
-
-Array = NDArray[Any]
+from casid.arrays import Array
 
 
 def zeros(outputs: Sequence[str], inputs: Sequence[str]) -> RationalMatrix:

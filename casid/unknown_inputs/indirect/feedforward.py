@@ -16,18 +16,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra.realisation import matrices
 from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.unknown_inputs.indirect.approximate_inverse import ApproximateInverse
 from casid.unknown_inputs.indirect.blocks import beside, product
 from casid.unknown_inputs.indirect.indirect_model import IndirectModel
 from casid.unknown_inputs.indirect.left_inverse import LeftInverse, left_inverse, unstable_poles
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,18 +14,16 @@ first: f is then stable, and looks ahead by no more than that.
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra import polynomial as poly
 from casid.algebra.polynomial import Polynomial
 from casid.algebra.rational import Rational
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.arrays import TINY
 from casid.unknown_inputs.indirect.blocks import frequency_grid, is_stable
 
-Array = NDArray[Any]
 Exact = list[list[Fraction]]
 
 
@@ -144,7 +142,7 @@ def _gain(A: Exact, C: Exact, is_continuous: bool) -> Exact | None:
     a, c = (np.array([[float(x) for x in row] for row in M]) for M in (A, C))
     if not len(c):
         return [[] for _ in range(n)]
-    size = max(float(np.linalg.norm(c)), 1e-300)
+    size = max(float(np.linalg.norm(c)), TINY)
     try:
         if is_continuous:
             P = linalg.solve_continuous_are(a.T, c.T / size, np.eye(n), np.eye(len(c)))

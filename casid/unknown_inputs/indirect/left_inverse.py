@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.unknown_inputs.indirect.blocks import (
     frequency_grid,
@@ -30,8 +30,6 @@ from casid.unknown_inputs.indirect.free_gain import free_gain_inverse
 
 if TYPE_CHECKING:
     from casid.unknown_inputs.indirect.approximate_inverse import ApproximateInverse
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from casid.errors import ModelError
+from casid.errors import ModelError, nearest
 from casid.linear.linear_model import LinearModel, TransferMatrix, linearise
-from casid.model.expressions import nearest
 from casid.model.model import Model
 from casid.unknown_inputs.indirect.direct_model import DirectModel, direct_model
 

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from casid.algebra.transfer_matrix import RationalMatrix, transfer_matrix
-from casid.errors import ModelError
-from casid.model.expressions import nearest
+from casid.errors import ModelError, nearest
 from casid.unknown_inputs.indirect.direct_model import direct_model
 from casid.unknown_inputs.indirect.indirect_model import IndirectModel, indirect_model
 from casid.unknown_inputs.indirect.left_inverse import loudness

@@ -8,11 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import ModelError
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

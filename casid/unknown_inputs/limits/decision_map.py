@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 
-Array = NDArray[Any]
 REGIONS = ("in neither", "in variance alone", "in mean square error alone", "in both")
 _COLOURS = ("#f2f2f2", "#E69F00", "#56B4E9", "#009E73")
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casid.arrays import TINY
 from casid.errors import IdentifiabilityError, ModelError
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 
@@ -50,7 +51,7 @@ class InputMeasurement:
         size = np.linalg.norm(M, axis=0)
         scaled = M / np.where(size > 0, size, 1.0)
         _, s, vt = np.linalg.svd(scaled)
-        rank = int(np.sum(s > _RANK * max(s.max(initial=0.0), 1e-300)))
+        rank = int(np.sum(s > _RANK * max(s.max(initial=0.0), TINY)))
         if rank < M.shape[1]:
             unseen = vt[rank:] / np.where(size > 0, size, 1.0)
             lost = [n for n, c in zip(self.inputs, unseen.T, strict=True) if np.any(abs(c) > 1e-9)]

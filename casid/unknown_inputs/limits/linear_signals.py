@@ -15,13 +15,12 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.linear.filters import Filter, as_filter, require_stable
 from casid.unknown_inputs.limits.linear_expressions import as_expression, is_symbolic, linear_terms
 
-Array = NDArray[Any]
 Response = Callable[[Array], Array]
 Definition = Any  # a formula, or source -> filter
 

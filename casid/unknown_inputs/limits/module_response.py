@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra.rational import Rational
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.estimation.prediction_error.polynomial_orders import Layout
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,13 +15,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.estimation.nlp.nlp import Evaluation
 from casid.estimation.prediction_error.polynomial_orders import Layout
 from casid.unknown_inputs.limits.second_moments import circle
 
-Array = NDArray[Any]
 Expr = Any
 
 
@@ -61,7 +60,7 @@ class PredictionCriterion:
         self._weight = np.full(half, 2.0 / len(signals))
         self._weight[[0, -1]] /= 2  # what stands once on the circle
         self._half, self._factors = self.z[:half], self._spectral_factors()[:half]
-        self.unit = max(float(np.sum(self._weight @ np.abs(self._factors[:, 0]) ** 2)), 1e-300)
+        self.unit = max(float(np.sum(self._weight @ np.abs(self._factors[:, 0]) ** 2)), TINY)
         x = ca.SX.sym("x", layout.n)
         theta = ca.vertcat(*self._from_reflections(ca.vertsplit(x) if layout.n else []))
         self._theta = ca.Function("theta", [x], [theta, ca.jacobian(theta, x)])

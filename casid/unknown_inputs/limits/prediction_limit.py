@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra.exact_field import solve
+from casid.arrays import TINY, Array
 from casid.errors import ModelError, SolveError
 from casid.estimation.nlp.nlp import Nlp, Solver
 from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
@@ -27,7 +27,6 @@ from casid.unknown_inputs.limits.second_moments import (
     settled_response,
 )
 
-Array = NDArray[Any]
 FARTHEST = 0.9999  # of a reflection coefficient
 RANDOM_STARTS = 4
 _SAME = 1e-7  # relative difference of two minima that are one
@@ -241,7 +240,7 @@ def _polished(criterion: PredictionCriterion, theta: Array) -> Array:
     for _ in range(_POLISHING):
         value, gradient, _ = criterion.at(theta)
         curvature = criterion.curvature(theta)
-        size = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+        size = np.sqrt(np.maximum(np.diag(curvature), TINY))
         scaled = curvature / np.outer(size, size)
         if np.linalg.eigvalsh(scaled).min() < 1e-9:
             return theta

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra.exact_field import null_vector, solve
+from casid.arrays import Array
 from casid.errors import IdentifiabilityError, ModelError
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.linear_expressions import as_expression
@@ -35,8 +35,6 @@ from casid.unknown_inputs.limits.second_moments import (
     checked_prefilter,
     second_moments,
 )
-
-Array = NDArray[Any]
 
 
 def regression_limit(

@@ -19,14 +19,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra.exact_field import ExactField
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.linear.filters import Filter, as_filter, require_stable
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 
-Array = NDArray[Any]
 Atom = tuple[str, int, bool]
 """A signal, its lag in samples, and whether it is prefiltered."""
 

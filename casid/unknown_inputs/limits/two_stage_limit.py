@@ -17,8 +17,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError, ModelError
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.prediction_error.polynomial_orders import Orders
@@ -32,7 +32,6 @@ from casid.unknown_inputs.limits.prediction_limit import (
 )
 from casid.unknown_inputs.limits.second_moments import circle, product_covariance, settled_response
 
-Array = NDArray[Any]
 LEFT_OUT = 1e-3
 """Of an impulse response's peak: what is smaller may lie beyond the lags that are chosen."""
 
@@ -166,5 +165,5 @@ def _impulses(system: LinearSignals, names: Sequence[str]) -> Array:
 def _lasting(responses: Array) -> int:
     """Lags until all responses (lags, n, k) have fallen to `LEFT_OUT` of their peak."""
     size = np.abs(responses)
-    large = np.any(size > LEFT_OUT * size.max(axis=(0, 2), initial=1e-300)[:, None], axis=(1, 2))
+    large = np.any(size > LEFT_OUT * size.max(axis=(0, 2), initial=TINY)[:, None], axis=(1, 2))
     return int(np.flatnonzero(large)[-1]) + 1 if large.any() else 1

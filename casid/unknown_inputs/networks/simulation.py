@@ -7,15 +7,13 @@ from numbers import Integral
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra.rational import Rational
+from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
 from casid.unknown_inputs.networks.dynamics import network_states, refuse_unstable
 from casid.unknown_inputs.networks.network import Network, Node, Signal, node_label
-
-Array = NDArray[np.float64]
 
 
 def simulate_network(

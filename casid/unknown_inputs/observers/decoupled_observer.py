@@ -15,19 +15,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.data.record import Record
-from casid.errors import DataError, ModelError
+from casid.errors import DataError, ModelError, nearest
 from casid.linear.kalman import recursion, steady_state
 from casid.linear.noisy_system import NoisySystem, sample_system
 from casid.linear.subspaces import TOLERANCE, row_space, size
-from casid.model.expressions import nearest
 from casid.unknown_inputs.observers.equivalent_model import Existence, pole_text, require_existence
 from casid.unknown_inputs.observers.system_reader import unknown_input_system
 from casid.unknown_inputs.observers.unknown_input_system import UnknownInputSystem
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

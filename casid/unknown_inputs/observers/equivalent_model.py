@@ -14,11 +14,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.errors import ModelError
 from casid.linear.subspaces import (
     TOLERANCE,
@@ -32,8 +31,6 @@ from casid.linear.subspaces import (
     unobservable_subspace,
 )
 from casid.unknown_inputs.observers.unknown_input_system import UnknownInputSystem
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +106,7 @@ def equivalent_model(
         P_y=P_y,
         C_til=C_til * scale,
         leftover=leftover * scale,
-        leftover_size=size(leftover) / max(size(E), 1e-300),
+        leftover_size=size(leftover) / max(size(E), TINY),
     )
 
 
@@ -206,8 +203,8 @@ def unrecoverable_inputs(
         rng = np.random.default_rng(seed)
         z = complex(*rng.standard_normal(2)) * max(size(s.A), 1.0)
         G = s.C @ np.linalg.solve(z * np.eye(s.nx) - s.A, s.E) + s.F
-        G = G / np.maximum(np.linalg.norm(G, axis=0), 1e-300)  # units of the inputs do not count
-        G = G / np.maximum(np.linalg.norm(G, axis=1, keepdims=True), 1e-300)
+        G = G / np.maximum(np.linalg.norm(G, axis=0), TINY)  # units of the inputs do not count
+        G = G / np.maximum(np.linalg.norm(G, axis=1, keepdims=True), TINY)
         whole = rank(G, tolerance)
         lost &= {
             name
@@ -250,7 +247,7 @@ def pole_text(value: complex, system: UnknownInputSystem) -> str:
 
 def direction_text(vector: Array, names: Sequence[str]) -> str:
     """The signals that a direction is made of, the largest first."""
-    share = np.abs(vector) / max(float(np.max(np.abs(vector), initial=0.0)), 1e-300)
+    share = np.abs(vector) / max(float(np.max(np.abs(vector), initial=0.0)), TINY)
     order = [int(i) for i in np.argsort(-share, kind="stable") if share[i] > 0.1]
     return ", ".join(names[i] for i in order)
 

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.data.record import Record
-from casid.errors import DataError
-from casid.model.expressions import nearest
-
-Array = NDArray[Any]
+from casid.errors import DataError, nearest
 
 
 @dataclass(frozen=True, slots=True, eq=False)

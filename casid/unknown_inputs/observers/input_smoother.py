@@ -14,20 +14,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.data.record import Record
-from casid.errors import ModelError
+from casid.errors import ModelError, nearest
 from casid.linear.extended_smoother import ExtendedSmoother, StochasticModel
 from casid.linear.noisy_system import exponential, sample_noise
 from casid.linear.split_dynamics import split_dynamics
-from casid.model.expressions import nearest
 from casid.unknown_inputs.observers.equivalent_model import require_recoverable
 from casid.unknown_inputs.observers.input_estimate import InputEstimate, noise_guess
 from casid.unknown_inputs.observers.system_reader import unknown_input_system
 from casid.unknown_inputs.observers.unknown_input_system import UnknownInputSystem
-
-Array = NDArray[Any]
 
 _DIFFUSE = 10.0  # a start so large that its response alone would be ten times the outputs
 
@@ -238,9 +235,9 @@ def _guesses(
         for _ in range(10):
             x = s.A @ x + s.E[:, i]
             response.append(s.C @ x + s.F[:, i])
-        gain = np.max(np.abs(np.array(response)) / np.nanstd(y, axis=0).clip(1e-300))
-        source = np.sqrt(max(float(p.C @ p.Q @ p.C), 1e-300))
-        starts[p.level] = 0.3 / max(float(gain) * source, 1e-300)
+        gain = np.max(np.abs(np.array(response)) / np.nanstd(y, axis=0).clip(TINY))
+        source = np.sqrt(max(float(p.C @ p.Q @ p.C), TINY))
+        starts[p.level] = 0.3 / max(float(gain) * source, TINY)
     return {name: starts[name] if value is None else float(value) for name, value in levels.items()}
 
 

@@ -21,13 +21,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.data.record import Record
-from casid.errors import DataError, ModelError
+from casid.errors import DataError, ModelError, nearest
 from casid.linear.split_dynamics import SplitDynamics, split_dynamics
 from casid.linear.subspaces import unobservable_subspace
-from casid.model.expressions import nearest
 from casid.unknown_inputs.observers.equivalent_model import (
     direction_text,
     pole_text,
@@ -37,8 +36,6 @@ from casid.unknown_inputs.observers.input_estimate import InputEstimate, noise_g
 from casid.unknown_inputs.observers.output_window import observer_gain, output_window
 from casid.unknown_inputs.observers.system_reader import unknown_input_system
 from casid.unknown_inputs.observers.unknown_input_system import UnknownInputSystem
-
-Array = NDArray[Any]
 
 ON_CIRCLE = 1e-6
 """Zeros this near to the unit circle count as lying on it."""
@@ -224,7 +221,7 @@ class NoncausalInverse:
         ends = [smeared, smeared]
         for size_now, mode in zip(first, modes, strict=True):
             if size_now > 1:
-                speed = abs(np.log(max(abs(mode), 1e-300)))
+                speed = abs(np.log(max(abs(mode), TINY)))
                 k = int(abs(mode) > 1)
                 ends[k] = max(ends[k], smeared + int(np.ceil(np.log(size_now) / speed)))
         start = len(self.A) + ends[0]

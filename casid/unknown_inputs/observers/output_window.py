@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import TINY, Array
 from casid.errors import ModelError
 from casid.linear.kalman import steady_state
 from casid.linear.noisy_system import NoisySystem
@@ -22,15 +21,13 @@ from casid.linear.subspaces import (
 )
 from casid.unknown_inputs.observers.unknown_input_system import UnknownInputSystem
 
-Array = NDArray[Any]
-
 
 def output_window(s: UnknownInputSystem, sd: Array) -> tuple[int, Array, Array, Array]:
     """The shortest window that determines u[t]: its delay L, O, K and N."""
     units = input_scale(s.E, s.F)
     column, power = [s.F / units], s.E / units  # the impulse response, for J
     O = s.C  # noqa: E741
-    scale = TOLERANCE * max(size(column[0]), size(s.C) * size(power), 1e-300)
+    scale = TOLERANCE * max(size(column[0]), size(s.C) * size(power), TINY)
     for delay in range(s.nx + 1):
         J = _block_toeplitz(column)
         weight = np.tile(1 / sd, delay + 1)[:, None]
@@ -63,18 +60,14 @@ def observer_gain(
     """
     V = unobservable_subspace(A, N @ seen_by, 1e-8)
     seen = row_space(np.eye(s.nx) - V @ V.T, 0.5).T
-    U = (
-        row_space((N @ seen_by @ seen).T, TOLERANCE * max(size(s.C), 1e-300))
-        if len(N)
-        else N[:0, :0]
-    )
+    U = row_space((N @ seen_by @ seen).T, TOLERANCE * max(size(s.C), TINY)) if len(N) else N[:0, :0]
     if seen.shape[1] == 0 or len(U) == 0:
         return np.zeros((s.nx, len(N)))
     NU = U @ N
     R = np.diag(sd**2)
     into = seen.T @ E_K
     Q = into @ R @ into.T
-    Q = Q + 1e-6 * max(float(np.trace(Q)) / len(Q), 1e-300) * np.eye(len(Q))
+    Q = Q + 1e-6 * max(float(np.trace(Q)) / len(Q), TINY) * np.eye(len(Q))
     noisy = NoisySystem(
         seen.T @ A @ seen,
         np.zeros((seen.shape[1], 0)),

@@ -6,15 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casid.errors import ModelError
+from casid.arrays import Array
+from casid.errors import ModelError, nearest
 from casid.linear.linear_model import LinearModel, linearise
-from casid.model.expressions import nearest
 from casid.model.model import Model
 from casid.unknown_inputs.observers.unknown_input_system import UnknownInputSystem
-
-Array = NDArray[Any]
 
 
 def unknown_input_system(

@@ -12,15 +12,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.data.record import Record
-from casid.errors import DataError, ModelError
+from casid.errors import DataError, ModelError, nearest
 from casid.linear.noisy_system import sample_system
-from casid.model.expressions import nearest
 from casid.model.units import same_dimension
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

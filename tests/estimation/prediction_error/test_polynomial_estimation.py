@@ -812,7 +812,10 @@ def test_impossible_requests_are_refused_with_a_mend(options, error, message):
 def test_a_record_is_refused_with_what_makes_lists_of_it():
     y, u, _, _ = record("ARX", 100, seed=36)
     held = Record({"y": y, "u": u}, {"y": "m", "u": "N"}, Ts=0.1)
-    mend = r"y, u = casid\.prediction\.polynomial_data\.stretches\(record, output, inputs\)"
+    mend = (
+        r"y, u = casid\.estimation\.prediction_error\.polynomial_data\.stretches"
+        r"\(record, output, inputs\)"
+    )
     for given_, what in (
         (held, "a record"),
         ([held, held], "a record"),

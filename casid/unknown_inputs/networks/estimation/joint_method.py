@@ -10,8 +10,8 @@ rest, impulse responses of inputs in, that of the output out.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
@@ -21,7 +21,6 @@ from casid.unknown_inputs.networks.estimation.module_data import ModuleData
 from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit, without_noise
 from casid.unknown_inputs.networks.estimation.reference_responses import settled_responses
 
-Array = NDArray[np.float64]
 OUTPUT = "output"
 ASSUMES = (
     "references independent of all disturbances, disturbances of short memory; the fit of the "

@@ -6,14 +6,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.unknown_inputs.networks.estimation.module_equation import ModuleEquation
 from casid.unknown_inputs.networks.network import Network, node_label
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

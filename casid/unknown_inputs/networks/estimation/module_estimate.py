@@ -8,9 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from casid.algebra.rational import Rational
+from casid.arrays import TINY, Array
 from casid.data.record import Record
 from casid.errors import ModelError
 from casid.estimation.prediction_error.polynomial_orders import is_stable
@@ -20,8 +21,6 @@ from casid.unknown_inputs.networks.estimation.module_data import ModuleData, mod
 from casid.unknown_inputs.networks.estimation.module_equation import ModuleEquation
 from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit
 from casid.unknown_inputs.networks.network import edge_label, node_label
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,12 +144,12 @@ class ModuleEstimate:
             moved[0][i] += step
             moved[1][i] -= step
             slope[:, i] = (value(moved[0]) - value(moved[1])) / (2 * step)
-        turned = slope * (np.conj(G) / np.maximum(np.abs(G), 1e-300))[:, None]
+        turned = slope * (np.conj(G) / np.maximum(np.abs(G), TINY))[:, None]
         spread = [
             np.sqrt(np.maximum(np.einsum("fi,ij,fj->f", part, self.covariance, part), 0.0))
             for part in (turned.real, turned.imag)
         ]
-        return ModuleResponse(w, G, spread[0], spread[1] / np.maximum(np.abs(G), 1e-300))
+        return ModuleResponse(w, G, spread[0], spread[1] / np.maximum(np.abs(G), TINY))
 
     # -- validation --------------------------------------------------------------------------
 

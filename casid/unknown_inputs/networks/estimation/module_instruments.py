@@ -11,8 +11,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.errors import CasidError, IdentifiabilityError, SolveError
 from casid.estimation.local_rank import local_rank
 from casid.estimation.moments.moment_equations import (
@@ -32,7 +32,6 @@ from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit, witho
 from casid.unknown_inputs.networks.estimation.module_regression import module_regression
 from casid.unknown_inputs.networks.estimation.reference_instruments import reference_instruments
 
-Array = NDArray[Any]
 ROUNDS = 4  # of prefilters; the estimate settles in two or three
 SETTLED = 0.02  # standard errors
 PLAUSIBLE = 1e-4  # p of the surplus moments at which an end is taken for the optimum

@@ -7,10 +7,7 @@ each. A poor model costs variance, not consistency.
 
 from __future__ import annotations
 
-from typing import Any
-
-from numpy.typing import NDArray
-
+from casid.arrays import Array
 from casid.errors import CasidError
 from casid.estimation.moments.instruments import Simulated, from_reference
 from casid.estimation.prediction_error.polynomial_estimation import arx
@@ -19,7 +16,6 @@ from casid.linear.difference_equation import DifferenceEquation
 from casid.linear.lagged_columns import Column
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData
 
-Array = NDArray[Any]
 ORDERS = 2, 3, 4, 6, 8, 12  # of the ARX models; BIC chooses, so that little noise is fitted
 SURPLUS = 2  # lags of each signal beyond those of its regressors: moments that can be tested
 OUTPUT = "y"

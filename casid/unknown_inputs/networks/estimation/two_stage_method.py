@@ -8,8 +8,8 @@ stage's regressors.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import Array
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
@@ -22,7 +22,6 @@ from casid.unknown_inputs.networks.estimation.reference_responses import (
     settled_responses,
 )
 
-Array = NDArray[np.float64]
 ASSUMES = (
     "references independent of all disturbances, responses that die out within the lags, "
     "disturbances of short memory; the first stage's uncertainty is in it"

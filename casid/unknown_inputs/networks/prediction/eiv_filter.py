@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from casid.algebra.rational import Rational
 from casid.algebra.realisation import matrices
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import ModelError
 from casid.linear.kalman import Predictor, steady_state, step, time_varying
@@ -38,8 +39,6 @@ from casid.unknown_inputs.networks.network import (
 from casid.unknown_inputs.networks.node_sets import NodeSets, sets_for
 from casid.unknown_inputs.networks.prediction.observation_choice import observation_choices
 from casid.unknown_inputs.networks.simulation import refuse_continuous, signal_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
 from casid.algebra.rational import Rational
 from casid.algebra.realisation import matrices
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.linear.kalman import Predictor, steady_state
 from casid.linear.noisy_system import NoisySystem
 from casid.unknown_inputs.networks.network import Signal
-
-Array = NDArray[np.float64]
 
 
 def noise_system(

@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from casid.algebra.rational import Rational
+from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import ModelError
 from casid.linear.kalman import Predictor
@@ -18,7 +18,6 @@ from casid.unknown_inputs.networks.network import Network, Node, Signal, node_la
 from casid.unknown_inputs.networks.prediction.error_variance import innovations, variance
 from casid.unknown_inputs.networks.simulation import filtered, signal_of
 
-Array = NDArray[np.float64]
 Signals = Record | Mapping[str, Array]
 
 
