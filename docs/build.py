@@ -105,7 +105,7 @@ def run_console(block: Block, page: str) -> None:
     for i, line in enumerate(block.text.splitlines()):
         if not line.startswith("$ casid "):
             continue
-        command = [sys.executable, "-m", "casid.cli.main", *shlex.split(line)[2:]]
+        command = [sys.executable, "-m", "casid", *shlex.split(line)[2:]]
         path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
         done = subprocess.run(
             command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}

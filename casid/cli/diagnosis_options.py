@@ -1,4 +1,4 @@
-"""What `diagnose` is asked beside its records: its own options."""
+"""The options of `casid diagnose` beside those of its records."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import click
 
 
 class _Count(click.IntRange):
-    """A number that may be left out, and then takes what stands behind it for itself."""
+    """A number that may be left out, and then does not take the argument behind it."""
 
     name = "count"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """The number, or a refusal that tells where the option may stand without one."""
+        """The number, or a refusal that says where the option may be given without one."""
         try:
             return super().convert(value, param, ctx)
         except click.BadParameter:
@@ -41,9 +41,9 @@ DIAGNOSIS_OPTIONS = (
         flag_value=200,
         type=_Count(min=1),
         metavar="[N]",
-        help="Hold that rate on this very record: draw N records as the fitted model would give "
-        "them, diagnose each, and judge at the threshold that they set. Default 200; the time it "
-        "takes is told first, and Ctrl-C goes on with what is done.",
+        help="Calibrate that rate on this very record: simulate N records with the fitted model, "
+        "diagnose each, and judge at the threshold that they set. Default 200; the time it "
+        "takes is printed first, and Ctrl-C goes on with what is done.",
     ),
     click.option(
         "--jobs",
@@ -66,4 +66,4 @@ DIAGNOSIS_OPTIONS = (
         help="Leave a kind of effect out of the catalogue, as in --without offset. Repeatable.",
     ),
 )
-"""How the search for causes is held."""
+"""Settings of the search for causes."""

@@ -1,4 +1,4 @@
-"""The options of `casid identifiability`: what is assumed, and which mends are to be weighed."""
+"""The options of `casid identifiability`: what is assumed, and which remedies are compared."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from casid.cli.options import Request, near, parse_setting
-from casid.errors import DataError
+from casid.cli.request import Request, parse_setting
+from casid.errors import DataError, nearest
 
 if TYPE_CHECKING:
     from casid.identifiability.equations.equation_file import EquationFile
@@ -50,7 +50,7 @@ ASSUMPTION_OPTIONS = (
         "--at",
         multiple=True,
         metavar="NAME=VALUE",
-        help="Ask where a parameter has this value (SI units), which may be special, and not for "
+        help="Answer for this value of a parameter (SI units), which may be special, instead of "
         "almost every value. Repeatable.",
     ),
     click.option(
@@ -59,7 +59,7 @@ ASSUMPTION_OPTIONS = (
         help="Known parameters of the model are some numbers, and not the values they have.",
     ),
 )
-"""What is taken for given."""
+"""What is assumed."""
 
 QUESTION_OPTIONS = (
     click.option(
@@ -68,7 +68,7 @@ QUESTION_OPTIONS = (
         multiple=True,
         metavar="NAME=FORMULA[@COST]",
         help="A sensor that could be added, in the names of the model: phi=x1 or a=k*x1/m@3. The "
-        "cheapest of the sensors named that mend the rank are found. Repeatable.",
+        "cheapest of the sensors named that make the rank full are found. Repeatable.",
     ),
     click.option(
         "--profile",
@@ -86,15 +86,15 @@ QUESTION_OPTIONS = (
         "--time-limit",
         type=click.FloatRange(min=0, min_open=True),
         metavar="S",
-        help="Seconds for the rank; what is proven by then is told.",
+        help="Seconds for the rank; what is proven by then is reported.",
     ),
 )
-"""What else is asked."""
+"""What else is requested."""
 
 
 @dataclass(frozen=True, slots=True)
-class Inquiry:
-    """The options, read and held against each other."""
+class Question:
+    """The options, read and checked against each other."""
 
     replicas: int
     shared_inputs: Sequence[str]
@@ -108,7 +108,7 @@ class Inquiry:
     time_limit: float | None
 
     def assumptions(self) -> Assumptions:
-        """What is taken for given.
+        """What is assumed.
 
         Raises
         ------
@@ -137,12 +137,12 @@ class Inquiry:
         return found
 
     def profiled(self) -> tuple[str, ...]:
-        """Parameters whose profile is asked for.
+        """Parameters whose profile is requested.
 
         Raises
         ------
         DataError
-            If only the rank is asked for as well.
+            If only the rank is requested as well.
         """
         names = _names(self.profiles)
         if names and self.structural:
@@ -194,7 +194,7 @@ def read_equations_for(path: str, request: Request) -> EquationFile:
     ):
         if is_given:
             raise DataError(
-                f"{option} speaks of records, and {path} holds equations alone; leave it out, or "
+                f"{option} belongs to records, and {path} holds equations alone; leave it out, or "
                 "name a problem file (.py), which says where signals come from"
             )
     found = read_equations(path)
@@ -204,8 +204,7 @@ def read_equations_for(path: str, request: Request) -> EquationFile:
         name, value = parse_setting(text)
         if name not in known:
             raise DataError(
-                f"--set {text}: the equations have no parameter {name!r}; they have "
-                f"{', '.join(known)}{near(name, known)}"
+                f"--set {text}: the equations have no parameter {name!r}{nearest(name, known)}"
             )
         values[name] = value
     systems = [

@@ -1,4 +1,4 @@
-"""What `identify --method instruments` needs to know: its options, and what their values mean."""
+"""The options of `casid identify --method instruments`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from casid.cli.options import Request, is_number, near, parse_setting
-from casid.errors import DataError
+from casid.cli.request import Request, is_number, parse_setting
+from casid.errors import DataError, nearest
 
 if TYPE_CHECKING:
     from casid.data.problem import Problem
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class InstrumentRequest:
-    """The options of `--method instruments`, read and held against each other."""
+    """The options of `--method instruments`, read and checked against each other."""
 
     method: str = "simulation"
     reference: str | None = None
@@ -31,7 +31,7 @@ class InstrumentRequest:
             for option in ("reference", "lag", "free"):
                 if getattr(self, option) is not None:
                     raise DataError(
-                        f"--{option} speaks of instruments; add --method instruments, or leave "
+                        f"--{option} belongs to instruments; add --method instruments, or leave "
                         f"--{option} out"
                     )
         elif self.reference is None:
@@ -69,9 +69,9 @@ class InstrumentRequest:
         channels = [*problem.recorded, *problem.model.inputs, *problem.model.outputs]
         if self.reference not in channels:
             raise DataError(
-                f"--reference {self.reference}: problem {problem.name} reads no such channel; it "
-                f"has {', '.join(channels)}{near(str(self.reference), channels)}. Declare it in "
-                f"the problem file: casid.Problem(..., recorded={{{self.reference!r}: unit}})"
+                f"--reference {self.reference}: problem {problem.name} reads no such channel"
+                f"{nearest(str(self.reference), channels)}. Declare it in the problem "
+                f"file: casid.Problem(..., recorded={{{self.reference!r}: unit}})"
             )
         if self.free is None:
             return problem, None
@@ -81,8 +81,8 @@ class InstrumentRequest:
             name, equals, text = (x.strip() for x in part.partition("="))
             if name not in known:
                 raise DataError(
-                    f"--free {self.free}: problem {problem.name} has no parameter {name!r}; it has "
-                    f"{', '.join(known)}{near(name, known)}"
+                    f"--free {self.free}: problem {problem.name} has no parameter "
+                    f"{name!r}{nearest(name, known)}"
                 )
             if equals:
                 if not is_number(text) or not math.isfinite(float(text)):
@@ -113,14 +113,14 @@ class InstrumentRequest:
             if all(name in e.known for e in fitted):
                 raise DataError(
                     f"--free {name}: the load case of every record knows it "
-                    f"({', '.join(e.name for e in fitted)}); name the record in which it is sought "
-                    "without its load case, as in b.csv for loaded=b.csv"
+                    f"({', '.join(e.name for e in fitted)}); name the record in which it is "
+                    "estimated without its load case, as in b.csv for loaded=b.csv"
                 )
         for p in problem.model.parameters.values():
             left = [e.name for e in fitted if p.name not in e.known]
             if free is not None and left and not p.is_known and p.name not in free:
                 raise DataError(
-                    f"--free {self.free} leaves out {p.name}, which nobody knows in "
+                    f"--free {self.free} leaves out {p.name}, which is unknown in "
                     f"{', '.join(left)}; add it there, or give its value, --set {p.name}=..."
                 )
         lag = ReferenceFilter.lag(self.lag) if self.lag else ReferenceFilter()
@@ -167,4 +167,4 @@ INSTRUMENT_OPTIONS = (
         "know.",
     ),
 )
-"""Which estimator, and what instrumental variables need to know."""
+"""Which estimator, and the settings of instrumental variables."""

@@ -134,7 +134,7 @@ REFUSALS: dict[str, tuple[list[str], list[str]]] = {
     "no rate": (["--false-alarm-rate", "1.5"], ["between 0 and 1", "--false-alarm-rate 0.05"]),
     "a negative number of records": (["--calibrate", "-3"], ["'-3'", "--help"]),
     "no records": (["--calibrate", "0"], ["'0'", "--calibrate 200"]),
-    "jobs for nothing": (["--jobs", "2"], ["--jobs speaks of --calibrate"]),
+    "jobs for nothing": (["--jobs", "2"], ["--jobs belongs to --calibrate"]),
     "two channels of one column": (
         ["--map", "accel=gyro"],
         ["accel", "gyro", "would both be column 'gyro'", "another column"],

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from casid.cli.main import Request, main, parse_mapping, parse_setting
+from casid.cli.main import main
+from casid.cli.request import Request, parse_mapping, parse_setting
 from casid.errors import DataError
 from tests.support.shared import ROOT
 from tests.support.truth import TruthRecord, mass_spring_damper, write_csv
@@ -162,7 +163,7 @@ def test_check_of_an_unusable_file_is_still_a_whole_report(here: Path) -> None:
     result = casid("check", "bad.csv", "--json")
     assert result.exit_code == 2
     assert not json.loads(result.stdout)["usable"]
-    assert result.stderr.startswith("error: unusable as it stands: bad.csv")
+    assert result.stderr.startswith("error: cannot be used: bad.csv")
     assert casid("check", "absent.csv").exit_code == 2
 
 
@@ -595,7 +596,7 @@ def test_instruments_that_cannot_be_meant_are_refused_with_the_mend(pendulum: li
     iv = (*one, *BY_INSTRUMENTS)
     for arguments, words in {
         (*one, "--method", "instruments"): ("no disturbance reaches", "--reference ref"),
-        (*one, "--lag", "0.1"): ("--lag speaks of instruments", "add --method instruments"),
+        (*one, "--lag", "0.1"): ("--lag belongs to instruments", "add --method instruments"),
         (*iv, "--reference", "rf"): ("did you mean 'ref'?", "recorded={'rf': unit}"),
         (*iv, "--starts", "3"): ("--starts has no meaning", "leave --starts out"),
         (*iv, "--hold-out", "0.2"): ("leave --hold-out out",),
