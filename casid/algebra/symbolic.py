@@ -101,13 +101,18 @@ def to_sympy(
     return sympy.Matrix(m, n, lambda i, j: flat[i + m * j])
 
 
-def evaluate_exactly(function: ca.Function, *arguments: Sequence[Fraction]) -> list[list[Fraction]]:
+def evaluate_exactly(
+    function: ca.Function,
+    *arguments: Sequence[Fraction],
+    number: Callable[[float], Fraction] = exact,
+) -> list[list[Fraction]]:
     """Evaluate a rational SX function in exact arithmetic.
 
     Parameters
     ----------
-    function : SX function with dense vector arguments; its constants are read as by `exact`.
+    function : SX function with dense vector arguments.
     arguments : one sequence of fractions for each argument.
+    number : reads the function's constants.
 
     Returns
     -------
@@ -120,7 +125,7 @@ def evaluate_exactly(function: ca.Function, *arguments: Sequence[Fraction]) -> l
     ZeroDivisionError
         If the point is a pole of the function.
     """
-    return walk(function, [list(a) for a in arguments], _fraction_operations(), exact)
+    return walk(function, [list(a) for a in arguments], _fraction_operations(), number)
 
 
 def walk(

@@ -21,9 +21,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.algebra.vanishing import float_points, remove_zeros
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.linear.vanishing_expressions import float_points, remove_zeros
 from casid.model.model import Model, Parameter
 
 Expr = Any  # a CasADi SX expression

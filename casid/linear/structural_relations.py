@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from casid.algebra.vanishing import exact_points, float_points
 from casid.arrays import Array
 from casid.linear.discretisation import DiscreteTransfer, discretise, substitution
 from casid.linear.linear_model import TransferMatrix
-from casid.linear.vanishing_expressions import exact_points, float_points
 
 Expr = Any  # a CasADi SX expression
 

@@ -76,7 +76,7 @@ def eliminate_unknown_inputs(
     Returns
     -------
     Elimination. Which unknown input appears where is decided at random points, exactly for rational
-    equations (`generic_zero`).
+    equations (`casid.algebra.vanishing`).
 
     Raises
     ------

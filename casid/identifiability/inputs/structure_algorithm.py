@@ -17,8 +17,8 @@ from typing import Any
 
 import casadi as ca
 
+from casid.algebra.vanishing import vanishing
 from casid.errors import IdentifiabilityError, ModelError
-from casid.identifiability.inputs.generic_zero import vanishing
 from casid.identifiability.inputs.signals import (
     derivative_name,
     differentiated,

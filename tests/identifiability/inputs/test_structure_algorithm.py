@@ -9,12 +9,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from casid.algebra.vanishing import vanishing
 from casid.errors import IdentifiabilityError, ModelError
 from casid.identifiability.equations.equation_text import parse_system, parse_systems
 from casid.identifiability.inputs import structure_algorithm
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.experiments import merge, replicas, systems_by_class
-from casid.identifiability.inputs.generic_zero import vanishing
 from casid.identifiability.inputs.unknown_jets import observability_by_jets
 from casid.identifiability.rank.observability import observability, rank_at
 from casid.identifiability.rank.system import System
@@ -433,35 +433,3 @@ def test_derivatives_that_grow_beyond_bounds_are_refused(monkeypatch):
     )
     with pytest.raises(IdentifiabilityError, match="use observability_by_jets"):
         eliminate_unknown_inputs(system)
-
-
-# -- zero or not ---------------------------------------------------------------------------------
-
-
-def test_identities_of_algebra_and_of_trigonometry_vanish():
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    identities = [
-        (x + y) ** 2 - x**2 - 2 * x * y - y**2,
-        1 / (x - y) + 1 / (y - x),
-        0.1 * 3 * x - 0.3 * x,
-        ca.sin(2 * x) - 2 * ca.sin(x) * ca.cos(x),
-        ca.exp(x + y) - ca.exp(x) * ca.exp(y),
-        ca.sqrt(x**2 * y) / x - ca.sqrt(y),
-        ca.SX(0),
-    ]
-    assert all(vanishing(identities))
-    assert not any(vanishing([x, x - y, 1e-9 * x, ca.sin(x) - x, ca.log(x), ca.SX(1)]))
-
-
-def test_what_vanishes_at_a_point_need_not_vanish():
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    assert vanishing([x * y, x + y], at={"x": Fraction(0)}) == [True, False]
-    assert vanishing([x * y]) == [False]
-
-
-def test_a_pole_everywhere_is_refused():
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    with pytest.raises(ModelError, match="vanishes identically"):
-        vanishing([1 / (x - y + (y - x)), x])
-    with pytest.raises(ModelError, match="x = 0"):
-        vanishing([y / x], at={"x": Fraction(0)})
