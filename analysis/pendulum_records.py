@@ -19,7 +19,7 @@ import numpy as np
 
 import casid
 from casid.arrays import Array
-from casid.data.preparation import FirFilter, equiripple
+from casid.data.fir_filter import FirFilter, equiripple
 from problems.pendulum import CART_LAG, TABLE_7_2, motion, telegraph
 
 Truth = Literal["linear", "nonlinear"]

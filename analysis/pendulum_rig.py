@@ -61,7 +61,7 @@ from analysis.pendulum_rig_tables import (
 )
 from analysis.targets import Target, at_most, near, report
 from casid.campaigns.campaign import campaign
-from casid.data.preparation import align
+from casid.data.alignment import align
 from casid.data.record import Experiment
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.validation import validate

@@ -14,7 +14,7 @@ import numpy as np
 
 import casid
 from casid.arrays import Array
-from casid.data.preparation import equiripple
+from casid.data.fir_filter import equiripple
 from problems import pendulum_rig as rig
 
 TORQUE = 0.0045

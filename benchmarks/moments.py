@@ -165,7 +165,7 @@ def peak_megabytes() -> float:
 
 def streamed(samples: int) -> dict[str, Any]:
     """Moments of two generated channels behind a filter of 21 taps, a chunk at a time."""
-    from casid.data.preparation import equiripple
+    from casid.data.fir_filter import equiripple
     from casid.estimation.moments.moments import Accumulator
 
     rng = np.random.default_rng(1)

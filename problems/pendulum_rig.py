@@ -332,7 +332,7 @@ def merged(recording: Recording) -> casid.Record:
     DataError
         If the knocks do not settle the offset.
     """
-    from casid.data.preparation import align
+    from casid.data.alignment import align
 
     pendulum, cart = recording.pendulum, recording.cart
     alignment = align(
@@ -364,7 +364,8 @@ def prepared(recording: Recording, *, duration: float | None = None) -> casid.Re
     DataError
         If the knocks do not settle the offset, or the recording is shorter than `duration`.
     """
-    from casid.data.preparation import detrend, equiripple
+    from casid.data.fir_filter import equiripple
+    from casid.data.preparation import detrend
 
     smooth = merged(recording)
     low_pass = equiripple(0.5, smooth.Ts, stop_hz=6.0, order=20)

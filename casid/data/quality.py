@@ -287,106 +287,163 @@ def _clock(times: FloatArray) -> Clock:
 
 
 def _channel(record: Record, name: str) -> tuple[ChannelCheck, list[Finding]]:
+    """The numbers of one channel, and what is noticed of it."""
     mask, unit = record.is_missing(name), record.units[name]
     gone = int(mask.sum())
     if mask.all():
         text = "every sample is missing."
-        mend = f"Leave it out with record.without({name!r})."
-        finding = Finding("warning", name, text, mend)
+        fix = f"Leave it out with record.without({name!r})."
+        finding = Finding("warning", name, text, fix)
         return ChannelCheck(name, unit, None, None, None, None, gone), [finding]
     x = record.filled(name)
     kept = x[~mask]
     low, high, mean = float(kept.min()), float(kept.max()), float(kept.mean())
     rms = float(np.sqrt(np.mean(kept**2)))
     findings: list[Finding] = []
-
-    def notice(severity: Severity, text: str, mend: str) -> None:
-        findings.append(Finding(severity, name, text, mend))
-
     if gone:
-        notice(
-            "note",
-            f"{gone} samples are marked missing.",
-            "They take no part in an estimation; cut them off with a window where they cluster.",
+        findings.append(
+            Finding(
+                "note",
+                name,
+                f"{gone} samples are marked missing.",
+                "They take no part in an estimation; cut them off with a window where they "
+                "cluster.",
+            )
         )
     if low == high:
-        notice(
-            "warning",
-            f"{_CONSTANT} {low:.6g} {unit}.",
-            "It excites nothing: check the sensor or the mapping, or leave it out.",
+        findings.append(
+            Finding(
+                "warning",
+                name,
+                f"{_CONSTANT} {low:.6g} {unit}.",
+                "It excites nothing: check the sensor or the mapping, or leave it out.",
+            )
         )
         constant = ChannelCheck(
             name, unit, low, high, mean, rms, gone, 0.0, None, record.N, record.N, 0, 0.0, 0.0
         )
         return constant, findings
-    run, run_start, plateau, plateau_start, beside = _runs(x, mask)
     levels = np.unique(kept)
-    step = _quantisation(levels)
-    few = levels.size <= 10
-    jump = _jump_into(x, plateau_start, plateau) if plateau >= 4 else 0.0
-    # The top of a rounded parabola is flat too, but the levels below it hold for 0.2 of its width.
-    sudden = beside <= max(1.0, 0.1 * plateau)
-    if plateau >= 4 and not few and sudden and (step is None or jump > 1.5 * step):
-        value = x[plateau_start]
-        notice(
-            "warning",
-            f"{plateau} equal samples at the {'maximum' if value == high else 'minimum'} "
-            f"{value:.6g} {unit}, first at t = {record.t[plateau_start]:.6g} s: {_CLIPPED}",
-            "Check the sensor's range; mark the plateau missing or cut it off with a window.",
-        )
-    if run >= max(20, 0.01 * record.N) and not (run_start == plateau_start and findings):
-        notice(
-            "note",
-            f"{run} equal samples in a row from t = {record.t[run_start]:.6g} s.",
-            "Right for a held input; for a sensor it is stuck or updated slower than logged.",
-        )
+    step, few = _quantisation(levels), levels.size <= 10
+    run, plateau, equal = _equal_samples(record, name, step, few)
+    findings += equal
     if step is not None and step > (high - low) / 200 and not few:
-        notice(
-            "warning",
-            f"coarsely quantised: steps of {step:.4g} {unit}, {round((high - low) / step)} of them "
-            "in the range.",
-            f"Count with noise of {step / np.sqrt(12):.3g} {unit} (step/sqrt 12), or log finer.",
-        )
+        findings.append(_coarse(name, unit, step, high - low))
     spikes = np.array([], dtype=np.intp) if few else _spikes(x, mask)
     if spikes.size:
-        t = ", ".join(f"{record.t[k]:.6g}" for k in spikes[:3])
-        notice(
-            "warning",
-            f"{spikes.size} isolated spike{'' if spikes.size == 1 else 's'}, at t = {t} s"
-            f"{' ...' if spikes.size > 3 else ''}.",
-            f"Mark them with record.mark_missing({name!r}, mask), or use a robust loss.",
-        )
-    wraps = np.flatnonzero(np.abs(np.abs(np.diff(x)) - 2 * np.pi) < 0.1)
-    if unit == "rad" and wraps.size and high - low < 6.6:
-        notice(
-            "warning",
-            f"the angle wraps round {wraps.size} times, first at t = {record.t[wraps[0]]:.6g} s.",
-            f"Unwrap it: record.with_channel({name!r}, numpy.unwrap(record[{name!r}]), 'rad').",
-        )
-    s = np.linspace(-0.5, 0.5, record.N)[~mask]
-    s0 = s - s.mean()
-    drift = float(s0 @ kept / (s0 @ s0)) if kept.size > 1 else 0.0
-    spread = float(np.std(kept - drift * s))
-    if abs(drift) > 3 * spread:
-        notice(
-            "note",
-            f"a trend: {drift:.4g} {unit} over the record, {abs(drift) / max(spread, TINY):.3g} "
-            "times the scatter about it.",
-            "Where it is the sensor's drift, use record.detrend(1) or a bias parameter.",
-        )
+        findings.append(_spiked(record, name, spikes))
+    if unit == "rad" and high - low < 6.6:
+        findings += _wrapped(record, name)
+    drift, trend = _trend(record, name)
+    findings += trend
     noise, bandwidth, reaches = _spectrum(x - mean, record.Ts)
     if reaches and not few:
-        notice(
-            "note",
-            "the spectrum does not fall towards the Nyquist frequency: noise, or a signal that is "
-            "aliased.",
-            "Check the logger's anti-alias filter; what is called noise here may be signal.",
+        findings.append(
+            Finding(
+                "note",
+                name,
+                "the spectrum does not fall towards the Nyquist frequency: noise, or a signal that "
+                "is aliased.",
+                "Check the logger's anti-alias filter; what is called noise here may be signal.",
+            )
         )
     numbers = ChannelCheck(
         name, unit, low, high, mean, rms, gone, noise, step, run, plateau, int(spikes.size), drift,
         bandwidth,
     )  # fmt: skip
     return numbers, findings
+
+
+def _equal_samples(
+    record: Record, name: str, step: float | None, few: bool
+) -> tuple[int, int, list[Finding]]:
+    """The longest run of equal samples, the longest at an extreme, and what they point to."""
+    x, mask, unit = record.filled(name), record.is_missing(name), record.units[name]
+    run, run_start, plateau, plateau_start, beside = _runs(x, mask)
+    jump = _jump_into(x, plateau_start, plateau) if plateau >= 4 else 0.0
+    # The top of a rounded parabola is flat too, but the levels below it hold for 0.2 of its width.
+    sudden = beside <= max(1.0, 0.1 * plateau)
+    findings = []
+    if plateau >= 4 and not few and sudden and (step is None or jump > 1.5 * step):
+        value = x[plateau_start]
+        findings.append(
+            Finding(
+                "warning",
+                name,
+                f"{plateau} equal samples at the "
+                f"{'maximum' if value == x[~mask].max() else 'minimum'} "
+                f"{value:.6g} {unit}, first at t = {record.t[plateau_start]:.6g} s: {_CLIPPED}",
+                "Check the sensor's range; mark the plateau missing or cut it off with a window.",
+            )
+        )
+    is_new = run_start != plateau_start or not (findings or record.is_missing(name).any())
+    if run >= max(20, 0.01 * record.N) and is_new:
+        findings.append(
+            Finding(
+                "note",
+                name,
+                f"{run} equal samples in a row from t = {record.t[run_start]:.6g} s.",
+                "Right for a held input; for a sensor it is stuck or updated slower than logged.",
+            )
+        )
+    return run, plateau, findings
+
+
+def _coarse(name: str, unit: str, step: float, span: float) -> Finding:
+    return Finding(
+        "warning",
+        name,
+        f"coarsely quantised: steps of {step:.4g} {unit}, {round(span / step)} of them in the "
+        "range.",
+        f"Count with noise of {step / np.sqrt(12):.3g} {unit} (step/sqrt 12), or log finer.",
+    )
+
+
+def _spiked(record: Record, name: str, spikes: NDArray[np.intp]) -> Finding:
+    t = ", ".join(f"{record.t[k]:.6g}" for k in spikes[:3])
+    return Finding(
+        "warning",
+        name,
+        f"{spikes.size} isolated spike{'' if spikes.size == 1 else 's'}, at t = {t} s"
+        f"{' ...' if spikes.size > 3 else ''}.",
+        f"Mark them with record.mark_missing({name!r}, mask), or use a robust loss.",
+    )
+
+
+def _wrapped(record: Record, name: str) -> list[Finding]:
+    wraps = np.flatnonzero(np.abs(np.abs(np.diff(record.filled(name))) - 2 * np.pi) < 0.1)
+    if not wraps.size:
+        return []
+    return [
+        Finding(
+            "warning",
+            name,
+            f"the angle wraps round {wraps.size} times, first at t = {record.t[wraps[0]]:.6g} s.",
+            f"Unwrap it: record.with_channel({name!r}, numpy.unwrap(record[{name!r}]), 'rad').",
+        )
+    ]
+
+
+def _trend(record: Record, name: str) -> tuple[float, list[Finding]]:
+    """The change of a straight line over the record, noticed where it exceeds the scatter."""
+    mask = record.is_missing(name)
+    kept = record.filled(name)[~mask]
+    s = np.linspace(-0.5, 0.5, record.N)[~mask]
+    s0 = s - s.mean()
+    drift = float(s0 @ kept / (s0 @ s0)) if kept.size > 1 else 0.0
+    spread = float(np.std(kept - drift * s))
+    if abs(drift) <= 3 * spread:
+        return drift, []
+    times = abs(drift) / max(spread, TINY)
+    return drift, [
+        Finding(
+            "note",
+            name,
+            f"a trend: {drift:.4g} {record.units[name]} over the record, {times:.3g} times the "
+            "scatter about it.",
+            "Where it is the sensor's drift, use record.detrend(1) or a bias parameter.",
+        )
+    ]
 
 
 def _runs(x: FloatArray, mask: BoolArray) -> tuple[int, int, int, int, int]:

@@ -16,7 +16,7 @@ from casid.errors import DataError
 from casid.model.units import parse_unit, si_unit, to_si
 
 if TYPE_CHECKING:
-    from casid.data.preparation import Alignment
+    from casid.data.alignment import Alignment
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -362,7 +362,7 @@ class Record:
         max_offset: float | None = None,
     ) -> Alignment:
         """Find the clock offset of another logger from a shared signal; `align`."""
-        from casid.data.preparation import align
+        from casid.data.alignment import align
 
         return align(self, other, using=using, other_using=other_using, max_offset=max_offset)
 

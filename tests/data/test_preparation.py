@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from casid.data.preparation import FirFilter, align, anti_alias, equiripple
+from casid.data.alignment import align
+from casid.data.fir_filter import FirFilter, anti_alias, equiripple
 from casid.data.record import Record
 from casid.errors import DataError
 

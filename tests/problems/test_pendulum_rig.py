@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import casid
-from casid.data.preparation import align
+from casid.data.alignment import align
 from casid.errors import DataError
 from casid.model.dimensions import check_units
 from problems import pendulum_rig as rig

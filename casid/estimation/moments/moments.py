@@ -21,7 +21,7 @@ from casid.estimation.moments.lag_products import BLOCK, Core, Window, short_str
 from casid.linear.lagged_columns import Column
 
 if TYPE_CHECKING:
-    from casid.data.preparation import FirFilter
+    from casid.data.fir_filter import FirFilter
     from casid.data.reading.columns import Columns, ColumnSpec
     from casid.data.record import Record
 
@@ -309,10 +309,10 @@ class Accumulator:
             self._sum(self._smooth(block))
 
     def _smooth(self, rows: Sequence[Array]) -> list[Array]:
-        from casid.data.preparation import _convolve
+        from casid.data.fir_filter import convolved
 
         assert self._taps is not None
-        return [_convolve(row, self._taps) for row in rows]
+        return [convolved(row, self._taps) for row in rows]
 
     def _sum(self, rows: Sequence[Array]) -> None:
         room = self._head.shape[1] - self._count
@@ -486,7 +486,7 @@ def _check_sample_time(name: str, prefilter: FirFilter | None, Ts: float) -> Non
         raise DataError(
             f"{name}: the prefilter is designed for Ts = {prefilter.Ts:g} s, the samples have "
             f"Ts = {Ts:g} s. Design it for them: "
-            f"casid.data.preparation.equiripple(cutoff_hz, Ts={Ts:g})."
+            f"casid.data.fir_filter.equiripple(cutoff_hz, Ts={Ts:g})."
         )
 
 

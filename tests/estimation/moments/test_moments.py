@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 
 import casid.estimation.moments.moments
 from casid.data.files import write_text
-from casid.data.preparation import anti_alias, equiripple
+from casid.data.fir_filter import anti_alias, equiripple
 from casid.data.reading.chunks import iter_chunks
 from casid.data.reading.record_file import read_record
 from casid.data.record import Record
