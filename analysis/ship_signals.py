@@ -65,7 +65,7 @@ from analysis.ship_signals_model import (
 from analysis.targets import Target, conclude
 from casid.linear.closed_loop import ClosedLoopView, closed_loop_view
 from casid.linear.linear_model import linearise
-from casid.linear.loop_text import verdicts
+from casid.linear.loop_consistency import verdicts
 from problems.ship import TABLE_8_2, indirect_model
 from problems.ship_4dof import LOAD_CASES, linearised, tangent
 

@@ -48,7 +48,7 @@ __main__: cli
 """
 
 # Modules right below casid, of the standard library and NumPy alone, that every package may use.
-GROUND = {"arrays", "deprecation", "errors", "versions"}
+GROUND = {"arrays", "deprecation", "errors", "presentation", "versions"}
 
 
 def imports_of(path: Path) -> Iterator[tuple[str, bool]]:

@@ -33,6 +33,7 @@ from casid.estimation.nlp.solver import _is_installed, as_solver
 from casid.estimation.simulation.fit import FitSettings
 from casid.identification.identify import identify
 from casid.model.model import Model
+from casid.presentation import present, write
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
@@ -260,19 +261,11 @@ class MonteCarlo:
 
     def plot(self) -> Any:
         """Histograms of the estimates with truth and reported normal density, Plotly."""
-        from casid.report.pages.monte_carlo_page import histogram_figure
-
-        return histogram_figure(self)
+        return present(self, "figure")
 
     def write(self, folder: str | Path) -> Path:
         """Write `montecarlo.json` and `report.html` into `folder`; returns the former's path."""
-        from casid.data.files import write_json, write_text
-        from casid.report.pages.monte_carlo_page import montecarlo_page
-
-        page = montecarlo_page(self)  # before anything is written: both files or none
-        path = write_json(Path(folder) / "montecarlo.json", self.to_json())
-        write_text(Path(folder) / "report.html", page)
-        return path
+        return write(self, folder).with_name("montecarlo.json")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

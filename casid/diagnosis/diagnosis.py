@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from casid.diagnosis.verdict.remainder import Moved, Remaining
 from casid.estimation.estimate import Estimate, Estimated, RecordView
+from casid.presentation import Presented, present, write
 
 if TYPE_CHECKING:
     from casid.diagnosis.advice.isolability import Isolability
@@ -101,7 +101,7 @@ class Ranked:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Diagnosis:
+class Diagnosis(Presented):
     """What the simulation gets wrong, why, and what naming the cause gains."""
 
     problem: str
@@ -174,14 +174,6 @@ class Diagnosis:
         named = ", ".join(f"{c.kind}({c.where})" for c in self.causes) or "no cause"
         return f"<Diagnosis {self.problem}: {self.verdict}, {named}>"
 
-    def __str__(self) -> str:
-        from casid.report.texts.diagnosis import diagnosis_text
-
-        return diagnosis_text(self)
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(str(self))}</pre>"
-
     @property
     def estimates(self) -> dict[str, Estimate]:
         """The fits by label: baseline alone, or before and after."""
@@ -199,15 +191,12 @@ class Diagnosis:
 
     def plot(self) -> Any:
         """Measured against simulated, before and after, as a Plotly figure."""
-        from casid.report.figures.simulated import simulation_figure
-
-        return simulation_figure(self.records)
+        return present(self, "figure")
 
     def figures(self) -> Mapping[str, Any]:
         """Every figure of the report by name."""
-        from casid.report.figures.diagnosis import diagnosis_figures
-
-        return diagnosis_figures(self)
+        found: Mapping[str, Any] = present(self, "figures")
+        return found
 
     def references(self) -> tuple[str, ...]:
         """The papers behind the methods used."""
@@ -215,12 +204,7 @@ class Diagnosis:
 
     def write(self, folder: str | Path) -> Path:
         """Write `diagnosis.json` and `report.html` into `folder`; returns the report's path."""
-        from casid.data.files import write_json, write_text
-        from casid.report.pages.diagnosis_page import diagnosis_page
-
-        page = diagnosis_page(self)  # before anything is written: both files or none
-        write_json(Path(folder) / "diagnosis.json", self.to_json())
-        return write_text(Path(folder) / "report.html", page)
+        return write(self, folder)
 
 
 def _plain(part: Any) -> Any:

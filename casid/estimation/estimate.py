@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.files import write_json
 from casid.estimation.covariance import Sampled, sample_through
+from casid.presentation import present
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -256,12 +258,8 @@ class Estimate:
 
     def plot(self) -> Any:
         """The estimates with their intervals as a Plotly figure."""
-        from casid.report.figures.estimates import parameter_figure
-
-        return parameter_figure({"estimate": self})
+        return present(self, "figure")
 
     def write(self, folder: str | Path) -> Path:
         """Write `estimate.json` into `folder`, whole or not at all; returns its path."""
-        from casid.data.files import write_json
-
         return write_json(Path(folder) / "estimate.json", self.to_json())

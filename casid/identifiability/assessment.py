@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from casid.presentation import Presented, present, write
+
 if TYPE_CHECKING:
     from casid.identifiability.combinations.closed_form import Told
     from casid.identifiability.combinations.family import Family
@@ -81,7 +83,7 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Assessment:
+class Assessment(Presented):
     """What experiments can tell of a model's parameters.
 
     Attributes
@@ -251,16 +253,9 @@ class Assessment:
     def __repr__(self) -> str:
         return f"<Assessment of {self.name}: rank {self.rank} of {self.unknowns}>"
 
-    def __str__(self) -> str:
-        from casid.report.texts.assessment import as_text
-
-        return as_text(self)
-
     def plot(self) -> Any:
         """Plotly figures by name: errors, correlations, profiles, as far as they were computed."""
-        from casid.report.figures.identifiability import figures
-
-        return figures(self)
+        return present(self, "figures")
 
     def to_json(self) -> dict[str, Any]:
         """As ``casid identifiability --json`` prints it."""
@@ -313,13 +308,7 @@ class Assessment:
 
     def write(self, folder: str | Path) -> Path:
         """Write `identifiability.json` and `report.html`; returns the report's path."""
-        from casid.data.files import write_json, write_text
-        from casid.report.pages.identifiability_page import assessment_page
-
-        folder = Path(folder)
-        page = assessment_page(self)  # before anything is written: both files or none
-        write_json(folder / "identifiability.json", self.to_json())
-        return write_text(folder / "report.html", page)
+        return write(self, folder)
 
 
 def _family(family: Family) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import TINY, Array
+from casid.data.files import write_json
 from casid.data.problem import Problem
 from casid.data.record import Experiment
 from casid.errors import ModelError
@@ -206,8 +207,6 @@ class MomentEstimate:
 
     def write(self, folder: str | Path) -> Path:
         """Write `estimate.json` into `folder`, whole or not at all; returns its path."""
-        from casid.data.files import write_json
-
         return write_json(Path(folder) / "estimate.json", self.to_json())
 
     def _repr_html_(self) -> str:

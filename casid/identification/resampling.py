@@ -22,6 +22,7 @@ from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
 from casid.estimation.moments.propagation import are_short, combined_covariance, free_slope
 from casid.estimation.moments.stage import StageFit
 from casid.identification.moment_estimators import MomentEstimate
+from casid.presentation import present
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -151,15 +152,7 @@ class Profile:
 
     def plot(self) -> Any:
         """The drop over the values tried, with the level that bounds the interval."""
-        import plotly.graph_objects as go
-        from scipy.stats import chi2
-
-        figure = go.Figure(go.Scatter(x=self.grid, y=self.drop, mode="lines+markers"))
-        figure.add_hline(y=float(chi2.isf(1 - self.level, 1)), line_dash="dash")
-        figure.update_layout(
-            template="plotly_white", xaxis_title=self.name, yaxis_title="2 (V - V_min)"
-        )
-        return figure
+        return present(self, "figure")
 
 
 def _score_equations(st: StageFit, k: int, covariance: Array) -> Condensed:

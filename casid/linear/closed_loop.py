@@ -28,8 +28,9 @@ from casid.arrays import Array
 from casid.errors import ModelError, nearest
 from casid.linear.discrete_loop import DiscreteLoop, bilinear
 from casid.linear.laplace import Laplace, solve
-from casid.linear.loop_text import Verdict, page, verdicts
+from casid.linear.loop_consistency import Verdict, verdicts
 from casid.model.model import Model
+from casid.presentation import Presented
 
 Algebra = Any  # a sympy expression or matrix
 
@@ -37,7 +38,7 @@ _WELL_POSED = 1e-6  # smallest leading coefficient of the loop, relative to its 
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedLoopView:
+class ClosedLoopView(Presented):
     """An indirect model as a loop; sympy matrices of rational functions of `p`.
 
     Attributes
@@ -250,9 +251,6 @@ class ClosedLoopView:
             f"<ClosedLoopView {self.name}: {', '.join(self.inputs)} -> {', '.join(self.outputs)}, "
             f"fed back, {term} direct term>"
         )
-
-    def __str__(self) -> str:
-        return page(self)
 
     # -- inside ------------------------------------------------------------------------------
 

@@ -25,6 +25,7 @@ from casid.algebra.vanishing import float_points, remove_zeros
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.model.model import Model, Parameter
+from casid.presentation import Presented
 
 Expr = Any  # a CasADi SX expression
 
@@ -171,7 +172,7 @@ class LinearModel:
 
 
 @dataclass(frozen=True, eq=False)
-class TransferMatrix:
+class TransferMatrix(Presented):
     """Rational transfer functions with a common denominator, as expressions of the parameters.
 
     Attributes
@@ -228,12 +229,6 @@ class TransferMatrix:
             f"<TransferMatrix {self.name}: {', '.join(self.outputs)} from "
             f"{', '.join(self.inputs) or 'nothing'}, order {self.order}>"
         )
-
-    def __str__(self) -> str:
-        """One line for each transfer function, factored, in letters; large ones are left out."""
-        from casid.linear.transfer_text import page
-
-        return page(self)
 
 
 def linearise(

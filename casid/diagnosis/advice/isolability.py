@@ -42,6 +42,7 @@ from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.score_tests import INVISIBLE, ScoreTable
 from casid.errors import DataError
 from casid.model.effects.effect import Effect
+from casid.presentation import present
 
 Key = tuple[str, str]
 
@@ -220,9 +221,7 @@ class Isolability:
 
     def plot(self) -> Any:
         """The angles as a heat map, a Plotly figure."""
-        from casid.report.figures.isolability import isolability_figure
-
-        return isolability_figure(self)
+        return present(self, "figure")
 
 
 def label(key: Key) -> str:

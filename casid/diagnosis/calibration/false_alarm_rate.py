@@ -42,6 +42,7 @@ from casid.diagnosis.calibration.null_records import NullNoise, NullRecords, nul
 from casid.errors import CasidError, DataError, ModelError, SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.simulation_error import Fit
+from casid.presentation import present
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
@@ -200,9 +201,7 @@ class Calibration:
 
     def plot(self) -> Any:
         """Histogram of the smallest adjusted p against the uniform, as a Plotly figure."""
-        from casid.report.figures.calibration import calibration_figure
-
-        return calibration_figure(self)
+        return present(self, "figure")
 
     def references(self) -> tuple[str, ...]:
         """The papers behind the method."""

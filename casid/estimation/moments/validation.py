@@ -28,6 +28,7 @@ from casid.estimation.moments.instruments import (
     transient,
 )
 from casid.model.model import Model
+from casid.presentation import present
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,38 +91,7 @@ class Validation:
 
     def plot(self, *, seconds: float = 20.0) -> Any:
         """Measured and simulated channels over the first `seconds` of every record (Fig. 7.14)."""
-        import plotly.graph_objects as go
-        from plotly.subplots import make_subplots
-
-        rows = len(self.channels)
-        figure = make_subplots(
-            rows=rows,
-            cols=1,
-            subplot_titles=[f"{c.record}: {c.channel}, fit {c.fit:.1f} %" for c in self.channels],
-        )
-        for i, c in enumerate(self.channels, 1):
-            t = self.t[c.record]
-            shown = t - t[0] <= seconds
-            for name, source, colour in (
-                ("measured", self.measured, "#444444"),
-                ("simulated", self.simulated, "#d95f02"),
-            ):
-                figure.add_trace(
-                    go.Scatter(
-                        x=t[shown],
-                        y=source[c.record][c.channel][shown],
-                        name=name,
-                        legendgroup=name,
-                        showlegend=i == 1,
-                        line={"color": colour, "width": 1.4},
-                    ),
-                    row=i,
-                    col=1,
-                )
-            figure.update_yaxes(title_text=c.unit, row=i, col=1)
-        figure.update_xaxes(title_text="time, s", row=rows, col=1)
-        figure.update_layout(height=220 * rows + 80, template="plotly_white")
-        return figure
+        return present(self, "figure", seconds=seconds)
 
 
 def validate(

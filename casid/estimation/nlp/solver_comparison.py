@@ -39,6 +39,7 @@ from casid.estimation.nlp.solver_processes import (
     run_here,
     timed,
 )
+from casid.presentation import present
 
 __all__ = ["Row", "SolverComparison", "compare_solvers", "null_space_least_squares"]
 
@@ -186,33 +187,7 @@ class SolverComparison:
 
     def plot(self) -> Any:
         """Plotly figure: distance to the reference against time, a point for each solver."""
-        import plotly.graph_objects as go
-
-        shown = [row for row in self.rows if row.x is not None]
-        floor = 1e-16  # a logarithmic axis has no zero
-        figure = go.Figure()
-        for agrees, label, symbol, colour in (
-            (True, "agrees", "circle", "#0072B2"),
-            (False, "does not", "x", "#D55E00"),
-        ):
-            rows = [row for row in shown if row.agrees == agrees]
-            figure.add_scatter(
-                x=[1e3 * row.seconds for row in rows],
-                y=[max(row.distance, floor) for row in rows],
-                text=[row.solver for row in rows],
-                hovertext=[row.reason for row in rows],
-                mode="markers+text",
-                textposition="top center",
-                name=label,
-                marker={"symbol": symbol, "color": colour, "size": 9},
-            )
-        figure.add_hline(y=self.tolerance, line_dash="dash", annotation_text="tolerance")
-        figure.update_xaxes(type="log", title="time of one solve [ms]")
-        figure.update_yaxes(
-            type="log", title="largest relative distance to the reference", exponentformat="power"
-        )
-        figure.update_layout(title=html.escape(repr(self)[1:-1]))
-        return figure
+        return present(self, "figure")
 
 
 def compare_solvers(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from casid.arrays import Array
+from casid.presentation import present
 
 Kind = Literal["identifiable", "practically non-identifiable", "flat"]
 
@@ -135,41 +136,7 @@ class Profiles:
 
     def plot(self) -> Any:
         """Plotly figure: deviance against each parameter, with the threshold of the interval."""
-        from plotly.subplots import make_subplots
-
-        from casid.report.figures.look import AFTER, BEFORE, figure_text, visible_text
-
-        columns = min(2, len(self.profiles))
-        rows = math.ceil(len(self.profiles) / columns)
-        figure = make_subplots(rows=rows, cols=columns, vertical_spacing=0.35 / rows)
-        for k, p in enumerate(self.profiles):
-            at = {"row": k // columns + 1, "col": k % columns + 1}
-            figure.add_scatter(
-                x=p.grid,
-                y=p.deviance,
-                mode="lines+markers",
-                line={"color": AFTER, "width": 2},
-                name=figure_text(p.name),
-                showlegend=False,
-                **at,
-            )
-            figure.add_hline(y=p.threshold, line_dash="dash", line_color=BEFORE, **at)
-            figure.add_vline(x=p.best, line_dash="dot", line_width=1, **at)
-            figure.update_xaxes(title_text=figure_text(f"{p.name} [{p.unit}]"), **at)
-            figure.update_yaxes(title_text="deviance", range=[0, 2.5 * p.threshold], **at)
-        caption = (
-            f"Profile likelihood of {visible_text(self.problem)}: deviance with all else estimated "
-            f"again; below the dashed line lies the {100 * self.confidence:g} % interval. "
-            + "; ".join(f"{visible_text(p.name)} {p.kind}" for p in self.profiles)
-            + "."
-        )
-        figure.update_layout(
-            template="plotly_white",
-            title={"text": figure_text(caption, 200), "font": {"size": 13}},
-            meta={"caption": caption},
-            height=60 + 300 * rows,
-        )
-        return figure
+        return present(self, "figure")
 
 
 def _end(value: float) -> str:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.report.figures.look import AFTER, BEFORE, MEASURED, visible_text
 from casid.report.figures.panels import Panels
-
-if TYPE_CHECKING:
-    from casid.diagnosis.calibration.false_alarm_rate import Calibration
 
 
 def calibration_figure(result: Calibration) -> Any:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from casid.diagnosis.diagnosis import Diagnosis
+from casid.diagnosis.unexplained.description import Unexplained
 from casid.report.figures.candidate_ranking import ranking_figure
 from casid.report.figures.estimates import parameter_figure
 from casid.report.figures.look import AFTER, BEFORE, FLOOR, axis_text, figure_text, visible_text
@@ -16,9 +17,6 @@ from casid.report.figures.panels import Panels
 from casid.report.figures.residuals import residual_against_figure, residual_spectrum_figure
 from casid.report.figures.simulated import residual_time_figure, simulation_figure
 from casid.report.figures.sizes_by_record import by_record_figure
-
-if TYPE_CHECKING:
-    from casid.diagnosis.unexplained.description import Unexplained
 
 
 def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -13,6 +13,11 @@ from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_tex
 from casid.report.figures.panels import Panels
 
 
+def estimate_figure(estimate: Estimate) -> Any:
+    """The parameters of one estimate."""
+    return parameter_figure({"estimate": estimate})
+
+
 def parameter_figure(estimates: Mapping[str, Estimate]) -> Any:
     """Parameters with 95 % intervals, as change from the first estimate's value in per cent.
 

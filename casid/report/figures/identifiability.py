@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from casid.identifiability.assessment import Assessment
 from casid.identifiability.records.practical_result import POOR, SEEN, UNSEEN, WELL, Practical
+from casid.identifiability.records.profile_likelihood import Profiles
 from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text, visible_text
 from casid.report.figures.panels import Panels
-
-if TYPE_CHECKING:
-    from casid.identifiability.assessment import Assessment
-    from casid.identifiability.records.profile_likelihood import Profiles
 
 _COLOURS = {WELL: FLOOR, POOR: BEFORE, UNSEEN: "#5f6073", SEEN: MEASURED}
 

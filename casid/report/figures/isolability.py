@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 
 from casid.arrays import Array
+from casid.diagnosis.advice.isolability import Isolability
 from casid.report.figures.look import AFTER, BEFORE, figure_text
 from casid.report.figures.panels import Panels
-
-if TYPE_CHECKING:
-    from casid.diagnosis.advice.isolability import Isolability
-
 
 _SHOWN = 24
 

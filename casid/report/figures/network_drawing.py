@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
 
 from casid.unknown_inputs.networks.confounders import Confounder, confounders
 from casid.unknown_inputs.networks.graph import graph_of
@@ -19,9 +20,6 @@ from casid.unknown_inputs.networks.network import (
     labels,
     node_label,
 )
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
 
 Place = tuple[float, float]
 

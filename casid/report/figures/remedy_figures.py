@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text
-
-if TYPE_CHECKING:
-    from casid.unknown_inputs.limits.comparison import Comparison
+from casid.unknown_inputs.limits.comparison import Comparison
 
 KIND_COLOURS = {
     "known": MEASURED,

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import plotly.graph_objects as go
 
 from casid.unknown_inputs.networks.network import labels, node_label
 from casid.unknown_inputs.networks.rings import RecursiveElimination, Ring
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
 
 
 def ring_figure(elimination: RecursiveElimination) -> go.Figure:

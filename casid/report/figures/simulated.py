@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.diagnosis.diagnosis import Diagnosis
 from casid.estimation.estimate import RecordView
 from casid.report.figures.look import MEASURED, axis_text, hover_text
 from casid.report.figures.panels import Panels
@@ -22,6 +23,11 @@ from casid.report.figures.record_views import (
 from casid.report.figures.thinning import points_a_trace, thinned, thinning_note
 
 _LEFT_OUT = "#CC79A7"
+
+
+def diagnosis_figure(diagnosis: Diagnosis) -> Any:
+    """Measured against simulated, before and after."""
+    return simulation_figure(diagnosis.records)
 
 
 def simulation_figure(records: Sequence[RecordView]) -> Any:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from casid.campaigns.monte_carlo import Accuracy, MonteCarlo
 from casid.report.figures.look import AFTER, BEFORE, MEASURED, axis_text, hover_text, visible_text
 from casid.report.figures.panels import Panels
 from casid.report.pages.markup import bullets, element, mapping_table, paragraph, table
 from casid.report.pages.numbers import number_text, value_text
 from casid.report.pages.page import Page
-
-if TYPE_CHECKING:
-    from casid.campaigns.monte_carlo import Accuracy, MonteCarlo
 
 
 def histogram_figure(result: MonteCarlo) -> Any:

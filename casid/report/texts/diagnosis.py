@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
+from casid.diagnosis.diagnosis import Cause, Diagnosis
 from casid.estimation.estimate import Estimated
-
-if TYPE_CHECKING:
-    from casid.diagnosis.diagnosis import Cause, Diagnosis
 
 _LISTED = 5  # of what the page has in full
 

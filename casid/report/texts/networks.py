@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from casid.algebra.rational import Rational
+from casid.unknown_inputs.networks.equations import NodeEquations
 from casid.unknown_inputs.networks.graph import path_text
 from casid.unknown_inputs.networks.network import Network, edge_label, labels, node_label
-
-if TYPE_CHECKING:
-    from casid.algebra.rational import Rational
-    from casid.unknown_inputs.networks.equations import NodeEquations
 
 _LONGEST = 400  # characters beyond which an entry is left out
 _LOOPS = 5  # algebraic loops that are told

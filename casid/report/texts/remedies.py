@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from casid.unknown_inputs.limits.comparison import Comparison
+from casid.unknown_inputs.limits.asymptotics import Asymptotics
+from casid.unknown_inputs.limits.comparison import Comparison
 
 LONGEST = 60
 """Characters of a formula that is printed; longer ones are counted instead."""
@@ -57,6 +57,19 @@ def comparison_text(comparison: Comparison) -> str:
     refused = [r for r in comparison.rows if r.result is None]
     lines += ["", *(f"not possible: {r.name}: {r.refused}" for r in refused)] if refused else []
     return "\n".join(lines)
+
+
+def asymptotics_text(limit: Asymptotics) -> str:
+    """The coefficients of one estimator, its residual variance and notes."""
+    head = ["coefficient", "limit", "bias", "N x variance"]
+    rows = []
+    for name in limit.names:
+        known = name in limit.truth
+        cells = (limit[name], limit.bias(name) if known else "--", limit.variance(name))
+        rows.append([name, *(shown(c) for c in cells)])
+    lines = [limit.method, *columns(head, rows)]
+    lines += [f"  residual variance {shown(limit.residual_variance)}"]
+    return "\n".join([*lines, *(f"  note: {n}" for n in limit.notes)])
 
 
 def _of_parameter(comparison: Comparison, name: str) -> list[str]:

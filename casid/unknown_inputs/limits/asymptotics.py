@@ -11,10 +11,11 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.presentation import Presented
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asymptotics:
+class Asymptotics(Presented):
     """Where an estimator goes and how it varies: Linder (2017), (2.52)-(2.60).
 
     theta_hat -> limit, N Cov(theta_hat) -> covariance. Numbers, or sympy expressions (objects)
@@ -146,19 +147,6 @@ class Asymptotics:
             return f"<Asymptotics {self.method}: {', '.join(self.names)}, in letters>"
         shown = ", ".join(f"{n} -> {v:.4g}" for n, v in zip(self.names, self.limit, strict=True))
         return f"<Asymptotics {self.method}: {shown}>"
-
-    def __str__(self) -> str:
-        from casid.report.texts.remedies import columns, shown
-
-        head = ["coefficient", "limit", "bias", "N x variance"]
-        rows = []
-        for name in self.names:
-            known = name in self.truth
-            cells = (self[name], self.bias(name) if known else "--", self.variance(name))
-            rows.append([name, *(shown(c) for c in cells)])
-        lines = [self.method, *columns(head, rows)]
-        lines += [f"  residual variance {shown(self.residual_variance)}"]
-        return "\n".join([*lines, *(f"  note: {n}" for n in self.notes)])
 
 
 def _plain(value: Any) -> Any:

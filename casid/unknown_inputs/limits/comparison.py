@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from casid.errors import ModelError
+from casid.presentation import Presented, present
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 
 NO_BIAS = 1e-7
@@ -62,7 +63,7 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class Comparison(Presented):
     """Remedies for unknown inputs side by side.
 
     Attributes
@@ -233,9 +234,7 @@ class Comparison:
 
     def plot(self) -> Any:
         """Figure: what each remedy gives at N, and its error against N."""
-        from casid.report.figures.remedy_figures import comparison_figure
-
-        return comparison_figure(self)
+        return present(self, "figure")
 
     def __repr__(self) -> str:
         able = sum(r.result is not None for r in self.rows)
@@ -243,11 +242,6 @@ class Comparison:
             f"<Comparison of {able} remedies for {', '.join(self.unknown)}: "
             f"{', '.join(self.parameters)}>"
         )
-
-    def __str__(self) -> str:
-        from casid.report.texts.remedies import comparison_text
-
-        return comparison_text(self)
 
 
 def _at(row: RemedyRow, values: Mapping[str, float]) -> RemedyRow:

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.presentation import present
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 
 REGIONS = ("in neither", "in variance alone", "in mean square error alone", "in both")
-_COLOURS = ("#f2f2f2", "#E69F00", "#56B4E9", "#009E73")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,61 +53,7 @@ class DecisionMap:
         ----------
         curves : name -> (x, y) of a boundary to be drawn beside, such as a closed form.
         """
-        import plotly.graph_objects as go
-
-        from casid.report.figures.look import figure_text
-
-        figure = go.Figure()
-        steps = [[k / 4, c] for i, c in enumerate(_COLOURS) for k in (i, i + 1)]
-        figure.add_heatmap(
-            x=self.x_values,
-            y=self.y_values,
-            z=self.regions,
-            zmin=-0.5,
-            zmax=3.5,
-            colorscale=steps,
-            colorbar={
-                "tickvals": [0, 1, 2, 3],
-                "ticktext": list(REGIONS),
-                "title": f"{figure_text(self.first)} better",
-            },
-            name="regions",
-        )
-        for values, name, dash in (
-            (self.variance, "equal variance", "solid"),
-            (self.amse, f"equal mean square error, N = {self.N:g}", "dash"),
-        ):
-            figure.add_contour(
-                x=self.x_values,
-                y=self.y_values,
-                z=values,
-                contours={"start": 0, "end": 0, "size": 1, "coloring": "none"},
-                line={"color": "black", "width": 2, "dash": dash},
-                showscale=False,
-                showlegend=True,
-                name=name,
-            )
-        for name, (x, y) in (curves or {}).items():
-            figure.add_scatter(
-                x=np.asarray(x),
-                y=np.asarray(y),
-                mode="lines",
-                line={"color": "#D55E00", "width": 3, "dash": "dot"},
-                name=figure_text(name),
-            )
-        caption = (
-            f"Where {self.first} estimates {self.parameter} better than {self.second}, "
-            f"over {self.x} and {self.y}."
-        )
-        figure.update_layout(
-            template="plotly_white",
-            title=figure_text(caption, 140),
-            xaxis={"title": self.x, "range": [self.x_values[0], self.x_values[-1]]},
-            yaxis={"title": self.y, "range": [self.y_values[0], self.y_values[-1]]},
-            legend={"orientation": "h", "y": -0.15},
-            meta={"caption": caption},
-        )
-        return figure
+        return present(self, "figure", curves)
 
 
 def decision_map(

@@ -16,6 +16,7 @@ import numpy as np
 
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
+from casid.presentation import Presented
 from casid.unknown_inputs.networks.network import Network, Node, edge_label, node_label
 
 Element: TypeAlias = Any  # a member of the field
@@ -43,7 +44,7 @@ class Field:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NodeEquations:
+class NodeEquations(Presented):
     """w_i = sum_k G[i][k] w_k + sum_n F[i][n] (delta_n + tau_n) for the nodes that are left.
 
     Attributes
@@ -80,11 +81,6 @@ class NodeEquations:
             )
         found = rows[to].get(source)
         return self.field.back(self.field.one - self.field.one if found is None else found)
-
-    def __str__(self) -> str:
-        from casid.report.texts.networks import equations_text
-
-        return equations_text(self)
 
     def __repr__(self) -> str:
         return (

@@ -14,6 +14,7 @@ from casid.algebra.rational import Rational
 from casid.algebra.rational_reader import rational
 from casid.algebra.transfer_matrix import shared_time
 from casid.errors import ModelError
+from casid.presentation import Presented
 
 Node: TypeAlias = Any  # any hashable name: 1, "engine"
 Edge: TypeAlias = tuple[Node, Node]  # (to, from), as the subscripts of G_jk
@@ -38,7 +39,7 @@ class Signal:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Network:
+class Network(Presented):
     """A well-posed network of rational modules; made by `dynamic_network`.
 
     Attributes
@@ -134,11 +135,6 @@ class Network:
             "name": self.name,
         }
         return dynamic_network(**(given | changes))
-
-    def __str__(self) -> str:
-        from casid.report.texts.networks import page
-
-        return page(self)
 
     def __repr__(self) -> str:
         step = f", Ts = {self.Ts:g} s" if self.variable == "q" and self.Ts else ""

@@ -1,20 +1,18 @@
-"""Transfer functions as a reader writes them: polynomials in s, coefficients in letters."""
+"""Transfer functions as a reader writes them: polynomials in s, symbolic coefficients."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from casid.errors import ModelError
-
-if TYPE_CHECKING:
-    from casid.linear.linear_model import TransferMatrix
+from casid.linear.linear_model import TransferMatrix
 
 Algebra = Any  # a sympy expression
 
 _PRINTED = 400  # operations beyond which transfer functions are no reading
 
 
-def page(transfer: TransferMatrix) -> str:
+def transfer_text(transfer: TransferMatrix) -> str:
     """One line for each transfer function, common factors cancelled; large ones are left out."""
     size = transfer.function.n_instructions()
     if size > _PRINTED:
