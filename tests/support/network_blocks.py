@@ -10,7 +10,7 @@ import sympy
 
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import node_equations
-from casid.unknown_inputs.networks.left_inverse import recoverable
+from casid.unknown_inputs.networks.node_recovery import recoverable
 from casid.unknown_inputs.networks.node_sets import node_sets
 from tests.support.network_samples import point, random_network
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
-from casid.unknown_inputs.networks.equations import random_point
 from casid.unknown_inputs.networks.network import Network, dynamic_network
+from casid.unknown_inputs.networks.random_equations import random_point
 
 q = Rational.shift()
 

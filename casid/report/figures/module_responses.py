@@ -11,7 +11,7 @@ from casid.algebra.rational import Rational
 from casid.errors import ModelError
 from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text
 from casid.unknown_inputs.networks.estimation.module_estimate import ModuleEstimate
-from casid.unknown_inputs.networks.network import edge_label
+from casid.unknown_inputs.networks.nodes import edge_label
 
 COLOURS = (AFTER, BEFORE, FLOOR, "#CC79A7")
 DASHES = ("solid", "dash", "dot", "dashdot")

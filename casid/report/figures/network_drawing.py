@@ -12,14 +12,8 @@ import plotly.graph_objects as go
 
 from casid.unknown_inputs.networks.confounders import Confounder, confounders
 from casid.unknown_inputs.networks.graph import graph_of
-from casid.unknown_inputs.networks.network import (
-    Network,
-    Node,
-    as_nodes,
-    edge_label,
-    labels,
-    node_label,
-)
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import Node, as_nodes, edge_label, labels, node_label
 
 Place = tuple[float, float]
 

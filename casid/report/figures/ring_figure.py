@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import plotly.graph_objects as go
 
-from casid.unknown_inputs.networks.network import labels, node_label
+from casid.unknown_inputs.networks.nodes import labels, node_label
 from casid.unknown_inputs.networks.rings import RecursiveElimination, Ring
 
 

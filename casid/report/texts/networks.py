@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from casid.algebra.rational import Rational
 from casid.unknown_inputs.networks.equations import NodeEquations
-from casid.unknown_inputs.networks.graph import path_text
-from casid.unknown_inputs.networks.network import Network, edge_label, labels, node_label
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import edge_label, labels, node_label, path_text
 
 _LONGEST = 400  # characters beyond which an entry is left out
 _LOOPS = 5  # algebraic loops that are told
@@ -69,7 +69,7 @@ def obstacle(g: Rational) -> str:
 
 
 def _loops(network: Network) -> str:
-    from casid.unknown_inputs.networks.well_posedness import algebraic_loops
+    from casid.unknown_inputs.networks.algebraic_loops import algebraic_loops
 
     if network.parameters:
         return ""

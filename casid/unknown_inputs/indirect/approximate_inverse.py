@@ -26,8 +26,13 @@ from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.unknown_inputs.indirect.blocks import frequency_grid, lies_outside
-from casid.unknown_inputs.indirect.left_inverse import LeftInverse, unstable_poles
+from casid.unknown_inputs.indirect.blocks import (
+    excess,
+    frequency_grid,
+    is_stable,
+    lies_outside,
+    unstable_poles,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,12 +85,13 @@ class ApproximateInverse:
 
 
 def approximations(
-    inverse: LeftInverse, band: tuple[float, float] | None = None
+    f: RationalMatrix, G: RationalMatrix, band: tuple[float, float] | None = None
 ) -> tuple[ApproximateInverse, ...]:
     """Filters to use instead of an inverse that is improper or unstable; none if it is neither.
 
     Parameters
     ----------
+    f, G : the inverse, and what it inverts.
     band : (low, high) [rad/s] over which errors are taken; by default up to a tenth of the
         sampling frequency, or the geometric middle of G's poles and zeros; from a twentieth of that
         on where an inverse would integrate.
@@ -95,18 +101,17 @@ def approximations(
     ModelError
         If parameters have no value, or the band is empty.
     """
-    f = inverse.f
     if f.parameters:
         raise ModelError(
             f"an approximation needs numbers: no value is given for {', '.join(f.parameters)}; "
             "give them with substitute({name: value})"
         )
-    if inverse.is_usable:
+    if f.is_proper and is_stable(f):
         return ()
     variable, Ts = f.time
     bad = _multiplicities(f)
     edge = [r for r in bad if _is_marginal(r)]
-    low, high = band if band is not None else _band(inverse, bool(edge))
+    low, high = band if band is not None else _band(G, f.time, bool(edge))
     if not 0 <= low < high:
         raise ModelError(f"band = {band}; give (low, high) in rad/s with 0 <= low < high")
     mirrored, leaky = Rational.shift() ** 0, Rational.shift() ** 0
@@ -118,7 +123,7 @@ def approximations(
         else:
             mirrored = mirrored * _all_pass(r)
     at_rest = Fraction(mirrored.at(Fraction(0 if variable == "s" else 1)))
-    B = _delay(inverse.excess, variable, Ts, high) * mirrored * leaky * (1 / at_rest)
+    B = _delay(excess(f), variable, Ts, high) * mirrored * leaky * (1 / at_rest)
     kinds = (
         ("delayed", not f.is_proper),
         ("mirrored", len(edge) < len(bad)),
@@ -172,8 +177,7 @@ def run_noncausally(f: RationalMatrix, signals: Any) -> tuple[Array, Array]:
             f"the pole {edge[0]} lies on the unit circle, so the filter would drift both ways; "
             "take that frequency out of the model (difference the signals), or measure another"
         )
-    ahead = max((-g.relative_degree for row in f.rows for g in row if not g.is_zero), default=0)
-    ahead = max(ahead, 0)
+    ahead = excess(f)
     late = RationalMatrix(
         tuple(tuple(g * Rational.shift(Ts) ** -ahead for g in row) for row in f.rows)
     )
@@ -197,12 +201,14 @@ def _approximation(
     return ApproximateInverse(kind, f, B, band, error)
 
 
-def _band(inverse: LeftInverse, integrates: bool) -> tuple[float, float]:
-    variable, Ts = inverse.f.time
+def _band(
+    G: RationalMatrix, time: tuple[str, float | None], integrates: bool
+) -> tuple[float, float]:
+    variable, Ts = time
     if variable != "s":
         high = 0.2 * np.pi / (Ts or 1.0)
     else:
-        w = frequency_grid([inverse.G])
+        w = frequency_grid([G])
         high = float(np.sqrt(w[0] * w[-1]))
     return (high / 20 if integrates else 0.0), high
 

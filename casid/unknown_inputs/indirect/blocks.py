@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -87,3 +87,39 @@ def lies_outside(root: Root) -> bool:
     """Whether a root in floats is not stable; on the edge, to rounding, it is not."""
     v = root.value
     return v.real >= -1e-7 * abs(v) if root.variable == "s" else abs(v) >= 1 - 1e-7
+
+
+def unstable_poles(matrix: RationalMatrix) -> tuple[Root, ...]:
+    """Poles of entries that are not stable, each once."""
+    found: list[Root] = []
+    for row in matrix.rows:
+        for g in row:
+            for r in g.poles():
+                if lies_outside(r) and not any(abs(r.value - k.value) < 1e-7 for k in found):
+                    found.append(r)
+    return tuple(found)
+
+
+def loudness(matrix: RationalMatrix, weights: Array | None = None) -> float:
+    """Root mean square over the frequencies of what white noise of size one does through it.
+
+    `weights` : (columns,) standard deviations instead of one.
+    """
+    if 0 in matrix.shape:
+        return 0.0
+    response = np.abs(matrix.frequency_response(frequency_grid([matrix]))) ** 2
+    sd = np.ones(matrix.shape[1]) if weights is None else np.asarray(weights, dtype=float)
+    return float(np.sqrt(np.mean(np.sum(response * sd**2, axis=(1, 2)))))
+
+
+def improper_entries(matrix: RationalMatrix) -> Iterator[tuple[str, str, Rational]]:
+    """Output, input and transfer function of every entry that looks into the future."""
+    for output, row in zip(matrix.outputs, matrix.rows, strict=True):
+        for name, g in zip(matrix.inputs, row, strict=True):
+            if not g.is_zero and not g.is_proper:
+                yield output, name, g
+
+
+def excess(matrix: RationalMatrix) -> int:
+    """How far a matrix is improper: samples it looks ahead, or derivatives that it takes."""
+    return max((-g.relative_degree for _, _, g in improper_entries(matrix)), default=0)

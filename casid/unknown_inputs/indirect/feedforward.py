@@ -23,9 +23,9 @@ from casid.algebra.transfer_matrix import RationalMatrix
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.unknown_inputs.indirect.approximate_inverse import ApproximateInverse
-from casid.unknown_inputs.indirect.blocks import beside, product
+from casid.unknown_inputs.indirect.blocks import beside, improper_entries, product, unstable_poles
 from casid.unknown_inputs.indirect.indirect_model import IndirectModel
-from casid.unknown_inputs.indirect.left_inverse import LeftInverse, left_inverse, unstable_poles
+from casid.unknown_inputs.indirect.left_inverse import LeftInverse, left_inverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,13 +60,10 @@ class Feedforward:
     @property
     def obstacles(self) -> tuple[str, ...]:
         """What keeps (6.22) from being run, with the zero and its frequency; none if it can."""
-        said = []
-        for to, row in zip(self.matrix.outputs, self.matrix.rows, strict=True):
-            for name, g in zip(self.matrix.inputs, row, strict=True):
-                if not g.is_zero and not g.is_proper:
-                    said.append(
-                        f"{to} / {name} looks {_steps(-g.relative_degree, g.variable)} ahead"
-                    )
+        said = [
+            f"{to} / {name} looks {_steps(-g.relative_degree, g.variable)} ahead"
+            for to, name, g in improper_entries(self.matrix)
+        ]
         bad = unstable_poles(self.matrix)
         if bad:
             said.append(

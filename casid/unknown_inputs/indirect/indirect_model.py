@@ -18,9 +18,16 @@ from dataclasses import dataclass
 from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
 from casid.errors import ModelError
-from casid.unknown_inputs.indirect.blocks import beside, difference, is_stable, product
+from casid.unknown_inputs.indirect.blocks import (
+    beside,
+    difference,
+    improper_entries,
+    is_stable,
+    product,
+    unstable_poles,
+)
 from casid.unknown_inputs.indirect.direct_model import DirectModel
-from casid.unknown_inputs.indirect.left_inverse import LeftInverse, left_inverse, unstable_poles
+from casid.unknown_inputs.indirect.left_inverse import LeftInverse, left_inverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,13 +67,7 @@ class IndirectModel:
 
     @property
     def is_stable(self) -> bool:
-        """Whether every input acts on y_O through stable dynamics.
-
-        Raises
-        ------
-        ModelError
-            If parameters have no value.
-        """
+        """Whether every input acts on y_O through stable dynamics; needs numbers."""
         return is_stable(self.matrix)
 
     @property
@@ -101,13 +102,10 @@ class IndirectModel:
     @property
     def obstacles(self) -> tuple[str, ...]:
         """What keeps (4.11) from being simulated forward in time; none where it can be."""
-        said = []
-        for output, row in zip(self.matrix.outputs, self.matrix.rows, strict=True):
-            for name, g in zip(self.inputs, row, strict=True):
-                if not g.is_zero and not g.is_proper:
-                    said.append(
-                        f"{output} / {name} is improper (relative degree {g.relative_degree})"
-                    )
+        said = [
+            f"{output} / {name} is improper (relative degree {g.relative_degree})"
+            for output, name, g in improper_entries(self.matrix)
+        ]
         if not self.matrix.parameters:
             bad = self.unstable_poles
             if bad:

@@ -10,26 +10,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
-from casid.arrays import Array
 from casid.errors import ModelError
+from casid.unknown_inputs.indirect.approximate_inverse import ApproximateInverse, approximations
 from casid.unknown_inputs.indirect.blocks import (
-    frequency_grid,
+    excess,
     identity,
     is_stable,
     lies_outside,
+    loudness,
     same,
+    unstable_poles,
     zeros,
 )
 from casid.unknown_inputs.indirect.free_gain import free_gain_inverse
-
-if TYPE_CHECKING:
-    from casid.unknown_inputs.indirect.approximate_inverse import ApproximateInverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,13 +52,7 @@ class LeftInverse:
 
     @property
     def is_stable(self) -> bool:
-        """Whether f is stable.
-
-        Raises
-        ------
-        ModelError
-            If parameters have no value.
-        """
+        """Whether f is stable; a ModelError where parameters have no value."""
         return is_stable(self.f)
 
     @property
@@ -73,8 +63,7 @@ class LeftInverse:
     @property
     def excess(self) -> int:
         """How far f is improper: samples it looks ahead, or derivatives that it takes."""
-        return max((-g.relative_degree for row in self.f.rows for g in row if not g.is_zero),
-                   default=0) if not self.is_proper else 0  # fmt: skip
+        return excess(self.f)
 
     @property
     def unstable_zeros(self) -> tuple[Root, ...]:
@@ -102,9 +91,7 @@ class LeftInverse:
 
         See `casid.unknown_inputs.indirect.approximate_inverse`.
         """
-        from casid.unknown_inputs.indirect.approximate_inverse import approximations
-
-        return approximations(self, band)
+        return approximations(self.f, self.G, band)
 
     def require_usable(self) -> LeftInverse:
         """Itself, refused where f cannot be run forward in time.
@@ -195,29 +182,6 @@ def left_inverse(
     return LeftInverse(G, f, how, known)
 
 
-def unstable_poles(matrix: RationalMatrix) -> tuple[Root, ...]:
-    """Poles of entries that are not stable, each once."""
-    found: list[Root] = []
-    for row in matrix.rows:
-        for g in row:
-            for r in g.poles():
-                if lies_outside(r) and not any(abs(r.value - k.value) < 1e-7 for k in found):
-                    found.append(r)
-    return tuple(found)
-
-
-def loudness(matrix: RationalMatrix, weights: Array | None = None) -> float:
-    """Root mean square over the frequencies of what white noise of size one does through it.
-
-    `weights` : (columns,) standard deviations instead of one.
-    """
-    if 0 in matrix.shape:
-        return 0.0
-    response = np.abs(matrix.frequency_response(frequency_grid([matrix]))) ** 2
-    sd = np.ones(matrix.shape[1]) if weights is None else np.asarray(weights, dtype=float)
-    return float(np.sqrt(np.mean(np.sum(response * sd**2, axis=(1, 2)))))
-
-
 def lost_inputs(G: RationalMatrix) -> tuple[str, ...]:
     """Inputs that the outputs do not determine: G without their column has the same rank."""
     full = G.rank()
@@ -239,12 +203,9 @@ def _grade_of(
 
     def grade(f: RationalMatrix) -> tuple[int, int, float]:
         M = judged(f)
-        excess = max(
-            (-g.relative_degree for row in M.rows for g in row if not g.is_zero), default=0
-        )
-        stable = is_stable(M)
-        kind = 0 if excess <= 0 and stable else 1 if stable or excess <= 0 else 2
-        return kind, max(excess, 0), loudness(M) if kind == 0 else 0.0
+        ahead, stable = excess(M), is_stable(M)
+        kind = 0 if not ahead and stable else 1 if stable or not ahead else 2
+        return kind, ahead, loudness(M) if kind == 0 else 0.0
 
     return grade
 

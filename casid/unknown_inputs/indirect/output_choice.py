@@ -18,9 +18,9 @@ import numpy as np
 
 from casid.algebra.transfer_matrix import RationalMatrix, transfer_matrix
 from casid.errors import ModelError, nearest
+from casid.unknown_inputs.indirect.blocks import loudness
 from casid.unknown_inputs.indirect.direct_model import direct_model
 from casid.unknown_inputs.indirect.indirect_model import IndirectModel, indirect_model
-from casid.unknown_inputs.indirect.left_inverse import loudness
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,15 +17,9 @@ from casid.estimation.prediction_error.polynomial_orders import Orders
 from casid.unknown_inputs.networks.confounders import Confounder, confounders, confounders_in
 from casid.unknown_inputs.networks.estimation.module_equation import module_equation
 from casid.unknown_inputs.networks.indirect_equations import indirect_equations
-from casid.unknown_inputs.networks.network import (
-    Edge,
-    Network,
-    Node,
-    edge_label,
-    labels,
-    node_label,
-)
+from casid.unknown_inputs.networks.network import Network
 from casid.unknown_inputs.networks.node_sets import NodeSets, node_sets
+from casid.unknown_inputs.networks.nodes import Edge, Node, edge_label, labels, node_label
 from casid.unknown_inputs.networks.prediction.node_predictor import NodePredictor
 from casid.unknown_inputs.networks.prediction.observation_choice import INDIRECT, chosen_sets
 from casid.unknown_inputs.networks.prediction.predictors import (
@@ -38,7 +32,7 @@ from casid.unknown_inputs.networks.prediction.predictors import (
     neglecting,
 )
 from casid.unknown_inputs.networks.prediction.row_predictor import row_predictor
-from casid.unknown_inputs.networks.residues import random_equations
+from casid.unknown_inputs.networks.random_equations import random_equations
 
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47)
 TRUE = "true relation"  # all inputs as their sensors say

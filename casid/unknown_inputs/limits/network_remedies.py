@@ -29,7 +29,8 @@ from casid.unknown_inputs.limits.prediction_limit import prediction_error_limit
 from casid.unknown_inputs.limits.regression import Regression
 from casid.unknown_inputs.limits.regression_limit import regression_limit
 from casid.unknown_inputs.limits.two_stage_limit import two_stage_limit
-from casid.unknown_inputs.networks.network import Edge, Network, edge_label, node_label
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import Edge, edge_label, node_label
 
 WAYS = ("PEM", "LS", "IV", "two-stage")
 """Prediction error; least squares and instrumental variables on A w = sum B w; two stages."""

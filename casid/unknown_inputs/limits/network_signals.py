@@ -10,7 +10,8 @@ from casid.linear.filters import as_filter
 from casid.linear.state_space import Matrices, state_space_response
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.networks.dynamics import network_states, refuse_unstable
-from casid.unknown_inputs.networks.network import Network, node_label
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import node_label
 
 Array = NDArray[np.complex128]
 

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import NodeEquations
-from casid.unknown_inputs.networks.graph import path_past, path_text
-from casid.unknown_inputs.networks.network import Network, Node, as_nodes, labels, node_label
-from casid.unknown_inputs.networks.residues import random_equations
+from casid.unknown_inputs.networks.graph import path_past
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import Node, as_nodes, labels, node_label, path_text
+from casid.unknown_inputs.networks.random_equations import random_equations
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,7 @@ def confounders_in(
 def confounders(network: Network, output: Node, inputs: Iterable[Node]) -> tuple[Confounder, ...]:
     """The confounders of an output and its predictor inputs, all other nodes immersed.
 
-    Whether a signal arrives is decided exactly (`residues`), so that what cancels is
+    Whether a signal arrives is decided exactly (`random_equations`), so that what cancels is
     not counted; how it arrives is told as paths past the kept nodes.
 
     Raises

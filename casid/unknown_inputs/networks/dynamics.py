@@ -11,7 +11,8 @@ from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.unknown_inputs.networks.network import Network, edge_label
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import edge_label
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,8 @@ from casid.unknown_inputs.networks.equations import (
     Row,
     node_equations,
 )
-from casid.unknown_inputs.networks.network import Network, Node, as_nodes, labels
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import Node, as_nodes, labels
 
 
 def immerse(network: Network | NodeEquations, keep: Iterable[Node], **field: Any) -> NodeEquations:

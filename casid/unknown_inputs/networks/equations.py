@@ -17,7 +17,8 @@ import numpy as np
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
 from casid.presentation import Presented
-from casid.unknown_inputs.networks.network import Network, Node, edge_label, node_label
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import Node, edge_label, node_label
 
 Element: TypeAlias = Any  # a member of the field
 Row: TypeAlias = dict[Node, Element]
@@ -122,24 +123,6 @@ def equations_over(network: Network, field: Field) -> NodeEquations:
             G[to][source] = entry
     F = {n: {n: field.one} for n in network.nodes}
     return NodeEquations(network.nodes, G, F, (), field)
-
-
-def random_point(
-    network: Network, rng: np.random.Generator
-) -> tuple[Fraction, dict[str, Fraction]]:
-    """A rational q that is no pole of any module, and a rational value for every parameter."""
-    while True:
-        q = Fraction(int(rng.integers(-(10**6), 10**6)), int(rng.integers(1, 10**3)) * 2 + 1)
-        values = {
-            n: Fraction(int(rng.integers(1, 10**6)), int(rng.integers(1, 10**3)) * 2 + 1)
-            for n in network.parameters
-        }
-        try:
-            for g in network.modules.values():
-                g.substitute(values).at(q)
-        except ModelError:
-            continue
-        return q, values
 
 
 def ordered(network_nodes: Iterable[Node], chosen: Iterable[Node]) -> tuple[Node, ...]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING, Any
 
-from casid.unknown_inputs.networks.network import Edge, Network, Node, node_label
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import Edge, Node
 
 if TYPE_CHECKING:
     import networkx
@@ -79,11 +80,6 @@ def network_readers(network: Network) -> dict[Node, list[Node]]:
     for to, source in network.modules:
         readers[source].append(to)
     return readers
-
-
-def path_text(path: Iterable[Node]) -> str:
-    """ "w1 -> w2 -> w5"."""
-    return " -> ".join(node_label(n) for n in path)
 
 
 def _trail(trail: dict[Node, Node], start: Node, node: Node) -> tuple[Node, ...]:

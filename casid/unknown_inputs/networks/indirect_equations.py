@@ -15,9 +15,10 @@ from typing import Any, TypeAlias
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.elimination import Rows, immerse
 from casid.unknown_inputs.networks.equations import Element, NodeEquations, Row, node_equations
-from casid.unknown_inputs.networks.left_inverse import left_inverse, usable
-from casid.unknown_inputs.networks.network import Edge, Network, Node, as_nodes, edge_label, labels
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.node_recovery import recovery_filters, usable
 from casid.unknown_inputs.networks.node_sets import NodeSets
+from casid.unknown_inputs.networks.nodes import Edge, Node, as_nodes, edge_label, labels
 
 Filters: TypeAlias = Mapping[Edge, Any]  # (unknown, measured) -> transfer function
 
@@ -50,7 +51,7 @@ def eliminate_by_measurement(
     if not unknown:
         return equations
     f = (
-        left_inverse(equations, unknown, measured)
+        recovery_filters(equations, unknown, measured)
         if filters is None
         else _checked(equations, unknown, measured, filters)
     )

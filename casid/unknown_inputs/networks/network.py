@@ -8,16 +8,15 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any
 
 from casid.algebra.rational import Rational
 from casid.algebra.rational_reader import rational
 from casid.algebra.transfer_matrix import shared_time
 from casid.errors import ModelError
 from casid.presentation import Presented
-
-Node: TypeAlias = Any  # any hashable name: 1, "engine"
-Edge: TypeAlias = tuple[Node, Node]  # (to, from), as the subscripts of G_jk
+from casid.unknown_inputs.networks.nodes import Edge, Node, as_nodes, edge_label
+from casid.unknown_inputs.networks.well_posedness import require_well_posed
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,33 +209,8 @@ def dynamic_network(
         variable=shared[0],
         name=name,
     )
-    from casid.unknown_inputs.networks.well_posedness import refuse_ill_posed
-
-    refuse_ill_posed(network)
+    require_well_posed(known, kept, name)
     return network
-
-
-def as_nodes(chosen: Any) -> tuple[Node, ...]:
-    """Nodes given one by one, or a single one: a text is one node, not its letters."""
-    if isinstance(chosen, str) or not isinstance(chosen, Iterable):
-        return (chosen,)
-    return tuple(chosen)
-
-
-def node_label(node: Node) -> str:
-    """ "w2" for the node 2, "engine" for the node "engine"."""
-    return node if isinstance(node, str) else f"w{node}"
-
-
-def edge_label(edge: Edge) -> str:
-    """ "G25" for a module from 5 to 2; "G[10,3]" or "G[wheel,engine]" where that is ambiguous."""
-    to, source = (str(n) for n in edge)
-    return f"G{to}{source}" if len(to) == len(source) == 1 else f"G[{to},{source}]"
-
-
-def labels(nodes: Iterable[Node]) -> str:
-    """ "w1, w3" ; "none" of nothing."""
-    return ", ".join(node_label(n) for n in nodes) or "none"
 
 
 def _checked_edge(edge: Any, name: str) -> Edge:

@@ -7,15 +7,8 @@ from dataclasses import dataclass, replace
 
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.graph import downstream, upstream
-from casid.unknown_inputs.networks.network import (
-    Edge,
-    Network,
-    Node,
-    as_nodes,
-    edge_label,
-    labels,
-    node_label,
-)
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import Edge, Node, as_nodes, edge_label, labels, node_label
 
 
 @dataclass(frozen=True, slots=True)

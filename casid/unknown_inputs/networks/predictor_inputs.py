@@ -15,14 +15,15 @@ from dataclasses import dataclass
 
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.confounders import Confounder, confounders
-from casid.unknown_inputs.networks.graph import network_readers, path_text
-from casid.unknown_inputs.networks.network import (
+from casid.unknown_inputs.networks.graph import network_readers
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import (
     Edge,
-    Network,
     Node,
     edge_label,
     labels,
     node_label,
+    path_text,
 )
 from casid.unknown_inputs.networks.propositions import open_path
 from casid.unknown_inputs.networks.separators import disjoint_open_paths

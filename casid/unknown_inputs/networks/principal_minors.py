@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
-from casid.unknown_inputs.networks.network import Edge, Node
+from casid.unknown_inputs.networks.nodes import Edge, Node
 from casid.unknown_inputs.networks.residues import PRIME
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """When a module survives elimination: Propositions 3.1 and 4.1 as checks that name what fails.
 
 Both are sufficient. Beside the conditions each verdict has the conclusion itself, decided exactly
-at random points (`casid.unknown_inputs.networks.residues`).
+at random points (`random_equations`).
 """
 
 from __future__ import annotations
@@ -12,20 +12,21 @@ from typing import Any
 
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.elimination import immerse
-from casid.unknown_inputs.networks.graph import path_past, path_text
+from casid.unknown_inputs.networks.graph import path_past
 from casid.unknown_inputs.networks.indirect_equations import indirect_equations
-from casid.unknown_inputs.networks.left_inverse import left_inverse
-from casid.unknown_inputs.networks.network import (
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.node_recovery import recovery_filters
+from casid.unknown_inputs.networks.node_sets import NodeSets
+from casid.unknown_inputs.networks.nodes import (
     Edge,
-    Network,
     Node,
     as_nodes,
     edge_label,
     labels,
     node_label,
+    path_text,
 )
-from casid.unknown_inputs.networks.node_sets import NodeSets
-from casid.unknown_inputs.networks.residues import random_equations
+from casid.unknown_inputs.networks.random_equations import random_equations
 
 _SEEDS = (32, 33)  # of the random points at which a conclusion is decided
 
@@ -234,7 +235,7 @@ def _is_kept(network: Network, module: Edge, eliminate: Any) -> bool | None:
 
 def _unrecovered(network: Network, sets: NodeSets) -> str:
     try:
-        left_inverse(random_equations(network, _SEEDS[0]), sets.sU, (*sets.D, *sets.I))
+        recovery_filters(random_equations(network, _SEEDS[0]), sets.sU, (*sets.D, *sets.I))
     except ModelError as reason:
         return str(reason)
     return ""

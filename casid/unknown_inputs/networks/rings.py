@@ -16,9 +16,10 @@ from casid.algebra.transfer_matrix import RationalMatrix
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import NodeEquations, node_equations
 from casid.unknown_inputs.networks.indirect_equations import eliminate_by_measurement
-from casid.unknown_inputs.networks.left_inverse import recoverable
-from casid.unknown_inputs.networks.network import Network, Node, labels, node_label
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.node_recovery import recoverable
 from casid.unknown_inputs.networks.node_sets import node_sets
+from casid.unknown_inputs.networks.nodes import Node, labels, node_label
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from typing import TypeAlias
 
-from casid.unknown_inputs.networks.network import Node
+from casid.unknown_inputs.networks.nodes import Node
 
 Port: TypeAlias = tuple[Node, int]  # a node's entry (0) and exit (1)
 

@@ -13,7 +13,8 @@ from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
 from casid.unknown_inputs.networks.dynamics import network_states, refuse_unstable
-from casid.unknown_inputs.networks.network import Network, Node, Signal, node_label
+from casid.unknown_inputs.networks.network import Network, Signal
+from casid.unknown_inputs.networks.nodes import Node, node_label
 
 
 def simulate_network(

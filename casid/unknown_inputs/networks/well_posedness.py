@@ -1,66 +1,27 @@
-"""Well-posedness: principal minors of lim (I - G(z)), and the algebraic loops behind them."""
+"""Well-posedness: principal minors of lim (I - G(z))."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from casid.algebra.rational import Rational
 from casid.errors import ModelError
-from casid.unknown_inputs.networks.network import Edge, Network, Node, edge_label, labels
+from casid.unknown_inputs.networks.nodes import Edge, Node, edge_label, labels
 from casid.unknown_inputs.networks.principal_minors import direct_graph, vanishing_minor
 
-if TYPE_CHECKING:
-    from casid.unknown_inputs.networks.equations import NodeEquations
 
-
-def algebraic_loops(network: Network | NodeEquations, most: int = 100) -> list[tuple[Node, ...]]:
-    """Loops of modules with direct terms, each as its nodes in order of the signal; at most `most`.
-
-    Parameters
-    ----------
-    network : a network, or symbolic equations after an elimination: elimination by measurement
-        makes loops of its own, and where they are algebraic, direct prediction-error estimates may
-        be biased (Linder 2017, section 4.3.1). Improper modules count. A symbol that stands for a
-        whole module is taken to have a direct term.
-
-    Raises
-    ------
-    ModelError
-        If the equations are numbers, in which direct terms cannot be seen.
-    """
-    import networkx as nx
-
-    edges = direct_terms(network) if isinstance(network, Network) else _direct_edges(network)
-    found = []
-    for cycle in nx.simple_cycles(direct_graph(edges)):
-        found.append(tuple(cycle))
-        if len(found) == most:
-            break
-    return sorted(found, key=len)
-
-
-def direct_terms(network: Network) -> dict[Edge, Any]:
+def direct_terms(modules: Mapping[Edge, Rational]) -> dict[Edge, Any]:
     """lim G_jk at infinity of every module that has a direct term."""
-    return {edge: g.direct for edge, g in network.modules.items() if not g.is_strictly_proper}
+    return {edge: g.direct for edge, g in modules.items() if not g.is_strictly_proper}
 
 
-def _direct_edges(equations: NodeEquations) -> list[Edge]:
-    if equations.field.name != "symbolic":
-        raise ModelError(
-            f"direct terms cannot be seen in {equations!r}; eliminate without at= and omega="
-        )
-    return [
-        (to, source)
-        for to in equations.nodes
-        for source in equations.G[to]
-        if not equations.module(to, source).is_strictly_proper
-    ]
-
-
-def refuse_ill_posed(network: Network) -> None:
+def require_well_posed(
+    nodes: tuple[Node, ...], modules: Mapping[Edge, Rational], name: str
+) -> None:
     """Assumption 2.1 (a): every principal minor of lim (I - G) is nonzero.
 
     How far this is decided for large algebraic loops: `principal_minors`.
@@ -70,16 +31,15 @@ def refuse_ill_posed(network: Network) -> None:
     ModelError
         Which names the nodes of the smallest minor found to vanish, and the loop.
     """
-    terms = direct_terms(network)
+    terms = direct_terms(modules)
     bad = vanishing_minor(_numbers(terms)) if terms else ()
     if bad:
-        raise ModelError(_told(network, tuple(n for n in network.nodes if n in bad)))
+        raise ModelError(_refusal(terms, tuple(n for n in nodes if n in bad), name))
 
 
-def _told(network: Network, nodes: tuple[Node, ...]) -> str:
+def _refusal(terms: Mapping[Edge, Any], nodes: tuple[Node, ...], name: str) -> str:
     import networkx as nx
 
-    terms = direct_terms(network)
     inside = {e: g for e, g in terms.items() if e[0] in nodes and e[1] in nodes}
     cycle = next(iter(nx.simple_cycles(direct_graph(inside))))
     modules = ", ".join(
@@ -87,7 +47,7 @@ def _told(network: Network, nodes: tuple[Node, ...]) -> str:
         for a, b in zip(cycle, cycle[1:] + cycle[:1], strict=True)
     )
     return (
-        f"{network.name} is ill-posed: the principal minor of lim (I - G) of the nodes "
+        f"{name} is ill-posed: the principal minor of lim (I - G) of the nodes "
         f"{labels(nodes)} is zero. They are an algebraic loop through the direct terms {modules}; "
         "put a delay into one of these modules, or correct a gain"
     )

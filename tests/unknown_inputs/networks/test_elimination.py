@@ -19,8 +19,8 @@ from casid.unknown_inputs.networks.indirect_equations import (
     indirect_equations,
     partially_eliminated,
 )
-from casid.unknown_inputs.networks.left_inverse import left_inverse, recoverable
 from casid.unknown_inputs.networks.network import dynamic_network
+from casid.unknown_inputs.networks.node_recovery import recoverable, recovery_filters
 from casid.unknown_inputs.networks.node_sets import node_sets
 from casid.unknown_inputs.networks.rings import eliminate_recursively
 from problems import network8
@@ -173,7 +173,7 @@ def test_nodes_may_be_immersed_in_any_order(seeds):
 def test_the_indirect_row_is_that_of_4_24_and_4_33_to_4_43(seeds):
     for seed in seeds:
         _, sets, e = usable(seed)
-        f = left_inverse(e, sets.sU, (*sets.D, *sets.I))
+        f = recovery_filters(e, sets.sU, (*sets.D, *sets.I))
         names, _, _, Gt, Ft = blocks(e, f, sets)
         row = indirect_equations(e, sets)
         for found, read in ((Gt, row.module), (Ft, row.filter)):
@@ -189,7 +189,7 @@ def test_6_9_holds_with_the_corrected_factor_and_signs_and_not_as_printed(seeds)
     printed_holds = with_direct = with_remaining = 0
     for seed in seeds:
         _, sets, e = usable(seed)
-        f = left_inverse(e, sets.sU, (*sets.D, *sets.I))
+        f = recovery_filters(e, sets.sU, (*sets.D, *sets.I))
         names, G, own, Gt, Ft = blocks(e, f, sets)
         w, externals = signals(e, np.random.default_rng(seed))
         at = {x: column(w, names[x]) for x in names}

@@ -14,12 +14,12 @@ import casid
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
 from casid.report.figures.network_drawing import network_figure, roles, text_drawing
+from casid.unknown_inputs.networks.algebraic_loops import algebraic_loops
 from casid.unknown_inputs.networks.dynamics import is_stable, network_states, refuse_unstable
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.indirect_equations import indirect_equations
 from casid.unknown_inputs.networks.network import Signal, dynamic_network
 from casid.unknown_inputs.networks.node_sets import node_sets
-from casid.unknown_inputs.networks.well_posedness import algebraic_loops
 from problems import network8
 from tests.support.shared import ROOT
 

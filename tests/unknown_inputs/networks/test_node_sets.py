@@ -19,10 +19,10 @@ from casid.unknown_inputs.networks.indirect_equations import (
     indirect_equations,
     partially_eliminated,
 )
-from casid.unknown_inputs.networks.left_inverse import left_inverse, recoverable
 from casid.unknown_inputs.networks.network import dynamic_network
+from casid.unknown_inputs.networks.node_recovery import recoverable, recovery_filters
 from casid.unknown_inputs.networks.node_sets import node_sets
-from casid.unknown_inputs.networks.residues import random_equations
+from casid.unknown_inputs.networks.random_equations import random_equations
 from tests.support.network_blocks import SEEDS, blocks, column, signals, usable
 from tests.support.network_samples import point, random_module, random_network
 
@@ -153,7 +153,7 @@ def test_4_20_all_unobserved_nodes_are_told_by_the_additional_nodes_and_4_21_is_
         if len(recoverable(e, sets.U, sets.A)[0]) < len(sets.U):
             continue
         done += 1
-        inverse = left_inverse(e, sets.U, sets.A)
+        inverse = recovery_filters(e, sets.U, sets.A)
         f = inverse_block(inverse, sets.U, sets.A)
         w, outside = signals(e, np.random.default_rng(seed))
         j = (1,)
@@ -207,7 +207,7 @@ def test_4_26_with_direct_observations_alone_the_row_is_the_nodes_own_with_w_sU_
         if len(recoverable(e, sets.sU, sets.D)[0]) < len(sets.sU):
             continue  # two sensors may be fed alike
         done += 1
-        f = left_inverse(e, sets.sU, sets.D)
+        f = recovery_filters(e, sets.sU, sets.D)
         row = indirect_equations(e, sets)
         gains = {
             d: sum((e.module(1, u) * f.get((u, d), NONE) for u in sets.sU), NONE) for d in sets.D
@@ -234,7 +234,7 @@ def test_4_28_without_direct_observations_and_other_unknown_nodes_the_row_is_loc
         now = node_sets(cut, 1, direct=(), indirect=sets.I)
         e = node_equations(cut, **point(cut, seed))
         done += 1
-        f = left_inverse(e, now.sU, now.I)
+        f = recovery_filters(e, now.sU, now.I)
         inverse = inverse_block(f, now.sU, now.I)
         J = matrix(e, (1,), now.sU) * inverse
         N0 = 1 / (1 + (J * matrix(e, now.I, (1,)))[0])
@@ -264,7 +264,7 @@ def test_4_39_and_4_40_the_remaining_unobserved_nodes_by_nodes_and_disturbances(
         if not sets.Ut:
             continue
         done += 1
-        f = left_inverse(e, sets.sU, (*sets.D, *sets.I))
+        f = recovery_filters(e, sets.sU, (*sets.D, *sets.I))
         names, _, own, _, _ = blocks(e, f, sets)
         V, Q, Gb = own["V"], own["Q"], own["Ub"]
         fD = inverse_block(f, sets.sU, sets.D)

@@ -12,7 +12,8 @@ from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import node_equations
 from casid.unknown_inputs.networks.graph import network_readers
 from casid.unknown_inputs.networks.propositions import open_path
-from casid.unknown_inputs.networks.residues import PRIME, Residue, random_equations
+from casid.unknown_inputs.networks.random_equations import random_equations
+from casid.unknown_inputs.networks.residues import PRIME, Residue
 from casid.unknown_inputs.networks.separators import disjoint_open_paths
 from tests.support.network_samples import point, random_network
 

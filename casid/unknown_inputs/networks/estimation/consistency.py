@@ -14,8 +14,8 @@ from casid.errors import ModelError
 from casid.estimation.prediction_error.polynomial_orders import Layout
 from casid.unknown_inputs.networks.estimation.module_equation import ModuleEquation
 from casid.unknown_inputs.networks.estimation.reachability import independent_references
-from casid.unknown_inputs.networks.graph import path_past, path_text, upstream
-from casid.unknown_inputs.networks.network import Node, labels, node_label
+from casid.unknown_inputs.networks.graph import path_past, upstream
+from casid.unknown_inputs.networks.nodes import Node, labels, node_label, path_text
 from casid.unknown_inputs.networks.predictor_inputs import predictor_inputs
 
 SEARCHED_MOST = 60  # nodes of a network that is searched for other inputs and sensors

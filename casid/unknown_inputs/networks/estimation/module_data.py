@@ -11,7 +11,8 @@ from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.unknown_inputs.networks.estimation.module_equation import ModuleEquation
-from casid.unknown_inputs.networks.network import Network, node_label
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import node_label
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,20 +17,13 @@ import numpy as np
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.confounders import Confounder, confounders, confounders_in
 from casid.unknown_inputs.networks.elimination import immerse
-from casid.unknown_inputs.networks.equations import NodeEquations, ordered, random_point
+from casid.unknown_inputs.networks.equations import NodeEquations, ordered
 from casid.unknown_inputs.networks.indirect_equations import indirect_equations
-from casid.unknown_inputs.networks.network import (
-    Edge,
-    Network,
-    Node,
-    as_nodes,
-    dynamic_network,
-    edge_label,
-    labels,
-    node_label,
-)
+from casid.unknown_inputs.networks.network import Network, dynamic_network
 from casid.unknown_inputs.networks.node_sets import NodeSets, node_sets
+from casid.unknown_inputs.networks.nodes import Edge, Node, as_nodes, edge_label, labels, node_label
 from casid.unknown_inputs.networks.prediction.observation_choice import chosen_sets
+from casid.unknown_inputs.networks.random_equations import random_point
 
 Elimination = Literal["immersion", "indirect"]
 FAR = 1e4, 1e5  # q at which the leading powers alone are left, to four digits

@@ -20,7 +20,7 @@ from casid.unknown_inputs.networks.estimation.consistency import Consistency
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData, module_data
 from casid.unknown_inputs.networks.estimation.module_equation import ModuleEquation
 from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit
-from casid.unknown_inputs.networks.network import edge_label, node_label
+from casid.unknown_inputs.networks.nodes import edge_label, node_label
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,7 +32,8 @@ from casid.unknown_inputs.networks.estimation.module_estimate import ModuleEstim
 from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit, without_noise
 from casid.unknown_inputs.networks.estimation.module_instruments import by_instruments
 from casid.unknown_inputs.networks.estimation.two_stage_method import two_stage
-from casid.unknown_inputs.networks.network import Edge, Network, Node, edge_label, labels
+from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.nodes import Edge, Node, edge_label, labels
 from casid.unknown_inputs.networks.predictor_inputs import predictor_inputs
 from casid.unknown_inputs.networks.simulation import refuse_continuous
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from fractions import Fraction
 
 from casid.unknown_inputs.networks.equations import NodeEquations
-from casid.unknown_inputs.networks.network import Node
+from casid.unknown_inputs.networks.nodes import Node
 
 Table = list[list[Fraction]]
 

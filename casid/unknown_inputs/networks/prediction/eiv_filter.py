@@ -27,16 +27,9 @@ from casid.data.record import Record
 from casid.errors import ModelError
 from casid.linear.kalman import Predictor, steady_state, step, time_varying
 from casid.linear.noisy_system import NoisySystem
-from casid.unknown_inputs.networks.network import (
-    Edge,
-    Network,
-    Node,
-    Signal,
-    edge_label,
-    labels,
-    node_label,
-)
+from casid.unknown_inputs.networks.network import Network, Signal
 from casid.unknown_inputs.networks.node_sets import NodeSets, sets_for
+from casid.unknown_inputs.networks.nodes import Edge, Node, edge_label, labels, node_label
 from casid.unknown_inputs.networks.prediction.observation_choice import observation_choices
 from casid.unknown_inputs.networks.simulation import refuse_continuous, signal_of
 

@@ -22,8 +22,9 @@ from casid.errors import ModelError
 from casid.unknown_inputs.indirect.left_inverse import LeftInverse, left_inverse
 from casid.unknown_inputs.networks.equations import NodeEquations, node_equations
 from casid.unknown_inputs.networks.indirect_equations import indirect_equations
-from casid.unknown_inputs.networks.network import Network, Node, labels, node_label
+from casid.unknown_inputs.networks.network import Network
 from casid.unknown_inputs.networks.node_sets import NodeSets, with_observations
+from casid.unknown_inputs.networks.nodes import Node, labels, node_label
 from casid.unknown_inputs.networks.prediction.node_predictor import NodePredictor
 from casid.unknown_inputs.networks.prediction.row_predictor import row_predictor
 
@@ -239,7 +240,7 @@ def chosen_sets(network: Network, sets: NodeSets, inputs: Collection[Node] = ())
 def inverse_of_observations(network: Network, sets: NodeSets) -> LeftInverse | None:
     """A left inverse of the modules from sU to D and I, with its zeros; None where there is none.
 
-    `left_inverse`, told which modules of the target it is seen through.
+    `left_inverse`, given which modules of the target it is seen through.
     """
     seen = tuple(n for n in sets.A if n in (*sets.D, *sets.I))
     names = tuple(map(node_label, sets.sU))

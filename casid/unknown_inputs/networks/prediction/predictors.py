@@ -10,8 +10,9 @@ from casid.algebra.rational_reader import rational
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import node_equations
-from casid.unknown_inputs.networks.network import Edge, Network, Node, as_nodes, node_label
+from casid.unknown_inputs.networks.network import Network
 from casid.unknown_inputs.networks.node_sets import NodeSets, sets_for
+from casid.unknown_inputs.networks.nodes import Edge, Node, as_nodes, node_label
 from casid.unknown_inputs.networks.prediction.node_predictor import NodePredictor
 from casid.unknown_inputs.networks.prediction.observation_choice import INDIRECT as INDIRECT
 from casid.unknown_inputs.networks.prediction.observation_choice import (

@@ -5,7 +5,8 @@ from __future__ import annotations
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.equations import NodeEquations
-from casid.unknown_inputs.networks.network import Network, Node, Signal, labels, node_label
+from casid.unknown_inputs.networks.network import Network, Signal
+from casid.unknown_inputs.networks.nodes import Node, labels, node_label
 from casid.unknown_inputs.networks.prediction.node_predictor import NodePredictor
 
 

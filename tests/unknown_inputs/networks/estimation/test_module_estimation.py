@@ -19,7 +19,8 @@ from casid.unknown_inputs.networks.dynamics import is_stable, network_states
 from casid.unknown_inputs.networks.estimation.consistency import consistency
 from casid.unknown_inputs.networks.estimation.module_equation import module_equation
 from casid.unknown_inputs.networks.estimation.module_estimation import estimate_module
-from casid.unknown_inputs.networks.network import Network, Signal, dynamic_network, node_label
+from casid.unknown_inputs.networks.network import Network, Signal, dynamic_network
+from casid.unknown_inputs.networks.nodes import node_label
 from casid.unknown_inputs.networks.predictor_inputs import predictor_inputs
 from casid.unknown_inputs.networks.simulation import filtered, simulate_network
 from problems.network8 import MEASURED, TABLE_6_1, network

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.equations import Element, Field, NodeEquations
-from casid.unknown_inputs.networks.network import Edge, Node, labels
+from casid.unknown_inputs.networks.nodes import Edge, Node, labels
 
 
-def left_inverse(
+def recovery_filters(
     equations: NodeEquations, unknown: Sequence[Node], measured: Sequence[Node]
 ) -> dict[Edge, Element]:
     """f with f G = I of (4.22), from the first rows of `measured` that suffice.
