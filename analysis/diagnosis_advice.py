@@ -39,12 +39,9 @@ from casid.diagnosis.advice.next_experiment import Advice, Suspect, next_experim
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
 from casid.estimation.noise import NoiseModel, noise_response
-from casid.estimation.simulation.simulation_error import (
-    Fit,
-    SimulationError,
-    minimize_simulation_error,
-    signals_of,
-)
+from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.signals import signals_of
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.balance_effects import (
     cubic_stiffness,
     extra_input,

@@ -37,7 +37,8 @@ import casid
 from casid.data.record import Experiment
 from casid.estimation.noise import NoiseModel, noise_response
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.simulation_error import SimulationError, minimize_simulation_error
+from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
 
 FITTED = 0.7
 """Share of a record that is fitted, as `diagnose` has it by default."""

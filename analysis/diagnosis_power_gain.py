@@ -17,7 +17,7 @@ from analysis.diagnosis_power_energy import FITTED
 from casid.data.record import Experiment
 from casid.estimation.holdout import held_out_error, split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Effect, Sizes, Spread
 from casid.model.effects.parameter_effects import parameter_jump

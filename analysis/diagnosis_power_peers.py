@@ -31,7 +31,7 @@ from analysis.diagnosis_power_energy import FITTED
 from casid.arrays import Array
 from casid.data.record import Experiment
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 
 Row = dict[str, Any]
 Name = tuple[str, str]

@@ -23,9 +23,16 @@ from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment
 from casid.errors import DataError, IdentifiabilityError, ModelError
-from casid.estimation.covariance import sandwich, whiteness
-from casid.estimation.estimate import Estimate, Estimated, Identifiability
-from casid.estimation.simulation.simulation_error import Signals, signals_of
+from casid.estimation.covariance import sandwich
+from casid.estimation.estimate import (
+    Estimate,
+    Estimated,
+    Identifiability,
+    SolverEvidence,
+    Uncertainty,
+)
+from casid.estimation.estimate_builder import EstimateBuilder, origin_of
+from casid.estimation.simulation.signals import Signals, signals_of
 from casid.model.effects.effect import Effect
 from casid.model.model import Model
 
@@ -40,7 +47,7 @@ SOURCES = (
 
 ASSUMES = (
     "autocorrelation-robust sandwich (Newey-West, {lags} lags): balance errors of zero mean, not "
-    "correlated with the regressors; noise left in the regressors by the filter is not in it"
+    "correlated with the regressors; noise that the filter leaves in the regressors is not included"
 )
 
 
@@ -218,9 +225,9 @@ def equation_error(
     how = f"equation error, {prefilter or 'no prefilter'}, central differences" + (
         f", one sample in {decimate} kept" if decimate > 1 else ""
     )
-    estimate, relative = _result(
-        name, how, model, experiments, blocks, dict(zip(free, theta.tolist(), strict=True)), weights
-    )
+    builder = EstimateBuilder(name, model, units={n: b.unit for n, b in model.balances.items()})
+    solution = dict(zip(free, theta.tolist(), strict=True)), weights
+    estimate, relative = _estimate(builder, how, experiments, blocks, solution)
     return EquationError(model, estimate, relative, data[0].Ts * decimate)
 
 
@@ -481,80 +488,66 @@ def _least_squares(
     return np.asarray(solve_triangular(r, q.T @ y) / length)
 
 
-def _result(
-    name: str,
+def _estimate(
+    builder: EstimateBuilder,
     method: str,
-    model: Model,
     experiments: Sequence[Experiment],
     blocks: Sequence[Sequence[_Block]],
-    values: Mapping[str, float],
-    weights: Mapping[str, float],
+    solution: tuple[Mapping[str, float], Mapping[str, float]],
 ) -> tuple[Estimate, dict[str, dict[str, float]]]:
-    """The `Estimate`, with the relative error by record and balance."""
-    from casid.versions import versions
+    """The `Estimate`, with the relative error by record and balance.
 
+    `solution` is the values by parameter and the weights by balance.
+    """
+    values, weights = solution
     free, theta = list(values), np.array(list(values.values()))
-    rms: dict[str, dict[str, float]] = {}
-    fit: dict[str, dict[str, float]] = {}
     relative: dict[str, dict[str, float]] = {}
-    white = {}
     scores_of = []  # per sample, the balances of a sample added: they share that sample's noise
     for row in blocks:
         scores = np.zeros_like(row[0].phi)
         for b in row:
             residual = b.y - b.phi @ theta
-            left = _size(residual)
-            rms.setdefault(b.record, {})[b.balance] = left
-            fit.setdefault(b.record, {})[b.balance] = 100 * (1 - left / (float(np.std(b.y)) or 1.0))
-            relative.setdefault(b.record, {})[b.balance] = left / (_size(b.y) or 1.0)
+            size = _size(residual)
+            nrmse = 100 * (1 - size / (float(np.std(b.y)) or 1.0))
+            builder.add_fit(b.record, b.balance, size, nrmse)
+            relative.setdefault(b.record, {})[b.balance] = size / (_size(b.y) or 1.0)
             where = f"{b.record}/{b.balance}" if len(blocks) > 1 else b.balance
-            white[where] = f"whiteness: {whiteness(residual)} of 20 lags outside 95 %"
+            builder.add_whiteness(where, residual, remark="")
             scores += weights[b.balance] ** 2 * b.phi * residual[:, None]
         scores_of.append(scores)
     scores = np.concatenate(scores_of)
     phi = np.concatenate([weights[b.balance] * b.phi for row in blocks for b in row])
     length = np.linalg.norm(phi, axis=0)
     covariance, lags = sandwich(phi.T @ phi, scores, np.ones(len(theta), dtype=bool))
-    rows, warnings = [], []
-    for p in model.parameters.values():
+    _add_rows(builder, values, dict(zip(free, np.sqrt(np.diag(covariance)).tolist(), strict=True)))
+    builder.identifiability = Identifiability(
+        len(free), len(free), float(np.linalg.svd(phi / length, compute_uv=False)[-1])
+    )
+    size = float(np.linalg.norm([weights[b.balance] * _size(b.y) for row in blocks for b in row]))
+    gradient = float(np.max(np.abs(scores.sum(axis=0)) / length)) / (size or 1.0)
+    estimate = builder.build(
+        method,
+        Uncertainty(tuple(free), covariance, ASSUMES.format(lags=lags)),
+        SolverEvidence("solved by QR", True, 1, gradient),
+        origin_of(experiments, SOURCES),
+    )
+    return estimate, relative
+
+
+def _add_rows(
+    builder: EstimateBuilder, values: Mapping[str, float], errors: Mapping[str, float]
+) -> None:
+    """Known and estimated parameters in the model's order; bounds do not act on a regression."""
+    for p in builder.model.parameters.values():
         if p.name not in values:
             if p.value is not None:
-                rows.append(Estimated(p.name, p.value, p.unit, True))
+                builder.add(Estimated(p.name, p.value, p.unit, True))
             continue
-        i, value, note = free.index(p.name), values[p.name], ""
+        value, note = values[p.name], ""
         if not p.lower <= value <= p.upper:
             note = f"outside its bounds [{p.lower:g}, {p.upper:g}]"
-            warnings.append(
+            builder.warnings.append(
                 f"{p.name} = {value:.4g} lies {note}, which do not act here: filter more noise, "
                 "extend the model, or use casid.identify"
             )
-        sd = float(np.sqrt(covariance[i, i]))
-        rows.append(Estimated(p.name, value, p.unit, False, sd, None, note))
-    size = float(np.linalg.norm([weights[b.balance] * _size(b.y) for row in blocks for b in row]))
-    estimate = Estimate(
-        problem=name,
-        method=method,
-        parameters=tuple(rows),
-        initial_states=(),
-        covariance_names=tuple(free),
-        covariance=covariance,
-        assumes=ASSUMES.format(lags=lags),
-        status="solved by QR",
-        is_converged=True,
-        iterations=1,
-        scaled_gradient=float(np.max(np.abs(scores.sum(axis=0)) / length)) / (size or 1.0),
-        starts_tried=1,
-        starts_agreeing=1,
-        rmse=rms,
-        nrmse_fit=fit,
-        whiteness=white,
-        identifiability=Identifiability(
-            len(free), len(free), float(np.linalg.svd(phi / length, compute_uv=False)[-1])
-        ),
-        units={b: model.balances[b].unit for b in model.balances},
-        warnings=tuple(warnings),
-        provenance=tuple(f"{e.name}: {line}" for e in experiments for line in e.record.provenance),
-        versions=versions(),
-        sources=SOURCES,
-    )
-    return estimate, relative
+        builder.add(Estimated(p.name, value, p.unit, False, errors[p.name], None, note))

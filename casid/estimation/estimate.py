@@ -53,13 +53,13 @@ class Estimated:
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """Rank of the sensitivities at the estimate, and what any data could tell."""
+    """Rank of the sensitivities at the estimate, and of the model for any data."""
 
     rank: int
     unknowns: int
     smallest_singular_value: float  # columns scaled to length one
     unseen: str = ""
-    structural: str = ""  # the exact rank of the model and its experiments, asked before the fit
+    structural: str = ""  # exact rank of model and experiments, determined before the fit
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -94,6 +94,49 @@ class RecordView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """How sure the estimated values are."""
+
+    names: tuple[str, ...]
+    covariance: Array  # (n, n), SI units
+    assumes: str  # what the standard errors assume
+
+
+@dataclass(frozen=True, slots=True)
+class SolverEvidence:
+    """Whether the values are an optimum."""
+
+    status: str
+    is_converged: bool
+    iterations: int
+    scaled_gradient: float
+    starts_tried: int = 1
+    starts_agreeing: int = 1
+
+
+Measure = Mapping[str, Mapping[str, float]]  # record -> output -> number
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How well model and measurements agree."""
+
+    rmse: Measure = field(default_factory=dict)  # rms simulation error
+    nrmse: Measure = field(default_factory=dict)  # per cent
+    whiteness: Mapping[str, str] = field(default_factory=dict)  # output -> sentence
+    measured_by: str = "Free simulation against the measured outputs"
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where the values come from."""
+
+    provenance: tuple[str, ...] = ()
+    versions: Mapping[str, str] = field(default_factory=dict)
+    sources: tuple[str, ...] = ()  # papers behind the methods
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """Values, covariance, what it assumes, solver evidence, fit and provenance."""
 
@@ -101,30 +144,17 @@ class Estimate:
     method: str
     parameters: tuple[Estimated, ...]
     initial_states: tuple[Estimated, ...]
-    covariance_names: tuple[str, ...]
-    covariance: Array  # (n, n), SI units
-    assumes: str  # what the standard errors assume
-    status: str
-    is_converged: bool
-    iterations: int
-    scaled_gradient: float
-    starts_tried: int
-    starts_agreeing: int
-    rmse: Mapping[str, Mapping[str, float]]  # record -> output -> rms simulation error
-    nrmse_fit: Mapping[str, Mapping[str, float]]  # record -> output -> per cent
-    held_out_rmse: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    held_out_fit: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    whiteness: Mapping[str, str] = field(default_factory=dict)  # output -> sentence
+    uncertainty: Uncertainty
+    solver: SolverEvidence
+    fit: Agreement  # in the records that were fitted
+    held_out: Agreement = field(default_factory=Agreement)
     identifiability: Identifiability = field(default_factory=lambda: Identifiability(0, 0, 0.0))
     units: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    provenance: tuple[str, ...] = ()
-    versions: Mapping[str, str] = field(default_factory=dict)
-    sources: tuple[str, ...] = ()
+    origin: Origin = field(default_factory=Origin)
     records: tuple[RecordView, ...] = ()  # measured and simulated signals, for figures
-    fit_is: str = "Free simulation against the measured outputs"  # what rmse and nrmse_fit measure
     evidence: Mapping[str, str] = field(default_factory=dict)  # what else bears on trust: sentences
-    suspects: tuple[str, ...] = ()  # of the record: a channel with the wrong sign, and its mend
+    suspects: tuple[str, ...] = ()  # of the record: a channel with the wrong sign, and its remedy
 
     def __getitem__(self, name: str) -> float:
         """The value of a parameter or initial state."""
@@ -141,6 +171,96 @@ class Estimate:
     def names(self) -> tuple[str, ...]:
         """Names of parameters and initial states."""
         return tuple(p.name for p in (*self.parameters, *self.initial_states))
+
+    @property
+    def covariance_names(self) -> tuple[str, ...]:
+        """Order of the covariance's rows."""
+        return self.uncertainty.names
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n) in the order of `covariance_names`, SI units."""
+        return self.uncertainty.covariance
+
+    @property
+    def assumes(self) -> str:
+        """What the standard errors assume."""
+        return self.uncertainty.assumes
+
+    @property
+    def status(self) -> str:
+        """The solver's status."""
+        return self.solver.status
+
+    @property
+    def is_converged(self) -> bool:
+        """True if the values are an optimum."""
+        return self.solver.is_converged
+
+    @property
+    def iterations(self) -> int:
+        """The solver's iterations."""
+        return self.solver.iterations
+
+    @property
+    def scaled_gradient(self) -> float:
+        """Largest scaled gradient, 0 at an optimum."""
+        return self.solver.scaled_gradient
+
+    @property
+    def starts_tried(self) -> int:
+        """Number of starts."""
+        return self.solver.starts_tried
+
+    @property
+    def starts_agreeing(self) -> int:
+        """Number of starts that led to this optimum."""
+        return self.solver.starts_agreeing
+
+    @property
+    def rmse(self) -> Measure:
+        """Record -> output -> rms error."""
+        return self.fit.rmse
+
+    @property
+    def nrmse_fit(self) -> Measure:
+        """Record -> output -> fit, per cent."""
+        return self.fit.nrmse
+
+    @property
+    def held_out_rmse(self) -> Measure:
+        """Record -> output -> rms error of held-out data."""
+        return self.held_out.rmse
+
+    @property
+    def held_out_fit(self) -> Measure:
+        """Record -> output -> fit of held-out data, per cent."""
+        return self.held_out.nrmse
+
+    @property
+    def whiteness(self) -> Mapping[str, str]:
+        """Output -> how white its residual is, in words."""
+        return self.fit.whiteness
+
+    @property
+    def fit_is(self) -> str:
+        """What `rmse` and `nrmse_fit` measure."""
+        return self.fit.measured_by
+
+    @property
+    def provenance(self) -> tuple[str, ...]:
+        """Where the records come from, what was done to them."""
+        return self.origin.provenance
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """Package -> version."""
+        return self.origin.versions
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The papers behind the methods used."""
+        return self.origin.sources
 
     def sample(
         self,

@@ -1,166 +1,190 @@
-"""The estimate of a fit: values, standard errors, measures of fit and provenance."""
+"""Assembly of an `Estimate`: rows, warnings, fit and provenance, alike for every method."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
-from casid.data.problem import Problem
-from casid.data.quality import standing
+from casid.arrays import Array
 from casid.data.record import Experiment
 from casid.estimation.covariance import sandwich, whiteness
-from casid.estimation.estimate import Estimate, Estimated, Identifiability
+from casid.estimation.estimate import (
+    Agreement,
+    Estimate,
+    Estimated,
+    Identifiability,
+    Origin,
+    SolverEvidence,
+    Uncertainty,
+)
 from casid.estimation.fit_statistics import nrmse_fit, rms
-from casid.estimation.holdout import HeldOut
-from casid.estimation.local_rank import describe_null, local_rank
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.local_rank import LocalRank, describe_null, local_rank
+from casid.estimation.nlp.solution import Solution
+from casid.estimation.unknowns import Variable
 from casid.model.model import Model
 from casid.versions import versions
 
-SOURCES = (
-    "H. G. Bock, in Numerical Treatment of Inverse Problems, Birkhauser 1983: multiple shooting",
-    "L. Ljung, System Identification, 2nd ed., Prentice Hall 1999: simulation error",
-    "W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708: robust covariance",
-    "D. W. K. Andrews, Econometrica 59 (1991) 817-858: its bandwidth",
-    "A. Waechter, L. T. Biegler, Math. Program. 106 (2006) 25-57: Ipopt",
-    "J. A. E. Andersson et al., Math. Program. Comput. 11 (2019) 1-36: CasADi",
-)
-"""Papers behind the methods of an estimate."""
+INCOMPLETE = "autocorrelated: model or noise model incomplete"
+"""Remark on residuals with more than three of 20 lags outside the 95 % band of white noise."""
 
 
-ASSUMES = (
-    "autocorrelation-robust sandwich (Newey-West, {lags} lags): residuals of zero mean with a "
-    "memory short against the record; noise on measured inputs biases the estimate and is not in it"
-)
+class Scored(Protocol):
+    """A minimised sum over samples."""
+
+    @property
+    def variables(self) -> Sequence[Variable]:
+        """The unknowns, n of them."""
+        ...
+
+    def scores(self, x: Array) -> Array:
+        """(N, n) derivatives of each sample's term at x (n,)."""
+        ...
 
 
-def standing_channels(model: Model, experiments: Sequence[Experiment]) -> list[str]:
-    """Warnings of channels that rest or stand at a limit, inputs for a tenth of the record."""
-    return [
-        f"{e.name}: {f.channel}: {f.text} {f.mend}"
-        for e in experiments
-        for channels, least in ((model.inputs, 0.1), (model.outputs, 0.0))
-        for f in standing(e.record, channels, least=least)
-    ]
-
-
-def estimate_of(
-    problem: Problem,
-    fit: Fit,
-    held: Sequence[HeldOut] = (),
-    *,
-    method: str | None = None,
-    notes: Sequence[str] = (),
-) -> Estimate:
-    """The `Estimate` of a fit: errors, fit, rank, whiteness, provenance."""
-    criterion, solution = fit.criterion, fit.solution
-    model = criterion.model
-    bound = {*solution.at_lower, *solution.at_upper}
-    free = np.array([n not in bound for n in criterion.names])
-    covariance, lags = sandwich(
-        solution.hessian,
-        criterion.scores(fit.x),
-        free,
-        solution.constraint_jacobian if solution.constraint_jacobian.size else None,
-    )
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+def sandwich_and_rank(criterion: Scored, solution: Solution) -> tuple[Array, int, LocalRank]:
+    """Robust covariance (n, n) of a minimum, the lags it takes, and the rank there."""
+    names = [v.name for v in criterion.variables]
     scale = np.array([v.scale for v in criterion.variables])
-    rank = local_rank(solution.hessian, fit.x, criterion.names, scale)
-    unseen = {n for direction in rank.null for n in direction}
-    parameters: list[Estimated] = []
-    states: list[Estimated] = []
-    warnings = list(notes)
-    for i, v in enumerate(criterion.variables):
-        if "[" in v.name:
-            continue  # inner nodes of multiple shooting
-        is_state = v.source in model.states
-        unit = model.states[v.source].unit if is_state else model.parameters[v.source].unit
-        note, error = "", float(sd[i])
-        shown: float | None = error
-        if v.name in solution.at_lower or v.name in solution.at_upper:
-            side = "lower" if v.name in solution.at_lower else "upper"
-            note, shown = f"at {side} bound: no standard error", None
-            warnings.append(
-                f"{v.name} is at its {side} bound: other errors are given it stays there"
+    free = np.array([not bound_of(solution, n) for n in names])
+    scores = criterion.scores(solution.x)
+    covariance, lags = sandwich(solution.hessian, scores, free, solution.constraint_jacobian)
+    return covariance, lags, local_rank(solution.hessian, solution.x, names, scale)
+
+
+def bound_of(solution: Solution, name: str) -> str:
+    """The bound a variable is at, "lower" or "upper"; empty if none."""
+    if name in solution.at_lower:
+        return "lower"
+    return "upper" if name in solution.at_upper else ""
+
+
+def origin_of(experiments: Sequence[Experiment], sources: tuple[str, ...]) -> Origin:
+    """Provenance of the records, versions of the packages, papers behind the methods."""
+    lines = tuple(f"{e.name}: {line}" for e in experiments for line in e.record.provenance)
+    return Origin(lines, versions(), sources)
+
+
+class EstimateBuilder:
+    """Collects what a method found and assembles the `Estimate`.
+
+    Parameters
+    ----------
+    problem : name of the problem or model.
+    warnings : that come before those of the estimate itself.
+    units : name -> unit of what is fitted; default the outputs'.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        model: Model,
+        warnings: Sequence[str] = (),
+        units: Mapping[str, str] | None = None,
+    ) -> None:
+        self.problem, self.model = problem, model
+        self.warnings = list(warnings)
+        self.units = units or {name: unit for name, (_, unit) in model.outputs.items()}
+        self.identifiability = Identifiability(0, 0, 0.0)
+        self._parameters: list[Estimated] = []
+        self._initial_states: list[Estimated] = []
+        self._rmse: dict[str, dict[str, float]] = {}
+        self._nrmse: dict[str, dict[str, float]] = {}
+        self._whiteness: dict[str, str] = {}
+
+    def add(
+        self, row: Estimated, bound: str = "", *, determined: bool = True, is_state: bool = False
+    ) -> None:
+        """One row: without standard error at a bound, or where the data do not determine it."""
+        if bound:
+            row = replace(row, std_error=None, note=f"at {bound} bound: no standard error")
+            self.warnings.append(
+                f"{row.name} is at its {bound} bound: other standard errors are conditional on it"
             )
-        elif v.name in unseen:
-            note, shown = "not identifiable at the estimate", None
-        row = Estimated(v.name, float(fit.x[i]), unit, False, shown, v.start, note)
-        (states if is_state else parameters).append(row)
-    for p in model.parameters.values():
-        if p.value is not None and p.name not in criterion.names:
-            parameters.append(Estimated(p.name, p.value, p.unit, True))
-    if not rank.is_full:
-        warnings.append(describe_null(rank))
-    if not solution.is_converged:
-        warnings.append(f"{solution.solver} stopped with {solution.status}: {solution.mend}")
-    by_record: dict[str, dict[str, float]] = {}
-    fits: dict[str, dict[str, float]] = {}
-    white: dict[str, str] = {}
-    for e, d in enumerate(criterion.data):
-        at = criterion.simulated(fit.x, e)
-        error_e = np.where(d.used, at.residual, np.nan)
-        measured = np.where(d.used, d.y, np.nan)
-        by_record[d.name] = dict(zip(criterion.outputs, rms(error_e).tolist(), strict=True))
-        fits[d.name] = dict(
-            zip(criterion.outputs, nrmse_fit(measured, error_e).tolist(), strict=True)
+        elif not determined:
+            row = replace(row, std_error=None, note="not identifiable at the estimate")
+        (self._initial_states if is_state else self._parameters).append(row)
+
+    def add_known(self) -> None:
+        """The parameters of the model that have a known value and no row yet."""
+        present = {row.name for row in self._parameters}
+        for p in self.model.parameters.values():
+            if p.value is not None and p.name not in present:
+                self._parameters.append(Estimated(p.name, p.value, p.unit, True))
+
+    def add_rank(self, rank: LocalRank) -> None:
+        """Identifiability at the estimate, with a warning if it is not full."""
+        text = "" if rank.is_full else describe_null(rank)
+        if text:
+            self.warnings.append(text)
+        self.identifiability = Identifiability(rank.rank, rank.unknowns, rank.smallest, text)
+
+    def warn_unless_converged(self, solution: Solution) -> None:
+        """A warning with the solver's status where it found no optimum."""
+        if not solution.is_converged:
+            self.warnings.append(
+                f"{solution.solver} stopped with {solution.status}: {solution.mend}"
+            )
+
+    def add_fit(self, record: str, output: str, rmse: float, nrmse: float) -> None:
+        """RMS error, and fit in per cent, of one output of one record."""
+        self._rmse.setdefault(record, {})[output] = rmse
+        self._nrmse.setdefault(record, {})[output] = nrmse
+
+    def add_fits(self, record: str, outputs: Sequence[str], measured: Array, error: Array) -> None:
+        """RMS error and fit of all outputs of a record; both arrays (N, ny), NaN where not used."""
+        measures = zip(outputs, rms(error), nrmse_fit(measured, error), strict=True)
+        for output, rmse, nrmse in measures:
+            self.add_fit(record, output, float(rmse), float(nrmse))
+
+    def add_whiteness(
+        self, where: str, residual: Array, what: str = "whiteness", remark: str = INCOMPLETE
+    ) -> None:
+        """How many of the first 20 autocorrelations of a residual lie outside the 95 % band."""
+        outside = whiteness(residual)
+        self._whiteness[where] = f"{what}: {outside} of 20 lags outside 95 %" + (
+            f" ({remark})" if remark and outside > 3 else ""
         )
-        for i, name in enumerate(criterion.outputs):
-            outside = whiteness(at.residual[d.used[:, i], i])
-            where = f"{d.name}/{name}" if len(criterion.data) > 1 else name
-            white[where] = f"whiteness: {outside} of 20 lags outside 95 %" + (
-                "" if outside <= 3 else " (coloured: the model, or its noise, is not all)"
-            )
-    return Estimate(
-        problem=problem.name,
-        method=method
-        or (
-            "simulation error, "
-            + (
-                "single shooting"
-                if criterion.segments == 1
-                else f"multiple shooting ({criterion.segments})"
-            )
-        ),
-        parameters=tuple(parameters),
-        initial_states=tuple(states),
-        covariance_names=criterion.names,
-        covariance=covariance,
-        assumes=ASSUMES.format(lags=lags),
-        status=solution.status,
-        is_converged=solution.is_converged,
-        iterations=solution.iterations,
-        scaled_gradient=solution.scaled_gradient,
-        starts_tried=fit.starts_tried,
-        starts_agreeing=fit.starts_agreeing,
-        rmse=by_record,
-        nrmse_fit=fits,
-        held_out_rmse={
-            h.name: dict(
-                zip(criterion.outputs, rms(h.measured - h.simulated).tolist(), strict=True)
-            )
-            for h in held
-        },
-        held_out_fit={
-            h.name: dict(
-                zip(
-                    criterion.outputs,
-                    nrmse_fit(h.measured, h.measured - h.simulated).tolist(),
-                    strict=True,
-                )
-            )
-            for h in held
-        },
-        whiteness=white,
-        identifiability=Identifiability(
-            rank.rank, rank.unknowns, rank.smallest, "" if rank.is_full else describe_null(rank)
-        ),
-        units={name: unit for name, (_, unit) in model.outputs.items()},
-        warnings=tuple(warnings),
-        provenance=tuple(
-            f"{e.name}: {line}" for e in criterion.experiments for line in e.record.provenance
-        ),
-        versions=versions(),
-        sources=SOURCES,
+
+    def build(
+        self,
+        method: str,
+        uncertainty: Uncertainty,
+        solver: SolverEvidence,
+        origin: Origin,
+        *,
+        held_out: Agreement | None = None,
+        measured_by: str = Agreement().measured_by,
+        evidence: Mapping[str, str] | None = None,
+    ) -> Estimate:
+        """The estimate; known parameters without a row are added to it."""
+        self.add_known()
+        return Estimate(
+            problem=self.problem,
+            method=method,
+            parameters=tuple(self._parameters),
+            initial_states=tuple(self._initial_states),
+            uncertainty=uncertainty,
+            solver=solver,
+            fit=Agreement(self._rmse, self._nrmse, self._whiteness, measured_by),
+            held_out=held_out or Agreement(),
+            identifiability=self.identifiability,
+            units=self.units,
+            warnings=tuple(dict.fromkeys(self.warnings)),
+            origin=origin,
+            evidence=evidence or {},
+        )
+
+
+def solver_evidence(solution: Solution, starts: int = 1, agreeing: int = 1) -> SolverEvidence:
+    """What a solution says of itself."""
+    return SolverEvidence(
+        solution.status,
+        solution.is_converged,
+        solution.iterations,
+        solution.scaled_gradient,
+        starts,
+        agreeing,
     )

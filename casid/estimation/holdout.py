@@ -13,13 +13,9 @@ from casid.data.record import Experiment, Record
 from casid.errors import DataError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.estimate import RecordView
-from casid.estimation.simulation.simulation_error import (
-    Fit,
-    Signals,
-    SimulationError,
-    minimize_simulation_error,
-    signals_of,
-)
+from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.signals import Signals, signals_of
+from casid.estimation.simulation.simulation_error import SimulationError
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,7 +24,8 @@ from scipy.special import gammaincinv
 
 from casid.arrays import TINY, Array
 from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
-from casid.estimation.simulation.simulation_error import Signals, SimulationError
+from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.simulator import rk4_sample
 from casid.model.model import Model
 

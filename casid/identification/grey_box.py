@@ -17,9 +17,14 @@ from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, SolveError
-from casid.estimation.covariance import sandwich, whiteness
-from casid.estimation.estimate import Estimate, Estimated, Identifiability
-from casid.estimation.fit_statistics import nrmse_fit, rms
+from casid.estimation.estimate import Estimate, Estimated, Uncertainty
+from casid.estimation.estimate_builder import (
+    EstimateBuilder,
+    bound_of,
+    origin_of,
+    sandwich_and_rank,
+    solver_evidence,
+)
 from casid.estimation.local_rank import describe_null, local_rank
 from casid.estimation.nlp.nlp import Nlp, Solution, Solver
 from casid.estimation.nlp.solver import as_solver
@@ -28,7 +33,6 @@ from casid.identifiability.requirement import require_identifiable
 from casid.linear.kalman import Predictor
 from casid.linear.noisy_model import White, noise_sources
 from casid.model.model import Model
-from casid.versions import versions
 
 SOURCES = (
     "L. Ljung, System Identification, 2nd ed., Prentice Hall 1999: prediction error",
@@ -51,7 +55,8 @@ _PRECISELY = {  # beyond this tolerance the rounding error of a long sum is met
 
 ASSUMES = (
     "sandwich of Fisher information and scores ({lags} Newey-West lags): innovations of zero mean "
-    "with a memory short against the record; noise on inputs taken as exact is not in it"
+    "with a short correlation time compared with the record; noise on inputs taken as exact is not "
+    "included"
 )
 
 
@@ -286,81 +291,34 @@ def _unit(criterion: PredictionError, name: str, source: str) -> str:
 
 
 def _estimate(criterion: PredictionError, solution: Solution, wanted: Array) -> Estimate:
-    """The page of a solution; `wanted` (n,) are the starts as they were given."""
+    """The estimate of a solution; `wanted` (n,) are the starts as they were given."""
     model, x = criterion.model, solution.x
-    bound = {*solution.at_lower, *solution.at_upper}
-    free = np.array([n not in bound for n in criterion.names])
-    covariance, lags = sandwich(solution.hessian, criterion.scores(x), free)
+    covariance, lags, rank = sandwich_and_rank(criterion, solution)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    scale = np.array([v.scale for v in criterion.variables])
-    rank = local_rank(solution.hessian, x, criterion.names, scale)
-    unseen = {n for direction in rank.null for n in direction}
-    parameters: list[Estimated] = []
-    states: list[Estimated] = []
-    warnings: list[str] = list(criterion.noisy.linear.notes)
+    undetermined = {n for direction in rank.null for n in direction}
+    builder = EstimateBuilder(model.name, model, criterion.noisy.linear.notes)
     for i, v in enumerate(criterion.variables):
-        note, shown = "", float(sd[i]) if free[i] else None
-        if not free[i]:
-            side = "lower" if v.name in solution.at_lower else "upper"
-            note = f"at {side} bound: no standard error"
-            warnings.append(
-                f"{v.name} is at its {side} bound: other errors are given it stays there"
-            )
-        elif v.name in unseen:
-            note, shown = "not identifiable at the estimate", None
         given = float(wanted[i])
-        if not note and not np.isclose(v.start, given, rtol=1e-3):
-            note = f"searched from {v.start:.2g}"
+        note = "" if np.isclose(v.start, given, rtol=1e-3) else f"searched from {v.start:.2g}"
         unit = _unit(criterion, v.name, v.source)
-        row = Estimated(v.name, float(x[i]), unit, False, shown, given, note)
-        (states if v.source in model.states else parameters).append(row)
-    for p in model.parameters.values():
-        if p.value is not None:
-            parameters.append(Estimated(p.name, p.value, p.unit, True))
-    if not rank.is_full:
-        warnings.append(describe_null(rank))
-    if not solution.is_converged:
-        warnings.append(f"{solution.solver} stopped with {solution.status}: {solution.mend}")
-    by_record: dict[str, dict[str, float]] = {}
-    fits: dict[str, dict[str, float]] = {}
-    white: dict[str, str] = {}
+        builder.add(
+            Estimated(v.name, float(x[i]), unit, False, float(sd[i]), given, note),
+            bound_of(solution, v.name),
+            determined=v.name not in undetermined,
+            is_state=v.source in model.states,
+        )
+    builder.add_rank(rank)
+    builder.warn_unless_converged(solution)
     for e, d in enumerate(criterion.data):
         error = criterion.innovations(x, e)
-        outputs = criterion.outputs
-        by_record[d.name] = dict(zip(outputs, rms(error).tolist(), strict=True))
-        fits[d.name] = dict(zip(outputs, nrmse_fit(d.y, error).tolist(), strict=True))
-        for i, name in enumerate(outputs):
-            outside = whiteness(error[:, i])
+        builder.add_fits(d.name, criterion.outputs, d.y, error)
+        for i, name in enumerate(criterion.outputs):
             where = f"{d.name}/{name}" if len(criterion.data) > 1 else name
-            white[where] = f"whiteness of innovations: {outside} of 20 lags outside 95 %" + (
-                "" if outside <= 3 else " (coloured: the model, or its noise, is not all)"
-            )
+            builder.add_whiteness(where, error[:, i], "whiteness of innovations")
     gain = "steady-state" if criterion.initial is None else "time-varying"
-    return Estimate(
-        problem=model.name,
-        method=f"prediction error, {gain} Kalman predictor; rms errors are one sample ahead",
-        parameters=tuple(parameters),
-        initial_states=tuple(states),
-        covariance_names=criterion.names,
-        covariance=covariance,
-        assumes=ASSUMES.format(lags=lags),
-        status=solution.status,
-        is_converged=solution.is_converged,
-        iterations=solution.iterations,
-        scaled_gradient=solution.scaled_gradient,
-        starts_tried=1,
-        starts_agreeing=1,
-        rmse=by_record,
-        nrmse_fit=fits,
-        whiteness=white,
-        identifiability=Identifiability(
-            rank.rank, rank.unknowns, rank.smallest, "" if rank.is_full else describe_null(rank)
-        ),
-        units={name: unit for name, (_, unit) in model.outputs.items()},
-        warnings=tuple(warnings),
-        provenance=tuple(
-            f"{e.name}: {line}" for e in criterion.experiments for line in e.record.provenance
-        ),
-        versions=versions(),
-        sources=SOURCES,
+    return builder.build(
+        f"prediction error, {gain} Kalman predictor; rms errors are one sample ahead",
+        Uncertainty(criterion.names, covariance, ASSUMES.format(lags=lags)),
+        solver_evidence(solution),
+        origin_of(criterion.experiments, SOURCES),
     )

@@ -9,8 +9,8 @@ from casid.data.problem import Problem, experiments_of
 from casid.data.record import Experiment, Record
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.estimate import Estimate
-from casid.estimation.estimate_builder import estimate_of, standing_channels
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.simulation_estimate import estimate_of, standing_channels
 from casid.identifiability.requirement import require_identifiable
 from casid.model.model import Model
 

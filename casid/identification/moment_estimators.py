@@ -20,9 +20,17 @@ from casid.data.files import write_json
 from casid.data.problem import Problem
 from casid.data.record import Experiment
 from casid.errors import ModelError
-from casid.estimation.covariance import Sampled, whiteness
-from casid.estimation.estimate import Estimate, Estimated, Identifiability
-from casid.estimation.local_rank import describe_null, local_rank
+from casid.estimation.covariance import Sampled
+from casid.estimation.estimate import (
+    Estimate,
+    Estimated,
+    Identifiability,
+    Origin,
+    SolverEvidence,
+    Uncertainty,
+)
+from casid.estimation.estimate_builder import EstimateBuilder, bound_of
+from casid.estimation.local_rank import LocalRank, describe_null, local_rank
 from casid.estimation.moments.instruments import Instruments, Loop
 from casid.estimation.moments.moment_equations import Part, parts_of
 from casid.estimation.moments.moment_settings import MomentSettings
@@ -439,110 +447,94 @@ def as_estimate(
     settings: MomentSettings,
 ) -> Estimate:
     """The estimate that the fits of all stages make."""
-    sd = np.sqrt(np.maximum(np.diag(propagated.covariance), 0.0))
-    rows: list[Estimated] = []
-    warnings: list[str] = []
-    values: dict[str, float] = {}
-    at = 0
-    rank, unknowns, smallest, unseen = 0, 0, np.inf, []
-    for st in fits:
-        solution = st.solution
-        for k, f in enumerate(st.free):
-            note, error = "", float(sd[at])
-            shown: float | None = error
-            if f in solution.at_lower or f in solution.at_upper:
-                side = "lower" if f in solution.at_lower else "upper"
-                note, shown = f"at {side} bound: no standard error", None
-                warnings.append(
-                    f"{f} is at its {side} bound: other errors are given it stays there"
-                )
+    builder = EstimateBuilder(name, model)
+    errors = dict(zip(propagated.names, _std_errors(propagated.covariance), strict=True))
+    ranks = [_rank(st) for st in fits]
+    for st, rank in zip(fits, ranks, strict=True):
+        for f, value in zip(st.free, st.theta_p.tolist(), strict=True):
             p = model.parameters[f]
-            rows.append(Estimated(f, float(st.theta_p[k]), p.unit, False, shown, p.start, note))
-            values[f] = float(st.theta_p[k])
-            at += 1
-        found = _rank(st)
-        rank, unknowns = rank + found.rank, unknowns + found.unknowns
-        smallest = min(smallest, found.smallest)
-        if not found.is_full:
-            unseen.append(describe_null(found))
-            # A zero at its bound has no relative size, and instruments would have refused.
-            free = {f for f in st.free if f not in (*solution.at_lower, *solution.at_upper)}
-            if all(e.is_least_squares for e in st.equations) and any(
-                free & set(direction) for direction in found.null
-            ):
-                warnings.append(unseen[-1])
-        warnings += [*st.remarks, *_mostly_noise(st)]
-        if not solution.is_converged:
-            warnings.append(f"{solution.solver} stopped with {solution.status}: {solution.mend}")
-    for p in model.parameters.values():
-        if p.name not in values and p.value is not None:
-            rows.append(Estimated(p.name, p.value, p.unit, True))
+            row = Estimated(f, value, p.unit, False, errors[f], p.start)
+            builder.add(row, bound_of(st.solution, f))
+        builder.warnings += [*_undetermined(st, rank), *st.remarks, *_mostly_noise(st)]
+        builder.warn_unless_converged(st.solution)
+    builder.identifiability = Identifiability(
+        sum(r.rank for r in ranks),
+        sum(r.unknowns for r in ranks),
+        min((r.smallest for r in ranks), default=np.inf),
+        "; ".join(describe_null(r) for r in ranks if not r.is_full),
+    )
     if propagated.p_value < 0.01:
-        warnings.append(
+        builder.warnings.append(
             f"the moments contradict one another (chi2 {propagated.statistic:.3g} with "
             f"{propagated.degrees} degrees of freedom, p = {propagated.p_value:.1g}): a known "
             "value, a load case or the model is wrong (a prefilter that lifts high frequencies "
             "lifts the discretisation's error), or the reference is not independent of the noise"
         )
-    rmse: dict[str, dict[str, float]] = {}
-    nrmse: dict[str, dict[str, float]] = {}
-    white: dict[str, str] = {}
     for st in fits:
-        for part, e, theta in zip(st.parts, st.equations, st.thetas, strict=True):
-            output = part.equation.output
-            if not e.signals:  # sums alone: no samples to look at
-                power, total = e.error_power(theta), float(e.second[0, 0])
-                rmse.setdefault(part.record, {})[output] = power**0.5
-                nrmse.setdefault(part.record, {})[output] = 100 * (1 - (power / total) ** 0.5)
-                continue
-            remainder = e.error(theta)
-            left = e.equation.left.samples(e.signals, e.start)
-            rmse.setdefault(part.record, {})[output] = float(np.sqrt(np.mean(remainder**2)))
-            nrmse.setdefault(part.record, {})[output] = float(
-                100 * (1 - np.linalg.norm(remainder) / max(float(np.linalg.norm(left)), TINY))
-            )
-            outside = whiteness(remainder)
-            white[part.name] = f"filtered equation error: {outside} of 20 lags outside 95 %" + (
-                "" if outside <= 3 else " (coloured; the error bars allow for it)"
-            )
-    last = fits[-1].solution
+        _add_fits(builder, st)
+    has_samples = all(e.signals for st in fits for e in st.equations)
     own = all(e.is_least_squares for st in fits for e in st.equations)
-    kind = "least squares" if own else "instrumental variables"
-    stages = f"{len(fits)} stages" if len(fits) > 1 else "joint"
-    noise = (
-        "prefilter 1"
-        if settings.noise_model is None
-        else f"prefilter from ARMA{settings.noise_model}"
-    )
     how = settings.covariance or ("scores" if own else "independent")
-    if not all(e.signals for st in fits for e in st.equations):
-        how = "white"
-    return Estimate(
-        problem=name,
-        method=f"{kind}, {stages}, {settings.form} form, {settings.method}, "
-        f"weighting {settings.weighting}, {noise}",
-        parameters=tuple(rows),
-        initial_states=(),
-        covariance_names=propagated.names,
-        covariance=propagated.covariance,
-        assumes=ASSUMES[how],
-        status=last.status,
-        is_converged=all(st.solution.is_converged for st in fits),
-        iterations=sum(st.iterations for st in fits),
-        scaled_gradient=max(st.solution.scaled_gradient for st in fits),
-        starts_tried=1,
-        starts_agreeing=1,
-        rmse=rmse,
-        nrmse_fit=nrmse,
-        whiteness=white,
-        identifiability=Identifiability(rank, unknowns, float(smallest), "; ".join(unseen)),
-        units={n: unit for n, (_, unit) in model.outputs.items()},
-        warnings=tuple(dict.fromkeys(warnings)),
-        provenance=tuple(provenance),
-        versions=versions(),
-        sources=SOURCES,
-        fit_is="One step of the difference equation (to simulate it: casid.validate)",
+    assumes = ASSUMES[how if has_samples else "white"]
+    return builder.build(
+        _method(fits, settings, "least squares" if own else "instrumental variables"),
+        Uncertainty(propagated.names, propagated.covariance, assumes),
+        SolverEvidence(
+            fits[-1].solution.status,
+            all(st.solution.is_converged for st in fits),
+            sum(st.iterations for st in fits),
+            max(st.solution.scaled_gradient for st in fits),
+        ),
+        Origin(tuple(provenance), versions(), SOURCES),
+        measured_by="One step of the difference equation (to simulate it: casid.validate)",
         evidence=_evidence(fits, propagated),
+    )
+
+
+def _std_errors(covariance: Array) -> list[float]:
+    errors: list[float] = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+    return errors
+
+
+def _undetermined(st: StageFit, rank: LocalRank) -> list[str]:
+    """A warning where least squares has no unique minimum; instruments would have refused.
+
+    A zero at its bound has no relative size.
+    """
+    bound = {*st.solution.at_lower, *st.solution.at_upper}
+    free = {f for f in st.free if f not in bound}
+    lost = any(free & set(direction) for direction in rank.null)
+    return [describe_null(rank)] if lost and all(e.is_least_squares for e in st.equations) else []
+
+
+def _add_fits(builder: EstimateBuilder, st: StageFit) -> None:
+    """RMS and whiteness of the equation errors of one stage."""
+    for part, e, theta in zip(st.parts, st.equations, st.thetas, strict=True):
+        output = part.equation.output
+        if not e.signals:  # sums alone: no samples to look at
+            power, total = e.error_power(theta), float(e.second[0, 0])
+            nrmse = 100 * (1 - (power / total) ** 0.5)
+            builder.add_fit(part.record, output, power**0.5, nrmse)
+            continue
+        error = e.error(theta)
+        left = e.equation.left.samples(e.signals, e.start)
+        nrmse = float(100 * (1 - np.linalg.norm(error) / max(float(np.linalg.norm(left)), TINY)))
+        builder.add_fit(part.record, output, float(np.sqrt(np.mean(error**2))), nrmse)
+        builder.add_whiteness(
+            part.name,
+            error,
+            "filtered equation error",
+            "autocorrelated; the error bars allow for it",
+        )
+
+
+def _method(fits: Sequence[StageFit], settings: MomentSettings, kind: str) -> str:
+    """The method in words."""
+    stages = f"{len(fits)} stages" if len(fits) > 1 else "joint"
+    noise = "1" if settings.noise_model is None else f"from ARMA{settings.noise_model}"
+    return (
+        f"{kind}, {stages}, {settings.form} form, {settings.method}, "
+        f"weighting {settings.weighting}, prefilter {noise}"
     )
 
 
@@ -598,7 +590,7 @@ def _evidence(fits: Sequence[StageFit], p: Propagated) -> dict[str, str]:
     return out
 
 
-def _rank(st: StageFit) -> Any:
+def _rank(st: StageFit) -> LocalRank:
     """Local rank of the weighted moments in the stage's free parameters."""
     parts = enumerate(zip(st.equations, st.roots, strict=True))
     J = np.vstack([root @ e.Phi @ free_slope(st, k, st.free) for k, (e, root) in parts])

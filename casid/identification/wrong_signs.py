@@ -29,7 +29,7 @@ from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.holdout import Split
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 from casid.model.model import Model
 
 POOR = 80.0

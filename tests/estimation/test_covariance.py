@@ -15,7 +15,8 @@ from casid.estimation.covariance import (
     sandwich,
     whiteness,
 )
-from casid.estimation.simulation.simulation_error import SimulationError, minimize_simulation_error
+from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
 
 
 @pytest.mark.parametrize("lags", [0, 1, 7, 40])

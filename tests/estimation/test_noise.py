@@ -15,11 +15,9 @@ from casid.estimation.noise import (
     input_noise_floor,
     noise_response,
 )
-from casid.estimation.simulation.simulation_error import (
-    SimulationError,
-    minimize_simulation_error,
-    signals_of,
-)
+from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.signals import signals_of
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.channel_effects import sensor_lag
 from casid.model.effects.structure_effects import actuator_lag
 from problems import pendulum

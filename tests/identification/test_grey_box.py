@@ -14,7 +14,8 @@ import casid
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.prediction_error.likelihood import PredictionError
-from casid.estimation.simulation.simulation_error import SimulationError, minimize_simulation_error
+from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.grey_box import Prediction, minimize_prediction_error
 from casid.linear.kalman import time_varying
 from casid.linear.noisy_model import NoisyModel, White
@@ -286,8 +287,8 @@ def test_right_noise_model_has_the_better_akaike_criterion() -> None:
     right = fit_lag(record)
     wrong = fit_lag(record, [White("y", 0.3), White("w", 0.0, is_known=True)])
     assert right.aic < wrong.aic - 10
-    assert "coloured" in wrong.estimate.whiteness["y"]
-    assert "coloured" not in right.estimate.whiteness["y"]
+    assert "autocorrelated" in wrong.estimate.whiteness["y"]
+    assert "autocorrelated" not in right.estimate.whiteness["y"]
 
 
 def tank() -> casid.Model:
@@ -370,7 +371,7 @@ def test_noise_is_to_be_named_for_all_that_needs_it() -> None:
 def test_names_that_the_model_does_not_have_are_refused() -> None:
     with pytest.raises(ModelError, match="no state 'q' to start in doubt; it has x"):
         fit_lag(lag_record(0), initial={"q": 1.0})
-    with pytest.raises(ModelError, match="no parameter 'q'; it has a, b"):
+    with pytest.raises(ModelError, match="no parameter 'q'; known are: a, b"):
         fit_lag(lag_record(0), own=["q"])
 
 

@@ -20,7 +20,16 @@ from casid.diagnosis.verdict.remainder import (
     moved_parameters,
     what_remains,
 )
-from casid.estimation.estimate import Estimate, Estimated, Identifiability, RecordView
+from casid.estimation.estimate import (
+    Agreement,
+    Estimate,
+    Estimated,
+    Identifiability,
+    Origin,
+    RecordView,
+    SolverEvidence,
+    Uncertainty,
+)
 from tests.support.sample_parts import calibration, invisible, isolability, proposals, unexplained
 
 TS = 0.02
@@ -91,26 +100,28 @@ def estimate(*, extended: bool = False, rmse: float = 0.031, held_out: float = 0
         method="simulation error, single shooting",
         parameters=tuple(parameters),
         initial_states=(Estimated("phi(0)", 0.001, "rad", std_error=0.0005, start=0.0),),
-        covariance_names=free,
-        covariance=np.diag([p.std_error**2 for p in parameters if p.std_error is not None]),
-        assumes="Normal, from a spectrum of the residual that follows the model; N large.",
-        status="converged",
-        is_converged=True,
-        iterations=11,
-        scaled_gradient=2e-9,
-        starts_tried=4,
-        starts_agreeing=4,
-        rmse={"swing-07": {"gyro": rmse}},
-        nrmse_fit={"swing-07": {"gyro": 100 * (1 - rmse / 0.3)}},
-        held_out_rmse={"swing-07": {"gyro": held_out}},
-        held_out_fit={"swing-07": {"gyro": 100 * (1 - held_out / 0.3)}},
-        whiteness={"gyro": "2 of 20 lags outside 95 %" if extended else "19 of 20 lags outside"},
+        uncertainty=Uncertainty(
+            free,
+            np.diag([p.std_error**2 for p in parameters if p.std_error is not None]),
+            "Normal, from a spectrum of the residual that follows the model; N large.",
+        ),
+        solver=SolverEvidence("converged", True, 11, 2e-9, 4, 4),
+        fit=Agreement(
+            {"swing-07": {"gyro": rmse}},
+            {"swing-07": {"gyro": 100 * (1 - rmse / 0.3)}},
+            {"gyro": "2 of 20 lags outside 95 %" if extended else "19 of 20 lags outside"},
+        ),
+        held_out=Agreement(
+            {"swing-07": {"gyro": held_out}}, {"swing-07": {"gyro": 100 * (1 - held_out / 0.3)}}
+        ),
         identifiability=Identifiability(len(free), len(free), 0.04),
         units={"gyro": "rad/s"},
         warnings=(),
-        provenance=("swing-07.csv sha256 5b1c0d5e8f", "gyro: deg/s -> rad/s"),
-        versions={"casid": "0.1.0", "casadi": "3.7.0", "numpy": "2.1.0"},
-        sources=("Ljung, L. (1999). System Identification: Theory for the User, 2nd ed.",),
+        origin=Origin(
+            ("swing-07.csv sha256 5b1c0d5e8f", "gyro: deg/s -> rad/s"),
+            {"casid": "0.1.0", "casadi": "3.7.0", "numpy": "2.1.0"},
+            ("Ljung, L. (1999). System Identification: Theory for the User, 2nd ed.",),
+        ),
     )
 
 
@@ -277,19 +288,14 @@ def hostile() -> Diagnosis:
         method=h,
         parameters=(bad,),
         initial_states=(bad,),
-        assumes=h,
-        status=h,
-        rmse={h: {h: 0.1}},
-        nrmse_fit={h: {h: 50.0}},
-        held_out_rmse={h: {h: 0.1}},
-        held_out_fit={h: {h: 50.0}},
-        whiteness={h: h},
+        uncertainty=replace(estimate().uncertainty, assumes=h),
+        solver=replace(estimate().solver, status=h),
+        fit=Agreement({h: {h: 0.1}}, {h: {h: 50.0}}, {h: h}),
+        held_out=Agreement({h: {h: 0.1}}, {h: {h: 50.0}}),
         identifiability=Identifiability(0, 1, 0.0, h),
         units={h: h},
         warnings=(h,),
-        provenance=(h,),
-        versions={h: h},
-        sources=(h,),
+        origin=Origin((h,), {h: h}, (h,)),
     )
     return replace(
         d,

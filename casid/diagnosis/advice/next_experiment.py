@@ -32,7 +32,8 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import INVISIBLE, ScoreTable, score_test
 from casid.errors import CasidError, DataError
 from casid.estimation.noise import NoiseModel, noise_response
-from casid.estimation.simulation.simulation_error import Fit, SimulationError
+from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
 
 SHORTEST = 0.05

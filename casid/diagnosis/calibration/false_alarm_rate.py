@@ -41,7 +41,7 @@ from casid.data.problem import Problem, load_problem
 from casid.diagnosis.calibration.null_records import NullNoise, NullRecords, null_noise
 from casid.errors import CasidError, DataError, ModelError, SolveError
 from casid.estimation.holdout import Split
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 from casid.presentation import present
 
 if TYPE_CHECKING:

@@ -21,11 +21,8 @@ from casid.data.record import Experiment, Record
 from casid.errors import SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.noise import NoiseModel
-from casid.estimation.simulation.simulation_error import (
-    Fit,
-    SimulationError,
-    minimize_simulation_error,
-)
+from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Input, Model
 
 

@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.estimation.simulation.simulation_error import Fit, SimulationError
+from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
 
 SHARE = 0.01

@@ -16,11 +16,8 @@ from casid.data.record import Experiment
 from casid.diagnosis.evidence.score_tests import LONGEST, step_without_bias
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
-from casid.estimation.simulation.simulation_error import (
-    Fit,
-    SimulationError,
-    minimize_simulation_error,
-)
+from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 
 HIDDEN = 1.1

@@ -30,12 +30,9 @@ from casid.errors import ModelError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.first_order_lags import lag_columns
-from casid.estimation.simulation.simulation_error import (
-    Signals,
-    Simulated,
-    SimulationError,
-    delay_columns,
-)
+from casid.estimation.simulation.sensor_dynamics import delay_columns
+from casid.estimation.simulation.signals import Signals
+from casid.estimation.simulation.simulation_error import Simulated, SimulationError
 from casid.estimation.simulation.simulator import rk4_sample
 from casid.model.model import Input, Model
 

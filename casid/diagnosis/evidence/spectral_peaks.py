@@ -27,7 +27,8 @@ from scipy.linalg import solve_toeplitz
 from scipy.optimize import minimize_scalar
 
 from casid.arrays import TINY, Array
-from casid.estimation.simulation.simulation_error import Fit, SimulationError, widened
+from casid.estimation.simulation.minimization import Fit, widened
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
 from casid.model.effects.periodic import periodic_disturbance
 

@@ -11,7 +11,7 @@ from casid.arrays import Array
 from casid.diagnosis.evidence.plateaus import Plateaus, find_plateaus
 from casid.diagnosis.evidence.spikes import Spikes, find_spikes
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 
 SHARE = 1 / 50
 """Of the false-alarm rate, spent on each of these tests in each channel."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
 from casid.model.model import Model
 

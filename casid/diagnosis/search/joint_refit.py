@@ -17,7 +17,7 @@ from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted, use_
 from casid.diagnosis.search.candidates import Candidate, found_values
 from casid.errors import SolveError
 from casid.estimation.covariance import sandwich
-from casid.estimation.simulation.simulation_error import Fit, minimize_simulation_error
+from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.model.effects.effect import KINDS, Effect
 from casid.model.model import Model
 

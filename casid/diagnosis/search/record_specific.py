@@ -23,7 +23,7 @@ from casid.errors import SolveError
 from casid.estimation.covariance import sandwich
 from casid.estimation.estimate import Estimated
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 
 LEVEL = 0.01
 """Level below which sizes are called different."""

@@ -14,7 +14,7 @@ from casid.diagnosis.search.rounds import Search
 from casid.errors import SolveError
 from casid.estimation.holdout import Split, held_out_error, why_no_better, why_worse
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import ON_THE_CLOCK
 
 LIKELY = 4.0

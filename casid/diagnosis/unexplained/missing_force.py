@@ -35,7 +35,7 @@ from casid.diagnosis.evidence.signatures import (
 )
 from casid.diagnosis.unexplained.smoothed_force import SmoothedForce, smoothed_force
 from casid.estimation.noise import NoiseModel
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 
 SINE = "a sine in time"
 """Name of what repeats at a line of the spectrum."""

@@ -10,7 +10,8 @@ import numpy as np
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search.candidates import Adopted, null_values
 from casid.errors import SolveError
-from casid.estimation.simulation.simulation_error import Fit, SimulationError
+from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.simulation_error import SimulationError
 
 
 def contributions_of(weighing: Weighing, adopted: Sequence[Adopted], fit: Fit) -> list[float]:

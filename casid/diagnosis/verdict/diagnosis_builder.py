@@ -38,10 +38,10 @@ from casid.diagnosis.verdict.remainder import moved_parameters, what_remains
 from casid.diagnosis.verdict.sentences import advice, bound_advice, noise_text, verdict_sentence
 from casid.diagnosis.verdict.sufficiency import weak_parameters
 from casid.errors import CasidError
-from casid.estimation.estimate_builder import estimate_of, standing_channels
 from casid.estimation.holdout import validation
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.simulation.fit import FitSettings
+from casid.estimation.simulation.simulation_estimate import estimate_of, standing_channels
 from casid.versions import versions
 
 SOURCES = (

@@ -28,7 +28,7 @@ from casid.diagnosis.verdict.sufficiency import (
 from casid.errors import SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 from casid.identification.wrong_signs import WrongSign, in_short_order, negated_split, wrong_sign
 
 

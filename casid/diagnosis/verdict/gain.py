@@ -13,7 +13,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.estimation.estimate import RecordView
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, record_views, simulate_apart, whole_simulation
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 from casid.identification.wrong_signs import WrongSign
 
 

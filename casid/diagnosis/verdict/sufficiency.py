@@ -26,11 +26,8 @@ from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.noise import NoiseModel, Response
-from casid.estimation.simulation.simulation_error import (
-    Fit,
-    SimulationError,
-    minimize_simulation_error,
-)
+from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import KINDS
 from casid.model.effects.user_effects import user_effects
 from casid.model.model import Model

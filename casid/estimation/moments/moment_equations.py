@@ -31,7 +31,7 @@ from casid.estimation.moments.long_run_covariance import (
     positive_part,
 )
 from casid.estimation.moments.moments import Moments, moments
-from casid.estimation.simulation.simulation_error import signals_of
+from casid.estimation.simulation.signals import signals_of
 from casid.linear.difference_equation import DifferenceEquation, difference_equation
 from casid.linear.lagged_columns import Column
 from casid.model.model import Model

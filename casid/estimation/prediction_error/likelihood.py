@@ -23,9 +23,10 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.data.record import Experiment
-from casid.errors import DataError, ModelError, SolveError
+from casid.errors import DataError, ModelError
 from casid.estimation.nlp.nlp import Evaluation
-from casid.estimation.simulation.simulation_error import Variable, signals_of
+from casid.estimation.simulation.signals import signals_of
+from casid.estimation.unknowns import LastOf, Unknowns, Variable
 from casid.linear.kalman import (
     Predictor,
     covariance_scale,
@@ -91,28 +92,22 @@ class PredictionError:
         self.model, self.experiments, self.noise = model, list(experiments), noise_sources(noise)
         self.outputs = tuple(model.outputs)
         self.initial = None if initial is None else dict(initial)
-        free = [p.name for p in model.parameters.values() if not p.is_known]
-        own = (own,) if isinstance(own, str) else own
-        for name in own:
-            model.parameter_named(name)
+        self.unknowns = Unknowns(model, [(e.name, e.known) for e in experiments], own, start)
+        self.free, self.own = self.unknowns.free, self.unknowns.own
         for name in self.initial or {}:
             if name not in model.states:
                 raise ModelError(
                     f"{model.name} has no state {name!r} to start in doubt; it has "
                     f"{', '.join(model.states)}"
                 )
-        self.free = [f for f in free if not all(f in e.known for e in experiments)]
-        self.own = [f for f in self.free if f in own]
         self.noisy = NoisyModel(model, noise, self.free, rest)
         self.inputs = self.noisy.inputs
         self.data = [signals_of(self.noisy.driven, e) for e in experiments]
         self._refuse_gaps()
         self.offset = 0.0  # the constant of (1)
-        self.variables: list[Variable] = []
-        self._index: list[Array] = []  # per experiment: (nv,) NLP variable of each local one, or -1
-        self._lay_out(dict(start or {}))
+        self._index = self._lay_out()  # per experiment: (nv,) NLP variable of each local one, or -1
         self._refuse_strangers(start or {})
-        self._last: dict[int, tuple[bytes, list[Predicted]]] = {}
+        self._last: LastOf[list[Predicted]] = LastOf()
         self._near: dict[int, Array] = {}  # the last covariance, a start for the next
 
     # -- what is what ------------------------------------------------------------------------
@@ -127,40 +122,17 @@ class PredictionError:
                     "between(t0, t1), or interpolate the channel"
                 )
 
-    def _lay_out(self, start: dict[str, float]) -> None:
-        several = len(self.data) > 1
-        shared: dict[str, int] = {}
-
-        def add(name: str, source: str, at: float, lo: float, hi: float, scale: float) -> int:
-            at = start.get(name, at)
-            if not lo <= at <= hi:
-                raise SolveError(
-                    f"start {name} = {at:g} lies outside its bounds [{lo:g}, {hi:g}]; move the "
-                    "start inside or widen the bounds"
-                )
-            self.variables.append(Variable(name, source, float(at), lo, hi, scale))
-            return len(self.variables) - 1
-
-        def add_parameter(name: str, label: str = "") -> int:
-            p = self.model.parameters[name]
-            s = start.get(name, p.start)
-            return add(f"{name}{label}", name, s, p.lower, p.upper, abs(s) or abs(p.start) or 1.0)
-
-        for name in self.free:
-            if name not in self.own:
-                shared[name] = add_parameter(name)
+    def _lay_out(self) -> list[Array]:
+        unknowns, index = self.unknowns, []
+        unknowns.add_shared()
         for w in self.noise:
             if not w.is_known:
                 # An output without noise has no predictor; a balance without noise is a balance.
                 low = 1e-8 * w.sd**2 if w.where in self.outputs else 0.0
-                key = self.noisy.noise_name(w)
-                shared[key] = add(key, w.where, w.sd**2, low, np.inf, w.sd**2)
-        for d in self.data:
-            label = f"@{d.name}" if several else ""
-            place = {k: v for k, v in shared.items() if k not in d.known}
-            for name in self.own:
-                if name not in d.known:
-                    place[name] = add_parameter(name, label)
+                key, size = self.noisy.noise_name(w), w.sd**2
+                unknowns.share(key, unknowns.add(key, w.where, size, (low, np.inf), size))
+        for e in range(len(self.data)):
+            place = unknowns.add_own(e)
             local = [place.get(f, -1) for f in self.free]
             local += [place.get(self.noisy.noise_name(w), -1) for w in self.noisy.sources]
             for name, state in self.model.states.items():
@@ -168,10 +140,11 @@ class PredictionError:
                     local.append(-1)
                     continue
                 scale = abs(state.start) or self._size_of(state.unit)
-                local.append(
-                    add(f"{name}(0){label}", name, state.start, state.lower, state.upper, scale)
-                )
-            self._index.append(np.array(local))
+                bounds = state.lower, state.upper
+                tag = f"{name}(0){unknowns.label(e)}"
+                local.append(unknowns.add(tag, name, state.start, bounds, scale))
+            index.append(np.array(local))
+        return index
 
     def _refuse_strangers(self, start: Mapping[str, float]) -> None:
         """A start for what is no variable would be ignored."""
@@ -201,14 +174,19 @@ class PredictionError:
         return 1.0
 
     @property
+    def variables(self) -> list[Variable]:
+        """The NLP's variables."""
+        return self.unknowns.variables
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the NLP's variables."""
-        return tuple(v.name for v in self.variables)
+        return self.unknowns.names
 
     @property
     def start(self) -> Array:
         """(n,) start values."""
-        return np.array([v.start for v in self.variables])
+        return self.unknowns.start
 
     @property
     def n_constraints(self) -> int:
@@ -224,14 +202,8 @@ class PredictionError:
 
     def _values(self, x: Array, e: int) -> tuple[Array, Array, Array]:
         """All parameters (np,), variances of process and measurement noise, initial state (nx,)."""
-        d, index = self.data[e], self._index[e]
-        values = {
-            p.name: p.value if p.is_known else p.start for p in self.model.parameters.values()
-        }
-        values.update(d.known)
-        for name, i in zip(self.free, index, strict=False):
-            if i >= 0:
-                values[name] = float(x[i])
+        index = self._index[e]
+        values = self.unknowns.parameters(x, e, index)
         sources = self.noisy.sources
         at = len(self.free)
         variances = np.array(
@@ -240,12 +212,8 @@ class PredictionError:
                 for w, i in zip(sources, index[at : at + len(sources)], strict=True)
             ]
         )
-        initial = [
-            x[i] if i >= 0 else (state.start if state.initial is None else state.initial)
-            for state, i in zip(self.model.states.values(), index[at + len(sources) :], strict=True)
-        ]
         p = np.array([values[n] for n in self.noisy.linear.parameters], dtype=float)
-        return p, variances, np.array(initial, dtype=float)
+        return p, variances, self.unknowns.initial_state(x, index[at + len(sources) :])
 
     def sampled(self, x: Array, e: int) -> Sampled:
         """The sampled system of one experiment and its derivatives."""
@@ -261,10 +229,7 @@ class PredictionError:
 
     def predicted(self, x: Array, e: int) -> list[Predicted]:
         """Innovations of one experiment: a transient part, if any, and the steady one."""
-        key = np.asarray(x, dtype=float).tobytes()
-        if self._last.get(e, (b"", []))[0] != key:
-            self._last[e] = (key, self._predicted(x, e))
-        return self._last[e][1]
+        return self._last(x, e, self._predicted)
 
     def _predicted(self, x: Array, e: int) -> list[Predicted]:
         d = self.data[e]

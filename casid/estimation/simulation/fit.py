@@ -9,12 +9,8 @@ import numpy as np
 
 from casid.data.record import Experiment
 from casid.estimation.nlp.nlp import Solver
-from casid.estimation.simulation.simulation_error import (
-    Constraint,
-    Fit,
-    SimulationError,
-    minimize_simulation_error,
-)
+from casid.estimation.simulation.minimization import Constraint, Fit, minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 
 

@@ -1,4 +1,4 @@
-"""The simulation-error criterion over several experiments, and its minimisation.
+"""The simulation-error criterion over several experiments.
 
     V(theta, x0) = 1/2 sum_e sum_k | W (y_k - yhat_k(theta, x0_e)) |^2                        (1)
 
@@ -11,41 +11,21 @@ Gauss-Newton matrix; nothing in the NLP grows with the number of samples.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from casid.arrays import Array
-from casid.data.record import Experiment, Record
-from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError, UnitError
-from casid.estimation.local_rank import describe_null, local_rank
-from casid.estimation.nlp.nlp import Evaluation, Nlp, Solution, Solver
+from casid.data.record import Experiment
+from casid.errors import DataError
+from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.simulation.sensor_dynamics import MEMORY, prepared_inputs, through_sensor
-from casid.estimation.simulation.sensor_dynamics import delay_columns as delay_columns
+from casid.estimation.simulation.signals import Signals, signals_of
 from casid.estimation.simulation.simulator import Simulator
+from casid.estimation.unknowns import LastOf, Unknowns, Variable
 from casid.model.model import Model
-from casid.model.units import describe_dimension, parse_unit, to_si
 
 Whitener = Callable[[Array, int], Array]  # ((N, ny, m) columns, experiment) -> same shape
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Signals:
-    """What the criterion needs of one experiment, in model order and SI units."""
-
-    name: str
-    t: Array  # (N,)
-    u: Array  # (N, nu)
-    y: Array  # (N, ny)
-    used: Array  # (N, ny) bool
-    Ts: float
-    known: Mapping[str, float]
-
-    @property
-    def N(self) -> int:
-        """Number of samples."""
-        return len(self.t)
 
 
 def _place(jac: Array, dy: Array, index: Array) -> None:
@@ -54,98 +34,6 @@ def _place(jac: Array, dy: Array, index: Array) -> None:
     for first in range(0, len(dy), 1 << 13):
         rows = slice(first, first + (1 << 13))
         jac[rows, :, index[keep]] = dy[rows][:, :, keep]
-
-
-def signals_of(model: Model, experiment: Experiment) -> Signals:
-    """The inputs and outputs of `model` taken from a record.
-
-    Raises
-    ------
-    DataError
-        If a channel is missing or in a unit of another dimension than the model's, or an input has
-        missing samples.
-    """
-    record = experiment.record
-    for name, entry in model.inputs.items():
-        if entry.kind == "unknown":
-            raise ModelError(
-                f"{model.name}: input {name} is unknown; eliminate it with an output that feels it "
-                f"(model.eliminate({name!r}, using=...)) before estimating"
-            )
-    for name in (*model.inputs, *model.outputs):
-        entry_ = model.inputs.get(name)
-        if name not in record.channels and not (entry_ and entry_.kind == "generated"):
-            raise DataError(
-                f"{record.name}: no channel {name!r} for {model.name}; it has "
-                f"{', '.join(record.channels)}. Map one of them: --map {name}=column"
-            )
-    _refuse_foreign_units(model, record)
-    columns = []
-    for name, entry in model.inputs.items():
-        if entry.kind == "generated":
-            made = np.zeros(record.N) if entry.signal is None else entry.signal(record.t)
-            columns.append(made)
-            continue
-        mask = record.missing.get(name)
-        if mask is not None and bool(np.any(mask)):
-            raise DataError(
-                f"{record.name}: input {name} misses {int(np.sum(mask))} samples, the first at "
-                f"t = {record.t[int(np.argmax(mask))]:g} s; an input must be complete. Cut the "
-                "record with a window, or interpolate the channel beforehand"
-            )
-        columns.append(record[name])
-    n = record.N
-    y = np.column_stack([record[name] for name in model.outputs])
-    used = np.column_stack(
-        [
-            ~record.missing[name] if name in record.missing else np.ones(n, dtype=bool)
-            for name in model.outputs
-        ]
-    )
-    return Signals(
-        name=experiment.name,
-        t=np.asarray(record.t),
-        u=np.column_stack(columns) if columns else np.zeros((n, 0)),
-        y=np.where(used, y, 0.0),
-        used=used,
-        Ts=record.Ts,
-        known=dict(experiment.known),
-    )
-
-
-def _refuse_foreign_units(model: Model, record: Record) -> None:
-    """A channel measures what the model says, or it is another quantity."""
-    units = {n: e.unit for n, e in model.inputs.items() if e.kind != "generated"}
-    units |= {n: unit for n, (_, unit) in model.outputs.items()}
-    for name, unit in units.items():
-        own = record.units[name]
-        if own == unit:
-            continue
-        try:
-            expected = parse_unit(unit)
-        except UnitError:
-            continue  # the model's own affair
-        try:
-            to_si(np.zeros(0), own, unit)
-        except UnitError:
-            raise DataError(
-                f"{record.name}: channel {name} is in {own!r}, but {model.name} has it in {unit!r} "
-                f"({describe_dimension(parse_unit(own).dimension)} against "
-                f"{describe_dimension(expected.dimension)} in base units); map the channel that "
-                f"measures it, or give its true unit: Record(..., units={{{name!r}: {unit!r}}})"
-            ) from None
-
-
-@dataclass(frozen=True, slots=True)
-class Variable:
-    """One scalar unknown of the NLP and where it comes from."""
-
-    name: str
-    source: str  # the parameter or state
-    start: float
-    lower: float
-    upper: float
-    scale: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,12 +77,8 @@ class SimulationError:
         self.data = [signals_of(model, e) for e in experiments]
         self.whiten = whiten
         self.segments = segments
-        free = [p.name for p in model.parameters.values() if not p.is_known]
-        own = (own,) if isinstance(own, str) else own
-        for name in own:
-            model.parameter_named(name)
-        self.free = [f for f in free if not all(f in d.known for d in self.data)]
-        self.own = [f for f in self.free if f in own]
+        self.unknowns = Unknowns(model, [(d.name, d.known) for d in self.data], own, start)
+        self.free, self.own = self.unknowns.free, self.unknowns.own
         self._simulators: dict[float, Simulator] = {}
         pinned = {p.name: p.lower for p in model.parameters.values() if p.lower == p.upper}
         pinned = {n: v for n, v in pinned.items() if n in self.free}
@@ -207,12 +91,10 @@ class SimulationError:
         self.substeps = substeps
         self.weights = self._default_weights() if weights is None else np.asarray(weights, float)
         self._burn()
-        self.variables: list[Variable] = []
         self._index: list[list[Array]] = []  # per experiment and segment: (nv,) variable or -1
         self._cuts: list[Array] = []
-        self._lay_out(dict(start or {}))
-        # What was simulated last, as the solver, scores and reports ask for the same point.
-        self._last: dict[int, tuple[bytes, Simulated]] = {}
+        self._lay_out()
+        self._last: LastOf[Simulated] = LastOf()
 
     # -- the variables -----------------------------------------------------------------------
 
@@ -255,62 +137,50 @@ class SimulationError:
                 return float(np.median(values)) if len(values) else None
         return None
 
-    def _add(self, name: str, source: str, start: float, lo: float, hi: float, scale: float) -> int:
-        self.variables.append(Variable(name, source, float(np.clip(start, lo, hi)), lo, hi, scale))
-        return len(self.variables) - 1
-
-    def _lay_out(self, start: dict[str, float]) -> None:
-        several = len(self.data) > 1
-        shared: dict[str, int] = {}
-        for name in self.free:
-            if name in self.own:
-                continue
-            p = self.model.parameters[name]
-            s = start.get(name, p.start)
-            if not p.lower <= s <= p.upper:
-                raise SolveError(
-                    f"start {name} = {s:g} lies outside its bounds [{p.lower:g}, {p.upper:g}]; "
-                    "move the start inside or widen the bounds"
-                )
-            shared[name] = self._add(name, name, s, p.lower, p.upper, abs(s) or abs(p.start) or 1.0)
+    def _lay_out(self) -> None:
+        unknowns = self.unknowns
+        unknowns.add_shared()
         for e, d in enumerate(self.data):
-            label = f"@{d.name}" if several else ""
-            place = dict(shared)
-            for name in self.own:
-                if name in d.known:
-                    continue
-                p = self.model.parameters[name]
-                s = start.get(f"{name}{label}", start.get(name, p.start))
-                place[name] = self._add(
-                    f"{name}{label}", name, s, p.lower, p.upper, abs(s) or abs(p.start) or 1.0
-                )
+            place = unknowns.add_own(e, clip=True)
             cuts = np.linspace(0, d.N, self.segments + 1).astype(int)
             rows = []
             for i in range(self.segments):
-                local = [place[f] if f in place and f not in d.known else -1 for f in self.free]
+                local = [place.get(f, -1) for f in self.free]
                 for name, state in self.model.states.items():
                     if i == 0 and state.initial is not None:
                         local.append(-1)
                         continue
-                    tag = f"{name}(0){label}" if i == 0 else f"{name}[{i}]{label}"
-                    guess = self._measured_start(name, e, int(cuts[i]))
-                    s = start.get(tag, guess if guess is not None else state.start)
-                    # Bounds of a state hold at the start of the record.
-                    lo, hi = (state.lower, state.upper) if i == 0 else (-np.inf, np.inf)
-                    local.append(self._add(tag, name, s, lo, hi, self._state_scale(name)))
+                    tag = f"{name}(0)" if i == 0 else f"{name}[{i}]"
+                    measured = self._measured_start(name, e, int(cuts[i]))
+                    local.append(
+                        unknowns.add(
+                            f"{tag}{unknowns.label(e)}",
+                            name,
+                            state.start if measured is None else measured,
+                            # Bounds of a state hold at the start of the record.
+                            (state.lower, state.upper) if i == 0 else (-np.inf, np.inf),
+                            self._state_scale(name),
+                            clip=True,
+                        )
+                    )
                 rows.append(np.array(local))
             self._index.append(rows)
             self._cuts.append(cuts)
 
     @property
+    def variables(self) -> list[Variable]:
+        """The NLP's variables."""
+        return self.unknowns.variables
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the NLP's variables."""
-        return tuple(v.name for v in self.variables)
+        return self.unknowns.names
 
     @property
     def start(self) -> Array:
         """(n,) start values."""
-        return np.array([v.start for v in self.variables])
+        return self.unknowns.start
 
     @property
     def n_constraints(self) -> int:
@@ -327,21 +197,13 @@ class SimulationError:
     def parameter_vector(self, x: Array, experiment: int, segment: int = 0) -> tuple[Array, Array]:
         """All model parameters (np,) and the initial state (nx,) of one segment at `x` (n,)."""
         d, index = self.data[experiment], self._index[experiment][segment]
-        values = {
-            p.name: p.value if p.is_known else p.start for p in self.model.parameters.values()
-        }
-        values.update(d.known)
-        for name, i in zip(self.free, index, strict=False):
-            if i >= 0:
-                values[name] = float(x[i])
-        initial = []
-        for state, i in zip(self.model.states.values(), index[len(self.free) :], strict=True):
-            initial.append(float(x[i]) if i >= 0 else float(state.initial or 0.0))
+        values = self.unknowns.parameters(x, experiment, index)
         for stage in self.model.stages:
             if stage.is_of_input:
                 values[stage.parameter] = 0.0  # what it does is in the input's column, see below
         names = self._simulators[d.Ts].equations.parameters
-        return np.array([values[n] for n in names], dtype=float), np.array(initial)
+        p = np.array([values[n] for n in names], dtype=float)
+        return p, self.unknowns.initial_state(x, index[len(self.free) :])
 
     def simulate(
         self, x: Array, experiment: int, *, signals: Signals | None = None, tangent: bool = False
@@ -410,16 +272,11 @@ class SimulationError:
     def simulated(self, x: Array, experiment: int, *, signals: Signals | None = None) -> Simulated:
         """Residuals and sensitivities of one experiment, unweighted."""
         if signals is None:
-            key = x.tobytes()
-            if experiment not in self._last or self._last[experiment][0] != key:
-                self._last[experiment] = (
-                    key,
-                    self._simulated(x, experiment, self.data[experiment]),
-                )
-            return self._last[experiment][1]
+            return self._last(x, experiment, self._simulated)
         return self._simulated(x, experiment, signals)
 
-    def _simulated(self, x: Array, experiment: int, d: Signals) -> Simulated:
+    def _simulated(self, x: Array, experiment: int, signals: Signals | None = None) -> Simulated:
+        d = self.data[experiment] if signals is None else signals
         with np.errstate(all="ignore"):
             y, states, jac = self.simulate(x, experiment, signals=d, tangent=True)
         assert jac is not None
@@ -483,194 +340,3 @@ class SimulationError:
             r, j = self.columns(x, e)
             parts.append(np.einsum("ki,kin->kn", r, j))
         return np.concatenate(parts)
-
-
-# -- minimising ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """A minimum of the simulation-error criterion."""
-
-    criterion: SimulationError
-    solution: Solution
-    starts_tried: int = 1
-    starts_agreeing: int = 1
-    notes: tuple[str, ...] = field(default_factory=tuple)
-
-    @property
-    def x(self) -> Array:
-        """(n,) the minimiser."""
-        return self.solution.x
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Every variable by name."""
-        return dict(zip(self.criterion.names, self.x.tolist(), strict=True))
-
-
-def widened(fit: Fit, model: Model) -> SimulationError:
-    """The criterion of a fit for a model with more parameters, all of them at their start."""
-    base = fit.criterion
-    wide = SimulationError(
-        model,
-        base.experiments,
-        own=base.own,
-        weights=base.weights,
-        whiten=base.whiten,
-        substeps=base.substeps,
-        start=fit.values,
-    )
-    for d, own in zip(wide.data, base.data, strict=True):
-        d.used[:] &= own.used
-    return wide
-
-
-Constraint = Callable[[Mapping[str, Any]], Any]
-
-
-def minimize_simulation_error(
-    criterion: SimulationError,
-    *,
-    solver: Solver | None = None,
-    starts: int = 1,
-    seed: int = 0,
-    constraints: Sequence[Constraint] = (),
-    check_rank: bool = True,
-    throw: bool = True,
-    retry: bool = True,
-    near: bool = False,
-) -> Fit:
-    """Minimise (1), from the declared start and `starts - 1` random ones; the best is kept.
-
-    Parameters
-    ----------
-    constraints : each takes a mapping of variable names to CasADi symbols and returns an expression
-        that is to be zero (linear or not).
-    retry : whether a start that does not converge is tried once more from where it ended.
-    near : the start is next to its minimum: a solver that succeeds there is not asked again.
-
-    Raises
-    ------
-    IdentifiabilityError
-        Before the solver starts, where the data leave a direction unseen.
-    SolveError
-        If no start leads to an optimum.
-    """
-    nlp = Nlp(criterion.model.name)
-    symbols = {
-        v.name: nlp.variable(v.name, v.start, lower=v.lower, upper=v.upper, scale=v.scale)
-        for v in criterion.variables
-    }
-    nlp.minimize(criterion)
-    for i, constraint in enumerate(constraints):
-        nlp.equality(constraint(symbols), name=f"constraint {i + 1}")
-    x0 = criterion.start
-    first = criterion.evaluate(x0)
-    if not np.isfinite(first.value):
-        raise SolveError(_divergence(criterion, x0))
-    if criterion.n_samples <= len(x0):
-        raise DataError(
-            f"{criterion.data[0].name}: {criterion.n_samples} samples cannot pay for {len(x0)} "
-            "unknowns (parameters and initial states); widen the window or give known values"
-        )
-    if check_rank and not constraints and criterion.segments == 1:
-        _refuse_unidentifiable(criterion, x0, first.hessian)
-    best: Solution | None = None
-    values = []
-    failures: list[str] = []
-    for k in range(max(starts, 1)):
-        point = x0 if k == 0 else _random_start(criterion, x0, np.random.default_rng((seed, k)))
-        try:
-            solution = nlp.solve(solver, point.tolist(), throw=False, natural_scales=True)
-        except SolveError as error:
-            failures.append(str(error))
-            continue
-        is_done = solution.is_converged or (
-            near
-            and solution.status == "Solve_Succeeded"
-            and solution.value > 0.5 * first.value
-            and k == 0
-        )
-        if retry and not is_done:
-            # The natural scales of a far start are wrong at the end: once more from there.
-            solution = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
-        values.append(solution.value)
-        if best is None or (solution.is_converged, -solution.value) > (
-            best.is_converged,
-            -best.value,
-        ):
-            best = solution
-    if best is None:
-        raise SolveError(failures[0])
-    if throw and not best.is_converged:
-        raise SolveError(
-            f"{criterion.model.name}: {best.solver} stopped with {best.status} after "
-            f"{best.iterations} iterations (scaled gradient {best.scaled_gradient:.1e}, constraint "
-            f"violation {best.constraint_violation:.1e}): {best.mend}"
-        )
-    agree = int(np.sum(np.array(values) <= best.value * (1 + 1e-6) + 1e-12))
-    return Fit(criterion, best, max(starts, 1), agree)
-
-
-def _refuse_unidentifiable(criterion: SimulationError, x0: Array, hessian: Array) -> None:
-    scale = np.array([v.scale for v in criterion.variables])
-    rank = local_rank(hessian, x0, criterion.names, scale)
-    if rank.is_full:
-        return
-    # A start may be special (a zero, a symmetry): look beside it before refusing.
-    beside = _random_start(criterion, x0, np.random.default_rng(99))
-    at = criterion.evaluate(beside)
-    if np.isfinite(at.value):
-        rank = local_rank(at.hessian, beside, criterion.names, scale)
-        if rank.is_full:
-            return
-    raise IdentifiabilityError(
-        f"{criterion.model.name}: rank {rank.rank} of {rank.unknowns} unknowns in "
-        f"{', '.join(d.name for d in criterion.data)}; {describe_null(rank)}"
-        f"{_constant_inputs(criterion)}"
-    )
-
-
-def _constant_inputs(criterion: SimulationError) -> str:
-    """Inputs that never move, which may be why; an empty text where all do."""
-    said = [
-        f"{name} of {d.name} is constant ({d.u[0, i]:g})"
-        for d in criterion.data
-        for i, (name, entry) in enumerate(criterion.model.inputs.items())
-        if entry.kind == "measured" and np.ptp(d.u[:, i]) == 0.0
-    ]
-    return f". Input {' and '.join(said)}: check its cable and its mapping" if said else ""
-
-
-def _random_start(criterion: SimulationError, x0: Array, rng: np.random.Generator) -> Array:
-    point = x0.copy()
-    for i, v in enumerate(criterion.variables):
-        if v.source in criterion.model.states:
-            point[i] += 0.1 * v.scale * rng.standard_normal()
-        elif v.start != 0.0:
-            point[i] = v.start * np.exp(0.5 * rng.standard_normal())
-        else:
-            point[i] = v.scale * 0.3 * rng.standard_normal()
-        low, high = v.lower, v.upper
-        inset = 1e-6 * v.scale
-        point[i] = float(np.clip(point[i], min(low + inset, high), max(high - inset, low)))
-    return point
-
-
-def _divergence(criterion: SimulationError, x: Array) -> str:
-    for e, d in enumerate(criterion.data):
-        with np.errstate(all="ignore"):
-            y, _, _ = criterion.simulate(x, e)
-        bad = ~np.all(np.isfinite(y), axis=1)
-        if bad.any():
-            k = int(np.argmax(bad))
-            return (
-                f"{criterion.model.name}: the simulation of {d.name} diverges at t = {d.t[k]:g} s "
-                f"(sample {k}) from the start values; change the start, fix a parameter, or use "
-                "multiple shooting (segments=...) if the model is unstable"
-            )
-    return (
-        f"{criterion.model.name}: the sensitivities are not finite at the start; "
-        "change the start values, or use multiple shooting (segments=...) if the model is unstable"
-    )

@@ -12,7 +12,7 @@ from scipy.stats import norm
 import casid
 from casid.diagnosis.evidence.score_tests import BETWEEN_SAMPLES, ScoreTable, score_test
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.simulation_error import Fit
+from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.channel_effects import time_delay
 
 TS = 0.02  # s

@@ -10,11 +10,9 @@ import pytest
 from scipy.signal import cont2discrete
 
 import casid
-from casid.estimation.simulation.simulation_error import (
-    SimulationError,
-    delay_columns,
-    minimize_simulation_error,
-)
+from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.sensor_dynamics import delay_columns
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.channel_effects import saturation, time_delay
 
 TRUE = {"m": 2.0, "d": 1.5, "k": 50.0}

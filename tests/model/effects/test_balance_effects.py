@@ -9,7 +9,8 @@ import pytest
 import casid
 from casid.estimation.covariance import sandwich
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.simulation_error import Fit, SimulationError
+from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.dimensions import check_units
 from casid.model.effects.balance_effects import deadzone, effective_stiffness
 from casid.model.effects.effect import Effect

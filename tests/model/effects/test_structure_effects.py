@@ -7,7 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casid
-from casid.estimation.simulation.simulation_error import SimulationError, minimize_simulation_error
+from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.simulator import Simulator
 from casid.model.effects.effect import Sizes
 from casid.model.effects.structure_effects import (

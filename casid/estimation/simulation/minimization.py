@@ -1,0 +1,205 @@
+"""Minima of the simulation-error criterion, from one or several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import DataError, IdentifiabilityError, SolveError
+from casid.estimation.local_rank import describe_null, local_rank
+from casid.estimation.nlp.nlp import Nlp, Solver
+from casid.estimation.nlp.solution import Solution
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.model import Model
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A minimum of the simulation-error criterion."""
+
+    criterion: SimulationError
+    solution: Solution
+    starts_tried: int = 1
+    starts_agreeing: int = 1
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+    @property
+    def x(self) -> Array:
+        """(n,) the minimiser."""
+        return self.solution.x
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every variable by name."""
+        return dict(zip(self.criterion.names, self.x.tolist(), strict=True))
+
+
+def widened(fit: Fit, model: Model) -> SimulationError:
+    """The criterion of a fit for a model with more parameters, all of them at their start."""
+    base = fit.criterion
+    wide = SimulationError(
+        model,
+        base.experiments,
+        own=base.own,
+        weights=base.weights,
+        whiten=base.whiten,
+        substeps=base.substeps,
+        start=fit.values,
+    )
+    for d, own in zip(wide.data, base.data, strict=True):
+        d.used[:] &= own.used
+    return wide
+
+
+Constraint = Callable[[Mapping[str, Any]], Any]
+
+
+def minimize_simulation_error(
+    criterion: SimulationError,
+    *,
+    solver: Solver | None = None,
+    starts: int = 1,
+    seed: int = 0,
+    constraints: Sequence[Constraint] = (),
+    check_rank: bool = True,
+    throw: bool = True,
+    retry: bool = True,
+    near: bool = False,
+) -> Fit:
+    """Minimise (1), from the declared start and `starts - 1` random ones; the best is kept.
+
+    Parameters
+    ----------
+    constraints : each takes a mapping of variable names to CasADi symbols and returns an expression
+        that is to be zero (linear or not).
+    retry : whether a start that does not converge is tried once more from where it ended.
+    near : the start is next to its minimum: a solver that succeeds there is not asked again.
+
+    Raises
+    ------
+    IdentifiabilityError
+        Before the solver starts, where the data leave a direction unseen.
+    SolveError
+        If no start leads to an optimum.
+    """
+    nlp = Nlp(criterion.model.name)
+    symbols = {
+        v.name: nlp.variable(v.name, v.start, lower=v.lower, upper=v.upper, scale=v.scale)
+        for v in criterion.variables
+    }
+    nlp.minimize(criterion)
+    for i, constraint in enumerate(constraints):
+        nlp.equality(constraint(symbols), name=f"constraint {i + 1}")
+    x0 = criterion.start
+    first = criterion.evaluate(x0)
+    if not np.isfinite(first.value):
+        raise SolveError(_divergence(criterion, x0))
+    if criterion.n_samples <= len(x0):
+        raise DataError(
+            f"{criterion.data[0].name}: {criterion.n_samples} samples cannot pay for {len(x0)} "
+            "unknowns (parameters and initial states); widen the window or give known values"
+        )
+    if check_rank and not constraints and criterion.segments == 1:
+        _refuse_unidentifiable(criterion, x0, first.hessian)
+    best: Solution | None = None
+    values = []
+    failures: list[str] = []
+    for k in range(max(starts, 1)):
+        point = x0 if k == 0 else _random_start(criterion, x0, np.random.default_rng((seed, k)))
+        try:
+            solution = nlp.solve(solver, point.tolist(), throw=False, natural_scales=True)
+        except SolveError as error:
+            failures.append(str(error))
+            continue
+        is_done = solution.is_converged or (
+            near
+            and solution.status == "Solve_Succeeded"
+            and solution.value > 0.5 * first.value
+            and k == 0
+        )
+        if retry and not is_done:
+            # The natural scales of a far start are wrong at the end: once more from there.
+            solution = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
+        values.append(solution.value)
+        if best is None or (solution.is_converged, -solution.value) > (
+            best.is_converged,
+            -best.value,
+        ):
+            best = solution
+    if best is None:
+        raise SolveError(failures[0])
+    if throw and not best.is_converged:
+        raise SolveError(
+            f"{criterion.model.name}: {best.solver} stopped with {best.status} after "
+            f"{best.iterations} iterations (scaled gradient {best.scaled_gradient:.1e}, constraint "
+            f"violation {best.constraint_violation:.1e}): {best.mend}"
+        )
+    agree = int(np.sum(np.array(values) <= best.value * (1 + 1e-6) + 1e-12))
+    return Fit(criterion, best, max(starts, 1), agree)
+
+
+def _refuse_unidentifiable(criterion: SimulationError, x0: Array, hessian: Array) -> None:
+    scale = np.array([v.scale for v in criterion.variables])
+    rank = local_rank(hessian, x0, criterion.names, scale)
+    if rank.is_full:
+        return
+    # A start may be special (a zero, a symmetry): look beside it before refusing.
+    beside = _random_start(criterion, x0, np.random.default_rng(99))
+    at = criterion.evaluate(beside)
+    if np.isfinite(at.value):
+        rank = local_rank(at.hessian, beside, criterion.names, scale)
+        if rank.is_full:
+            return
+    raise IdentifiabilityError(
+        f"{criterion.model.name}: rank {rank.rank} of {rank.unknowns} unknowns in "
+        f"{', '.join(d.name for d in criterion.data)}; {describe_null(rank)}"
+        f"{_constant_inputs(criterion)}"
+    )
+
+
+def _constant_inputs(criterion: SimulationError) -> str:
+    """Inputs that never move, which may be why; an empty text where all do."""
+    said = [
+        f"{name} of {d.name} is constant ({d.u[0, i]:g})"
+        for d in criterion.data
+        for i, (name, entry) in enumerate(criterion.model.inputs.items())
+        if entry.kind == "measured" and np.ptp(d.u[:, i]) == 0.0
+    ]
+    return f". Input {' and '.join(said)}: check its cable and its mapping" if said else ""
+
+
+def _random_start(criterion: SimulationError, x0: Array, rng: np.random.Generator) -> Array:
+    point = x0.copy()
+    for i, v in enumerate(criterion.variables):
+        if v.source in criterion.model.states:
+            point[i] += 0.1 * v.scale * rng.standard_normal()
+        elif v.start != 0.0:
+            point[i] = v.start * np.exp(0.5 * rng.standard_normal())
+        else:
+            point[i] = v.scale * 0.3 * rng.standard_normal()
+        low, high = v.lower, v.upper
+        inset = 1e-6 * v.scale
+        point[i] = float(np.clip(point[i], min(low + inset, high), max(high - inset, low)))
+    return point
+
+
+def _divergence(criterion: SimulationError, x: Array) -> str:
+    for e, d in enumerate(criterion.data):
+        with np.errstate(all="ignore"):
+            y, _, _ = criterion.simulate(x, e)
+        bad = ~np.all(np.isfinite(y), axis=1)
+        if bad.any():
+            k = int(np.argmax(bad))
+            return (
+                f"{criterion.model.name}: the simulation of {d.name} diverges at t = {d.t[k]:g} s "
+                f"(sample {k}) from the start values; change the start, fix a parameter, or use "
+                "multiple shooting (segments=...) if the model is unstable"
+            )
+    return (
+        f"{criterion.model.name}: the sensitivities are not finite at the start; "
+        "change the start values, or use multiple shooting (segments=...) if the model is unstable"
+    )

@@ -1,0 +1,112 @@
+"""The signals of one experiment in the order and units of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.data.record import Experiment, Record
+from casid.errors import DataError, ModelError, UnitError
+from casid.model.model import Model
+from casid.model.units import describe_dimension, parse_unit, to_si
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signals:
+    """Inputs and outputs of one experiment, in model order and SI units."""
+
+    name: str
+    t: Array  # (N,)
+    u: Array  # (N, nu)
+    y: Array  # (N, ny)
+    used: Array  # (N, ny) bool
+    Ts: float
+    known: Mapping[str, float]
+
+    @property
+    def N(self) -> int:
+        """Number of samples."""
+        return len(self.t)
+
+
+def signals_of(model: Model, experiment: Experiment) -> Signals:
+    """The inputs and outputs of `model` taken from a record.
+
+    Raises
+    ------
+    DataError
+        If a channel is missing or in a unit of another dimension than the model's, or an input has
+        missing samples.
+    """
+    record = experiment.record
+    for name, entry in model.inputs.items():
+        if entry.kind == "unknown":
+            raise ModelError(
+                f"{model.name}: input {name} is unknown; eliminate it with an output "
+                f"that it acts on (model.eliminate({name!r}, using=...)) before estimating"
+            )
+    for name in (*model.inputs, *model.outputs):
+        entry_ = model.inputs.get(name)
+        if name not in record.channels and not (entry_ and entry_.kind == "generated"):
+            raise DataError(
+                f"{record.name}: no channel {name!r} for {model.name}; it has "
+                f"{', '.join(record.channels)}. Map one of them: --map {name}=column"
+            )
+    _refuse_foreign_units(model, record)
+    columns = []
+    for name, entry in model.inputs.items():
+        if entry.kind == "generated":
+            made = np.zeros(record.N) if entry.signal is None else entry.signal(record.t)
+            columns.append(made)
+            continue
+        mask = record.missing.get(name)
+        if mask is not None and bool(np.any(mask)):
+            raise DataError(
+                f"{record.name}: input {name} misses {int(np.sum(mask))} samples, the first at "
+                f"t = {record.t[int(np.argmax(mask))]:g} s; an input must be complete. Cut the "
+                "record with a window, or interpolate the channel beforehand"
+            )
+        columns.append(record[name])
+    n = record.N
+    y = np.column_stack([record[name] for name in model.outputs])
+    used = np.column_stack(
+        [
+            ~record.missing[name] if name in record.missing else np.ones(n, dtype=bool)
+            for name in model.outputs
+        ]
+    )
+    return Signals(
+        name=experiment.name,
+        t=np.asarray(record.t),
+        u=np.column_stack(columns) if columns else np.zeros((n, 0)),
+        y=np.where(used, y, 0.0),
+        used=used,
+        Ts=record.Ts,
+        known=dict(experiment.known),
+    )
+
+
+def _refuse_foreign_units(model: Model, record: Record) -> None:
+    """A channel measures what the model says, or it is another quantity."""
+    units = {n: e.unit for n, e in model.inputs.items() if e.kind != "generated"}
+    units |= {n: unit for n, (_, unit) in model.outputs.items()}
+    for name, unit in units.items():
+        own = record.units[name]
+        if own == unit:
+            continue
+        try:
+            expected = parse_unit(unit)
+        except UnitError:
+            continue  # the model's own affair
+        try:
+            to_si(np.zeros(0), own, unit)
+        except UnitError:
+            raise DataError(
+                f"{record.name}: channel {name} is in {own!r}, but {model.name} has it in {unit!r} "
+                f"({describe_dimension(parse_unit(own).dimension)} against "
+                f"{describe_dimension(expected.dimension)} in base units); map the channel that "
+                f"measures it, or give its true unit: Record(..., units={{{name!r}: {unit!r}}})"
+            ) from None

@@ -1,0 +1,112 @@
+"""The estimate of a simulation-error fit: values, standard errors, measures of fit, provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.data.problem import Problem
+from casid.data.quality import standing
+from casid.data.record import Experiment
+from casid.estimation.estimate import Agreement, Estimate, Estimated, Uncertainty
+from casid.estimation.estimate_builder import (
+    EstimateBuilder,
+    bound_of,
+    origin_of,
+    sandwich_and_rank,
+    solver_evidence,
+)
+from casid.estimation.fit_statistics import nrmse_fit, rms
+from casid.estimation.holdout import HeldOut
+from casid.estimation.simulation.minimization import Fit
+from casid.model.model import Model
+
+SOURCES = (
+    "H. G. Bock, in Numerical Treatment of Inverse Problems, Birkhauser 1983: multiple shooting",
+    "L. Ljung, System Identification, 2nd ed., Prentice Hall 1999: simulation error",
+    "W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708: robust covariance",
+    "D. W. K. Andrews, Econometrica 59 (1991) 817-858: its bandwidth",
+    "A. Waechter, L. T. Biegler, Math. Program. 106 (2006) 25-57: Ipopt",
+    "J. A. E. Andersson et al., Math. Program. Comput. 11 (2019) 1-36: CasADi",
+)
+"""Papers behind the methods of an estimate."""
+
+
+ASSUMES = (
+    "autocorrelation-robust sandwich (Newey-West, {lags} lags): residuals of zero mean with a "
+    "short correlation time compared with the record; the bias from noise on measured inputs is "
+    "not included"
+)
+
+
+def standing_channels(model: Model, experiments: Sequence[Experiment]) -> list[str]:
+    """Warnings of channels that are constant or at a limit, inputs for a tenth of the record."""
+    return [
+        f"{e.name}: {f.channel}: {f.text} {f.mend}"
+        for e in experiments
+        for channels, least in ((model.inputs, 0.1), (model.outputs, 0.0))
+        for f in standing(e.record, channels, least=least)
+    ]
+
+
+def estimate_of(
+    problem: Problem,
+    fit: Fit,
+    held: Sequence[HeldOut] = (),
+    *,
+    method: str | None = None,
+    notes: Sequence[str] = (),
+) -> Estimate:
+    """The `Estimate` of a fit: errors, fit, rank, whiteness, provenance."""
+    criterion, solution = fit.criterion, fit.solution
+    model = criterion.model
+    covariance, lags, rank = sandwich_and_rank(criterion, solution)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    undetermined = {n for direction in rank.null for n in direction}
+    builder = EstimateBuilder(problem.name, model, notes)
+    for v, value, error in zip(criterion.variables, fit.x.tolist(), sd.tolist(), strict=True):
+        if "[" in v.name:
+            continue  # inner nodes of multiple shooting
+        is_state = v.source in model.states
+        unit = model.states[v.source].unit if is_state else model.parameters[v.source].unit
+        builder.add(
+            Estimated(v.name, value, unit, False, error, v.start),
+            bound_of(solution, v.name),
+            determined=v.name not in undetermined,
+            is_state=is_state,
+        )
+    builder.add_rank(rank)
+    builder.warn_unless_converged(solution)
+    for e, d in enumerate(criterion.data):
+        residual = criterion.simulated(fit.x, e).residual
+        error_e = np.where(d.used, residual, np.nan)
+        builder.add_fits(d.name, criterion.outputs, np.where(d.used, d.y, np.nan), error_e)
+        for i, name in enumerate(criterion.outputs):
+            where = f"{d.name}/{name}" if len(criterion.data) > 1 else name
+            builder.add_whiteness(where, residual[d.used[:, i], i])
+    return builder.build(
+        method or f"simulation error, {_shooting(criterion.segments)}",
+        Uncertainty(criterion.names, covariance, ASSUMES.format(lags=lags)),
+        solver_evidence(solution, fit.starts_tried, fit.starts_agreeing),
+        origin_of(criterion.experiments, SOURCES),
+        held_out=_held_out(criterion.outputs, held),
+    )
+
+
+def _shooting(segments: int) -> str:
+    return "single shooting" if segments == 1 else f"multiple shooting ({segments})"
+
+
+def _held_out(outputs: Sequence[str], held: Sequence[HeldOut]) -> Agreement:
+    """RMS error and fit of what was held out."""
+
+    def by_output(values: Array) -> dict[str, float]:
+        return dict(zip(outputs, values.tolist(), strict=True))
+
+    errors = {h.name: h.measured - h.simulated for h in held}
+    return Agreement(
+        {h.name: by_output(rms(errors[h.name])) for h in held},
+        {h.name: by_output(nrmse_fit(h.measured, errors[h.name])) for h in held},
+    )

@@ -1,0 +1,175 @@
+"""The scalar unknowns of a criterion over several experiments, and which are in each experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import SolveError
+from casid.model.model import Model
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """One scalar unknown of the NLP and where it comes from."""
+
+    name: str
+    source: str  # the parameter or state
+    start: float
+    lower: float
+    upper: float
+    scale: float
+
+
+class Unknowns:
+    """Names, starts, bounds and scales of the unknowns of a criterion.
+
+    Parameters
+    ----------
+    model : its parameters without a value are unknown.
+    experiments : name and known values of each; a parameter known in all of them is no unknown.
+    own : parameters that every experiment has for itself.
+    start : start values by variable name, over the model's own.
+
+    Raises
+    ------
+    ModelError
+        If `own` names no parameter.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        experiments: Sequence[tuple[str, Mapping[str, float]]],
+        own: Sequence[str] | str = (),
+        start: Mapping[str, float] | None = None,
+    ) -> None:
+        self.model, self.experiments = model, list(experiments)
+        self._given = dict(start or {})
+        own = (own,) if isinstance(own, str) else own
+        for name in own:
+            model.parameter_named(name)
+        self.free = [
+            p.name
+            for p in model.parameters.values()
+            if not p.is_known and not all(p.name in known for _, known in experiments)
+        ]
+        self.own = [f for f in self.free if f in own]
+        self.variables: list[Variable] = []
+        self._shared: dict[str, int] = {}
+
+    def add(
+        self,
+        name: str,
+        source: str,
+        start: float,
+        bounds: tuple[float, float],
+        scale: float,
+        *,
+        clip: bool = False,
+    ) -> int:
+        """A new unknown, started where the user says or else at `start`; returns its place.
+
+        Raises
+        ------
+        SolveError
+            If the start is outside the bounds and not to be clipped.
+        """
+        lower, upper = bounds
+        start = self._given.get(name, start)
+        if clip:
+            start = float(np.clip(start, lower, upper))
+        elif not lower <= start <= upper:
+            raise SolveError(
+                f"start {name} = {start:g} lies outside its bounds [{lower:g}, {upper:g}]; "
+                "move the start inside or widen the bounds"
+            )
+        self.variables.append(Variable(name, source, float(start), lower, upper, scale))
+        return len(self.variables) - 1
+
+    def add_shared(self) -> None:
+        """The parameters that all experiments have in common."""
+        for name in self.free:
+            if name not in self.own:
+                self._shared[name] = self._add_parameter(name, "")
+
+    def share(self, name: str, place: int) -> None:
+        """Another unknown that all experiments have in common, by its place."""
+        self._shared[name] = place
+
+    def label(self, experiment: int) -> str:
+        """What marks the unknowns of one experiment among several."""
+        return f"@{self.experiments[experiment][0]}" if len(self.experiments) > 1 else ""
+
+    def add_own(self, experiment: int, *, clip: bool = False) -> dict[str, int]:
+        """An experiment's own parameters; returns name -> place of all that are unknown in it."""
+        known = self.experiments[experiment][1]
+        places = dict(self._shared)
+        for name in self.own:
+            if name not in known:
+                places[name] = self._add_parameter(name, self.label(experiment), clip=clip)
+        return {name: place for name, place in places.items() if name not in known}
+
+    def _add_parameter(self, name: str, label: str, *, clip: bool = False) -> int:
+        p = self.model.parameters[name]
+        s = self._given.get(f"{name}{label}", self._given.get(name, p.start))
+        scale = abs(s) or abs(p.start) or 1.0
+        return self.add(f"{name}{label}", name, s, (p.lower, p.upper), scale, clip=clip)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the variables."""
+        return tuple(v.name for v in self.variables)
+
+    @property
+    def start(self) -> Array:
+        """(n,) start values."""
+        return np.array([v.start for v in self.variables])
+
+    def parameters(self, x: Array, experiment: int, places: Iterable[int]) -> dict[str, float]:
+        """All parameters of the model at `x` (n,); `places` of the free ones, -1 where known."""
+        values = {
+            p.name: p.value if p.value is not None else p.start
+            for p in self.model.parameters.values()
+        }
+        values.update(self.experiments[experiment][1])
+        values.update({n: float(x[i]) for n, i in zip(self.free, places, strict=False) if i >= 0})
+        return values
+
+    def initial_state(self, x: Array, places: Iterable[int]) -> Array:
+        """Initial state (nx,) at `x` (n,); `places` of the states, -1 where known."""
+        return np.array(
+            [
+                x[i] if i >= 0 else (state.start if state.initial is None else state.initial)
+                for state, i in zip(self.model.states.values(), places, strict=True)
+            ],
+            dtype=float,
+        )
+
+
+class LastOf(Generic[T]):
+    """What was computed last for each experiment.
+
+    Solver, scores and reports evaluate a criterion at the same point, one after the other.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[int, tuple[bytes, T]] = {}
+
+    def __call__(self, x: Array, experiment: int, compute: Callable[[Array, int], T]) -> T:
+        """What `compute(x, experiment)` gives, without computing it anew at an unchanged point."""
+        key = np.asarray(x, dtype=float).tobytes()
+        kept = self._kept.get(experiment)
+        if kept is None or kept[0] != key:
+            kept = self._kept[experiment] = (key, compute(x, experiment))
+        return kept[1]
+
+    def clear(self) -> None:
+        """Forget every point."""
+        self._kept.clear()
