@@ -3,6 +3,7 @@
 from .algebra.rational import Rational
 from .algebra.rational_reader import rational
 from .algebra.transfer_matrix import transfer_matrix
+from .campaigns.campaign import campaign
 from .campaigns.monte_carlo import MonteCarlo, montecarlo
 from .data.derived import Derived
 from .data.preparation import decimate, detrend, lowpass
@@ -155,6 +156,7 @@ __all__ = [
     "balance_effect",
     "bias_table",
     "bootstrap",
+    "campaign",
     "channel_effect",
     "check",
     "choose_output",

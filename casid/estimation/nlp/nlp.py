@@ -104,7 +104,7 @@ class Nlp:
     ) -> Any:
         """Declare a scalar variable; returns its CasADi symbol in physical units.
 
-        `scale` (default |start|, or 1) is the size the solver sees as one.
+        `scale` (default ``|start|``, or 1) is the size the solver sees as one.
 
         Raises
         ------

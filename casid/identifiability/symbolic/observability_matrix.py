@@ -39,16 +39,16 @@ def observability_matrix(
 ) -> ObservabilityMatrix:
     """The extended observability matrix (2) of a system.
 
+    States with known initial value have no column. Where values are special (`initial_values`,
+    `at`), they are put in after differentiation, and `orders` must be given: no number of
+    derivatives is known to be enough there.
+
     Parameters
     ----------
     orders : highest time derivative K of every output. By default as many as add to the rank, at
         most nx + n_theta - 1: where one more adds nothing, none ever will, because the span of the
         rows is then closed under (1). (Inputs must be free: this holds at almost every point.)
     limit_seconds : time after which the system is refused as too large; looked at between steps.
-
-    States with known initial value have no column. Where values are special (`initial_values`,
-    `at`), they are put in after differentiation, and `orders` must be given: no number of
-    derivatives is known to be enough there.
 
     Raises
     ------

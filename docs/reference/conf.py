@@ -1,0 +1,67 @@
+"""Settings of the API reference: `python -m sphinx -W --keep-going docs/reference site/reference`.
+
+Sphinx reads the docstrings; a warning (a broken link, a docstring that is no valid markup) is an
+error in the build.
+"""
+
+import re
+from typing import Any
+
+import casid
+
+project = "casid"
+author = "the casid developers"
+release = version = casid.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+source_suffix = {".md": "markdown"}
+html_theme = "pydata_sphinx_theme"
+html_title = "casid: API reference"
+html_show_sourcelink = False
+html_sidebars = {"**": []}
+html_theme_options = {"show_prev_next": True, "footer_start": [], "footer_end": []}
+
+default_role = "code"
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+napoleon_use_rtype = False
+suppress_warnings = ["ref.python"]  # a name of several attributes in an annotation: no link
+
+_UNDERLINE = re.compile(r"^-{3,}\s*$")
+_ENTRY = re.compile(r"^(\S.*?) : (.*)$")
+_TYPE = re.compile(r"^(\([^)]*\) )?[\w\[\].|\"', ]{1,40}(, optional)?( \[[^\]]+\])?$")
+
+
+def _parted(lines: list[str]) -> tuple[list[str], list[str]]:
+    """The paragraphs of a section, and its entries `name : text` with the text on its own line."""
+    prose: list[str] = []
+    entries: list[str] = []
+    in_prose = False
+    for i, line in enumerate(lines):
+        entry = _ENTRY.match(line)
+        follows = i + 1 < len(lines) and lines[i + 1].startswith(" ")
+        if line and not line.startswith(" "):
+            in_prose = not entry and not follows
+        if entry and not (follows and _TYPE.match(entry[2])):
+            entries += [entry[1], f"    {entry[2]}"]
+        else:
+            (prose if in_prose else entries).append(line)
+    return prose, entries
+
+
+def sections(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Rewrite the sections Parameters and Attributes of a docstring, paragraphs before entries."""
+    heads = [i for i in range(len(lines) - 1) if _UNDERLINE.match(lines[i + 1])]
+    out = lines[: heads[0]] if heads else lines[:]
+    for k, head in enumerate(heads):
+        body = lines[head + 2 : heads[k + 1] if k + 1 < len(heads) else len(lines)]
+        if lines[head] in ("Parameters", "Attributes"):
+            prose, body = _parted(body)
+            out += [*prose, ""] if prose else []
+        out += [*lines[head : head + 2], *body]
+    lines[:] = out
+
+
+def setup(app: Any) -> None:
+    """Run before napoleon, which connects to the same event."""
+    app.connect("autodoc-process-docstring", sections, priority=400)
