@@ -47,6 +47,7 @@ PAGES = (
     "networks",
     "ships",
     "limits",
+    "architecture",
 )
 
 

@@ -44,7 +44,8 @@ class Problem:
     load_cases : name -> values of parameters known in that case.
     noise : channel -> standard deviation of its white noise, where known (SI units); that of a
         derived channel's sources is carried through and told in the record's provenance.
-    example : returns the example experiments (their effect is for the diagnosis to find).
+    example : returns the example experiments, or one record (their effect is for the diagnosis to
+        find).
     simulate : takes a seed and returns experiments with noise drawn from it, for Monte Carlo
         studies; the system is to be the same for every seed.
     truth : name -> value that `simulate` gives the parameter (SI units), where the model has it
@@ -64,7 +65,7 @@ class Problem:
     time: str | ColumnSpec | None = None
     load_cases: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
-    example: Callable[[], Sequence[Experiment]] | None = None
+    example: Callable[[], Sequence[Experiment] | Record] | None = None
     simulate: Callable[[int], Sequence[Experiment | Record]] | None = None
     truth: Mapping[str, float] = field(default_factory=dict)
     starts: int = 3
@@ -267,7 +268,8 @@ class Problem:
                 f"problem {self.name} has no example data of its own; name a record: "
                 f"casid diagnose {self.name}.py data.csv"
             )
-        return list(self.example())
+        given = self.example()
+        return [self.experiment(given)] if isinstance(given, Record) else list(given)
 
     def simulated(self, seed: int) -> list[Experiment]:
         """Experiments drawn anew with this seed.
