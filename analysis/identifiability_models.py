@@ -16,9 +16,9 @@ import casadi as ca
 
 from casid.identifiability.combinations.fixing_sets import Exclusion, count_not_identifiable, joined
 from casid.identifiability.equations.model_system import system_of
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability
-from casid.identifiability.rank.system import System
 from problems import pendulum, ship
 from problems.ship import FreeTurn
 

@@ -50,8 +50,8 @@ from casid.algebra.prime_field import random_prime, to_field
 from casid.identifiability.combinations.fixing_sets import Exclusion, fixing_sets
 from casid.identifiability.equations.equation_file import read_equations
 from casid.identifiability.equations.model_system import systems_of
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import observability, rank_at
-from casid.identifiability.rank.system import System
 from problems import ship
 from problems.ship import NINE, FreeTurn
 

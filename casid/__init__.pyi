@@ -32,10 +32,10 @@ from .estimation.simulation.fit import FitSettings
 from .identifiability.assess import assess_identifiability
 from .identifiability.assessment import Assessment
 from .identifiability.equations.equation_file import EquationFile, parse_system, read_equations
+from .identifiability.equations.system import System
 from .identifiability.inputs.input_classes import Exosystem
 from .identifiability.question import Assumptions
 from .identifiability.rank.observability import observability
-from .identifiability.rank.system import System
 from .identifiability.records.practical import practical_identifiability
 from .identifiability.records.profile_likelihood import profile_likelihood
 from .identifiability.remedies.candidates import (

@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from casid.errors import CasidError
-from casid.identifiability.assessment import AT_REST, Answer, StateVerdict, Verdict
+from casid.identifiability.assessment import ELIMINATED_ZERO, Answer, StateVerdict, Verdict
+from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.input_classes import (
     Exosystem,
     as_exosystem,
@@ -15,10 +16,9 @@ from casid.identifiability.inputs.input_classes import (
     as_zero,
     with_input_class,
 )
-from casid.identifiability.question import Asked, Assumptions, eliminated, prepared
+from casid.identifiability.question import Assumptions, Question, eliminated, prepared
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability
-from casid.identifiability.rank.system import System
 
 
 def answer_of(
@@ -27,17 +27,17 @@ def answer_of(
     """Verdicts by name; states that only the assumed inputs have are not listed."""
     undecided = result.is_partial
 
-    def of_parameter(told: bool) -> Verdict:
-        return "identifiable" if told else "unknown" if undecided else "not_identifiable"
+    def of_parameter(is_identifiable: bool) -> Verdict:
+        return "identifiable" if is_identifiable else "unknown" if undecided else "not_identifiable"
 
-    def of_state(told: bool) -> StateVerdict:
-        return "observable" if told else "unknown" if undecided else "not_observable"
+    def of_state(is_observable: bool) -> StateVerdict:
+        return "observable" if is_observable else "unknown" if undecided else "not_observable"
 
     states: dict[str, StateVerdict] = {}
-    seen: dict[str, int] = {}
+    count: dict[str, int] = {}
     for system, verdict in zip(original, result.observable, strict=True):
-        seen[system.name] = seen.get(system.name, 0) + 1
-        label_ = system.name + (f"#{seen[system.name]}" if seen[system.name] > 1 else "")
+        count[system.name] = count.get(system.name, 0) + 1
+        label_ = system.name + (f"#{count[system.name]}" if count[system.name] > 1 else "")
         for x in system.states:
             if x in verdict:
                 states[x if len(original) == 1 else f"{x}@{label_}"] = of_state(verdict[x])
@@ -95,9 +95,9 @@ def by_class(
 
 
 def by_excitation(
-    asked: Asked, systems: Sequence[System], assuming: Assumptions, **options: Any
+    question: Question, systems: Sequence[System], assuming: Assumptions, **options: Any
 ) -> dict[str, Answer]:
-    """Answers for poorer known inputs: all at rest, and what drives them at rest.
+    """Answers for poorer known inputs: all zero or constant, and their unknown sources zero.
 
     An input that is a function of the states carries no information although it moves: with the
     unknown input of the direct model at zero, the output it was eliminated with is one (Linder
@@ -106,7 +106,7 @@ def by_excitation(
     known = tuple(dict.fromkeys(u for s in systems for u in s.inputs))
     table: dict[str, Answer] = {}
 
-    def at_rest(kind: str) -> Callable[[], list[System]]:
+    def poorer(kind: str) -> Callable[[], list[System]]:
         def make() -> list[System]:
             once = {id(s): with_input_class(s, dict.fromkeys(s.inputs, kind)) for s in systems}
             return list(eliminated([once[id(s)] for s in systems])[0])
@@ -116,15 +116,15 @@ def by_excitation(
     if known:
         for kind, label in (("zero", "zero"), ("constant", "constant")):
             name = f"{', '.join(known)} {label}"
-            table[name] = _try(name, at_rest(kind), systems, **options)
-    if asked.model is not None and asked.model.eliminated_units:
+            table[name] = _try(name, poorer(kind), systems, **options)
+    if question.model is not None and question.model.eliminated_units:
 
         def direct() -> list[System]:
-            read = prepared(asked.translated(generic=assuming.generic, direct=True), assuming)
+            read = prepared(question.translated(generic=assuming.generic, direct=True), assuming)
             once = {id(s): as_zero(s) for s in read}
             return [once[id(s)] for s in read]
 
-        gone = ", ".join(asked.model.eliminated_units)
-        name = f"{gone} {AT_REST}"
+        gone = ", ".join(question.model.eliminated_units)
+        name = f"{gone} {ELIMINATED_ZERO}"
         table[name] = _try(name, direct, systems, **options)
     return table

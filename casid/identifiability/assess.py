@@ -1,33 +1,45 @@
-"""`assess_identifiability`: one call from a model, a problem or an equation file to the answer."""
+"""`assess_identifiability`: from a model, a problem or an equation file to the assessment."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casid.data.problem import Problem
 from casid.errors import CasidError, DataError, IdentifiabilityError
 from casid.identifiability.answers import answer_of, by_class, by_excitation
-from casid.identifiability.assessment import Assessment
+from casid.identifiability.assessment import (
+    Assessment,
+    ClosedForms,
+    InputClasses,
+    Provenance,
+    Structure,
+)
 from casid.identifiability.combinations.closed_form import families
 from casid.identifiability.combinations.fixing_sets import (
-    Exclusion,
     confounded_groups,
     count_not_identifiable,
     fixing_sets,
     joined,
 )
 from casid.identifiability.equations.equation_file import EquationFile
+from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.unknown_jets import observability_by_jets
-from casid.identifiability.question import Asked, Assumptions, asked_about, eliminated, prepared
+from casid.identifiability.question import (
+    Assumptions,
+    Question,
+    eliminated,
+    prepared,
+    question_about,
+)
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability, PointRank
-from casid.identifiability.rank.system import System
 from casid.model.model import Model
+from casid.versions import versions
 
 if TYPE_CHECKING:
     from casid.data.record import Experiment, Record
@@ -37,7 +49,7 @@ if TYPE_CHECKING:
 Progress = Callable[[str], None]
 
 MAX_EXCLUDED = 12
-"""Parameters of which every subset is looked at, one by one."""
+"""Up to so many parameters, every subset is examined (`Assessment.exclusions`)."""
 
 
 def assess_identifiability(
@@ -57,18 +69,18 @@ def assess_identifiability(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Assessment:
-    """Which parameters these experiments can tell, which combinations instead, what would mend it.
+    """Which parameters are identifiable from these experiments, which combinations, and remedies.
 
     Parameters
     ----------
     subject : a problem or its file, a model, an equation file (JSON, TOML), or systems, one for
         each experiment, which share parameters by name.
     experiments : records with their load cases, of a problem or model; default the problem's own
-        example. They say which values are known in each, and which inputs are at rest; their
-        samples matter to the practical part alone.
-    candidates : sensors, experiments or known parameters to choose the cheapest mend from.
-    degrees : of the polynomials that unknown inputs are also taken to be.
-    exosystems : name -> what else may drive the unknown inputs, such as a sea of known spectrum:
+        example. They determine which values are known in each, and which inputs are zero or
+        constant; their samples matter to the practical part alone.
+    candidates : sensors, experiments or known parameters to choose the cheapest remedy from.
+    degrees : of the polynomials that unknown inputs are also assumed to be.
+    exosystems : name -> another source of the unknown inputs, such as a sea of known spectrum:
         a row of its own in the table of classes.
     symbolic : look for the families of equivalent parameters in closed form.
     practical : expected errors for these records (only with a problem or model that has some).
@@ -81,87 +93,137 @@ def assess_identifiability(
     Raises
     ------
     ModelError, DataError
-        If the equations, candidates or records cannot be used; says which and how to mend it.
+        If the equations, candidates or records cannot be used, with the reason and the remedy.
 
     Source: A. Sedoglavic (2002) for the rank; Linder (2017), sections 2.7, 4.3, 7.2, 8.3.
     """
-    say = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     assuming = assuming or Assumptions()
-    asked = asked_about(subject, experiments, assuming)
-    given = prepared(asked.systems, assuming)
-    _refuse_what_has_no_use(asked, given, candidates, profiles)
-    say(f"rank of {_count(len(given), 'experiment')}")
+    question = question_about(subject, experiments, assuming)
+    systems = prepared(question.systems, assuming)
+    _check_request(question, systems, candidates, profiles)
+
+    report(f"rank of {_count(len(systems), 'experiment')}")
     started = time.perf_counter()
     options: Any = {"seed": seed, "error_bound": error_bound, "time_limit": time_limit}
-    try:
-        systems, how = eliminated(given)
-        result = observability(systems, **options)
-    except IdentifiabilityError as too_large:
-        systems, how = (), (f"not eliminated, derivatives of them are unknowns: {too_large}",)
-        result = observability_by_jets(given, **options)
-    point = result.points[0]
-    partial = result.is_partial
-    names = result.parameters
-    groups = () if partial else confounded_groups(point.information, names, point.prime)
-    fixing = None if partial else fixing_sets(point.information, names, point.prime, limit=limit)
-    answer = answer_of("arbitrary", result, given)
-    seconds = time.perf_counter() - started
-    assessment = Assessment(
-        name=asked.name,
-        experiments=tuple(s.name for s in asked.systems for _ in range(assuming.replicas)),
-        answer=answer,
-        confounded_groups=groups,
-        fixing=fixing,
-        unknown_inputs=tuple(dict.fromkeys(w for s in given for w in s.unknown_inputs)),
-        shared_inputs=tuple(assuming.shared_inputs),
-        eliminated=how,
-        orders=result.orders,
-        points=len(result.points),
-        is_certified=result.is_certified,
-        units={k: u for s in given for k, u in s.units.items()},
-        notes=(*asked.notes, *_notes(result, given, assuming)),
-        seconds=seconds,
-        versions=_versions(),
+    rank = _rank(systems, options)
+    structure = _structure(rank.result, systems, limit)
+    assessment = _assessment(
+        question, systems, assuming, rank, structure, time.perf_counter() - started
     )
-    if partial:
+    if rank.result.is_partial:
         return assessment
-    say("other classes of inputs")
-    assessment = replace(
-        assessment,
-        by_class=by_class(given, answer, degrees, exosystems or {}, **options),
-        by_excitation=by_excitation(asked, given, assuming, **options),
+
+    report("other classes of inputs")
+    inputs = replace(
+        assessment.inputs,
+        by_class=by_class(systems, structure.answer, degrees, exosystems or {}, **options),
+        by_excitation=by_excitation(question, systems, assuming, **options),
     )
-    if result.deficiency and systems:
-        assessment = replace(assessment, exclusions=_exclusions(point))
-    if result.deficiency and symbolic and systems:
-        say("families of equivalent parameters")
-        assessment = _with_families(assessment, systems, asked.with_symbols(assuming), seed)
-    if candidates and not result.deficiency:
-        note = "all parameters are identifiable, so the candidates were not weighed"
-        assessment = replace(assessment, notes=(*assessment.notes, note))
-    if result.deficiency and (candidates or len(given) == 1):
-        say("mends")
-        assessment = _mended(assessment, given, candidates, seed)
-    if practical and asked.problem is not None and asked.experiments:
-        assessment = _practical(assessment, asked, profiles, say)
+    assessment = replace(assessment, inputs=inputs)
+    if rank.result.deficiency and rank.reduced:
+        assessment = _with_exclusions(assessment, rank.result.points[0])
+        if symbolic:
+            report("families of equivalent parameters")
+            assessment = _with_families(
+                assessment, rank.reduced, question.with_symbols(assuming), seed
+            )
+    if rank.result.deficiency and (candidates or len(systems) == 1):
+        report("remedies")
+        assessment = _with_remedies(assessment, systems, candidates, seed)
+    elif candidates:
+        note = "all parameters are identifiable, so the candidates were not compared"
+        assessment = _noted(assessment, note)
+    if practical and question.problem is not None and question.experiments:
+        assessment = _with_records(assessment, question, profiles, report)
     return assessment
 
 
-def _refuse_what_has_no_use(
-    asked: Asked,
+def _check_request(
+    question: Question,
     systems: Sequence[System],
     candidates: Sequence[Candidate],
     profiles: Sequence[str],
 ) -> None:
+    """Refuse candidates that fit no system, and profiles without records."""
     if candidates:
         from casid.identifiability.remedies.candidates import check
 
         check(candidates, systems)
-    if profiles and not asked.experiments:
+    if profiles and not question.experiments:
         raise DataError(
-            f"a profile of {', '.join(profiles)} is fitted to records, and {asked.name} comes "
+            f"a profile of {', '.join(profiles)} is fitted to records, and {question.name} comes "
             "without any; give experiments, or leave it out"
         )
+
+
+# -- the structural answer ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rank:
+    """The rank with arbitrary unknown inputs eliminated.
+
+    Attributes
+    ----------
+    reduced : systems without unknown inputs; empty where these grew too large and the derivatives
+        of the unknown inputs were counted as unknowns.
+    eliminated : how, a sentence each.
+    """
+
+    result: Observability
+    reduced: tuple[System, ...]
+    eliminated: tuple[str, ...]
+
+
+def _rank(systems: Sequence[System], options: Any) -> _Rank:
+    try:
+        reduced, how = eliminated(systems)
+        return _Rank(observability(reduced, **options), reduced, how)
+    except IdentifiabilityError as too_large:
+        note = f"not eliminated, derivatives of them are unknowns: {too_large}"
+        return _Rank(observability_by_jets(systems, **options), (), (note,))
+
+
+def _structure(result: Observability, systems: Sequence[System], limit: int) -> Structure:
+    point, names = result.points[0], result.parameters
+    found = Structure(
+        answer_of("arbitrary", result, systems),
+        orders=result.orders,
+        points=len(result.points),
+        is_certified=result.is_certified,
+    )
+    if result.is_partial:
+        return found
+    return replace(
+        found,
+        confounded_groups=confounded_groups(point.information, names, point.prime),
+        fixing=fixing_sets(point.information, names, point.prime, limit=limit),
+    )
+
+
+def _assessment(
+    question: Question,
+    systems: Sequence[System],
+    assuming: Assumptions,
+    rank: _Rank,
+    structure: Structure,
+    seconds: float,
+) -> Assessment:
+    """The structural answer alone, to which the other parts are added."""
+    return Assessment(
+        name=question.name,
+        experiments=tuple(s.name for s in question.systems for _ in range(assuming.replicas)),
+        structure=structure,
+        inputs=InputClasses(
+            unknown_inputs=tuple(dict.fromkeys(w for s in systems for w in s.unknown_inputs)),
+            shared_inputs=tuple(assuming.shared_inputs),
+            eliminated=rank.eliminated,
+        ),
+        units={k: u for s in systems for k, u in s.units.items()},
+        notes=(*question.notes, *_notes(rank.result, systems, assuming)),
+        provenance=Provenance(seconds=seconds, versions=versions()),
+    )
 
 
 def _notes(
@@ -175,8 +237,8 @@ def _notes(
         )
     if result.has_kinks:
         notes.append(
-            "abs and sign are analysed on each side of their kinks, and both sides are taken to "
-            "occur in the record"
+            "abs and sign are analysed on each side of their kinks, and both sides are assumed "
+            "to occur in the record"
         )
     unknown = any(s.unknown_inputs for s in systems)
     if unknown and len(systems) > 1:
@@ -185,18 +247,26 @@ def _notes(
         notes.append(f"all experiments share {', '.join(assuming.shared_inputs)}")
     special = [*(assuming.at or {}), *(x for s in systems for x in s.initial_values)]
     if special:
-        notes.append(f"looked at special values of {', '.join(dict.fromkeys(special))}")
+        notes.append(f"evaluated at special values of {', '.join(dict.fromkeys(special))}")
     return tuple(notes)
 
 
-def _exclusions(point: PointRank) -> tuple[Exclusion, ...]:
+def _noted(assessment: Assessment, *notes: str) -> Assessment:
+    return replace(assessment, notes=(*assessment.notes, *(n for n in notes if n)))
+
+
+# -- what is added to it --------------------------------------------------------------------------
+
+
+def _with_exclusions(assessment: Assessment, point: PointRank) -> Assessment:
     """Rank per column exclusion, set size by set size."""
-    n = len(point.parameters)
-    if n > MAX_EXCLUDED:
-        return ()
-    rows, states = joined(point.full, [len(x) for x in point.states], point.prime)
     names, p = point.parameters, point.prime
-    return tuple(count_not_identifiable(rows, states, names, k, p) for k in range(1, n + 1))
+    if len(names) > MAX_EXCLUDED:
+        return assessment
+    rows, states = joined(point.full, [len(x) for x in point.states], p)
+    sizes = range(1, len(names) + 1)
+    found = tuple(count_not_identifiable(rows, states, names, k, p) for k in sizes)
+    return replace(assessment, structure=replace(assessment.structure, exclusions=found))
 
 
 def _with_families(
@@ -208,73 +278,61 @@ def _with_families(
     if symbols is not systems:
         generic = observability(symbols, seed=seed)
         point = generic.points[0]
-        there = confounded_groups(point.information, generic.parameters, point.prime)
-        if there == assessment.confounded_groups:
+        groups = confounded_groups(point.information, generic.parameters, point.prime)
+        if groups == assessment.confounded_groups:
             chosen = symbols
     found, directions, note = families(chosen, assessment.fixing, seed=seed)
-    notes = (*assessment.notes, *([note] if note else []))
-    return replace(assessment, families=found, directions=directions, notes=notes)
+    return _noted(replace(assessment, closed_forms=ClosedForms(found, directions)), note)
 
 
-# -- what would help, and what these records give -------------------------------------------------
-
-
-def _mended(
-    assessment: Assessment,
-    systems: Sequence[System],
-    candidates: Sequence[Candidate],
-    seed: int,
+def _with_remedies(
+    assessment: Assessment, systems: Sequence[System], candidates: Sequence[Candidate], seed: int
 ) -> Assessment:
-    from casid.identifiability.remedies.cheapest_remedies import cheapest_mends
+    """The cheapest candidates, and for one experiment how often to repeat it."""
+    from casid.identifiability.remedies.cheapest_remedies import cheapest_remedies
     from casid.identifiability.remedies.replicas import replicas_needed
 
     def prepare(system: System) -> System:
         return eliminate_unknown_inputs(system).system if system.unknown_inputs else system
 
-    notes = list(assessment.notes)
+    found, note = assessment.remedy_analysis, ""
     if candidates:
-        mends = cheapest_mends(systems, candidates, prepare=prepare, seed=seed)
-        assessment = replace(assessment, mends=mends)
+        remedies = cheapest_remedies(systems, candidates, prepare=prepare, seed=seed)
+        found = replace(found, remedies=remedies)
     if len(systems) == 1:
         try:
             needed = replicas_needed([prepare(s) for s in systems], seed=seed)
-            assessment = replace(assessment, replicas=needed)
+            found = replace(found, replicas=needed)
         except CasidError as error:
-            notes.append(f"replicas: {error}")
-    return replace(assessment, notes=tuple(notes))
+            note = f"replicas: {error}"
+    return _noted(replace(assessment, remedy_analysis=found), note)
 
 
-def _practical(
-    assessment: Assessment, asked: Asked, profiles: Sequence[str], say: Progress
+def _with_records(
+    assessment: Assessment, question: Question, profiles: Sequence[str], report: Progress
 ) -> Assessment:
+    """Excitation, expected errors and profiles for the records given."""
     from casid.identifiability.records.practical import practical_identifiability
     from casid.identifiability.records.profile_likelihood import profile_likelihood
     from casid.identifiability.records.reference_excitation import record_excitation
 
-    assert asked.problem is not None
-    notes = list(assessment.notes)
-    say("expected errors of these records")
+    problem, experiments = question.problem, question.experiments
+    assert problem is not None
+    found, notes = assessment.records, []
+    report("expected errors of these records")
     try:
-        orders = record_excitation(asked.problem, asked.experiments)
-        assessment = replace(assessment, excitations=orders)
+        found = replace(found, excitations=record_excitation(problem, experiments))
     except CasidError as error:
         notes.append(f"excitation: {error}")
     try:
-        expected = practical_identifiability(asked.problem, asked.experiments)
-        assessment = replace(assessment, practical=expected)
+        found = replace(found, practical=practical_identifiability(problem, experiments))
     except CasidError as error:
         notes.append(f"practical identifiability: {error}")
     if profiles:
-        say(f"profile likelihood of {', '.join(profiles)}")
-        found = profile_likelihood(asked.problem, asked.experiments, list(profiles))
-        assessment = replace(assessment, profiles=found)
-    return replace(assessment, notes=tuple(notes))
-
-
-def _versions() -> dict[str, str]:
-    from casid.versions import versions
-
-    return versions()
+        report(f"profile likelihood of {', '.join(profiles)}")
+        likelihood = profile_likelihood(problem, experiments, list(profiles))
+        found = replace(found, profiles=likelihood)
+    return _noted(replace(assessment, records=found), *notes)
 
 
 def _count(n: int, noun: str) -> str:

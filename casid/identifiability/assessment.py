@@ -1,4 +1,4 @@
-"""The assessment: which parameters the experiments can tell, which combinations, what mends it."""
+"""The assessment: which parameters are identifiable, which combinations, and the remedies."""
 
 from __future__ import annotations
 
@@ -6,25 +6,26 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+from casid.deprecation import Grouped, renamed
 from casid.presentation import Presented, present, write
 
 if TYPE_CHECKING:
-    from casid.identifiability.combinations.closed_form import Told
+    from casid.identifiability.combinations.closed_form import IdentifiableCombinations
     from casid.identifiability.combinations.family import Family
     from casid.identifiability.combinations.fixing_sets import Exclusion, FixingSets
     from casid.identifiability.combinations.null_direction import NullDirection
     from casid.identifiability.records.practical import Practical
     from casid.identifiability.records.profile_likelihood import Profiles
     from casid.identifiability.records.reference_excitation import RecordExcitation
-    from casid.identifiability.remedies.cheapest_remedies import Mends
+    from casid.identifiability.remedies.cheapest_remedies import Remedies
     from casid.identifiability.remedies.replicas import ReplicasNeeded
 
 SCHEMA = "casid.identifiability/1"
 
-AT_REST = "zero, so that what replaces it is a function of the states"
-"""What is said in `Assessment.by_excitation` of unknown inputs that were eliminated."""
+ELIMINATED_ZERO = "zero, so that what replaces it is a function of the states"
+"""Label in `Assessment.by_excitation` of eliminated unknown inputs that are zero."""
 
 Verdict = Literal["identifiable", "not_identifiable", "unknown"]
 StateVerdict = Literal["observable", "not_observable", "unknown"]
@@ -47,7 +48,7 @@ class Answer:
     ----------
     rank, unknowns : parameters and initial states (and coefficients of assumed inputs).
     error_bound : 0 is a proof, nan where `is_partial`.
-    deficiency : dimension of what the parameters can do unseen.
+    deficiency : dimension of the unidentifiable directions of the parameters.
     note : what was assumed, or why there is no answer (then rank is None).
     """
 
@@ -83,55 +84,146 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Structure:
+    """What follows from the equations alone, for almost every value of the parameters.
+
+    Attributes
+    ----------
+    answer : for arbitrary unknown inputs, and known inputs as rich as they can be.
+    confounded_groups : parameters that can be traded for each other; a single name is a parameter
+        that can have any value.
+    fixing : minimal fixing sets; their complements are the maximal identifiable subsets.
+    exclusions : by size, how many sets of parameters are not identifiable although all others are
+        known (Linder 2017, Tables 7.1 and 8.1); for few parameters only.
+    orders : by experiment, the highest derivative of the outputs that raised the rank.
+    points : random points at which the rank was computed.
+    is_certified : False where later derivatives might raise the rank (special values).
+    """
+
+    answer: Answer
+    confounded_groups: tuple[tuple[str, ...], ...] = ()
+    fixing: FixingSets | None = None
+    exclusions: tuple[Exclusion, ...] = ()
+    orders: tuple[int, ...] = ()
+    points: int = 1
+    is_certified: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosedForms:
+    """How parameters that are not identifiable move together without a change of any output.
+
+    Attributes
+    ----------
+    directions : their rates as functions of the physical symbols, one a direction.
+    families : the same integrated, with the invariants, where a closed form was found.
+    """
+
+    families: tuple[Family, ...] = ()
+    directions: tuple[NullDirection, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InputClasses:
+    """Unknown inputs, and the answers for other classes of inputs.
+
+    Attributes
+    ----------
+    unknown_inputs, shared_inputs : names.
+    eliminated : how arbitrary unknown inputs were eliminated, a sentence each.
+    by_class : class of the unknown inputs -> answer.
+    by_excitation : poorer known inputs (zero, constant) -> answer.
+    """
+
+    unknown_inputs: tuple[str, ...] = ()
+    shared_inputs: tuple[str, ...] = ()
+    eliminated: tuple[str, ...] = ()
+    by_class: Mapping[str, Answer] = field(default_factory=dict)
+    by_excitation: Mapping[str, Answer] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RemedyAnalysis:
+    """What would make all parameters identifiable: additions, and repetitions."""
+
+    remedies: Remedies | None = None
+    replicas: ReplicasNeeded | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordAnalysis:
+    """What the records given determine under their noise: errors, profiles, excitation."""
+
+    practical: Practical | None = None
+    profiles: Profiles | None = None
+    excitations: tuple[RecordExcitation, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Provenance:
+    """How an answer came about; `seconds` of the structural part alone."""
+
+    seconds: float = 0.0
+    versions: Mapping[str, str] = field(default_factory=dict)
+    sources: tuple[str, ...] = SOURCES
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Assessment(Presented):
-    """What experiments can tell of a model's parameters.
+    """Identifiability of a model's parameters from the experiments given.
+
+    Fields are grouped by question; the attributes of all groups can be read here as well.
 
     Attributes
     ----------
     name : of the problem or equation file.
     experiments : names; parameters are shared, initial states are each experiment's own.
-    answer : for arbitrary unknown inputs, and known inputs as rich as they can be.
-    confounded_groups : parameters that can be traded for each other; a single name is a parameter
-        that can be anything.
-    fixing : minimal sets to know; their complements are the maximal identifiable subsets.
-    directions : how parameters move unseen, as functions of the physical symbols, one a direction.
-    families : the same integrated, with the combinations that do not change, where that is
-        possible in closed form.
-    unknown_inputs : their names; `by_class` has the answers for other classes of them.
-    eliminated : how arbitrary unknown inputs were eliminated, a sentence each.
-    by_excitation : answers for poorer known inputs (a reference at rest).
-    exclusions : by size, how many sets of parameters are not identifiable although all others are
-        known (Linder 2017, Tables 7.1 and 8.1); for few parameters only.
-    orders : by experiment, the highest derivative of the outputs that told something.
+    structure : rank, verdicts, confounded groups and fixing sets (`Structure`).
+    closed_forms : families of equivalent parameters (`ClosedForms`).
+    inputs : answers for other classes of inputs (`InputClasses`).
+    remedy_analysis : what would make all parameters identifiable (`RemedyAnalysis`).
+    records : expected errors, profiles and excitation of the records (`RecordAnalysis`).
+    units : name -> unit.
     notes : what was assumed or left out.
     """
 
     name: str
     experiments: tuple[str, ...]
-    answer: Answer
-    confounded_groups: tuple[tuple[str, ...], ...]
-    fixing: FixingSets | None
-    directions: tuple[NullDirection, ...] = ()
-    families: tuple[Family, ...] = ()
-    unknown_inputs: tuple[str, ...] = ()
-    shared_inputs: tuple[str, ...] = ()
-    by_class: Mapping[str, Answer] = field(default_factory=dict)
-    eliminated: tuple[str, ...] = ()
-    by_excitation: Mapping[str, Answer] = field(default_factory=dict)
-    exclusions: tuple[Exclusion, ...] = ()
-    orders: tuple[int, ...] = ()
-    points: int = 1
-    is_certified: bool = True
+    structure: Structure
+    closed_forms: ClosedForms = ClosedForms()
+    inputs: InputClasses = InputClasses()
+    remedy_analysis: RemedyAnalysis = RemedyAnalysis()
+    records: RecordAnalysis = RecordAnalysis()
     units: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    mends: Mends | None = None
-    replicas: ReplicasNeeded | None = None
-    practical: Practical | None = None
-    profiles: Profiles | None = None
-    excitations: tuple[RecordExcitation, ...] = ()
-    seconds: float = 0.0  # of the answer: rank, verdicts, groups and fixing sets
-    versions: Mapping[str, str] = field(default_factory=dict)
-    sources: tuple[str, ...] = SOURCES
+    provenance: Provenance = Provenance()
+
+    answer: ClassVar[Grouped[Answer]] = Grouped("structure")
+    confounded_groups: ClassVar[Grouped[tuple[tuple[str, ...], ...]]] = Grouped("structure")
+    fixing: ClassVar[Grouped[FixingSets | None]] = Grouped("structure")
+    exclusions: ClassVar[Grouped[tuple[Exclusion, ...]]] = Grouped("structure")
+    orders: ClassVar[Grouped[tuple[int, ...]]] = Grouped("structure")
+    points: ClassVar[Grouped[int]] = Grouped("structure")
+    is_certified: ClassVar[Grouped[bool]] = Grouped("structure")
+    families: ClassVar[Grouped[tuple[Family, ...]]] = Grouped("closed_forms")
+    directions: ClassVar[Grouped[tuple[NullDirection, ...]]] = Grouped("closed_forms")
+    unknown_inputs: ClassVar[Grouped[tuple[str, ...]]] = Grouped("inputs")
+    shared_inputs: ClassVar[Grouped[tuple[str, ...]]] = Grouped("inputs")
+    eliminated: ClassVar[Grouped[tuple[str, ...]]] = Grouped("inputs")
+    by_class: ClassVar[Grouped[Mapping[str, Answer]]] = Grouped("inputs")
+    by_excitation: ClassVar[Grouped[Mapping[str, Answer]]] = Grouped("inputs")
+    remedies: ClassVar[Grouped[Remedies | None]] = Grouped("remedy_analysis")
+    replicas: ClassVar[Grouped[ReplicasNeeded | None]] = Grouped("remedy_analysis")
+    practical: ClassVar[Grouped[Practical | None]] = Grouped("records")
+    profiles: ClassVar[Grouped[Profiles | None]] = Grouped("records")
+    excitations: ClassVar[Grouped[tuple[RecordExcitation, ...]]] = Grouped("records")
+    seconds: ClassVar[Grouped[float]] = Grouped("provenance")
+    versions: ClassVar[Grouped[Mapping[str, str]]] = Grouped("provenance")
+    sources: ClassVar[Grouped[tuple[str, ...]]] = Grouped("provenance")
+
+    mends = renamed("mends", "remedies")
+    mend = renamed("mend", "remedy")
+    told_instead = renamed("told_instead", "identifiable_combinations")
 
     # -- the verdict --------------------------------------------------------------------------
 
@@ -162,7 +254,7 @@ class Assessment(Presented):
 
     @property
     def unexcited(self) -> tuple[str, ...]:
-        """Parameters that are told only where an eliminated input acts, if it acts in no record.
+        """Parameters identifiable only where an eliminated input acts, if it acts in no record.
 
         The channel that it was eliminated with may move all the same, as a function of the states
         (Linder 2017, section 7.3.1).
@@ -170,8 +262,8 @@ class Assessment(Presented):
         references = [r for e in self.excitations for r in e.references]
         if not references or any(r.is_exciting for r in references):
             return ()
-        resting = [v for k, v in self.by_excitation.items() if k.endswith(AT_REST)]
-        return tuple(dict.fromkeys(p for v in resting for p in v.not_identifiable))
+        without = [v for k, v in self.by_excitation.items() if k.endswith(ELIMINATED_ZERO)]
+        return tuple(dict.fromkeys(p for v in without for p in v.not_identifiable))
 
     @property
     def sentence(self) -> str:
@@ -198,25 +290,25 @@ class Assessment(Presented):
         )
 
     @property
-    def told_instead(self) -> tuple[Told, ...]:
-        """By confounded group, the combinations that are told; for closed forms that were found."""
+    def identifiable_combinations(self) -> tuple[IdentifiableCombinations, ...]:
+        """By confounded group, its identifiable combinations, where a closed form was found."""
         if not self.families or self.fixing is None:
             return ()
-        from casid.identifiability.combinations.closed_form import told_instead
+        from casid.identifiability.combinations.closed_form import identifiable_combinations
 
-        return told_instead(self.families, self.fixing)
+        return identifiable_combinations(self.families, self.fixing)
 
     @property
     def combinations(self) -> tuple[str, ...]:
-        """What can be told of parameters that cannot, one line a family."""
+        """The families of equivalent parameters as text, one each."""
         return tuple(str(f) for f in self.families)
 
     @property
     def certainty(self) -> str:
-        """What the answer rests on."""
+        """How certain the answer is, and why."""
         a = self.answer
         if a.is_partial:
-            return "Partial: time ran out. What is called identifiable is so; the rest is open."
+            return "Partial: time ran out. What is called identifiable is proven, the rest not."
         if a.error_bound == 0.0:
             return "Proven: full rank at one point modulo one prime."
         sure = (
@@ -226,11 +318,11 @@ class Assessment(Presented):
         if not self.is_certified:
             sure += (
                 " At the special values given, derivatives beyond order "
-                f"{max(self.orders, default=0)} were not looked at and might tell more."
+                f"{max(self.orders, default=0)} were not computed and might raise the rank."
             )
         return sure
 
-    def mend(self) -> str:
+    def remedy(self) -> str:
         """What would make all parameters identifiable, in a sentence; empty where they are."""
         if self.is_identifiable or self.fixing is None:
             return ""
@@ -245,7 +337,7 @@ class Assessment(Presented):
                 suffix = "" if exact else " (not every choice; see the fixing sets)"
                 parts.append(f"give {count} of {', '.join(group)} a known value{suffix}")
         if alone:
-            parts.append(f"give {_all(alone)} a known value, or measure what {_feels(alone)}")
+            parts.append(f"give {_all(alone)} a known value, or measure what {_acts(alone)}")
         return "; ".join(parts)
 
     # -- showing ------------------------------------------------------------------------------
@@ -282,7 +374,7 @@ class Assessment(Presented):
                 for e in self.exclusions
             ],
             "families": [_family(m) for m in self.families],
-            "told_instead": [t.to_json() for t in self.told_instead],
+            "told_instead": [t.to_json() for t in self.identifiable_combinations],
             "directions": [_direction(d) for d in self.directions],
             "unknown_inputs": {
                 "class": "arbitrary" if self.unknown_inputs else "none",
@@ -295,11 +387,11 @@ class Assessment(Presented):
             "excitation": [e.to_json() for e in self.excitations],
             "orders": list(self.orders),
             "points": self.points,
-            "mends": self.mends.to_json() if self.mends else None,
+            "mends": self.remedies.to_json() if self.remedies else None,
             "replicas": self.replicas.to_json() if self.replicas else None,
             "practical": self.practical.to_json() if self.practical else None,
             "profiles": self.profiles.to_json() if self.profiles else None,
-            "advice": self.mend(),
+            "advice": self.remedy(),
             "notes": list(self.notes),
             "seconds": self.seconds,
             "versions": dict(self.versions),
@@ -348,7 +440,7 @@ def _all(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + f" and {names[-1]}"
 
 
-def _feels(names: Sequence[str]) -> str:
+def _acts(names: Sequence[str]) -> str:
     return "it acts on" if len(names) == 1 else "they act on"
 
 

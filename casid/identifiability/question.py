@@ -1,4 +1,4 @@
-"""What is asked about: systems, from whatever names them, under what is assumed of them."""
+"""The question of an assessment: systems from whatever names them, and the assumptions."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casid.algebra.symbolic import exact
-from casid.data.problem import Problem, load_problem
+from casid.data.problem import Problem, experiments_of, load_problem
 from casid.errors import CasidError, ModelError, nearest
 from casid.identifiability.equations.equation_file import EquationFile, read_equations
 from casid.identifiability.equations.model_system import system_of, translated
+from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.experiments import merge, replicas
-from casid.identifiability.rank.system import System
 from casid.model.model import Model
 
 if TYPE_CHECKING:
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Assumptions:
-    """What an assessment takes for given.
+    """What an assessment assumes.
 
     Attributes
     ----------
-    replicas : every experiment is made so many times, from other initial states.
+    replicas : every experiment is repeated so many times, from other initial states.
     shared_inputs : unknown inputs that are one signal in all experiments that have them; all other
         unknown inputs are each experiment's own.
     known_initial : states whose initial value is known; name -> number where that may be special
         (None: some number).
-    known : parameters that are known after all.
-    at : parameters looked at where they have these values, which may be special (0, equal to
-        another); else the answer is about almost every value.
+    known : parameters that are known in addition to those of the model.
+    at : parameters with these values, which may be special (0, equal to another); else the answer
+        holds for almost every value.
     generic : known parameters of a model are some known numbers, and not the values they have.
     """
 
@@ -47,8 +47,8 @@ class Assumptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asked:
-    """What is asked about: systems, and the problem and records they come from."""
+class Question:
+    """Systems, and the problem and records they come from."""
 
     name: str
     systems: tuple[System, ...]
@@ -58,7 +58,7 @@ class Asked:
     experiments: tuple[Experiment, ...] = ()
 
     def translated(self, *, generic: bool, direct: bool = False) -> tuple[System, ...]:
-        """The systems of the model, in another reading of it."""
+        """The systems of the model with other options (`system_of`)."""
         if self.model is None:
             return self.systems
         if self.experiments:
@@ -74,7 +74,7 @@ class Asked:
             return eliminated(prepared(self.systems, assuming))[0]
 
 
-def asked_about(subject: Any, experiments: Any, assuming: Assumptions) -> Asked:
+def question_about(subject: Any, experiments: Any, assuming: Assumptions) -> Question:
     """Systems from a path, a problem, a model, an equation file or systems themselves.
 
     Raises
@@ -86,29 +86,27 @@ def asked_about(subject: Any, experiments: Any, assuming: Assumptions) -> Asked:
         path = Path(subject)
         subject = load_problem(path) if path.suffix == ".py" else read_equations(path)
     if isinstance(subject, EquationFile):
-        return Asked(subject.name, subject.systems)
+        return Question(subject.name, subject.systems)
     if isinstance(subject, System):
-        return Asked(subject.name, (subject,))
+        return Question(subject.name, (subject,))
     if isinstance(subject, (Problem, Model)):
         return _of_problem(subject, experiments, assuming)
     systems = tuple(subject) if isinstance(subject, Sequence) else ()
     if not systems or not all(isinstance(s, System) for s in systems):
         raise ModelError(
-            f"{subject!r} is nothing whose identifiability can be asked; give a problem, a model, "
-            "the path of a problem or equation file, or systems"
+            f"{subject!r} has no equations to assess the identifiability of; give a problem, a "
+            "model, the path of a problem or equation file, or systems"
         )
-    return Asked(systems[0].name, systems)
+    return Question(systems[0].name, systems)
 
 
-def _of_problem(subject: Problem | Model, experiments: Any, assuming: Assumptions) -> Asked:
-    from casid.data.problem import experiments_of
-
+def _of_problem(subject: Problem | Model, experiments: Any, assuming: Assumptions) -> Question:
     problem = subject if isinstance(subject, Problem) else None
     model = subject if isinstance(subject, Model) else subject.model
     if experiments is None and (problem is None or problem.example is None):
         cases = dict(problem.load_cases) if problem is not None else {}
         if not cases:
-            return Asked(
+            return Question(
                 model.name, (system_of(model, generic=assuming.generic),), (), problem, model
             )
         systems = tuple(
@@ -116,15 +114,15 @@ def _of_problem(subject: Problem | Model, experiments: Any, assuming: Assumption
             for case, known in cases.items()
         )
         assert problem is not None
-        return Asked(problem.name, systems, (), problem, None)
+        return Question(problem.name, systems, (), problem, None)
     if problem is None:
         problem = Problem(model.name, model)
     chosen = tuple(experiments_of(problem, experiments))
     read = translated(model, chosen, generic=assuming.generic)
-    return Asked(problem.name, read.systems, read.notes, problem, model, chosen)
+    return Question(problem.name, read.systems, read.notes, problem, model, chosen)
 
 
-# -- what is assumed ------------------------------------------------------------------------------
+# -- under the assumptions ------------------------------------------------------------------------
 
 
 def prepared(systems: Sequence[System], assuming: Assumptions) -> tuple[System, ...]:
@@ -134,7 +132,7 @@ def prepared(systems: Sequence[System], assuming: Assumptions) -> tuple[System, 
     given = dict(starts) if isinstance(starts, Mapping) else dict.fromkeys(starts)
     numbers = {x: v for x, v in given.items() if v is not None}
     generic = [x for x, v in given.items() if v is None]
-    _refuse_strangers(systems, assuming, (*numbers, *generic), named)
+    _check_names(systems, assuming, (*numbers, *generic), named)
     out = []
     for s in systems:
         s = s.with_known(*[p for p in assuming.known if p in s.parameters])
@@ -154,7 +152,7 @@ def prepared(systems: Sequence[System], assuming: Assumptions) -> tuple[System, 
     return tuple(made)
 
 
-def _refuse_strangers(
+def _check_names(
     systems: Sequence[System],
     assuming: Assumptions,
     initial: Sequence[str],
@@ -177,9 +175,9 @@ def _union(a: Sequence[str], b: Sequence[str]) -> tuple[str, ...]:
 
 
 def eliminated(systems: Sequence[System]) -> tuple[tuple[System, ...], tuple[str, ...]]:
-    """Systems with known inputs alone, and how they came about."""
+    """Systems with known inputs alone, and how the unknown ones were eliminated."""
     once: dict[int, Any] = {}
-    words: list[str] = []
+    notes: list[str] = []
     out = []
     for s in systems:
         if not s.unknown_inputs:
@@ -188,6 +186,6 @@ def eliminated(systems: Sequence[System]) -> tuple[tuple[System, ...], tuple[str
         if id(s) not in once:
             once[id(s)] = eliminate_unknown_inputs(s)
             prefix = f"{s.name}: " if len({id(t) for t in systems}) > 1 else ""
-            words += [prefix + note for note in once[id(s)].notes]
+            notes += [prefix + note for note in once[id(s)].notes]
         out.append(once[id(s)].system)
-    return tuple(out), tuple(words)
+    return tuple(out), tuple(notes)

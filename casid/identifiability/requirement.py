@@ -22,10 +22,10 @@ from casid.identifiability.combinations.fixing_sets import (
     fixing_sets,
 )
 from casid.identifiability.equations.model_system import translated
+from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.input_classes import as_zero
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability
-from casid.identifiability.rank.system import System
 from casid.model.model import Model
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def unnamed_cases(problem: Problem, experiments: Sequence[Experiment]) -> str:
     )
 
 
-def unseen_families(model: Model, experiments: Sequence[Experiment]) -> tuple[Family, ...]:
+def unidentifiable_families(model: Model, experiments: Sequence[Experiment]) -> tuple[Family, ...]:
     """Curves of unknown parameters that no data from these experiments can tell apart.
 
     Returns

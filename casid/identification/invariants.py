@@ -24,7 +24,7 @@ from casid.estimation.nlp.nlp import Solver
 from casid.identifiability.combinations.closed_form import joint_invariants
 from casid.identifiability.combinations.family import Family
 from casid.identifiability.combinations.family_estimate import AlongFamily, along_family
-from casid.identifiability.requirement import unseen_families, word
+from casid.identifiability.requirement import unidentifiable_families, word
 from casid.model.model import Model
 
 Estimator = Callable[[Problem, Sequence[Experiment]], Any]
@@ -202,7 +202,7 @@ def invariants(
         held where a fit of all parameters at once happens to end; without a name the first that
         lets all others lie inside their bounds is.
     level : of the intervals, each for its own choice.
-    families : from an earlier call with the same model and load cases (`unseen_families`).
+    families : from an earlier call with the same model and load cases (`unidentifiable_families`).
 
     Returns
     -------
@@ -228,7 +228,7 @@ def invariants(
     if isinstance(problem, Model):
         problem = Problem(problem.name, problem)
     chosen = experiments_of(problem, experiments)
-    found = tuple(unseen_families(problem.model, chosen) if families is None else families)
+    found = tuple(unidentifiable_families(problem.model, chosen) if families is None else families)
     _refuse_entangled(found)
     run = estimator or identify
     refusals: list[str] = []

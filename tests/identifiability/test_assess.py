@@ -205,7 +205,7 @@ def test_rank_verdicts_groups_and_fixing_sets_are_the_known_ones(name):
         assert frozenset(e["example_fixing_set"]) in {frozenset(s) for s in a.fixing.sets}
     elif not lost(a):
         assert a.fixing.sets == ((),)  # nothing has to be known
-        assert a.mend() == ""
+        assert a.remedy() == ""
     assert a.answer.error_bound <= 1e-12
     assert (a.answer.error_bound == 0.0) == (a.rank == a.unknowns)
 
@@ -354,7 +354,9 @@ TOGETHER = {
 def test_what_is_told_of_a_group_that_moves_along_several_curves_stays_along_all(name):
     """k lm of hiv_wodarz stays where lm moves, and changes where beta does: it is not told."""
     a = casid.assess_identifiability(shared(f"{FOLDER}/{name}.json"))
-    (told_of,) = [t for t in a.told_instead if sum(f.free in t.group for f in a.families) > 1]
+    (told_of,) = [
+        t for t in a.identifiable_combinations if sum(f.free in t.group for f in a.families) > 1
+    ]
     assert told_of.is_complete
     names = {n: sympy.Symbol(n) for n in a.parameters}
     wanted = {sympy.sympify(text, locals=names) for text in TOGETHER[name]}
@@ -367,7 +369,7 @@ def test_what_is_told_of_a_group_that_moves_along_several_curves_stays_along_all
     assert f"told of {', '.join(told_of.group)}: " in text
     assert "on this curve alone, unchanged: " in text
     content = a.to_json()["told_instead"]
-    assert {tuple(t["group"]) for t in content} == {t.group for t in a.told_instead}
+    assert {tuple(t["group"]) for t in content} == {t.group for t in a.identifiable_combinations}
 
 
 def test_curves_that_are_no_scalings_and_no_shifts_have_joint_invariants_of_their_own():
@@ -380,7 +382,7 @@ def test_curves_that_are_no_scalings_and_no_shifts_have_joint_invariants_of_thei
         "outputs": {"y": "x"},
     }
     a = casid.assess_identifiability(casid.parse_system(fields))
-    (told_of,) = a.told_instead
+    (told_of,) = a.identifiable_combinations
     assert set(told_of.group) == {"p", "q", "r"}
     p, q, r = sympy.symbols("p q r")
     (combination,) = told_of.combinations
@@ -392,7 +394,7 @@ def test_a_pendulum_tells_the_sum_of_its_inertias():
     a = casid.assess_identifiability(pendulum.linear_model().with_unknown(I_xm=0.01))
     assert a.confounded_groups == (("I_x", "I_xm"),)
     assert [str(i) for i in invariants(a)] == ["I_x + I_xm"]
-    assert a.mend() == "give any one of I_x, I_xm a known value"
+    assert a.remedy() == "give any one of I_x, I_xm a known value"
 
 
 def test_the_nine_parameters_of_the_ship_move_and_the_height_of_the_load_does_not():
@@ -477,7 +479,7 @@ def test_an_input_at_rest_in_the_record_tells_nothing_of_its_parameter():
     a = structural(integrator(), run(w=0.0))
     assert (told(a), lost(a)) == ({"a"}, {"b"})
     assert "run: input w is 0 in all samples" in " ".join(str(a).split())
-    assert a.mend().startswith("give b a known value")
+    assert a.remedy().startswith("give b a known value")
 
 
 def test_a_constant_input_of_known_value_still_tells_its_parameter():
@@ -538,8 +540,8 @@ def test_candidates_are_weighed_by_what_they_cost():
     path = shared(f"{FOLDER}/llw.json")
     dear, cheap = casid.sensor("first", "x1", 3.0), casid.sensor("second", "x2", 1.0)
     a = structural(path, candidates=[dear, cheap])
-    assert a.mends is not None
-    assert str(a.mends.cheapest[0]) == "sensor second"
+    assert a.remedies is not None
+    assert str(a.remedies.cheapest[0]) == "sensor second"
     assert "cheapest mend: sensor second (cost 1)" in str(a)
     assert a.to_json()["mends"]["cheapest"]
 

@@ -10,8 +10,8 @@ import casadi as ca
 import sympy as sp
 
 from casid import Model
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import observability
-from casid.identifiability.rank.system import System
 from casid.identifiability.symbolic.observability_matrix import observability_matrix
 from casid.model.expressions import parse
 

@@ -139,7 +139,7 @@ def test_three_families_of_a_bare_record_are_integrated_without_large_formulas(m
     neat = family.neat
     monkeypatch.setattr(family, "neat", lambda e, by: sizes.append(e.count_ops()) or neat(e, by))
     (e,) = ship.experiments(("loaded",), duration=1.0)
-    found = requirement.unseen_families(ship.problem.model, [e])
+    found = requirement.unidentifiable_families(ship.problem.model, [e])
     assert [f.is_closed for f in found] == [True, True, False]
     assert found[2].formulas  # what is found of the third all the same
     assert max(sizes) <= family.LARGEST

@@ -11,7 +11,7 @@ from scipy.stats import binom
 import casid
 from analysis.ship_algorithm import ALL, along
 from casid.errors import IdentifiabilityError
-from casid.identifiability.requirement import unseen_families
+from casid.identifiability.requirement import unidentifiable_families
 from casid.identification.invariants import Invariants
 from problems import ship
 from problems.ship import TABLE_8_2 as V
@@ -30,7 +30,7 @@ def once(problem: casid.Problem, experiments: list[casid.Experiment]) -> casid.E
 
 @pytest.fixture(scope="module")
 def families():
-    return unseen_families(ship.nine_parameters().model, records(0))
+    return unidentifiable_families(ship.nine_parameters().model, records(0))
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def sprung(seed: int) -> casid.Experiment:
 
 @pytest.fixture(scope="module")
 def ratios():
-    return unseen_families(spring(), [sprung(0)])
+    return unidentifiable_families(spring(), [sprung(0)])
 
 
 def test_of_a_mass_moved_by_a_scaled_force_only_ratios_are_told(ratios):

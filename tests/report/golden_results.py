@@ -147,7 +147,9 @@ def reconciled() -> object:
 
 
 def _assessment() -> Assessment:
-    return replace(assessment(), seconds=0.012, versions={"casid": "0.1.0"})
+    a = assessment()
+    provenance = replace(a.provenance, seconds=0.012, versions={"casid": "0.1.0"})
+    return replace(a, provenance=provenance)
 
 
 def next_experiments() -> Advice:

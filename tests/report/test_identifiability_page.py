@@ -206,12 +206,14 @@ def hostile() -> casid.Assessment:
         a,
         units={n: h for n in a.parameters},
         notes=(h, *a.notes),
-        eliminated=(h,),
-        unknown_inputs=(h,),
-        by_class={h: a.answer, "none": replace(a.answer, rank=None, unknowns=None, note=h)},
-        by_excitation={h: a.answer},
-        versions={h: h},
-        sources=(h,),
+        inputs=replace(
+            a.inputs,
+            eliminated=(h,),
+            unknown_inputs=(h,),
+            by_class={h: a.answer, "none": replace(a.answer, rank=None, unknowns=None, note=h)},
+            by_excitation={h: a.answer},
+        ),
+        provenance=replace(a.provenance, versions={h: h}, sources=(h,)),
     )
 
 

@@ -25,8 +25,8 @@ from casid.identifiability.combinations.null_direction import (
     normalised,
     null_directions,
 )
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import Search
-from casid.identifiability.rank.system import System
 
 
 class OutOfTime(Exception):
@@ -40,12 +40,11 @@ def families(
     seed: int = 0,
     time_limit: float = 20.0,
 ) -> tuple[tuple[Family, ...], tuple[NullDirection, ...], str]:
-    """How the parameters that are not identifiable move together unseen.
+    """How the parameters that are not identifiable move without a change of any output.
 
     Parameters
     ----------
-    systems : experiments without unknown inputs; the names of their constants stand in the
-        formulas.
+    systems : experiments without unknown inputs; the formulas hold the names of their constants.
     fixing : minimal fixing sets of the same systems, at least one of them listed.
     time_limit : seconds of processor time, so that a busy machine finds the same; no family is
         found where it does not suffice for the points, and those not yet integrated then are left
@@ -111,8 +110,8 @@ def families(
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """What data do tell of a confounded group: combinations (sympy) that no family changes."""
+class IdentifiableCombinations:
+    """Of a confounded group: combinations (sympy) that no family changes."""
 
     group: tuple[str, ...]
     combinations: tuple[Any, ...]
@@ -127,18 +126,20 @@ class Told:
         }
 
 
-def told_instead(families: Sequence[Family], fixing: FixingSets) -> tuple[Told, ...]:
-    """By confounded group, what is told of its parameters; groups whose families were found."""
+def identifiable_combinations(
+    families: Sequence[Family], fixing: FixingSets
+) -> tuple[IdentifiableCombinations, ...]:
+    """Of every confounded group whose families were found."""
     out = []
     for group, size in zip(fixing.groups, fixing.group_sizes, strict=True):
         inside = [f for f in families if f.free in group]
         if len(inside) == size:
-            out.append(Told(group, *joint_invariants(inside)))
+            out.append(IdentifiableCombinations(group, *joint_invariants(inside)))
     return tuple(out)
 
 
 def joint_invariants(families: Sequence[Family]) -> tuple[tuple[Any, ...], bool]:
-    """What no family of a confounded group changes: what data do tell of its parameters.
+    """What no family of a confounded group changes: its identifiable combinations.
 
     Where parameters move along several curves, an invariant of one of them may move along another.
 
@@ -149,7 +150,7 @@ def joint_invariants(families: Sequence[Family]) -> tuple[tuple[Any, ...], bool]
     Returns
     -------
     invariants : sympy expressions, independent of each other.
-    is_complete : they and the parameters that stay are all that is told.
+    is_complete : they and the unchanged parameters are all that is identifiable.
     """
     import sympy
 
@@ -178,13 +179,13 @@ def joint_invariants(families: Sequence[Family]) -> tuple[tuple[Any, ...], bool]
     occurring |= set(symbols)
     at = {s: sympy.Rational(k, 97) for k, s in enumerate(sorted(occurring, key=str), 101)}
 
-    def stays(i: Any, row: Sequence[Any]) -> bool:
-        """At one point that nothing singles out, exactly where it is rational."""
+    def is_invariant(i: Any, row: Sequence[Any]) -> bool:
+        """At one point without special values, exactly where it is rational."""
         speed = sum(sympy.diff(i, s) * v for s, v in zip(symbols, row, strict=True))
         value = sympy.sympify(speed).xreplace(at)
         return bool(value == 0 if value.is_Rational else abs(value.evalf(30)) < 1e-15)
 
-    kept = [i for i in found if all(stays(i, row) for row in rows)]
+    kept = [i for i in found if all(is_invariant(i, row) for row in rows)]
     slopes = sympy.Matrix([[sympy.diff(i, s) for s in symbols] for i in kept])
     independent = slopes.subs(at).T.rref()[1] if kept else ()
     return tuple(kept[i] for i in independent), len(independent) == len(names) - len(families)

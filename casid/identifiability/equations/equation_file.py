@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 from casid.errors import DataError, ModelError, nearest
 from casid.identifiability.equations.equation_text import parse_system as parse_system
 from casid.identifiability.equations.equation_text import parse_systems, text_of
-from casid.identifiability.rank.system import System
+from casid.identifiability.equations.system import System
 
 MAX_BYTES = 5_000_000  # of a file
 

@@ -33,7 +33,7 @@ import casadi as ca
 from casid.algebra.symbolic import exact
 from casid.errors import ModelError, nearest
 from casid.identifiability.equations.formula_scope import FormulaScope
-from casid.identifiability.rank.system import System
+from casid.identifiability.equations.system import System
 
 _SYMBOLS = ("states", "params", "known_inputs", "unknown_inputs", "known_constants")
 _FORMULAS = ("definitions", "equations", "outputs")

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import ModelError, nearest
-from casid.identifiability.rank.system import Expr
+from casid.identifiability.equations.system import Expr
 from casid.model.expressions import CONSTANTS, FUNCTIONS, names, parse
 
 _NAME = re.compile(r"(?<![0-9A-Za-z_.])[A-Za-z_][A-Za-z_0-9]*")

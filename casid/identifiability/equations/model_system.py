@@ -19,7 +19,7 @@ from casid.algebra.symbolic import exact
 from casid.arrays import Array
 from casid.errors import DataError, ModelError
 from casid.identifiability.equations.formula_scope import is_finite
-from casid.identifiability.rank.system import System
+from casid.identifiability.equations.system import System
 from casid.model.model import Model, Stage
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from casid.errors import ModelError, nearest
+from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.structure_algorithm import StructureAlgorithm, written
-from casid.identifiability.rank.system import System
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,9 +14,9 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import ModelError
+from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.input_classes import as_harmonic, as_polynomial, as_zero
-from casid.identifiability.rank.system import System
 
 Expr = Any  # a CasADi SX expression
 

@@ -20,8 +20,8 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import ModelError, nearest
+from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.signals import differentiated, free_name
-from casid.identifiability.rank.system import System
 from casid.model.expressions import parse
 
 Expr = Any  # a CasADi SX expression

@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from casid.identifiability.rank.system import System
+from casid.identifiability.equations.system import System
 
 Expr = Any  # a CasADi SX expression
 

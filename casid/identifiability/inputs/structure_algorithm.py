@@ -19,13 +19,13 @@ import casadi as ca
 
 from casid.algebra.vanishing import vanishing
 from casid.errors import IdentifiabilityError, ModelError
+from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.signals import (
     derivative_name,
     differentiated,
     free_name,
     reached_by_unknown_inputs,
 )
-from casid.identifiability.rank.system import System
 
 Expr = Any  # a CasADi SX expression
 

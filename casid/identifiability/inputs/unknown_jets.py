@@ -25,10 +25,10 @@ from dataclasses import replace
 import numpy as np
 
 from casid.algebra.prime_field import random_prime, rank
+from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.input_classes import as_polynomial
 from casid.identifiability.rank.observability import Search
 from casid.identifiability.rank.rank_result import Observability, PointRank
-from casid.identifiability.rank.system import System
 
 
 def observability_by_jets(

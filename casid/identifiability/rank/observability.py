@@ -21,10 +21,10 @@ from casid.algebra.prime_field import echelon, random_prime, to_field
 from casid.algebra.row_basis import Basis, leading, padded
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.error_bound import failure_probabilities
 from casid.identifiability.rank.rank_result import Observability, PointRank
 from casid.identifiability.rank.series import Schedule, Series, SpecialPoint
-from casid.identifiability.rank.system import System
 
 ATTEMPTS = 40
 """Points tried modulo one prime (a square root exists at every second one)."""

@@ -14,9 +14,9 @@ import casadi as ca
 
 from casid.algebra.symbolic import exact
 from casid.errors import ModelError
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.immersion import SPECIAL
 from casid.identifiability.rank.program import ONE, Primitive, Program, Terms, drop_unused
-from casid.identifiability.rank.system import System
 from casid.identifiability.rank.terms import added, common_unit, constant_of, scaled
 
 Kind = Literal["sum", "product", "primitive"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from casid.algebra.row_basis import leading, unit_vectors
 from casid.arrays import Array
-from casid.identifiability.rank.system import System
+from casid.identifiability.equations.system import System
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,9 +23,9 @@ import numpy as np
 
 from casid.algebra.prime_field import matmul, to_field, to_rational
 from casid.arrays import Array
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.program import ONE, Program
 from casid.identifiability.rank.program_reader import program_of
-from casid.identifiability.rank.system import System
 
 
 class SpecialPoint(Exception):

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import casadi as ca
 
 from casid.errors import IdentifiabilityError, ModelError, nearest
-from casid.identifiability.rank.system import System
+from casid.identifiability.equations.system import System
 from casid.model.expressions import names as names_in
 from casid.model.expressions import parse
 

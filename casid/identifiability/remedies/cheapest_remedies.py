@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability
-from casid.identifiability.rank.system import System
 from casid.identifiability.remedies.candidates import Candidate
 from casid.identifiability.remedies.candidates import experiment as experiment
 from casid.identifiability.remedies.candidates import known_initial_state as known_initial_state
@@ -32,7 +32,7 @@ from casid.identifiability.remedies.sensor_subsets import sensor_subsets as sens
 
 
 @dataclass(frozen=True, slots=True)
-class Mends:
+class Remedies:
     """What each candidate does alone, and the cheapest set that reaches the goal.
 
     Attributes
@@ -61,7 +61,7 @@ class Mends:
     has_more: bool
 
     def __str__(self) -> str:
-        if self.before.is_mend:
+        if self.before.is_remedy:
             return f"nothing needs mending: {', '.join(self.goal)}: identifiable"
         lines = [
             f"not identifiable: {', '.join(self.before.missing)} (deficiency "
@@ -74,7 +74,7 @@ class Mends:
                 idle.append(str(e))
                 continue
             lines.append(
-                f"{'*' if e.is_mend else ' '} {e.cost:6g}  {e.deficiency:10d}  "
+                f"{'*' if e.is_remedy else ' '} {e.cost:6g}  {e.deficiency:10d}  "
                 f"{len(e.missing):7d}  {e}: gives {', '.join(e.gained) or 'no parameter yet'}"
             )
         if idle:
@@ -84,7 +84,7 @@ class Mends:
     @property
     def conclusion(self) -> list[str]:
         """The cheapest mend and how sure it is, or why there is none; lines."""
-        if not self.together.is_mend:
+        if not self.together.is_remedy:
             missing = ", ".join(self.together.missing)
             return [f"all candidates together do not mend it: {missing} stay unidentifiable"]
         if not self.cheapest or self.verdict is None:
@@ -117,7 +117,7 @@ class Mends:
         }
 
 
-def cheapest_mends(
+def cheapest_remedies(
     systems: System | Sequence[System],
     candidates: Sequence[Candidate],
     *,
@@ -127,7 +127,7 @@ def cheapest_mends(
     seed: int = 0,
     error_bound: float = 1e-12,
     limit: int = 2000,
-) -> Mends:
+) -> Remedies:
     """Each candidate's effect, and the cheapest set of candidates that reaches the goal.
 
     Parameters
@@ -158,7 +158,7 @@ def cheapest_mends(
     >>> nominal = System("nominal", ("v",), ("F", "m"), ("a",), symbols, F / m, F / m)
     >>> loaded = System("loaded", ("v",), ("F", "m"), ("a",), {**symbols, "dm": dm},
     ...                 F / (m + dm), F / (m + dm), constants=("dm",))
-    >>> mends = cheapest_mends(nominal, [sensor("force", "F", 3.0), experiment("load", loaded)])
+    >>> mends = cheapest_remedies(nominal, [sensor("force", "F", 3.0), experiment("load", loaded)])
     >>> str(mends.cheapest[0])
     'experiment load'
     """
@@ -167,13 +167,13 @@ def cheapest_mends(
     before, together = screening.effect(()), screening.effect(everything)
     singles = [screening.effect((i,)) for i in everything]
     singles.sort(
-        key=lambda e: (e.cost if e.is_mend else math.inf, len(e.missing), e.deficiency, e.cost)
+        key=lambda e: (e.cost if e.is_remedy else math.inf, len(e.missing), e.deficiency, e.cost)
     )
     search = _Search(screening, seed, error_bound)
-    if not before.is_mend and together.is_mend:
+    if not before.is_remedy and together.is_remedy:
         search.spare(everything)
         search.compare(max_size, limit)
-    return Mends(
+    return Remedies(
         goal=screening.goal,
         before=before,
         singles=tuple(singles),
@@ -205,7 +205,7 @@ class _Search:
         """
         for i in sorted(chosen, key=lambda i: (-self.costs[i], -i)):
             fewer = tuple(j for j in chosen if j != i)
-            if self.screening.effect(fewer).is_mend:
+            if self.screening.effect(fewer).is_remedy:
                 chosen = fewer
         self._take(chosen)
 
@@ -220,7 +220,7 @@ class _Search:
                 self.has_more = True
                 break
             self.looked_at += 1
-            if self.screening.effect(chosen).is_mend:
+            if self.screening.effect(chosen).is_remedy:
                 self._take(chosen)
         least = math.fsum(sorted(self.costs)[: max_size + 1])
         if len(self.costs) > max_size:  # larger sets cost at least that

@@ -15,9 +15,9 @@ import numpy as np
 from casid.algebra.row_basis import Basis
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import ATTEMPTS, Search
 from casid.identifiability.rank.series import Series, SpecialPoint
-from casid.identifiability.rank.system import System
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,9 +19,9 @@ import numpy as np
 from casid.algebra.prime_field import random_prime
 from casid.algebra.row_basis import Basis, unit_vectors
 from casid.errors import IdentifiabilityError
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import Search
 from casid.identifiability.rank.rank_result import PointRank
-from casid.identifiability.rank.system import System
 
 Told = tuple[int, tuple[bool, ...]]  # rank of the information, parameter by parameter
 

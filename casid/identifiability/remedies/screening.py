@@ -17,9 +17,9 @@ from casid.algebra.prime_field import echelon, random_prime
 from casid.algebra.row_basis import unit_vectors
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, nearest
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import Search
 from casid.identifiability.rank.rank_result import PointRank
-from casid.identifiability.rank.system import System
 from casid.identifiability.remedies.candidates import Candidate, can_mount, check, with_sensor
 
 Prepare = Callable[[System], System]
@@ -45,7 +45,7 @@ class Effect:
     deficiency: int
 
     @property
-    def is_mend(self) -> bool:
+    def is_remedy(self) -> bool:
         """True if nothing of the goal is missing."""
         return not self.missing
 

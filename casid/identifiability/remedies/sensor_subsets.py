@@ -13,8 +13,8 @@ import numpy as np
 from casid.algebra.prime_field import random_prime
 from casid.algebra.row_basis import Basis, unit_vectors
 from casid.errors import IdentifiabilityError, nearest
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import observability
-from casid.identifiability.rank.system import System
 from casid.identifiability.remedies.output_spans import OutputSpans, Spans
 
 Subset = tuple[int, ...]  # positions of outputs, ascending

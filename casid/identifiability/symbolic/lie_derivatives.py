@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 
 from casid.algebra.symbolic import to_sympy
 from casid.errors import ModelError
-from casid.identifiability.rank.system import System
+from casid.identifiability.equations.system import System
 from casid.identifiability.symbolic.reduced_form import derivative_name
 from casid.identifiability.symbolic.symbolic_rank import tidy
 

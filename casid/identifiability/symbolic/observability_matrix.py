@@ -16,7 +16,7 @@ from functools import cached_property
 from typing import Any
 
 from casid.errors import ModelError, nearest
-from casid.identifiability.rank.system import System
+from casid.identifiability.equations.system import System
 from casid.identifiability.symbolic.lie_derivatives import Budget, output_derivatives
 from casid.identifiability.symbolic.reduced_form import (
     ReducedForm,

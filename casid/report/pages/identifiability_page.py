@@ -132,7 +132,7 @@ def _parameters(a: Assessment) -> Html:
 
 
 def _advice(a: Assessment) -> Html | str:
-    mend = a.mend()
+    mend = a.remedy()
     if not mend:
         return ""
     text = mend[0].upper() + mend[1:] + "."
@@ -196,7 +196,7 @@ def _further(a: Assessment) -> Html:
         header = ("replicas", "deficiency of the parameters")
         parts.append(table("The same experiment, repeated", header, rows, numbers=(0, 1)))
         parts.append(paragraph(r.conclusion[0].upper() + r.conclusion[1:] + "."))
-    if a.mends is not None:
+    if a.remedies is not None:
         singles = [
             (
                 ", ".join(str(c) for c in e.candidates),
@@ -204,7 +204,7 @@ def _further(a: Assessment) -> Html:
                 ", ".join(e.gained) or "nothing",
                 ", ".join(e.missing) or "nothing",
             )
-            for e in a.mends.singles
+            for e in a.remedies.singles
         ]
         parts.append(
             table(
@@ -214,7 +214,7 @@ def _further(a: Assessment) -> Html:
                 numbers=(1,),
             )
         )
-        parts += [paragraph(line.strip()) for line in a.mends.conclusion]
+        parts += [paragraph(line.strip()) for line in a.remedies.conclusion]
     return join(parts)
 
 

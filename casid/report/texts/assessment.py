@@ -88,7 +88,7 @@ def family_lines(a: Assessment) -> list[tuple[str, list[str]]]:
             if f.free in several:
                 lines = [x.replace("invariants:", "on this curve alone, unchanged:") for x in lines]
             out.append((f.free, lines))
-    for told in a.told_instead:
+    for told in a.identifiable_combinations:
         if several & set(told.group) and told.combinations:
             more = "" if told.is_complete else ", and more"
             names = ", ".join(told.group)
@@ -100,7 +100,7 @@ def family_lines(a: Assessment) -> list[tuple[str, list[str]]]:
 def _mends(a: Assessment) -> list[str]:
     if a.is_identifiable:
         return []
-    lines = [a.mend()] if a.mend() else []
+    lines = [a.remedy()] if a.remedy() else []
     if a.fixing is not None and 1 < a.fixing.count:
         shown = ["{" + ", ".join(s) + "}" for s in a.fixing.sets[:_LISTED]]
         more = f", ... ({a.fixing.count} in all)" if a.fixing.count > len(shown) else ""
@@ -108,8 +108,8 @@ def _mends(a: Assessment) -> list[str]:
     lines += exclusion_lines(a)
     if a.replicas is not None:
         lines += str(a.replicas).splitlines()
-    if a.mends is not None:
-        lines += str(a.mends).splitlines()
+    if a.remedies is not None:
+        lines += str(a.remedies).splitlines()
     return lines
 
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from casid.errors import DataError, ModelError
 from casid.identifiability.equations.equation_file import MAX_BYTES, read_equations
 from casid.identifiability.equations.equation_text import parse_system, parse_systems
-from casid.identifiability.rank.system import System
+from casid.identifiability.equations.system import System
 from tests.support.shared import shared
 
 FILES = """akt_fujita bilirubin c2m_w_b cgv1990 crauste crn dof2_F2 goodwin hdnl hiv_eta_unknown

@@ -13,7 +13,7 @@ import pytest
 import casid
 from casid.errors import DataError, ModelError
 from casid.identifiability.equations.model_system import left_out, system_of, systems_of, translated
-from casid.identifiability.rank.system import System
+from casid.identifiability.equations.system import System
 from casid.model.effects.channel_effects import (
     hold,
     saturation,

@@ -10,6 +10,7 @@ import pytest
 
 from casid.errors import ModelError
 from casid.identifiability.equations.equation_text import parse_system
+from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.experiments import merge, replicas, systems_by_class
 from casid.identifiability.inputs.input_classes import (
@@ -21,7 +22,6 @@ from casid.identifiability.inputs.input_classes import (
     with_input_class,
 )
 from casid.identifiability.rank.observability import observability
-from casid.identifiability.rank.system import System
 from tests.support.shared import shared
 
 

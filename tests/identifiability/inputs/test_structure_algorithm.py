@@ -12,12 +12,12 @@ import pytest
 from casid.algebra.vanishing import vanishing
 from casid.errors import IdentifiabilityError, ModelError
 from casid.identifiability.equations.equation_text import parse_system, parse_systems
+from casid.identifiability.equations.system import System
 from casid.identifiability.inputs import structure_algorithm
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.experiments import merge, replicas, systems_by_class
 from casid.identifiability.inputs.unknown_jets import observability_by_jets
 from casid.identifiability.rank.observability import observability, rank_at
-from casid.identifiability.rank.system import System
 from problems import pendulum
 from tests.support.shared import shared
 

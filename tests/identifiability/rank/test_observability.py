@@ -28,11 +28,11 @@ from casid.algebra.prime_field import (
 )
 from casid.errors import ModelError
 from casid.identifiability.equations.equation_file import parse_system, read_equations
+from casid.identifiability.equations.system import System
 from casid.identifiability.rank.error_bound import failure_probability, minor_sizes
 from casid.identifiability.rank.observability import observability, rank_at
 from casid.identifiability.rank.program_reader import program_of
 from casid.identifiability.rank.series import Schedule, Series
-from casid.identifiability.rank.system import System
 from tests.support.shared import shared
 
 P = 2_147_483_629  # the second largest prime below 2^31

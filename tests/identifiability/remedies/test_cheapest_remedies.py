@@ -18,7 +18,7 @@ from casid.identifiability.equations.equation_text import parse_system
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.remedies.cheapest_remedies import (
-    cheapest_mends,
+    cheapest_remedies,
     experiment,
     known_initial_state,
     known_parameter,
@@ -101,9 +101,9 @@ def test_force_and_mass_cannot_be_told_from_the_acceleration_and_repetitions_do_
 def test_force_and_mass_are_told_once_one_is_known_or_the_mass_is_changed_by_a_known_amount(
     candidate,
 ):
-    mends = cheapest_mends(thrust(), [candidate])
+    mends = cheapest_remedies(thrust(), [candidate])
     assert mends.before.missing == ("F", "m")
-    assert mends.singles[0].is_mend
+    assert mends.singles[0].is_remedy
     assert mends.cheapest[0].candidates == (candidate,)
     assert dict(mends.verdict.identifiable).get("F", True)
 
@@ -112,7 +112,7 @@ def test_an_unknown_change_of_the_mass_mends_nothing():
     """Linder (2017), section 7.1: the change must be known, or one of the loads nominal."""
     equations, outputs = {"v": "F/(m + dm)"}, {"a": "F/(m + dm)"}
     unknown = system("unknown load", equations, outputs, ["F", "m", "dm"])
-    mends = cheapest_mends(thrust(), [experiment("unknown load", unknown)])
+    mends = cheapest_remedies(thrust(), [experiment("unknown load", unknown)])
     assert mends.together.missing == ("F", "m")
     assert not mends.cheapest
     assert "do not mend" in str(mends)
@@ -125,7 +125,7 @@ def test_of_all_that_mends_the_cheapest_is_chosen():
         experiment("loaded", loaded_thrust(), cost=2.0),
         replica(cost=0.5),
     ]
-    mends = cheapest_mends(thrust(), offers)
+    mends = cheapest_remedies(thrust(), offers)
     assert [str(e) for e in mends.cheapest] == ["experiment loaded"]
     assert [e.cost for e in mends.singles] == [2.0, 3.0, 5.0, 0.5]
     assert "cheapest mend: experiment loaded (cost 2)" in str(mends)
@@ -139,10 +139,10 @@ def test_of_all_that_mends_the_cheapest_is_chosen():
 
 def test_knowing_any_member_of_a_confounded_group_of_deficiency_one_mends():
     names = ["m", "d", "k", "b"]
-    mends = cheapest_mends(oscillator(), [known_parameter(q) for q in names])
+    mends = cheapest_remedies(oscillator(), [known_parameter(q) for q in names])
     assert mends.before.deficiency == 1
     assert {e.candidates[0].label for e in mends.cheapest} == set(names)
-    assert all(e.is_mend and set(e.gained) == set(names) for e in mends.singles)
+    assert all(e.is_remedy and set(e.gained) == set(names) for e in mends.singles)
 
 
 def test_the_cheapest_known_parameters_are_the_cheapest_fixing_set():
@@ -152,7 +152,7 @@ def test_the_cheapest_known_parameters_are_the_cheapest_fixing_set():
     point = observability(signalling).points[0]
     fixing = fixing_sets(point.information, point.parameters, point.prime)
     least = min(sum(costs[q] for q in s) for s in fixing.sets)
-    mends = cheapest_mends(signalling, [known_parameter(q, c) for q, c in costs.items()])
+    mends = cheapest_remedies(signalling, [known_parameter(q, c) for q, c in costs.items()])
     best = mends.cheapest[0]
     assert best.cost == least
     assert tuple(c.label for c in best.candidates) in fixing.sets
@@ -163,7 +163,7 @@ def test_a_known_parameter_makes_its_confounded_group_move_less():
     point = observability(signalling).points[0]
     groups = confounded_groups(point.information, point.parameters, point.prime)
     confounded = {q for g in groups for q in g}
-    mends = cheapest_mends(signalling, [known_parameter(q) for q in signalling.parameters])
+    mends = cheapest_remedies(signalling, [known_parameter(q) for q in signalling.parameters])
     for e in mends.singles:
         (c,) = e.candidates
         assert mends.before.deficiency - e.deficiency == (c.label in confounded)
@@ -185,8 +185,8 @@ OFFERS = (
 @settings(max_examples=20, deadline=None)
 @given(st.sets(st.integers(0, len(OFFERS) - 1)), st.integers(0, len(OFFERS) - 1))
 def test_whatever_is_added_no_parameter_is_lost(chosen, one_more):
-    fewer = cheapest_mends(chain(), [OFFERS[i] for i in sorted(chosen)]).together
-    more = cheapest_mends(chain(), [OFFERS[i] for i in sorted({*chosen, one_more})]).together
+    fewer = cheapest_remedies(chain(), [OFFERS[i] for i in sorted(chosen)]).together
+    more = cheapest_remedies(chain(), [OFFERS[i] for i in sorted({*chosen, one_more})]).together
     assert set(more.missing) <= set(fewer.missing)
     assert more.deficiency <= fewer.deficiency
 
@@ -211,7 +211,7 @@ def test_what_one_point_shows_of_candidates_is_what_the_rank_of_the_extended_sys
         for c in chosen:
             changed = changes[c](changed)
         expected = observability(changed)
-        seen = cheapest_mends(base, chosen).together
+        seen = cheapest_remedies(base, chosen).together
         known = {c.label for c in chosen if c.kind == "known parameter"}
         missing = {q for q, yes in expected.identifiable.items() if not yes}
         assert set(seen.missing) == missing - known
@@ -220,7 +220,7 @@ def test_what_one_point_shows_of_candidates_is_what_the_rank_of_the_extended_sys
 
 def test_a_known_initial_state_stands_for_the_gain_of_a_gauge():
     """b and c are scaled against x: b/s, c s, x/s. One known x(0) stops it."""
-    mends = cheapest_mends(chain(), OFFERS)
+    mends = cheapest_remedies(chain(), OFFERS)
     assert mends.before.missing == ("b", "c")
     assert mends.cheapest[0].cost == 0.5
     assert {str(e) for e in mends.cheapest} == {
@@ -236,13 +236,13 @@ def test_several_things_are_added_where_one_does_not_do():
     apart = system("two tanks", equations, outputs, ["k1", "k2", "c1", "c2"])
     offers = [sensor("level 1", "x1", 1.0), sensor("level 2", "x2", 2.0)]
     offers += [known_parameter("c2", 4.0), known_parameter("k1", 0.1)]
-    mends = cheapest_mends(apart, offers)
+    mends = cheapest_remedies(apart, offers)
     assert str(mends.cheapest[0]) == "sensor level 1 and sensor level 2"
     assert mends.cheapest[0].cost == 3.0
     # A goal that asks for less is reached with less.
-    one = cheapest_mends(apart, offers, goal=["c2"])
+    one = cheapest_remedies(apart, offers, goal=["c2"])
     assert [str(e) for e in one.cheapest] == ["sensor level 2"]
-    assert not cheapest_mends(apart, offers, goal=["k1"]).cheapest  # nothing to mend
+    assert not cheapest_remedies(apart, offers, goal=["k1"]).cheapest  # nothing to mend
 
 
 def test_a_mend_larger_than_the_sets_compared_is_found_and_said_to_be_perhaps_too_dear():
@@ -251,7 +251,7 @@ def test_a_mend_larger_than_the_sets_compared_is_found_and_said_to_be_perhaps_to
     names = [f"{n}{i}" for n in "kc" for i in range(4)]
     apart = system("four tanks", equations, outputs, names)
     offers = [known_parameter(f"c{i}", 2.0) for i in range(4)] + [known_parameter("k0", 0.1)]
-    mends = cheapest_mends(apart, offers, max_size=2)
+    mends = cheapest_remedies(apart, offers, max_size=2)
     assert {c.label for c in mends.cheapest[0].candidates} == {"c0", "c1", "c2", "c3"}
     assert mends.is_cut
     assert "raise max_size" in str(mends)
@@ -267,11 +267,11 @@ def without_unknown(system):
 def test_a_sensor_of_the_force_mends_what_own_unknown_forces_hide():
     """related_massdamper: with own forces the second data set tells nothing, a force gauge does."""
     systems = published("related_massdamper")
-    mends = cheapest_mends(systems, [sensor("gauge", "w")], prepare=without_unknown)
+    mends = cheapest_remedies(systems, [sensor("gauge", "w")], prepare=without_unknown)
     assert mends.before.missing == ("m", "d")
-    assert mends.cheapest[0].is_mend
+    assert mends.cheapest[0].is_remedy
     with pytest.raises(ModelError, match="eliminate it"):
-        cheapest_mends(systems, [sensor("gauge", "w")])
+        cheapest_remedies(systems, [sensor("gauge", "w")])
 
 
 def test_a_sensor_may_be_mounted_in_one_experiment_only():
@@ -280,8 +280,8 @@ def test_a_sensor_may_be_mounted_in_one_experiment_only():
     assert len({*names}) == 2
     for name in names:
         gauge = sensor("gauge", "w", experiments=[name])
-        mends = cheapest_mends([first, second], [gauge], prepare=without_unknown)
-        assert mends.together.is_mend  # one force known is enough for m and d
+        mends = cheapest_remedies([first, second], [gauge], prepare=without_unknown)
+        assert mends.together.is_remedy  # one force known is enough for m and d
 
 
 # -- replicas -------------------------------------------------------------------------------------
@@ -330,7 +330,7 @@ def test_a_search_for_replicas_that_was_cut_says_so():
 def test_replicas_among_the_candidates_add_up():
     (network,) = published("me_cyclic5")
     again = experiment("a second time", network), experiment("a third time", network)
-    mends = cheapest_mends(network, again)
+    mends = cheapest_remedies(network, again)
     assert [e.deficiency for e in mends.singles] == [2, 2]
     assert mends.cheapest[0].candidates == again
 
@@ -429,7 +429,7 @@ def test_subsets_at_special_points_are_what_the_rank_of_each_says(special):
 )
 def test_a_candidate_that_fits_nothing_is_refused_with_the_mend(candidates, error, mend):
     with pytest.raises(error, match=mend):
-        cheapest_mends(chain(), candidates)
+        cheapest_remedies(chain(), candidates)
 
 
 @pytest.mark.parametrize("cost", [-1.0, float("nan"), float("inf")])
@@ -444,7 +444,7 @@ def test_questions_that_cannot_be_answered_say_why():
     with pytest.raises(IdentifiabilityError, match="no equations"):
         experiment("empty")
     with pytest.raises(IdentifiabilityError, match="did you mean 'k1'"):
-        cheapest_mends(chain(), OFFERS, goal=["K1"])
+        cheapest_remedies(chain(), OFFERS, goal=["K1"])
     with pytest.raises(IdentifiabilityError, match="did you mean 'y1'"):
         sensor_subsets(published("nfkb_full")[0], ["y11"])
     with pytest.raises(IdentifiabilityError, match="raise limit"):

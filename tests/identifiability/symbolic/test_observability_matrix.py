@@ -11,7 +11,7 @@ import pytest
 import sympy as sp
 
 from casid.errors import ModelError
-from casid.identifiability.rank.system import System
+from casid.identifiability.equations.system import System
 from casid.identifiability.symbolic.lie_derivatives import lie_derivatives
 from casid.identifiability.symbolic.observability_matrix import observability_matrix
 
