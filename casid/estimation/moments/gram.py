@@ -32,8 +32,8 @@ class Moments:
     Each stretch of data adds its samples t = lags .. N_stretch - 1. Stretches, records, files and
     machines are joined by ``+`` or `sum`. Every entry is within gamma_n sum ``|v_i v_j|`` of the
     exact sum, gamma_n = n u / (1 - n u), u = 2^-53, n = BLOCK + 2 lags + 3, however many samples
-    and pieces there are: Higham (2002), Accuracy and Stability of Numerical Algorithms, eq. (3.5), for
-    the products in a block; blocks and pieces are added with compensation, section 4.3.
+    and pieces there are: Higham (2002), Accuracy and Stability of Numerical Algorithms, eq. (3.5),
+    for the products in a block; blocks and pieces are added with compensation, section 4.3.
 
     Attributes
     ----------
