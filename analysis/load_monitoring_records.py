@@ -20,14 +20,15 @@ import numpy as np
 import casid
 from casid.arrays import Array
 from casid.estimation.moments.gram import Moments
-from casid.estimation.moments.moment_equations import MomentEquations, Part
+from casid.estimation.moments.moment_equations import MomentEquations
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.moments import moments
+from casid.estimation.moments.parts import Part
+from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.propagation import propagate
 from casid.estimation.moments.stage import Stage
 from casid.estimation.moments.windowed_moments import Simulated, WindowedMoments, on_simulated
 from casid.estimation.prediction_error.polynomial_estimation import oe
-from casid.identification.moment_estimators import Prior
 from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column
 from problems import ship, ship_sensors, ship_waves

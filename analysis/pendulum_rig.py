@@ -63,9 +63,10 @@ from analysis.targets import Target, at_most, near, report
 from casid.campaigns.campaign import campaign
 from casid.data.alignment import align
 from casid.data.record import Experiment
+from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.validation import validate
-from casid.identification.moment_estimators import MomentEstimate, multistage
+from casid.identification.moment_estimators import multistage
 from problems import pendulum_rig as rig
 
 BASE = {n: p.value or 0.0 for n, p in MODEL.parameters.items()}

@@ -14,9 +14,12 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.moments.instruments import Instruments
+from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.propagation import jacobian_of
-from casid.identification.moment_estimators import MomentEstimate, Prior, Reusable, StageSpec
+from casid.estimation.moments.stage_plan import StageSpec
+from casid.identification.moment_estimators import Reusable
 from problems import pendulum_rig as rig
 
 MODEL = rig.problem.model.with_unknown(m=0.08, z_m=-0.1)

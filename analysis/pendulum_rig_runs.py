@@ -18,7 +18,8 @@ import numpy as np
 from analysis.pendulum_rig_estimators import FREE, TILTED, TRUTH, joint, staged
 from analysis.pendulum_rig_records import Draws
 from casid.campaigns.campaign import Campaign
-from casid.identification.moment_estimators import Prior, Reusable
+from casid.estimation.moments.prior import Prior
+from casid.identification.moment_estimators import Reusable
 
 
 @dataclass(frozen=True)

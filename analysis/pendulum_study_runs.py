@@ -26,13 +26,15 @@ from analysis.pendulum_records import INSTRUMENT_LAG, Study
 from casid.arrays import Array
 from casid.estimation.moments.column_products import column_products
 from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_equations import Part, moment_covariance, parts_of
+from casid.estimation.moments.moment_covariance import moment_covariance
 from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.parts import Part, parts_of
 from casid.estimation.moments.propagation import Propagated, propagate
 from casid.estimation.moments.reference_filter import ReferenceFilter
 from casid.estimation.moments.stage import Stage, StageFit
-from casid.identification.moment_estimators import Reusable, StageSpec
-from casid.identification.resampling import profile
+from casid.estimation.moments.stage_plan import StageSpec
+from casid.identification.moment_estimators import Reusable
+from casid.identification.profile_interval import profile
 from problems.pendulum import TABLE_7_2, indirect_model
 
 Estimator = Literal["ls", "iv", "identity"]

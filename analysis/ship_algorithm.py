@@ -43,13 +43,14 @@ from analysis.ship_algorithm_records import (
 )
 from analysis.targets import Target, at_most, report
 from casid.errors import CasidError, IdentifiabilityError
+from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.nlp.nlp import Solver
 from casid.identifiability.combinations.family import Family
 from casid.identifiability.combinations.family_estimate import AlongFamily, along_family
 from casid.identification.iterative_joint import IterativeJoint, family_values, iterative_joint
-from casid.identification.moment_estimators import MomentEstimate, least_squares
-from casid.identification.resampling import profile
+from casid.identification.moment_estimators import least_squares
+from casid.identification.profile_interval import profile
 from casid.model.model import Model
 from problems.ship import NINE, TABLE_8_2, nine_parameters, problem
 from problems.ship_4dof import Ship

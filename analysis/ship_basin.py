@@ -57,7 +57,7 @@ from analysis.ship_basin_runs import (
 )
 from analysis.targets import Target, at_most, report
 from casid.estimation.moments.convergence import Convergence
-from casid.identification.moment_estimators import MomentEstimate
+from casid.estimation.moments.moment_estimate import MomentEstimate
 from problems.ship import TABLE_8_2
 
 LIGHTER = (0.4, 0.2, 0.1, 0.05)

@@ -22,7 +22,9 @@ from casid.campaigns.campaign import Campaign, campaign
 from casid.errors import CasidError
 from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
 from casid.estimation.moments.convergence import Convergence
-from casid.identification.moment_estimators import MomentEstimate, Reusable, StageSpec
+from casid.estimation.moments.moment_estimate import MomentEstimate
+from casid.estimation.moments.stage_plan import StageSpec
+from casid.identification.moment_estimators import Reusable
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence

@@ -18,7 +18,8 @@ from casid.arrays import Array
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
 from casid.estimation.moments.moment_settings import MomentSettings
-from casid.identification.moment_estimators import Reusable, StageSpec
+from casid.estimation.moments.stage_plan import StageSpec
+from casid.identification.moment_estimators import Reusable
 from problems import ship
 from problems.ship import TABLE_8_2
 

@@ -44,8 +44,8 @@ def main() -> int:
 
     from analysis.pendulum_records import Study, low_pass
     from casid.estimation.moments.instruments import Instruments, Loop, reference_signals
-    from casid.estimation.moments.moment_equations import parts_of
     from casid.estimation.moments.moment_settings import MomentSettings
+    from casid.estimation.moments.parts import parts_of
     from casid.estimation.moments.reference_filter import ReferenceFilter
     from casid.estimation.moments.stage import Stage
     from problems.pendulum import indirect_model

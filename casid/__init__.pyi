@@ -18,9 +18,12 @@ from .errors import CasidError, DataError, IdentifiabilityError, ModelError, Sol
 from .estimation.estimate import Estimate
 from .estimation.moments.exogeneity import reference_depends_on
 from .estimation.moments.instruments import Instruments
+from .estimation.moments.moment_estimate import MomentEstimate
 from .estimation.moments.moment_settings import MomentSettings
 from .estimation.moments.moments import Moments
+from .estimation.moments.prior import Prior
 from .estimation.moments.reference_filter import ReferenceFilter
+from .estimation.moments.stage_plan import StageSpec
 from .estimation.moments.validation import validate
 from .estimation.nlp.nlp import Nlp, Solver
 from .estimation.nlp.solver_comparison import compare_solvers
@@ -47,18 +50,16 @@ from .identifiability.remedies.candidates import (
 )
 from .identifiability.remedies.sensor_subsets import sensor_subsets
 from .identifiability.symbolic.observability_matrix import observability_matrix
+from .identification.bootstrap import bootstrap
+from .identification.estimate_from_moments import estimate_from_moments
 from .identification.identify import identify
 from .identification.invariants import invariants
 from .identification.moment_estimators import (
-    MomentEstimate,
-    Prior,
-    StageSpec,
     instrumental_variables,
     least_squares,
     multistage,
 )
-from .identification.resampling import bootstrap, profile
-from .identification.streamed_moments import estimate_from_moments
+from .identification.profile_interval import profile
 from .linear.affine_hull import affine_hull
 from .linear.closed_loop import closed_loop_view
 from .linear.discretisation_bias import bias_table

@@ -22,9 +22,11 @@ from casid.estimation.moments.black_box_reference import (
 )
 from casid.estimation.moments.convergence import Convergence
 from casid.estimation.moments.instruments import Instruments
+from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.reference_filter import Filter
-from casid.identification.moment_estimators import MomentEstimate, Prior, instrumental_variables
+from casid.identification.moment_estimators import instrumental_variables
 from casid.model.model import Model
 
 

@@ -8,15 +8,13 @@ solution of a small program (`moment_nlp`), refined over instruments and noise m
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from casid.arrays import TINY, Array
-from casid.data.files import write_json
+from casid.arrays import TINY
 from casid.data.problem import Problem
 from casid.data.record import Experiment
 from casid.errors import ModelError
@@ -32,10 +30,13 @@ from casid.estimation.estimate import (
 from casid.estimation.estimate_builder import EstimateBuilder, bound_of
 from casid.estimation.local_rank import LocalRank, describe_null, local_rank
 from casid.estimation.moments.instruments import Instruments, Loop
-from casid.estimation.moments.moment_equations import Part, parts_of
+from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.parts import Part, parts_of
+from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.propagation import Propagated, free_slope, propagate
 from casid.estimation.moments.stage import Stage, StageFit
+from casid.estimation.moments.stage_plan import StageSpec
 from casid.estimation.noise import white_floor
 from casid.identifiability.requirement import require_identifiable
 from casid.model.model import Model
@@ -57,170 +58,6 @@ ASSUMES = {
     "scores": "autocorrelation-robust (Newey-West): equation errors of zero mean, not correlated "
     "with the regressors; noise on the regressors biases least squares and is not in it",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class StageSpec:
-    """One stage: which records, and which parameters they give.
-
-    Attributes
-    ----------
-    free : parameters estimated here; those of earlier stages are taken from there.
-    records : names of experiments; None: all.
-    settings : None: those of the whole estimation.
-    """
-
-    free: Sequence[str]
-    records: Sequence[str] | None = None
-    settings: MomentSettings | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prior:
-    """Known values that are uncertain: a tilting test, a data sheet.
-
-    Attributes
-    ----------
-    values : parameter -> value, SI.
-    covariance : (n, n) in the order of `values`; or a mapping of parameter -> standard error.
-    """
-
-    values: Mapping[str, float]
-    covariance: Array | Mapping[str, float] | None = None
-
-    def matrix(self) -> Array:
-        """Covariance, (n, n).
-
-        Raises
-        ------
-        ModelError
-            If its shape does not fit, or it is no covariance.
-        """
-        n = len(self.values)
-        if self.covariance is None:
-            return np.zeros((n, n))
-        if isinstance(self.covariance, Mapping):
-            foreign = [k for k in self.covariance if k not in self.values]
-            if foreign:
-                raise ModelError(
-                    f"prior: a standard error for {foreign[0]}, which has no value; give it one"
-                )
-            return np.diag([float(self.covariance.get(k, 0.0)) ** 2 for k in self.values])
-        matrix = np.asarray(self.covariance, dtype=float)
-        if matrix.shape != (n, n) or not np.allclose(matrix, matrix.T):
-            raise ModelError(
-                f"prior: covariance of shape {matrix.shape} for {n} values; give a symmetric "
-                f"({n}, {n}) matrix in the order {', '.join(self.values)}"
-            )
-        if np.min(np.linalg.eigvalsh(matrix), initial=0.0) < -1e-9 * np.max(np.abs(matrix)):
-            raise ModelError("prior: the covariance has a negative eigenvalue; check its signs")
-        return matrix
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MomentEstimate:
-    """An estimate from moment equations, with what the instruments could see.
-
-    Attributes
-    ----------
-    estimate : values, covariance with everything propagated, status, provenance.
-    propagated : the covariances, and the overidentification test.
-    stages : what every stage found, its iterations, instruments and noise models.
-    """
-
-    model: Model
-    estimate: Estimate
-    propagated: Propagated
-    stages: tuple[StageFit, ...]
-    prior: Prior | None = None
-
-    def __getitem__(self, name: str) -> float:
-        """The value of a parameter, SI."""
-        return self.estimate[name]
-
-    def parameter(self, name: str) -> Estimated:
-        """The parameter called `name`, with its unit and standard error."""
-        return self.estimate.parameter(name)
-
-    @property
-    def parameters(self) -> tuple[Estimated, ...]:
-        """Every parameter, as `Estimate` has them."""
-        return self.estimate.parameters
-
-    def references(self) -> tuple[str, ...]:
-        """The papers behind the methods used."""
-        return self.estimate.references()
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Every parameter of the model at the estimate, load cases left out."""
-        return {p.name: p.value for p in self.estimate.parameters}
-
-    @property
-    def covariance(self) -> Array:
-        """(n, n) in the order of `names`."""
-        return self.propagated.covariance
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The estimated parameters in the order of the stages."""
-        return self.propagated.names
-
-    def std_error(self, name: str, *, propagated: bool = True) -> float:
-        """Standard error; `propagated=False` takes earlier stages and known values as exact."""
-        matrix = self.propagated.covariance if propagated else self.propagated.own
-        i = self.names.index(name)
-        return float(np.sqrt(max(matrix[i, i], 0.0)))
-
-    def sample(self, function: Any, **options: Any) -> Sampled:
-        """Draws of N(estimate, covariance) through a map, as Figure 7.15; see `Estimate.sample`."""
-        return self.estimate.sample(function, **options)
-
-    def __repr__(self) -> str:
-        return f"<MomentEstimate {self.estimate.problem}: {self.estimate.method}>"
-
-    def __str__(self) -> str:
-        lines = [str(self.estimate)]
-        if len(self.stages) > 1 or self.prior is not None:
-            lines.append(
-                "  stages        standard errors with earlier stages taken as exact: "
-                + ", ".join(f"{n} {self.std_error(n, propagated=False):.2g}" for n in self.names)
-            )
-        lines += [f"  {name + ' ':<14}{text}" for name, text in self.estimate.evidence.items()]
-        return "\n".join(lines)
-
-    def to_json(self) -> dict[str, Any]:
-        """The content of `estimate.json`, with what moment equations add to it."""
-        p = self.propagated
-        return {
-            **self.estimate.to_json(),
-            "overidentification": {
-                "chi2": p.statistic,
-                "degrees_of_freedom": p.degrees,
-                "p_value": p.p_value,
-            },
-            "std_error_unpropagated": {n: self.std_error(n, propagated=False) for n in self.names},
-            "instruments": {
-                f"stage {i + 1}/{part.name}": {
-                    "rank": c.rank,
-                    "coefficients": list(part.equation.coefficients),
-                    "canonical_correlations": c.canonical.tolist(),
-                    "weakest": dict(c.weakest),
-                    "number": len(e.instruments),
-                }
-                for i, st in enumerate(self.stages)
-                for part, c, e in zip(st.parts, st.correlations, st.equations, strict=False)
-            },
-        }
-
-    def write(self, folder: str | Path) -> Path:
-        """Write `estimate.json` into `folder`, whole or not at all; returns its path."""
-        return write_json(Path(folder) / "estimate.json", self.to_json())
-
-    def _repr_html_(self) -> str:
-        import html
-
-        return f"<pre>{html.escape(str(self))}</pre>"
 
 
 def least_squares(

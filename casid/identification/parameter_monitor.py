@@ -32,8 +32,8 @@ from casid.arrays import TINY, Array
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimation.moments.change_detection import Change, ChangeDetector
 from casid.estimation.moments.gram import Moments
+from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.windowed_moments import FadingSums, SlidingSums
-from casid.identification.moment_estimators import Prior
 from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column
 from casid.model.model import Model

@@ -32,8 +32,8 @@ from casid.data.record import Experiment
 from casid.errors import CasidError
 from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
 from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_equations import parts_of
 from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.parts import parts_of
 from casid.estimation.moments.stage import Stage
 from casid.identification.moment_estimators import least_squares
 from casid.model.model import Model

@@ -32,11 +32,11 @@ from analysis.ship_algorithm_records import (
     telegraph,
 )
 from casid.errors import IdentifiabilityError
-from casid.estimation.moments.moment_equations import parts_of
+from casid.estimation.moments.parts import parts_of
 from casid.identifiability.combinations.family_estimate import along_family
 from casid.identification.iterative_joint import family_values
 from casid.identification.moment_estimators import least_squares
-from casid.identification.resampling import profile
+from casid.identification.profile_interval import profile
 from problems.ship import TABLE_8_2
 from problems.ship_4dof import Ship, linearised
 

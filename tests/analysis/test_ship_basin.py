@@ -26,7 +26,7 @@ from analysis.ship_basin_records import (
 from analysis.ship_basin_runs import LEAST_SQUARES, LOAD, Draws, Found, estimated
 from casid.campaigns.campaign import campaign
 from casid.estimation.moments.convergence import Convergence
-from casid.estimation.moments.moment_equations import parts_of
+from casid.estimation.moments.parts import parts_of
 from problems.ship import TABLE_8_2
 
 

@@ -14,20 +14,16 @@ import pytest
 
 import casid
 from analysis.pendulum_records import Study
-from casid.estimation.moments.estimated_filter import estimate_reference_filter
 from casid.estimation.moments.instruments import Instruments
 from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.reference_filter import ReferenceFilter
+from casid.estimation.moments.reference_filter_estimate import estimate_reference_filter
+from casid.estimation.moments.stage_plan import StageSpec
 from casid.estimation.moments.validation import validate
-from casid.identification.moment_estimators import (
-    Prior,
-    Reusable,
-    StageSpec,
-    instrumental_variables,
-    least_squares,
-    multistage,
-)
-from casid.identification.resampling import bootstrap, profile
+from casid.identification.bootstrap import bootstrap
+from casid.identification.moment_estimators import Reusable, instrumental_variables, least_squares, multistage
+from casid.identification.profile_interval import profile
 from problems.pendulum import TABLE_7_2, indirect_model
 
 STAGES = (StageSpec(["I_x", "d"], ["nominal"]), StageSpec(["m", "z_m"], ["loaded"]))

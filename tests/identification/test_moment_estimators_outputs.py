@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 
 import casid
 from casid.estimation.moments.instruments import Instruments
-from casid.estimation.moments.moment_equations import huber
 from casid.estimation.moments.moment_settings import MomentSettings
+from casid.estimation.moments.robust_weights import huber
 from casid.identification.moment_estimators import instrumental_variables
 
 TS = 0.05

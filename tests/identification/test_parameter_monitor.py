@@ -13,6 +13,7 @@ import casid
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.moments.change_detection import ChangeDetector
 from casid.estimation.moments.moments import Moments, moments
+from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.windowed_moments import (
     FadingSums,
     Simulated,
@@ -21,7 +22,6 @@ from casid.estimation.moments.windowed_moments import (
     faded,
     on_simulated,
 )
-from casid.identification.moment_estimators import Prior
 from casid.identification.parameter_monitor import Derived, Monitor, MonitorSettings
 from casid.linear.difference_equation import difference_equation
 

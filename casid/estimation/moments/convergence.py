@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.moments.prefilters import eta_distance
+from casid.estimation.moments.noise_models import eta_distance
 from casid.estimation.moments.stage import StageFit
 
 

@@ -12,7 +12,7 @@ F statistic is not held against Fisher's F, but against its values with the sign
 random, block by block (wild bootstrap: Wu 1986, Annals of Statistics 14, 1261-1295; with fixed
 regressors, Goncalves & Kilian 2004, J. Econometrics 123, 89-120). A few large steps then cannot
 give a small p-value: n of them have 2^n patterns of signs. A reference that stands at two levels is
-asked for the times of its reversals instead (`casid.estimation.moments.reference_switches`).
+asked for the times of its reversals instead (`casid.estimation.moments.relay_reversals`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from casid.arrays import TINY
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.estimation.covariance import bartlett_lags
-from casid.estimation.moments.reference_switches import reversals, switching_p_value
+from casid.estimation.moments.relay_reversals import reversals, switching_p_value
 
 FloatArray = NDArray[np.float64]
 Method = Literal["regression", "switching"]

@@ -41,7 +41,7 @@ class Instruments:
     reference : recorded channel that drives the unknown input; or a mapping of the direct model's
         inputs to channels where several have to be driven.
     F_delta : filter from the reference to the unknown input, or a mapping; a guess will do, or
-        `casid.estimation.moments.estimated_filter.estimate_reference_filter`.
+        `casid.estimation.moments.reference_filter_estimate.estimate_reference_filter`.
     initial : where the first instruments come from: ``"model"``, the loop simulated with the start
         values (its own lags reach much further than those of the reference), or ``"reference"``,
         lags of the reference as in Algorithm 2.1; these also where the start's loop is unstable;

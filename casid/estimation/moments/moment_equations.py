@@ -12,32 +12,26 @@ see the data through (1) alone, a few numbers whatever the length of the record.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.data.record import Experiment
-from casid.errors import DataError, ModelError
-from casid.estimation.covariance import bartlett_lags, long_run_covariance
+from casid.errors import DataError
 from casid.estimation.moments.column_products import column_means, column_products
 from casid.estimation.moments.instruments import Simulated
 from casid.estimation.moments.long_run_covariance import (
     cross_covariances,
-    independent_covariances,
     memory,
-    positive_part,
 )
 from casid.estimation.moments.moments import Moments, moments
-from casid.estimation.simulation.signals import signals_of
-from casid.linear.difference_equation import DifferenceEquation, difference_equation
+from casid.estimation.moments.parts import Part
+from casid.linear.difference_equation import DifferenceEquation
 from casid.linear.lagged_columns import Column
-from casid.model.model import Model
 
 Weighting = Literal["2sls", "optimal", "identity"]
-Covariance = Literal["independent", "scores", "white"]
 
 
 class Whitener(Protocol):
@@ -46,103 +40,6 @@ class Whitener(Protocol):
     def whiten(self, x: Array) -> Array:
         """L(q) x for (N,) samples, at rest before."""
         ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """One output of one record: its difference equation, its signals, what is known of it."""
-
-    record: str
-    equation: DifferenceEquation
-    values: Mapping[str, float]  # every parameter of the model; free ones at their start
-    known: frozenset[str]  # known for this record whatever is estimated: its load case
-    signals: Mapping[str, Array]  # channels of the equation, (N,), SI
-    channels: Mapping[str, Array]  # everything recorded, (N,)
-    Ts: float
-    # Sums of the signals' own products, and their means: write nothing over the samples while the
-    # part lives.
-    kept: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
-    kept_means: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
-
-    @property
-    def name(self) -> str:
-        """Record and output."""
-        return f"{self.record}/{self.equation.output}"
-
-
-def parts_of(
-    model: Model,
-    experiments: Sequence[Experiment],
-    *,
-    method: str = "bilinear",
-    outputs: Sequence[str] | None = None,
-    equations: dict[tuple[str, float], DifferenceEquation] | None = None,
-) -> list[Part]:
-    """Every output of every record as a regression, each with its own sample time.
-
-    Parameters
-    ----------
-    outputs : of the model that are used; default all.
-    equations : those derived before, by output and sample time, for use again.
-
-    Raises
-    ------
-    DataError
-        If a channel is missing or has missing samples, or a load case names no parameter.
-    ModelError
-        If the model cannot be linearised.
-    """
-    if not experiments:
-        raise DataError("no record given; name at least one")
-    names = [e.name for e in experiments]
-    twice = sorted({n for n in names if names.count(n) > 1})
-    if twice:
-        raise DataError(
-            f"two records are called {twice[0]!r}; give the experiments names of their own"
-        )
-    chosen = tuple(model.outputs) if outputs is None else tuple(outputs)
-    for output in chosen:
-        if output not in model.outputs:
-            raise ModelError(
-                f"{model.name} has no output {output!r}; it has {', '.join(model.outputs)}"
-            )
-    found = {} if equations is None else equations
-    parts = []
-    for e in experiments:
-        for name in e.known:
-            model.parameter_named(name)
-        d = signals_of(model, e)
-        if not d.used.all():
-            k = int(np.argmin(d.used.all(axis=1)))
-            raise DataError(
-                f"{e.name}: samples are missing, the first at t = {d.t[k]:g} s, and a difference "
-                "equation needs all of them; cut the record there (record.between), or "
-                "interpolate with record.filled"
-            )
-        signals = {n: d.u[:, j] for j, n in enumerate(model.inputs)}
-        signals |= {n: d.y[:, i] for i, n in enumerate(model.outputs)}
-        values = {
-            p.name: p.value if p.value is not None else p.start for p in model.parameters.values()
-        }
-        values.update(d.known)
-        for output in chosen:
-            key = (output, d.Ts)
-            if key not in found:
-                found[key] = difference_equation(model, output, d.Ts, method=method)
-            equation = found[key]
-            used = {c for col in (equation.left, *equation.columns) for c, _, _ in col.taps}
-            parts.append(
-                Part(
-                    e.name,
-                    equation,
-                    values,
-                    frozenset(d.known),
-                    {n: np.ascontiguousarray(signals[n]) for n in used},
-                    {n: np.asarray(e.record[n]) for n in e.record.names},
-                    d.Ts,
-                )
-            )
-    return parts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -463,97 +360,3 @@ def _finite(sums: Array, signals: Mapping[str, Array]) -> Array:
 
 
 # -- the covariance of the moments ----------------------------------------------------------------
-
-
-def moment_covariance(
-    equations: Sequence[MomentEquations],
-    thetas: Sequence[Array],
-    records: Sequence[str],
-    *,
-    how: Covariance | None = None,
-) -> Array:
-    """Covariance of all stacked means Y - Phi theta, (sum nz, sum nz), at thetas.
-
-    Parts of one record share its noise and are correlated; records are independent.
-
-    Parameters
-    ----------
-    how : ``"independent"``: instruments independent of the error, see `long_run`; default for
-        instrumental variables. ``"scores"``: autocorrelation-robust from the products themselves
-        (Newey and West 1987), the only choice where the regressors are their own instruments.
-        ``"white"``: sigma^2 mean zeta zeta', all that sums without their samples can give.
-    """
-    sizes = [len(e.Z) for e in equations]
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-    total = np.zeros((offsets[-1], offsets[-1]))
-    errors = [
-        e.error(t) if e.signals else np.zeros(0) for e, t in zip(equations, thetas, strict=True)
-    ]
-    for record in dict.fromkeys(records):
-        index = [i for i, r in enumerate(records) if r == record]
-        if how == "white" or not all(equations[i].signals for i in index):
-            for i in index:  # parts of a record whose samples are gone: no correlation between them
-                at = slice(int(offsets[i]), int(offsets[i + 1]))
-                total[at, at] = (
-                    equations[i].error_power(thetas[i]) * equations[i].Z / equations[i].N
-                )
-            continue
-        chosen = how or (
-            "scores" if any(equations[i].is_least_squares for i in index) else "independent"
-        )
-        length = min(len(errors[i]) for i in index)
-        where = np.concatenate([np.arange(offsets[i], offsets[i + 1]) for i in index])
-        n = min(equations[i].N for i in index)
-        if chosen == "scores":
-            scores = np.column_stack(
-                [
-                    c.samples(equations[i].signals, equations[i].start)[-length:]
-                    * errors[i][-length:]
-                    for i in index
-                    for c in equations[i].instruments
-                ]
-            )
-            block = long_run_covariance(scores, bartlett_lags(scores)) / length
-        else:
-            # The instruments have mean zero, so a constant error moves nothing and spreads nothing.
-            block = independent_covariances(
-                [errors[i][-length:] - errors[i][-length:].mean() for i in index],
-                [equations[i].instruments for i in index],
-                [{k: v[len(v) - length :] for k, v in equations[i].signals.items()} for i in index],
-            )
-        total[np.ix_(where, where)] = positive_part(block) / n
-    return total
-
-
-def robust_weights(error: Array, alpha: Callable[[Array], Array]) -> Array:
-    """alpha(e)/e at every sample (N,), with e in units of its robust spread (1.4826 MAD)."""
-    spread = 1.4826 * float(np.median(np.abs(error - np.median(error)))) or 1.0
-    e = error / spread
-    with np.errstate(all="ignore"):
-        w = alpha(e) / e
-    return np.where(np.abs(e) < 1e-9, 1.0, w)
-
-
-def huber(limit: float = 1.345) -> Callable[[Array], Array]:
-    """alpha(x) = x within `limit` spreads, and its sign times `limit` beyond (Huber 1964)."""
-
-    def alpha(x: Array) -> Array:
-        return np.clip(x, -limit, limit)
-
-    return alpha
-
-
-def weighted_equations(equations: MomentEquations, weights: Array) -> MomentEquations:
-    """The equations with every sample weighted, (N,): mean zeta w L error = 0, (2.41)."""
-    from dataclasses import replace
-
-    start = equations.start
-    zeta = np.column_stack([c.samples(equations.signals, start) for c in equations.instruments])
-    eq = equations.equation
-    phi = np.column_stack([c.samples(equations.signals, start) for c in (eq.left, *eq.columns)])
-    heavy = phi * weights[:, None]
-    n = len(phi)
-    cross = zeta.T @ heavy / n
-    return replace(
-        equations, Phi=cross[:, 1:], Y=cross[:, 0], second=phi.T @ heavy / n, Z=zeta.T @ zeta / n
-    )

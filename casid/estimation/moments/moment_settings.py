@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from casid.arrays import Array
-from casid.estimation.moments.moment_equations import Covariance, Weighting
+from casid.estimation.moments.moment_covariance import Covariance
+from casid.estimation.moments.moment_equations import Weighting
 from casid.estimation.moments.moment_nlp import Constraint
 from casid.estimation.nlp.nlp import Solver
 
@@ -33,7 +34,7 @@ class MomentSettings:
         ten times the tolerance, of any coefficient of a noise model; or ``"norm"``, (8.93),
         ||theta_p - last|| + sum over records of ||eta - last||, whatever the units.
     alpha : the function of (2.41) on errors in units of their spread; None: alpha(x) = x.
-    covariance : see `casid.estimation.moments.moment_equations.moment_covariance`.
+    covariance : see `casid.estimation.moments.moment_covariance.moment_covariance`.
     constraints : each takes a mapping of parameters to symbols and returns what is to be zero.
     solver : of the programs; ``"null space"`` for the linear form's optimum in closed form, which
         takes a fifth of Ipopt's time and pays off where runs are counted in thousands.

@@ -7,11 +7,6 @@ At the optimum of stage i, with A_k = Phi_k dg_k/d(free) and D_k = Phi_k dg_k/d(
 where s_k is the mean of zeta_t L(q) error_t, the only noise there is. (1) is linear in all s_k and
 in the errors of what was taken as known, so one matrix holds the whole propagation; a stage that
 treats the earlier ones as exact (Linder 2017, Approach 5.1) is (1) with D_k = 0.
-
-Instruments that are lags of one signal are nearly dependent, so a row of that matrix is a filter
-with notches where the signal has its peaks. A spectrum of the signal, smeared over the notch by the
-few segments of a short record, is then a large part of the answer; so the instruments of short
-records are combined first, and their spectra taken then (`combined_covariance`).
 """
 
 from __future__ import annotations
@@ -23,15 +18,12 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.estimation.moments.long_run_covariance import (
-    LONGEST_SEGMENT,
-    independent_covariances,
-    positive_part,
-    segments,
+from casid.estimation.moments.moment_covariance import (
+    are_short,
+    combined_covariance,
+    moment_covariance,
 )
-from casid.estimation.moments.moment_equations import MomentEquations, moment_covariance
 from casid.estimation.moments.stage import StageFit
-from casid.linear.lagged_columns import Column
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +66,7 @@ def propagate(
     Parameters
     ----------
     prior_names, prior_covariance : known values that are uncertain, (q,) and (q, q).
-    how : passed to `casid.estimation.moments.moment_equations.moment_covariance`.
+    how : passed to `casid.estimation.moments.moment_covariance.moment_covariance`.
     """
     entries = [(i, k) for i, st in enumerate(stages) for k in range(len(st.parts))]
     sizes = [len(stages[i].equations[k].Z) for i, k in entries]
@@ -169,59 +161,6 @@ def propagate(
         statistic=float(np.sum(projected**2 / eigenvalues[keep])),
         degrees=int(keep.sum()),
     )
-
-
-def are_short(equations: Sequence[MomentEquations]) -> bool:
-    """True for instruments, not least squares, of records whose segments are shorter than allowed.
-
-    Only there is the resolution of a spectrum in question.
-    """
-    return all(e.signals and not e.is_least_squares for e in equations) and any(
-        segments(e.N) < LONGEST_SEGMENT for e in equations
-    )
-
-
-def combined_covariance(
-    equations: Sequence[MomentEquations],
-    thetas: Sequence[Array],
-    records: Sequence[str],
-    weights: Array,
-) -> Array:
-    """Covariance of weights (m, sum nz) times the stacked means Y - Phi theta at thetas, (m, m).
-
-    As `moment_covariance` for instruments that are independent of the error, but the m combinations
-    of each part's instruments are made in time, before a spectrum smears them.
-    """
-    m = len(weights)
-    names = [str(j) for j in range(m)]
-    columns = [Column(name, ((name, 0, 1.0),)) for name in names]
-    offsets = np.concatenate([[0], np.cumsum([len(e.Z) for e in equations])]).astype(int)
-    total = np.zeros((m, m))
-    for record in dict.fromkeys(records):
-        index = [i for i, r in enumerate(records) if r == record]
-        errors = [equations[i].error(thetas[i]) for i in index]
-        made = [_combined(equations[i], weights[:, offsets[i] : offsets[i + 1]]) for i in index]
-        length = min(len(a) for a in (*errors, *made))
-        block = independent_covariances(
-            [e[-length:] - e[-length:].mean() for e in errors],
-            [columns] * len(index),
-            [dict(zip(names, z[-length:].T, strict=True)) for z in made],
-        )
-        summed = block.reshape(len(index), m, len(index), m).sum(axis=(0, 2))
-        total += positive_part(summed) / min(equations[i].N for i in index)
-    return total
-
-
-def _combined(e: MomentEquations, weights: Array) -> Array:
-    """Combinations of the instruments of a part, weights (m, nz), at every sample, (N, m)."""
-    taps: dict[tuple[str, int], Array] = {}
-    for column, weight in zip(e.instruments, weights.T, strict=True):
-        for channel, lag, value in column.taps:
-            taps[channel, lag] = taps.get((channel, lag), 0.0) + value * weight
-    shifted = [
-        e.signals[channel][e.start - lag : len(e.signals[channel]) - lag] for channel, lag in taps
-    ]
-    return np.asarray(np.column_stack(shifted) @ np.array(list(taps.values())))
 
 
 def jacobian_of(st: StageFit, k: int) -> Array:

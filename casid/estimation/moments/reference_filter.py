@@ -4,7 +4,7 @@ Instruments and validation simulate the loop from the reference, so they need a 
 between it and the unknown input: an actuator, a rider's hand, a cart's drive. A guess will do for
 instruments, since a wrong F_delta costs variance and not consistency (Linder 2017, section 5.1);
 for validation by simulation it has to be right. Where no guess is at hand it is estimated
-(`casid.estimation.moments.estimated_filter`).
+(`casid.estimation.moments.reference_filter_estimate`).
 """
 
 from __future__ import annotations

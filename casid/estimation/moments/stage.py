@@ -21,20 +21,15 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, ModelError
-from casid.estimation.moments.coefficient_image import Image
-from casid.estimation.moments.instrumented_directions import require_seen
+from casid.estimation.moments.coefficient_map import CoefficientMap
+from casid.estimation.moments.instrument_relevance import require_relevance
 from casid.estimation.moments.instruments import Instruments, Loop, Simulated
-from casid.estimation.moments.moment_equations import (
-    Correlation,
-    MomentEquations,
-    Part,
-    moment_covariance,
-    moment_equations,
-    robust_weights,
-    weighted_equations,
-)
+from casid.estimation.moments.moment_covariance import moment_covariance
+from casid.estimation.moments.moment_equations import Correlation, MomentEquations, moment_equations
 from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.moments.prefilters import eta_distance, noise_models
+from casid.estimation.moments.noise_models import eta_distance, noise_models
+from casid.estimation.moments.parts import Part
+from casid.estimation.moments.robust_weights import robust_weights, weighted_equations
 from casid.estimation.moments.stage_instruments import StageInstruments
 from casid.estimation.moments.stage_programs import StagePrograms
 from casid.estimation.nlp.nlp import Solution
@@ -69,7 +64,7 @@ class Stage:
     Parameters
     ----------
     model : indirect model; `free` of its parameters are estimated, whatever it declares known.
-    parts : from `casid.estimation.moments.moment_equations.parts_of`.
+    parts : from `casid.estimation.moments.parts.parts_of`.
     instruments : None for least squares.
     """
 
@@ -109,7 +104,7 @@ class Stage:
         )
 
     @property
-    def image(self) -> Image:
+    def image(self) -> CoefficientMap:
         """theta = g(theta_p) of all parts."""
         return self.programs.image
 
@@ -297,7 +292,7 @@ class Stage:
             self.image.jacobian(theta_p, values),
             np.cumsum([len(e.coefficients) for e in self.equations])[:-1],
         )
-        return require_seen(equations, jacobians, self.free, theta_p)
+        return require_relevance(equations, jacobians, self.free, theta_p)
 
     def _at(
         self, values: Sequence[Mapping[str, float]], theta_p: Array

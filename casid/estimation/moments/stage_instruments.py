@@ -15,7 +15,7 @@ from casid.estimation.moments.instruments import (
     from_reference,
     reference_signals,
 )
-from casid.estimation.moments.moment_equations import Part
+from casid.estimation.moments.parts import Part
 from casid.model.model import Model
 
 

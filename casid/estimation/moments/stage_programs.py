@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.errors import ModelError, SolveError
-from casid.estimation.moments.coefficient_image import Image
+from casid.estimation.moments.coefficient_map import CoefficientMap
 from casid.estimation.moments.moment_equations import MomentEquations
 from casid.estimation.moments.moment_nlp import Condensed, LinearNlp, PhysicalNlp
 from casid.estimation.moments.moment_settings import MomentSettings
@@ -44,7 +44,7 @@ class StagePrograms:
         self.free = tuple(p.name for p in parameters)
         self.low = np.array([p.lower for p in parameters])
         self.high = np.array([p.upper for p in parameters])
-        self.image = Image(equations, parameters, known, name=name)
+        self.image = CoefficientMap(equations, parameters, known, name=name)
         self._physical: PhysicalNlp | None = None
         self._linear: dict[int, LinearNlp] = {}
 

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from casid.identifiability.records.profile_result import Profiles
-from casid.identification.resampling import Profile
+from casid.identification.profile_interval import Profile
 from casid.report.figures.look import AFTER, BEFORE, figure_text, visible_text
 
 

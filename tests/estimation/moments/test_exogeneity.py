@@ -8,7 +8,7 @@ import pytest
 import casid
 from casid.errors import DataError
 from casid.estimation.moments.exogeneity import reference_depends_on
-from casid.estimation.moments.reference_switches import reversals, switching_p_value
+from casid.estimation.moments.relay_reversals import reversals, switching_p_value
 from problems import kvlcc2_zigzag
 
 

@@ -11,15 +11,10 @@ from hypothesis import strategies as st
 
 import casid
 from casid.estimation.moments.instruments import Simulated, independent
-from casid.estimation.moments.moment_equations import (
-    MomentEquations,
-    huber,
-    moment_equations,
-    parts_of,
-    robust_weights,
-    weighted_equations,
-)
+from casid.estimation.moments.moment_equations import MomentEquations, moment_equations
 from casid.estimation.moments.moments import moments
+from casid.estimation.moments.parts import parts_of
+from casid.estimation.moments.robust_weights import huber, robust_weights, weighted_equations
 from casid.linear.lagged_columns import Column
 from problems.pendulum import experiments, indirect_model
 

@@ -8,9 +8,12 @@ import pytest
 from analysis.ship_basin_records import basin, experiments_of
 from analysis.ship_basin_runs import LOAD, How, estimated
 from casid.estimation.moments.long_run_covariance import LONGEST_SEGMENT, segments
-from casid.estimation.moments.moment_equations import moment_covariance
-from casid.estimation.moments.propagation import are_short, combined_covariance
-from casid.identification.resampling import profile
+from casid.estimation.moments.moment_covariance import (
+    are_short,
+    combined_covariance,
+    moment_covariance,
+)
+from casid.identification.profile_interval import profile
 
 
 @pytest.fixture(scope="module")

@@ -15,14 +15,11 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import CasidError, IdentifiabilityError, SolveError
 from casid.estimation.local_rank import local_rank
-from casid.estimation.moments.moment_equations import (
-    MomentEquations,
-    Part,
-    moment_covariance,
-    moment_equations,
-)
+from casid.estimation.moments.moment_covariance import moment_covariance
+from casid.estimation.moments.moment_equations import MomentEquations, moment_equations
 from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
-from casid.estimation.moments.prefilters import noise_models
+from casid.estimation.moments.noise_models import noise_models
+from casid.estimation.moments.parts import Part
 from casid.estimation.nlp.nlp import Solution, Solver
 from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
 from casid.linear.difference_equation import DifferenceEquation

@@ -17,7 +17,8 @@ from scipy.optimize import minimize
 from scipy.signal import lfilter
 
 from casid.estimation.moments.instruments import Instruments, Loop, Simulated
-from casid.estimation.moments.moment_equations import MomentEquations, moment_covariance
+from casid.estimation.moments.moment_covariance import moment_covariance
+from casid.estimation.moments.moment_equations import MomentEquations
 from casid.estimation.moments.moments import moments
 from casid.estimation.prediction_error.polynomial_estimation import armax, arx
 from casid.linear.difference_equation import difference_equation

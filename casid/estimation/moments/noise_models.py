@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, SolveError
-from casid.estimation.moments.moment_equations import Part
+from casid.estimation.moments.parts import Part
 
 
 def noise_models(

@@ -9,8 +9,8 @@ import casid
 from analysis.pendulum_records import Study
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.moments import Moments, moments, of_record
+from casid.identification.estimate_from_moments import estimate_from_moments
 from casid.identification.moment_estimators import least_squares
-from casid.identification.streamed_moments import estimate_from_moments
 from casid.linear.lagged_columns import lagged
 from problems.pendulum import TABLE_7_2, indirect_model
 

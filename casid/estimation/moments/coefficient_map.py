@@ -21,7 +21,7 @@ from casid.linear.difference_equation import DifferenceEquation
 from casid.model.model import Parameter
 
 
-class Image:
+class CoefficientMap:
     """The stacked coefficients of a stage's parts as functions of its free parameters.
 
     Parameters

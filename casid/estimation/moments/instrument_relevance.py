@@ -11,7 +11,7 @@ from casid.errors import IdentifiabilityError
 from casid.estimation.moments.moment_equations import Correlation, MomentEquations
 
 
-def require_seen(
+def require_relevance(
     equations: Sequence[MomentEquations],
     jacobians: Sequence[Array],
     free: Sequence[str],

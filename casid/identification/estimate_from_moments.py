@@ -14,12 +14,15 @@ import numpy as np
 
 from casid.data.problem import Problem
 from casid.errors import DataError, ModelError
-from casid.estimation.moments.moment_equations import MomentEquations, Part
+from casid.estimation.moments.moment_equations import MomentEquations
+from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.moments import Moments
+from casid.estimation.moments.parts import Part
+from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.propagation import propagate
 from casid.estimation.moments.stage import Stage
-from casid.identification.moment_estimators import MomentEstimate, Prior, as_estimate
+from casid.identification.moment_estimators import as_estimate
 from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column
 from casid.model.model import Model
