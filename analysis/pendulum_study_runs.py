@@ -240,7 +240,7 @@ def sampled(found: Staged, rng: np.random.Generator, draws: int) -> Array:
                 **fit.values[0],
                 **{q: v for q, v in given.items() if q not in fit.parts[0].known},
             }
-            theta_p, _, _ = fit.stage.solve(
+            theta_p, _, _ = fit.stage.programs.solve(
                 [replace(e, Y=left + errors[k])], fit.roots, [at], fit.theta_p
             )
             given |= dict(zip(fit.free, theta_p.tolist(), strict=True))

@@ -105,7 +105,7 @@ def physical_case(key: str, fit: StageFit, *, is_lifted: bool) -> Case:
     at_start = np.array([STARTS[name] for name in fit.free])
     start = at_start.tolist()
     if is_lifted:
-        start += stage.image.theta(at_start, fit.values).tolist()
+        start += stage.programs.map.theta(at_start, fit.values).tolist()
     values = program.parameters(condensed(fit), fit.values)
     expected = dict(zip(fit.free, fit.theta_p.tolist(), strict=True))
     title = f"joint: {', '.join(fit.free)} from both records, {form}"

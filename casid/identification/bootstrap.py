@@ -92,7 +92,7 @@ def bootstrap(estimate: MomentEstimate, *, runs: int = 500, seed: int = 0) -> Bo
                     {**v, **{q: w for q, w in values.items() if q not in p.known}}
                     for v, p in zip(st.values, st.parts, strict=True)
                 ]
-                theta_p, _, _ = st.stage.solve(equations, st.roots, at, st.theta_p)
+                theta_p, _, _ = st.stage.programs.solve(equations, st.roots, at, st.theta_p)
                 values |= dict(zip(st.free, theta_p.tolist(), strict=True))
                 row += theta_p.tolist()
         except SolveError:

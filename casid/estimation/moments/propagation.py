@@ -68,99 +68,133 @@ def propagate(
     prior_names, prior_covariance : known values that are uncertain, (q,) and (q, q).
     how : passed to `casid.estimation.moments.moment_covariance.moment_covariance`.
     """
-    entries = [(i, k) for i, st in enumerate(stages) for k in range(len(st.parts))]
-    sizes = [len(stages[i].equations[k].Z) for i, k in entries]
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-    q = len(prior_names)
-    total = q + int(offsets[-1])
-    noise = np.zeros((total, total))
-    if q:
-        noise[:q, :q] = prior_covariance
-    noise[q:, q:] = moment_covariance(
-        [stages[i].equations[k] for i, k in entries],
-        [stages[i].thetas[k] for i, k in entries],
-        [stages[i].parts[k].record for i, k in entries],
-        how=how,
+    noise = _Noise(stages, prior_covariance, len(prior_names), how)
+    linear = _Linear(prior_names, noise.size)
+    for st, columns in zip(stages, noise.columns, strict=True):
+        linear.add(st, columns)
+    statistic, degrees = _overidentification(
+        np.vstack(linear.residual), np.concatenate(linear.moments), noise.covariance
     )
-    names = list(prior_names)
-    full: Array = np.zeros((q, total))
-    full[:, :q] = np.eye(q)
-    alone: Array = full.copy()
-    active: list[bool] = []
-    residual: list[Array] = []
-    statistic_parts: list[Array] = []
-    at = 0
-    for st in stages:
+    q = len(prior_names)
+    everything = noise.spread(linear.full[q:])
+    is_all = np.array_equal(linear.full, linear.alone)
+    return Propagated(
+        names=tuple(linear.names[q:]),
+        covariance=everything,
+        own=everything if is_all else noise.spread(linear.alone[q:]),
+        active=np.array(linear.active),
+        statistic=statistic,
+        degrees=degrees,
+    )
+
+
+class _Noise:
+    """All sources of noise: errors of known values (q,), then the means s_k of every part."""
+
+    def __init__(
+        self, stages: Sequence[StageFit], prior_covariance: Array | None, q: int, how: Any
+    ) -> None:
+        self.q, self.how = q, how
+        self.equations = [e for st in stages for e in st.equations]
+        self.thetas = [theta for st in stages for theta in st.thetas]
+        self.records = [part.record for st in stages for part in st.parts]
+        ends = iter((q + np.cumsum([len(e.Z) for e in self.equations])).tolist())
+        self.columns: list[list[slice]] = []  # of each stage, the sources of its parts
+        for st in stages:
+            sizes = [len(e.Z) for e in st.equations]
+            self.columns.append([slice(end - n, end) for n, end in zip(sizes, ends, strict=False)])
+        self.size = q + sum(len(e.Z) for e in self.equations)
+        self.covariance: Array = np.zeros((self.size, self.size))
+        if q:
+            self.covariance[:q, :q] = prior_covariance
+        self.covariance[q:, q:] = moment_covariance(
+            self.equations, self.thetas, self.records, how=how
+        )
+
+    def spread(self, maps: Array) -> Array:
+        """Covariance (n, n) of maps (n, size) times the noise."""
+        q = self.q
+        if self.how not in (None, "independent") or not are_short(self.equations):
+            return np.asarray(maps @ self.covariance @ maps.T)
+        known = maps[:, :q] @ self.covariance[:q, :q] @ maps[:, :q].T
+        combined = combined_covariance(self.equations, self.thetas, self.records, maps[:, q:])
+        return np.asarray(known + combined)
+
+
+class _Linear:
+    """Errors of the parameters as linear maps of the noise, stage by stage.
+
+    Attributes
+    ----------
+    full, alone : (n, size), by (1), and with D_k = 0.
+    residual, moments : of each part, the map of R (s - Phi d theta), and its value.
+    """
+
+    def __init__(self, prior_names: Sequence[str], size: int) -> None:
+        self.names = list(prior_names)
+        self.size = size
+        self.full: Array = np.eye(len(prior_names), size)
+        self.alone: Array = self.full.copy()
+        self.active: list[bool] = []
+        self.residual: list[Array] = []
+        self.moments: list[Array] = []
+
+    def add(self, st: StageFit, columns: Sequence[slice]) -> None:
+        """The parameters of one more stage, its parts' noise at `columns`."""
         held = {*st.solution.at_lower, *st.solution.at_upper}
         free = [f for f in st.free if f not in held]
         normal = np.zeros((len(free), len(free)))
-        forced, forced_alone = np.zeros((len(free), total)), np.zeros((len(free), total))
+        forced, forced_alone = (np.zeros((len(free), self.size)) for _ in range(2))
         rows = []
         for k, (e, root) in enumerate(zip(st.equations, st.roots, strict=True)):
-            jacobian = jacobian_of(st, k)
-            index = {n: c for c, n in enumerate(e.equation.parameters)}
-            fixed = st.parts[k].known
             A = root @ e.Phi @ free_slope(st, k, free)
-            source = np.zeros((len(e.Z), total))
-            column = q + int(offsets[at + k])
-            source[:, column : column + len(e.Z)] = np.eye(len(e.Z))
-            earlier = source.copy()
-            for r, n in enumerate(names):
-                if n in index and n not in fixed and n not in st.free:
-                    earlier -= np.outer(e.Phi @ jacobian[:, index[n]], full[r])
+            source = np.zeros((len(e.Z), self.size))
+            source[:, columns[k]] = np.eye(len(e.Z))
+            driven = source - self._earlier(st, k)
             normal += A.T @ A
-            forced += A.T @ root @ earlier
+            forced += A.T @ root @ driven
             forced_alone += A.T @ root @ source
-            rows.append((A, root @ earlier, root @ (e.Y - e.Phi @ st.thetas[k])))
-        basis = _tangent(st, free)
-        reduced = basis.T @ normal @ basis
-        scale = 1 / np.sqrt(np.maximum(np.diag(reduced), TINY))
-        inverse = (
-            basis
-            @ (
-                np.outer(scale, scale)
-                * np.linalg.pinv(reduced * np.outer(scale, scale), rcond=1e-13)
-            )
-            @ basis.T
-        )
+            rows.append((A, root @ driven))
+            self.moments.append(root @ (e.Y - e.Phi @ st.thetas[k]))
+        inverse = _inverse(normal, _tangent(st, free))
         moved, moved_alone = inverse @ forced, inverse @ forced_alone
-        for A, direct, value in rows:
-            residual.append(direct - A @ moved)
-            statistic_parts.append(value)
-        wide, wide_alone = np.zeros((len(st.free), total)), np.zeros((len(st.free), total))
-        for r, f in enumerate(free):
-            wide[st.free.index(f)], wide_alone[st.free.index(f)] = moved[r], moved_alone[r]
-        full, alone = np.concatenate([full, wide]), np.concatenate([alone, wide_alone])
-        names += list(st.free)
-        active += [f in free for f in st.free]
-        at += len(st.parts)
-    left = np.vstack(residual)
-    value = np.concatenate(statistic_parts)
-    covariance = left @ noise @ left.T
+        self.residual += [direct - A @ moved for A, direct in rows]
+        wide, wide_alone = (np.zeros((len(st.free), self.size)) for _ in range(2))
+        place = [st.free.index(f) for f in free]
+        wide[place], wide_alone[place] = moved, moved_alone
+        self.full = np.concatenate([self.full, wide])
+        self.alone = np.concatenate([self.alone, wide_alone])
+        self.names += list(st.free)
+        self.active += [f in free for f in st.free]
+
+    def _earlier(self, st: StageFit, k: int) -> Array:
+        """D_k d theta_<i of (1): the errors of what part k takes as known."""
+        e, jacobian = st.equations[k], jacobian_of(st, k)
+        index = {n: c for c, n in enumerate(e.equation.parameters)}
+        total = np.zeros((len(e.Z), self.size))
+        for row, n in zip(self.full, self.names, strict=True):
+            if n in index and n not in st.parts[k].known and n not in st.free:
+                total += np.outer(e.Phi @ jacobian[:, index[n]], row)
+        return total
+
+
+def _inverse(normal: Array, basis: Array) -> Array:
+    """The inverse of normal (n, n) on the span of basis (n, r), by a scaled pseudo-inverse."""
+    reduced = basis.T @ normal @ basis
+    scale = 1 / np.sqrt(np.maximum(np.diag(reduced), TINY))
+    units = np.outer(scale, scale)
+    return np.asarray(basis @ (units * np.linalg.pinv(reduced * units, rcond=1e-13)) @ basis.T)
+
+
+def _overidentification(residual: Array, moments: Array, noise: Array) -> tuple[float, int]:
+    """Hansen's statistic of moments (m,), residual (m, size) times the noise, and its degrees."""
+    covariance = residual @ noise @ residual.T
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     size = np.where(size > 1e-9 * max(float(np.max(size, initial=0.0)), TINY), size, np.inf)
     eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     keep = eigenvalues > 1e-8
-    projected = vectors[:, keep].T @ (value / size)
-
-    def spread(maps: Array) -> Array:
-        equations = [stages[i].equations[k] for i, k in entries]
-        thetas = [stages[i].thetas[k] for i, k in entries]
-        if how not in (None, "independent") or not are_short(equations):
-            return np.asarray(maps @ noise @ maps.T)
-        records = [stages[i].parts[k].record for i, k in entries]
-        known = maps[:, :q] @ noise[:q, :q] @ maps[:, :q].T
-        return np.asarray(known + combined_covariance(equations, thetas, records, maps[:, q:]))
-
-    everything = spread(full[q:])
-    return Propagated(
-        names=tuple(names[q:]),
-        covariance=everything,
-        own=everything if np.array_equal(full, alone) else spread(alone[q:]),
-        active=np.array(active),
-        statistic=float(np.sum(projected**2 / eigenvalues[keep])),
-        degrees=int(keep.sum()),
-    )
+    projected = vectors[:, keep].T @ (moments / size)
+    return float(np.sum(projected**2 / eigenvalues[keep])), int(keep.sum())
 
 
 def jacobian_of(st: StageFit, k: int) -> Array:

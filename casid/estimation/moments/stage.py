@@ -14,14 +14,13 @@ condition to go on has to be "and"), or the allowed iterations are spent.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, ModelError
-from casid.estimation.moments.coefficient_map import CoefficientMap
 from casid.estimation.moments.instrument_relevance import require_relevance
 from casid.estimation.moments.instruments import Instruments, Loop, Simulated
 from casid.estimation.moments.moment_covariance import moment_covariance
@@ -37,11 +36,31 @@ from casid.model.model import Model
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Refinement:
+    """How instruments and prefilters were refined.
+
+    Attributes
+    ----------
+    noise_models : Arma or None of each part, from the last equation error.
+    iterations : estimates made; is_settled : the stopping rule was met.
+    remarks : what went otherwise than planned.
+    history : theta_p of each iteration.
+    prefilters : noise models with which each iteration was estimated.
+    """
+
+    noise_models: tuple[Any, ...]
+    iterations: int
+    is_settled: bool
+    remarks: tuple[str, ...] = ()
+    history: tuple[Array, ...] = ()
+    prefilters: tuple[tuple[Any, ...], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class StageFit:
-    """What a stage found, and all that its uncertainty needs."""
+    """The estimate of a stage, and all that its uncertainty needs."""
 
     stage: Stage
-    free: tuple[str, ...]
     theta_p: Array  # (nfree,)
     values: tuple[Mapping[str, float], ...]  # of each part, every parameter at the estimate
     parts: tuple[Part, ...]
@@ -50,12 +69,42 @@ class StageFit:
     thetas: tuple[Array, ...]  # (ntheta,) of each part
     solution: Solution
     correlations: tuple[Correlation, ...]
-    noise_models: tuple[Any, ...]  # Arma or None of each part
-    iterations: int
-    settled: bool
-    remarks: tuple[str, ...] = ()
-    history: tuple[Array, ...] = field(default_factory=tuple)  # theta_p of each iteration
-    prefilters: tuple[tuple[Any, ...], ...] = ()  # noise models with which each was estimated
+    refinement: Refinement
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameters estimated here."""
+        return self.stage.free
+
+    @property
+    def iterations(self) -> int:
+        """Estimates made, one for each set of instruments and prefilters."""
+        return self.refinement.iterations
+
+    @property
+    def settled(self) -> bool:
+        """Whether the stopping rule was met."""
+        return self.refinement.is_settled
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What went otherwise than planned."""
+        return self.refinement.remarks
+
+    @property
+    def noise_models(self) -> tuple[Any, ...]:
+        """Arma or None of each part."""
+        return self.refinement.noise_models
+
+    @property
+    def history(self) -> tuple[Array, ...]:
+        """theta_p of each iteration."""
+        return self.refinement.history
+
+    @property
+    def prefilters(self) -> tuple[tuple[Any, ...], ...]:
+        """Noise models with which each iteration was estimated."""
+        return self.refinement.prefilters
 
 
 class Stage:
@@ -103,23 +152,6 @@ class Stage:
             else StageInstruments(model, parts, instruments, loops, settings.method)
         )
 
-    @property
-    def image(self) -> CoefficientMap:
-        """theta = g(theta_p) of all parts."""
-        return self.programs.image
-
-    def solve(
-        self,
-        equations: Sequence[MomentEquations],
-        roots: Sequence[Array],
-        values: Sequence[Mapping[str, float]],
-        start: Array,
-        *,
-        on_the_way: bool = False,
-    ) -> tuple[Array, list[Array], Solution]:
-        """As `StagePrograms.solve`."""
-        return self.programs.solve(equations, roots, values, start, on_the_way=on_the_way)
-
     def fit(
         self,
         parts: Sequence[Part],
@@ -128,107 +160,21 @@ class Stage:
         *,
         check: bool = True,
     ) -> StageFit:
-        """Estimate, refine, and say what happened."""
-        s = self.settings
+        """Estimate by Algorithm 2.1, refining instruments and prefilters.
+
+        Parameters
+        ----------
+        values : of each part, every parameter; the free ones are taken from `start`.
+        start : (nfree,); default the starts of the model.
+        check : refuse parameters that are not identifiable, and instruments that are not relevant.
+        """
         theta_p = self._start() if start is None else start
-        if check:
-            self.image.require_identifiable(theta_p, values)
-        remarks: list[str] = []
-        lags, references = self._first_instruments(parts)
-        simulated = lags
-        if self.instruments is not None and self.instruments.starts_from_model:
-            at = self._at(values, theta_p)
-            simulated = self.instruments.simulate(parts, references, at, lags, remarks, -1)
-        prefilters: list[Any] = [None] * len(parts)
-        history: list[Array] = []
-        used: list[tuple[Any, ...]] = []
-        settled, j = False, 0
-        correlations: list[Correlation] = []
-        before = (simulated, prefilters)
-        allowed = 0 if self.instruments is None and s.noise_model is None else s.iterations
-        while True:
-            try:
-                equations = self._equations(parts, simulated, prefilters)
-                if check and j <= 1:  # later instruments hardly differ; the last are looked at
-                    correlations = self._seen(equations, values, theta_p)
-            except IdentifiabilityError as blind:
-                if j == 0 and lags is not simulated:
-                    remarks.append(
-                        f"{self.name}: instruments simulated with the start values do not see all "
-                        "coefficients; lags of the reference are used"
-                    )
-                    simulated = lags
-                    continue
-                if j == 0:
-                    raise
-                remarks.append(
-                    f"instruments simulated with the estimate of iteration {j} are worse than "
-                    f"those of before, which are kept ({blind})"
-                )
-                simulated, prefilters, settled = *before, True
-                equations = self._equations(parts, simulated, prefilters)
-                correlations = self._seen(equations, values, theta_p)
-                allowed = j
-            before = (simulated, prefilters)
-            roots = self._weigh(equations, parts)
-            old = theta_p
-            theta_p, thetas, solution = self.solve(
-                equations, roots, values, theta_p, on_the_way=j < allowed and s.alpha is None
-            )
-            history.append(theta_p)
-            used.append(tuple(prefilters))
-            if s.alpha is not None:
-                theta_p, thetas, solution, equations, roots = self._robust(
-                    equations, roots, values, theta_p, thetas, solution, s.alpha
-                )
-            moved = float(np.max(np.abs(theta_p - old) / np.maximum(np.abs(theta_p), 1e-12)))
-            if j >= allowed:
-                settled = settled or allowed == 0 or moved < s.tolerance
-                break
-            change, earlier = 0.0, prefilters
-            if s.noise_model is not None:
-                prefilters, change = noise_models(
-                    parts, thetas, prefilters, s.noise_model, remarks, j
-                )
-            is_still = moved < s.tolerance and change < 10 * s.tolerance
-            if s.stopping == "norm":
-                sizes = [eta_distance(a, b) for a, b in zip(prefilters, earlier, strict=True)]
-                is_still = float(np.linalg.norm(theta_p - old)) + sum(sizes) < s.tolerance
-            if j > 0 and is_still:
-                settled = True
-                break
-            if self.instruments is not None:
-                at = self._at(values, theta_p)
-                simulated = self.instruments.simulate(parts, references, at, simulated, remarks, j)
-            j += 1
-        if j < allowed and s.alpha is None and s.form == "linear":
-            theta_p, thetas, solution = self.solve(equations, roots, values, theta_p)
-        if check and j > 1:
-            correlations = self._seen(equations, values, theta_p)
-        if not settled:
-            remarks.append(
-                f"{self.name}: instruments and prefilter still move after {j} iterations (last "
-                f"change {moved:.1e} relative); the estimate is consistent all the same, raise "
-                "iterations= for the last bit of variance"
-            )
-        return StageFit(
-            stage=self,
-            free=self.free,
-            theta_p=theta_p,
-            values=self._at(values, theta_p),
-            parts=tuple(parts),
-            equations=tuple(equations),
-            roots=tuple(roots),
-            thetas=tuple(thetas),
-            solution=solution,
-            correlations=tuple(correlations),
-            noise_models=tuple(prefilters),
-            iterations=j + 1,
-            settled=settled,
-            remarks=tuple(dict.fromkeys(remarks)),
-            history=tuple(history),
-            prefilters=tuple(used),
-        )
+        run = _Refining(self, parts, values, theta_p, check=check)
+        while not run.is_done:
+            run.form_equations()
+            run.estimate()
+            run.refine()
+        return run.result()
 
     def fit_equations(
         self,
@@ -237,27 +183,11 @@ class Stage:
         values: Sequence[Mapping[str, float]],
     ) -> StageFit:
         """Estimate from moment equations as they are: no samples, so nothing to refine."""
-        start = self._start()
-        self.image.require_identifiable(start, values)
-        correlations = self._seen(equations, values, start)
-        roots = self._weigh(equations, parts)
-        theta_p, thetas, solution = self.solve(equations, roots, values, start)
-        return StageFit(
-            stage=self,
-            free=self.free,
-            theta_p=theta_p,
-            values=self._at(values, theta_p),
-            parts=tuple(parts),
-            equations=tuple(equations),
-            roots=tuple(roots),
-            thetas=tuple(thetas),
-            solution=solution,
-            correlations=tuple(correlations),
-            noise_models=(None,) * len(parts),
-            iterations=1,
-            settled=True,
-            history=(theta_p,),
-        )
+        run = _Refining(self, parts, values, self._start(), check=True)
+        run.form_equations(equations)
+        run.estimate()
+        run.refine()
+        return run.result()
 
     def _start(self) -> Array:
         return np.array([p.start for p in self.parameters], dtype=float)
@@ -282,14 +212,14 @@ class Stage:
             for p, z, f in zip(parts, simulated, prefilters, strict=True)
         ]
 
-    def _seen(
+    def _relevance(
         self,
         equations: Sequence[MomentEquations],
         values: Sequence[Mapping[str, float]],
         theta_p: Array,
     ) -> list[Correlation]:
         jacobians = np.split(
-            self.image.jacobian(theta_p, values),
+            self.programs.map.jacobian(theta_p, values),
             np.cumsum([len(e.coefficients) for e in self.equations])[:-1],
         )
         return require_relevance(equations, jacobians, self.free, theta_p)
@@ -328,15 +258,12 @@ class Stage:
     def _robust(
         self,
         equations: list[MomentEquations],
-        roots: list[Array],
         values: Sequence[Mapping[str, float]],
         theta_p: Array,
         thetas: list[Array],
-        solution: Solution,
         alpha: Callable[[Array], Array],
     ) -> tuple[Array, list[Array], Solution, list[MomentEquations], list[Array]]:
         """(2.41) by iteratively reweighted moments."""
-        heavy = equations
         for _ in range(30):
             heavy = [
                 weighted_equations(e, robust_weights(e.error(t), alpha))
@@ -344,7 +271,169 @@ class Stage:
             ]
             roots = [e.root_weight("2sls", t, None) for e, t in zip(heavy, thetas, strict=True)]
             old = theta_p
-            theta_p, thetas, solution = self.solve(heavy, roots, values, theta_p)
+            theta_p, thetas, solution = self.programs.solve(heavy, roots, values, theta_p)
             if np.max(np.abs(theta_p - old) / np.maximum(np.abs(theta_p), 1e-12)) < 1e-9:
                 break
         return theta_p, thetas, solution, heavy, roots
+
+
+class _Refining:
+    """Algorithm 2.1 while it runs: instruments, prefilters and estimate of one iteration."""
+
+    def __init__(
+        self,
+        stage: Stage,
+        parts: Sequence[Part],
+        values: Sequence[Mapping[str, float]],
+        theta_p: Array,
+        *,
+        check: bool,
+    ) -> None:
+        self.stage, self.settings, self.check = stage, stage.settings, check
+        self.parts, self.values, self.theta_p = parts, values, theta_p
+        if check:
+            stage.programs.map.require_identifiable(theta_p, values)
+        self.remarks: list[str] = []
+        self.lags, self.references = stage._first_instruments(parts)
+        self.simulated = self.lags
+        if stage.instruments is not None and stage.instruments.starts_from_model:
+            self._simulate(-1)
+        self.prefilters: list[Any] = [None] * len(parts)
+        self.before = (self.simulated, self.prefilters)
+        self.is_done = self.is_settled = False
+        self.j, self.moved = 0, np.inf
+        only_once = stage.instruments is None and self.settings.noise_model is None
+        self.allowed = 0 if only_once else self.settings.iterations
+        self.correlations: list[Correlation] = []
+        self.history: list[Array] = []
+        self.used: list[tuple[Any, ...]] = []
+
+    def _simulate(self, j: int) -> None:
+        """Step (d) with the estimate of iteration j."""
+        instruments = self.stage.instruments
+        assert instruments is not None
+        at = self.stage._at(self.values, self.theta_p)
+        self.simulated = instruments.simulate(
+            self.parts, self.references, at, self.simulated, self.remarks, j
+        )
+
+    def _form(self, given: Sequence[MomentEquations] | None = None, *, check: bool) -> None:
+        stage = self.stage
+        self.equations = (
+            stage._equations(self.parts, self.simulated, self.prefilters)
+            if given is None
+            else list(given)
+        )
+        if check:
+            self.correlations = stage._relevance(self.equations, self.values, self.theta_p)
+
+    def form_equations(self, given: Sequence[MomentEquations] | None = None) -> None:
+        """Moment equations; by earlier instruments where the new ones are not relevant.
+
+        Parameters
+        ----------
+        given : the equations, where there are no samples to form them from.
+        """
+        # Later instruments hardly differ: the first two and the last are checked.
+        check = self.check and self.j <= 1
+        try:
+            self._form(given, check=check)
+        except IdentifiabilityError as refusal:
+            if self.j == 0 and self.simulated is self.lags:
+                raise
+            if self.j == 0:
+                self.remarks.append(
+                    f"{self.stage.name}: instruments simulated with the start values are not "
+                    "correlated with all coefficients; lags of the reference are used"
+                )
+                self.simulated = self.lags
+                self._form(check=check)
+            else:
+                self.remarks.append(
+                    f"instruments simulated with the estimate of iteration {self.j} are worse than "
+                    f"the earlier ones, which are kept ({refusal})"
+                )
+                self.simulated, self.prefilters = self.before
+                self.is_settled, self.allowed = True, self.j
+                self._form(check=True)
+        self.before = (self.simulated, self.prefilters)
+
+    def estimate(self) -> None:
+        """Step (a)."""
+        stage, alpha, old = self.stage, self.settings.alpha, self.theta_p
+        self.roots = stage._weigh(self.equations, self.parts)
+        self.theta_p, self.thetas, self.solution = stage.programs.solve(
+            self.equations,
+            self.roots,
+            self.values,
+            old,
+            on_the_way=self.j < self.allowed and alpha is None,
+        )
+        self.history.append(self.theta_p)
+        self.used.append(tuple(self.prefilters))
+        if alpha is not None:
+            self.theta_p, self.thetas, self.solution, self.equations, self.roots = stage._robust(
+                self.equations, self.values, self.theta_p, self.thetas, alpha
+            )
+        self.step = self.theta_p - old
+        self.moved = float(np.max(np.abs(self.step) / np.maximum(np.abs(self.theta_p), 1e-12)))
+
+    def refine(self) -> None:
+        """Steps (b) to (d), unless the estimate has settled or the iterations are spent."""
+        s = self.settings
+        if self.j >= self.allowed:
+            self.is_done = True
+            self.is_settled |= self.allowed == 0 or self.moved < s.tolerance
+            return
+        change, earlier = 0.0, self.prefilters
+        if s.noise_model is not None:
+            self.prefilters, change = noise_models(
+                self.parts, self.thetas, earlier, s.noise_model, self.remarks, self.j
+            )
+        is_still = self.moved < s.tolerance and change < 10 * s.tolerance
+        if s.stopping == "norm":
+            sizes = [eta_distance(a, b) for a, b in zip(self.prefilters, earlier, strict=True)]
+            is_still = float(np.linalg.norm(self.step)) + sum(sizes) < s.tolerance
+        if self.j > 0 and is_still:
+            self.is_done = self.is_settled = True
+            return
+        if self.stage.instruments is not None:
+            self._simulate(self.j)
+        self.j += 1
+
+    def result(self) -> StageFit:
+        """The last estimate, exact where an iteration on the way was solved in closed form."""
+        stage, s = self.stage, self.settings
+        theta_p, thetas, solution = self.theta_p, self.thetas, self.solution
+        if self.j < self.allowed and s.alpha is None and s.form == "linear":
+            theta_p, thetas, solution = stage.programs.solve(
+                self.equations, self.roots, self.values, theta_p
+            )
+        if self.check and self.j > 1:
+            self.correlations = stage._relevance(self.equations, self.values, theta_p)
+        if not self.is_settled:
+            self.remarks.append(
+                f"{stage.name}: instruments and prefilter still move after {self.j} iterations "
+                f"(last change {self.moved:.1e} relative); the estimate is consistent all the "
+                "same, raise iterations= for the last bit of variance"
+            )
+        refinement = Refinement(
+            tuple(self.prefilters),
+            self.j + 1,
+            self.is_settled,
+            tuple(dict.fromkeys(self.remarks)),
+            tuple(self.history),
+            tuple(self.used),
+        )
+        return StageFit(
+            stage=stage,
+            theta_p=theta_p,
+            values=stage._at(self.values, theta_p),
+            parts=tuple(self.parts),
+            equations=tuple(self.equations),
+            roots=tuple(self.roots),
+            thetas=tuple(thetas),
+            solution=solution,
+            correlations=tuple(self.correlations),
+            refinement=refinement,
+        )

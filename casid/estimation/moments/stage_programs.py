@@ -44,7 +44,7 @@ class StagePrograms:
         self.free = tuple(p.name for p in parameters)
         self.low = np.array([p.lower for p in parameters])
         self.high = np.array([p.upper for p in parameters])
-        self.image = CoefficientMap(equations, parameters, known, name=name)
+        self.map = CoefficientMap(equations, parameters, known, name=name)
         self._physical: PhysicalNlp | None = None
         self._linear: dict[int, LinearNlp] = {}
 
@@ -86,7 +86,7 @@ class StagePrograms:
         if solution.at_lower or solution.at_upper:
             solution = self._from_elsewhere(self._physical, data, values, start, solution)
         theta_p = np.array([solution[f] for f in self.free])
-        return theta_p, self.image.split(self.image.theta(theta_p, values)), solution
+        return theta_p, self.map.split(self.map.theta(theta_p, values)), solution
 
     def _by_least_squares(
         self, data: Sequence[Condensed], values: Sequence[Mapping[str, float]], found: Solution
@@ -108,10 +108,10 @@ class StagePrograms:
         x0 = np.clip(np.array([found[f] for f in self.free]), low, high)
 
         def residual(at: Array) -> Array:
-            return np.asarray(left - metric @ self.image.theta(at, values))
+            return np.asarray(left - metric @ self.map.theta(at, values))
 
         def jacobian(at: Array) -> Array:
-            return np.asarray(-metric @ self.image.jacobian(at, values))
+            return np.asarray(-metric @ self.map.jacobian(at, values))
 
         result = least_squares(
             residual,
@@ -184,7 +184,7 @@ class StagePrograms:
                 f"{self.name}: constraints on physical parameters need form='eliminated' or "
                 "'lifted'; the linear form knows theta alone"
             )
-        B, b = self.image.constraints(values, start)
+        B, b = self.map.constraints(values, start)
         metric = _block_diagonal([d.right for d in data])
         if closed:
             solution = self._closed_form(data, metric, B, b)
@@ -198,15 +198,15 @@ class StagePrograms:
                     solver=None if isinstance(solver, str) else solver,
                     name=self.name,
                 )
-            theta0 = self.image.theta(start, values)
+            theta0 = self.map.theta(start, values)
             solution = self._linear[rows].solve(data, B, b, theta0)
-        theta_p = self.image.inverse(solution.x, values, start, metric)
+        theta_p = self.map.inverse(solution.x, values, start, metric)
         low, high = self.low, self.high
         # Coefficients outside the image of the box: theta_p stands at its wall.
         at_lower = tuple(f for f, held in zip(self.free, theta_p <= low, strict=True) if held)
         at_upper = tuple(f for f, held in zip(self.free, theta_p >= high, strict=True) if held)
         solution = replace(solution, at_lower=at_lower, at_upper=at_upper)
-        return theta_p, self.image.split(solution.x), solution
+        return theta_p, self.map.split(solution.x), solution
 
     def _closed_form(
         self, data: Sequence[Condensed], metric: Array, B: Array, b: Array
