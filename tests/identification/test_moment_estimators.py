@@ -22,7 +22,12 @@ from casid.estimation.moments.reference_filter_estimate import estimate_referenc
 from casid.estimation.moments.stage_plan import StageSpec
 from casid.estimation.moments.validation import validate
 from casid.identification.bootstrap import bootstrap
-from casid.identification.moment_estimators import Reusable, instrumental_variables, least_squares, multistage
+from casid.identification.moment_estimators import (
+    Reusable,
+    instrumental_variables,
+    least_squares,
+    multistage,
+)
 from casid.identification.profile_interval import profile
 from problems.pendulum import TABLE_7_2, indirect_model
 
