@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from casid.arrays import TINY
+from casid.arrays import TINY, Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment
 from casid.errors import ModelError
-from casid.estimation.covariance import Sampled
 from casid.estimation.estimate import (
     Estimate,
     Estimated,
