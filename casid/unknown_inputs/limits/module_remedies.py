@@ -1,8 +1,7 @@
 """Remedies for unknown inputs of dynamic modules, estimated by prediction error, IV or two stages.
 
-The remedies of `remedies` for modules: neglect the input, approximate it or its
-contribution, take its measurement for it, predict it, or eliminate it. The noise model and the
-other modules take up what they can of the input that is left out; the limits show how much.
+The remedies of `remedy_table` for modules. The noise model and the other modules take up what they
+can of an input that is left out; the limits show how much.
 """
 
 from __future__ import annotations
@@ -15,11 +14,16 @@ from casid.estimation.nlp.nlp import Solver
 from casid.estimation.prediction_error.polynomial_orders import Layout, Orders, PerInput
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.comparison import Comparison, RemedyRow
-from casid.unknown_inputs.limits.estimated_row import estimated_row
 from casid.unknown_inputs.limits.input_measurement import InputMeasurement
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.limits.polynomial_regression import instrumental_limit
 from casid.unknown_inputs.limits.prediction_limit import prediction_error_limit
+from casid.unknown_inputs.limits.remedy_table import (
+    Substitution,
+    attempted_row,
+    remedy_table,
+    with_simpler_noise,
+)
 from casid.unknown_inputs.limits.two_stage_limit import two_stage_limit
 
 
@@ -64,46 +68,33 @@ def compare_module_remedies(
     IdentifiabilityError
         If the input measurement cannot recover the inputs.
     """
-    asked = [unknown] if isinstance(unknown, str) else list(unknown)
-    lost = [name for name in asked if name not in inputs]
-    if lost:
-        raise ModelError(f"unknown input {lost[0]} is no input; they are {', '.join(inputs)}")
-    for name in truth:
-        if name not in Layout.of(orders, inputs).names:
-            raise ModelError(
-                f"truth of {name}: no coefficient of this structure; it has "
-                f"{', '.join(Layout.of(orders, inputs).names)}"
-            )
+    absent = [unknown] if isinstance(unknown, str) else list(unknown)
+    _require_sound(inputs, absent, Layout.of(orders, inputs).names, truth)
     if isinstance(measured, InputMeasurement):
         system, measured = measured.recover(system)
-    tried: list[tuple[str, str, dict[str, str]]] = [
-        ("all inputs known", "known", {name: name for name in inputs}),
-        ("neglect", "neglect", {name: name for name in inputs if name not in asked}),
-    ]
-    for verb, kind, by in (
-        ("approximate by", "approximate", approximations),
-        ("measure", "measure", measured),
-        ("eliminate with", "eliminate", eliminated),
-    ):
-        if by:
-            wrong = [name for name in by if name not in asked]
-            if wrong:
-                raise ModelError(
-                    f"{by[wrong[0]]} is given for {wrong[0]}, which is no unknown input; these are "
-                    f"{', '.join(asked)}"
-                )
-            here = {name: by.get(name, name) for name in inputs if name in by or name not in asked}
-            left = [name for name in asked if name not in by]
-            told = ", ".join(by.values()) + (f" and neglect {', '.join(left)}" if left else "")
-            tried.append((f"{verb} {told}", kind, here))
-    if explain:
-        here = {name: name for name in inputs if name not in asked}
-        tried.append((f"explain by {', '.join(explain)}", "approximate", here))
+    explained = [(", ".join(explain), tuple(explain))] if explain else []
+    table = remedy_table(absent, approximations, explained, measured, eliminated)
+    table.sort(key=lambda row: bool(row.explained))
     task = _Task(system, output, orders, dict(truth), tuple(known), dict(explain or {}), solver)
     rows: list[RemedyRow] = []
-    for name, kind, sources in tried:
-        rows += task.rows(name, kind, sources)
-    return Comparison(tuple(rows), tuple(truth), tuple(asked), N, dict(accuracy or {}))
+    for row in table:
+        kept = [name for name in inputs if name in row.by or name not in absent]
+        rows += task.rows(row, {name: row.by.get(name, name) for name in kept})
+    return Comparison(tuple(rows), tuple(truth), tuple(absent), N, dict(accuracy or {}))
+
+
+def _require_sound(
+    inputs: Sequence[str], unknown: Sequence[str], names: Sequence[str], truth: Mapping[str, float]
+) -> None:
+    """Refuse unknown inputs that are no inputs, and truths of no coefficient."""
+    for name in unknown:
+        if name not in inputs:
+            raise ModelError(f"unknown input {name} is no input; they are {', '.join(inputs)}")
+    for name in truth:
+        if name not in names:
+            raise ModelError(
+                f"truth of {name}: no coefficient of this structure; it has {', '.join(names)}"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,36 +109,36 @@ class _Task:
     explain: Mapping[str, int]
     solver: Solver | None
 
-    def rows(self, name: str, kind: str, sources: Mapping[str, str]) -> list[RemedyRow]:
+    def rows(self, row: Substitution, sources: Mapping[str, str]) -> list[RemedyRow]:
         """One remedy by prediction error and, with references, IV and two stages."""
         own = _restricted(self.orders, tuple(sources))
-        if name.startswith("explain"):
+        if row.explained:
             own, sources = self._explained(own, sources)
         true = {n: v for n, v in self.truth.items() if n in Layout.of(own, list(sources)).names}
+        replaced = [n for n, signal in sources.items() if n != signal]
+        first = f"predict from {row.name.removeprefix('measure ')}, two-stage"
 
         def direct(orders: Orders) -> Asymptotics:
             return prediction_error_limit(
                 self.system, self.output, sources, orders, true,
-                solver=self.solver, method=f"{name}, PEM",
+                solver=self.solver, method=f"{row.name}, PEM",
             )  # fmt: skip
 
-        def by_instruments(orders: Orders) -> Asymptotics:
-            return self._by_instruments(sources, orders, true, f"{name}, IV")
+        def instrumental(orders: Orders) -> Asymptotics:
+            return self._by_instruments(sources, orders, true, f"{row.name}, IV")
 
         def in_two_stages(orders: Orders) -> Asymptotics:
-            replaced = [n for n, signal in sources.items() if n != signal]
             return two_stage_limit(
                 self.system, self.output, sources, self.known, orders, true,
-                predicted=replaced, solver=self.solver, method=predicted,
+                predicted=replaced, solver=self.solver, method=first,
             )  # fmt: skip
 
-        predicted = f"predict from {name.removeprefix('measure ')}, two-stage"
-        made = [estimated_row(f"{name}, PEM", kind, direct, own)]
-        if self.known and kind != "approximate":
-            made.append(estimated_row(f"{name}, IV", kind, by_instruments, own))
-        if self.known and kind == "measure":
-            made.insert(0, estimated_row(predicted, "predict", in_two_stages, own))
-        return made
+        tried = [(f"{row.name}, PEM", row.kind, direct)]
+        if self.known and row.kind != "approximate":
+            tried.append((f"{row.name}, IV", row.kind, instrumental))
+        if self.known and row.kind == "measure":
+            tried.insert(0, (first, "predict", in_two_stages))
+        return [attempted_row(n, k, with_simpler_noise(e, own)) for n, k, e in tried]
 
     def _explained(self, own: Orders, sources: Mapping[str, str]) -> tuple[Orders, dict[str, str]]:
         """The known inputs, and FIR filters of the signals that explain."""

@@ -8,7 +8,7 @@ becomes of the module, so that its frequency response is compared.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from casid.errors import IdentifiabilityError, ModelError
@@ -16,7 +16,6 @@ from casid.estimation.nlp.nlp import Solver
 from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.comparison import Comparison, RemedyRow
-from casid.unknown_inputs.limits.estimated_row import estimated_row
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.limits.module_response import ResponsePoints, with_response
 from casid.unknown_inputs.limits.network_relations import Relation, network_relations
@@ -28,6 +27,7 @@ from casid.unknown_inputs.limits.polynomial_regression import (
 from casid.unknown_inputs.limits.prediction_limit import prediction_error_limit
 from casid.unknown_inputs.limits.regression import Regression
 from casid.unknown_inputs.limits.regression_limit import regression_limit
+from casid.unknown_inputs.limits.remedy_table import attempted_row, with_simpler_noise
 from casid.unknown_inputs.limits.two_stage_limit import two_stage_limit
 from casid.unknown_inputs.networks.network import Network
 from casid.unknown_inputs.networks.nodes import Edge, edge_label, node_label
@@ -137,42 +137,33 @@ class _Task:
         system, output = self._output(relation)
         sources = {n: self._signal(relation, n) for n in relation.modules}
         name = f"{relation.name}, {way}"
-        estimate: Callable[[Orders], Asymptotics]
-        if way == "PEM":
+        own = relation.common_denominator() if way in ("LS", "IV") else orders
 
-            def estimate(orders: Orders) -> Asymptotics:
-                found = prediction_error_limit(
-                    system, output, sources, orders, start=relation.start(orders) or None,
+        def found(orders: Orders) -> Asymptotics:
+            if way == "LS":
+                terms = polynomial_regressors(Layout.of(orders, list(sources)), output, sources)
+                return regression_limit(system, Regression(output, terms), method=name)
+            if way == "IV":
+                return instrumental_limit(
+                    system, output, sources, self._references(), orders,
+                    lags=self.lags, method=name,
+                )  # fmt: skip
+            start = relation.start(orders) or None
+            if way == "PEM":
+                return prediction_error_limit(
+                    system, output, sources, orders, start=start,
                     method=name, random_starts=self.random_starts, solver=self.solver,
                 )  # fmt: skip
-                return self._compared(found, relation, orders)
+            return two_stage_limit(
+                system, output, sources, self._references(), orders, lags=self.lags, start=start,
+                method=name, random_starts=self.random_starts, solver=self.solver,
+            )  # fmt: skip
 
-        elif way == "two-stage":
+        def estimate(orders: Orders) -> Asymptotics:
+            return self._compared(found(orders), relation, orders)
 
-            def estimate(orders: Orders) -> Asymptotics:
-                found = two_stage_limit(
-                    system, output, sources, self._references(), orders, lags=self.lags,
-                    start=relation.start(orders) or None, method=name,
-                    random_starts=self.random_starts, solver=self.solver,
-                )  # fmt: skip
-                return self._compared(found, relation, orders)
-
-        else:
-            orders = relation.common_denominator()
-
-            def estimate(orders: Orders) -> Asymptotics:
-                if way == "IV":
-                    found = instrumental_limit(
-                        system, output, sources, self._references(), orders,
-                        lags=self.lags, method=name,
-                    )  # fmt: skip
-                else:
-                    layout = Layout.of(orders, list(sources))
-                    terms = polynomial_regressors(layout, output, sources)
-                    found = regression_limit(system, Regression(output, terms), method=name)
-                return self._compared(found, relation, orders)
-
-        return estimated_row(name, relation.kind, estimate, orders, relation.remark)
+        simple = with_simpler_noise(estimate, own)
+        return attempted_row(name, relation.kind, simple, relation.remark)
 
     def _compared(self, found: Asymptotics, relation: Relation, orders: Orders) -> Asymptotics:
         layout = Layout.of(orders, list(relation.modules))

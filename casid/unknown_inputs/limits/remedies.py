@@ -7,11 +7,11 @@ with a sensor that feels it. One call gives each remedy's limit, covariance and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from casid.errors import CasidError, IdentifiabilityError, ModelError
+from casid.errors import IdentifiabilityError, ModelError
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.comparison import Comparison, RemedyRow
 from casid.unknown_inputs.limits.input_measurement import InputMeasurement
@@ -25,6 +25,7 @@ from casid.unknown_inputs.limits.regression import (
     terms_text,
 )
 from casid.unknown_inputs.limits.regression_limit import regression_limit
+from casid.unknown_inputs.limits.remedy_table import Substitution, attempted_row, remedy_table
 
 Estimator = Callable[[LinearSignals], Asymptotics]
 
@@ -96,179 +97,117 @@ def compare_remedies(
     IdentifiabilityError
         If the input measurement cannot recover the inputs (which ones is told).
     """
-    asked = [unknown] if isinstance(unknown, str) else list(unknown)
-    task = _Task(system, output, dict(regressors), asked, dict(truth), list(known), prefilter)
-    task.require_sound()
+    absent = [unknown] if isinstance(unknown, str) else list(unknown)
+    _require_sound(regressors, absent, truth)
     if isinstance(measured, InputMeasurement):
-        task.system, measured = measured.recover(system)
-    remedies = [
-        Remedy("all inputs known, LS", "known", task.regression(dict(regressors))),
-        *task.neglecting(),
-        *task.approximating(approximations, explain),
-        *task.measuring(dict(measured or {})),
-        *task.eliminating(dict(eliminated or {})),
-        *extra,
-    ]
-    rows = [_row(task, remedy) for remedy in remedies]
-    wanted = dict(accuracy) if isinstance(accuracy, Mapping) else {}
+        system, measured = measured.recover(system)
+    lists = explain if explain is not None else ([known] if known else [])
+    table = remedy_table(
+        absent, approximations, [(terms_text(t), t) for t in lists], measured, eliminated
+    )
+    task = _Task(output, regressors, absent, known, truth, prefilter)
+    remedies = [*(remedy for row in table for remedy in task.remedies(row)), *extra]
+    rows = [_row(system, remedy, truth) for remedy in remedies]
+    wanted = accuracy if isinstance(accuracy, Mapping) else {}
     if accuracy is not None and not isinstance(accuracy, Mapping):
         wanted = dict.fromkeys(regressors, float(accuracy))
-    return Comparison(tuple(rows), tuple(regressors), tuple(asked), N, wanted)
+    return Comparison(tuple(rows), tuple(regressors), tuple(absent), N, dict(wanted))
 
 
-@dataclass(slots=True, eq=False)
-class _Task:
-    """The question, and the regressions that answer it."""
-
-    system: LinearSignals
-    output: Term
-    regressors: dict[str, Term]
-    unknown: list[str]
-    truth: dict[str, Any]
-    known: list[Term]
-    prefilter: Any
-
-    def require_sound(self) -> None:
-        """Refuse unknown inputs that are no regressors, and coefficients without truth."""
-        used = {split_term(t)[1] for t in self.regressors.values()}
-        for name in self.unknown:
-            if name not in used:
-                raise ModelError(
-                    f"unknown input {name} is no regressor; the regressors are "
-                    f"{', '.join(term_text(t) for t in self.regressors.values())}"
-                )
-        without = [n for n in self.regressors if n not in self.truth]
-        if without:
+def _require_sound(
+    regressors: Mapping[str, Term], unknown: Sequence[str], truth: Mapping[str, Any]
+) -> None:
+    """Refuse unknown inputs that are no regressors, and coefficients without truth."""
+    used = {split_term(t)[1] for t in regressors.values()}
+    for name in unknown:
+        if name not in used:
             raise ModelError(
-                f"no true value of {', '.join(without)}; give truth={{..}} for every coefficient, "
-                "since bias is the question"
+                f"unknown input {name} is no regressor; the regressors are "
+                f"{', '.join(term_text(t) for t in regressors.values())}"
             )
-
-    def regression(
-        self,
-        regressors: dict[str, Term],
-        instruments: Sequence[Term] | None = None,
-        generated: Mapping[str, FirstStage] | None = None,
-    ) -> Regression:
-        """A regression of the output with the task's prefilter."""
-        return Regression(
-            self.output, regressors, instruments, self.prefilter, dict(generated or {})
+    without = [n for n in regressors if n not in truth]
+    if without:
+        raise ModelError(
+            f"no true value of {', '.join(without)}; give truth={{..}} for every coefficient, "
+            "since bias is the question"
         )
 
-    def without_unknown(self) -> dict[str, Term]:
-        """The regressors that are available."""
-        return {n: t for n, t in self.regressors.items() if split_term(t)[1] not in self.unknown}
 
-    def replaced(self, by: Mapping[str, str]) -> dict[str, Term]:
-        """The regressors with signals in the place of unknown inputs; those without are left out.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """The relation, and the regressions that estimate it by each remedy."""
 
-        Raises
-        ------
-        ModelError
-            If a signal is given for what is no unknown input.
+    output: Term
+    regressors: Mapping[str, Term]
+    unknown: Sequence[str]
+    known: Sequence[Term]
+    truth: Mapping[str, Any]
+    prefilter: Any
+
+    def remedies(self, row: Substitution) -> Iterator[Remedy]:
+        """By LS and, with known signals, IV (3.10) and two stages (Example 3.8).
+
+        What approximates or explains is known, so that it needs no instruments.
         """
-        for name in by:
-            if name not in self.unknown:
-                raise ModelError(
-                    f"{by[name]} is given for {name}, which is no unknown input; these are "
-                    f"{', '.join(self.unknown)}"
-                )
+        terms = self._terms(row.by)
+        if row.kind == "approximate":
+            added = {f"b[{term_text(t)}]": t for t in row.explained}
+            yield Remedy(row.name, row.kind, self._regression({**terms, **added}))
+        elif terms:
+            if self.known and row.kind == "measure":
+                yield from self._predictions(row)
+            yield Remedy(f"{row.name}, LS", row.kind, self._regression(terms))
+            if self.known and row.kind != "known":
+                yield Remedy(f"{row.name}, IV", row.kind, self._instrumental(terms))
+
+    def _predictions(self, row: Substitution) -> Iterator[Remedy]:
+        of = row.name.removeprefix("measure ")
+        for is_known, text in ((False, "two-stage"), (True, "first stage known")):
+            stages = {
+                f"{name} predicted": FirstStage(signal, self.known, is_known)
+                for name, signal in row.by.items()
+            }
+            terms = self._terms({name: f"{name} predicted" for name in row.by})
+            estimator = self._regression(terms, None, stages)
+            yield Remedy(f"predict from {of}, {text}", "predict", estimator)
+
+    def _terms(self, by: Mapping[str, str]) -> dict[str, Term]:
+        """The regressors, unknown inputs replaced by signals; without one they are left out."""
         made: dict[str, Term] = {}
         for name, term in self.regressors.items():
             sign, signal, lag = split_term(term)
-            if signal in self.unknown:
-                if signal not in by:
-                    continue
-                signal = by[signal]
-            made[name] = (("-" if sign < 0 else "") + signal, lag)
+            if signal not in self.unknown or signal in by:
+                made[name] = (("-" if sign < 0 else "") + by.get(signal, signal), lag)
         return made
 
-    def shown(self, by: Mapping[str, str]) -> str:
-        """The signals that replace, and the inputs that stay neglected beside them."""
-        left = [name for name in self.unknown if name not in by]
-        return ", ".join(by.values()) + (f" and neglect {', '.join(left)}" if left else "")
+    def _regression(
+        self,
+        terms: dict[str, Term],
+        instruments: Sequence[Term] | None = None,
+        generated: Mapping[str, FirstStage] | None = None,
+    ) -> Regression:
+        return Regression(self.output, terms, instruments, self.prefilter, generated or {})
 
-    def neglecting(self) -> list[Remedy]:
-        """(3.15), by LS and with the known signals as instruments."""
-        left = self.without_unknown()
-        if not left:
-            return []
-        made = [Remedy("neglect, LS", "neglect", self.regression(left))]
-        if self.known:
-            made.append(Remedy("neglect, IV", "neglect", self._lazily(left)))
-        return made
-
-    def approximating(
-        self, approximations: Mapping[str, str] | None, explain: Sequence[Sequence[Term]] | None
-    ) -> list[Remedy]:
-        """(3.26) and (3.31): the input, or its contribution, by known signals."""
-        made = []
-        if approximations:
-            name = f"approximate by {self.shown(approximations)}"
-            made.append(Remedy(name, "approximate", self.regression(self.replaced(approximations))))
-        lists = explain if explain is not None else ([self.known] if self.known else [])
-        for terms in lists:
-            added = {f"b[{term_text(t)}]": t for t in terms}
-            name = f"explain by {terms_text(terms)}"
-            made.append(
-                Remedy(name, "approximate", self.regression({**self.without_unknown(), **added}))
-            )
-        return made
-
-    def measuring(self, measured: Mapping[str, str]) -> list[Remedy]:
-        """Two stages (Example 3.8), errors in variables (3.9), instruments (3.10)."""
-        if not measured:
-            return []
-        put, shown, made = self.replaced(measured), self.shown(measured), []
-        if self.known:
-            for is_known, text in ((False, "two-stage"), (True, "first stage known")):
-                stages = {
-                    f"{name} predicted": FirstStage(signal, self.known, is_known)
-                    for name, signal in measured.items()
-                }
-                by = {name: f"{name} predicted" for name in measured}
-                estimator = self.regression(self.replaced(by), None, stages)
-                made.append(Remedy(f"predict from {shown}, {text}", "predict", estimator))
-        made.append(Remedy(f"measure {shown}, LS", "measure", self.regression(put)))
-        if self.known:
-            made.append(Remedy(f"measure {shown}, IV", "measure", self._lazily(put)))
-        return made
-
-    def eliminating(self, eliminated: Mapping[str, str]) -> list[Remedy]:
-        """The input as another sensor tells it, section 4.2."""
-        if not eliminated:
-            return []
-        put, shown = self.replaced(eliminated), self.shown(eliminated)
-        made = [Remedy(f"eliminate with {shown}, LS", "eliminate", self.regression(put))]
-        if self.known:
-            made.append(Remedy(f"eliminate with {shown}, IV", "eliminate", self._lazily(put)))
-        return made
-
-    def _lazily(self, regressors: dict[str, Term]) -> Estimator:
+    def _instrumental(self, terms: dict[str, Term]) -> Estimator:
         """IV with all known signals; too few of them are a reason, not an error."""
 
         def estimate(system: LinearSignals) -> Asymptotics:
-            regression = self.regression(regressors, self.known)
-            true = {n: self.truth[n] for n in regressors if n in self.truth}
-            return regression_limit(system, regression, true)
+            try:
+                regression = self._regression(terms, self.known)
+            except ModelError as why:
+                raise IdentifiabilityError(str(why)) from why
+            return regression_limit(system, regression, {n: self.truth[n] for n in terms})
 
         return estimate
 
 
-def _row(task: _Task, remedy: Remedy) -> RemedyRow:
-    try:
-        if isinstance(remedy.estimator, Regression):
-            names = remedy.estimator.regressors
-            true = {n: task.truth[n] for n in names if n in task.truth}
-            found = regression_limit(task.system, remedy.estimator, true, method=remedy.name)
-        else:
-            found = remedy.estimator(task.system)
-    except IdentifiabilityError as refused:
-        return RemedyRow(remedy.name, remedy.kind, None, str(refused))
-    except ModelError as refused:
-        if "instruments for the" not in str(refused):
-            raise
-        return RemedyRow(remedy.name, remedy.kind, None, str(refused))
-    except CasidError as refused:
-        return RemedyRow(remedy.name, remedy.kind, None, str(refused))
-    return RemedyRow(remedy.name, remedy.kind, found)
+def _row(system: LinearSignals, remedy: Remedy, truth: Mapping[str, Any]) -> RemedyRow:
+    """A remedy's limit; wrong signals are an error, no reason."""
+
+    def estimate() -> Asymptotics:
+        if not isinstance(remedy.estimator, Regression):
+            return remedy.estimator(system)
+        true = {n: truth[n] for n in remedy.estimator.regressors if n in truth}
+        return regression_limit(system, remedy.estimator, true, method=remedy.name)
+
+    return attempted_row(remedy.name, remedy.kind, estimate, raised=ModelError)

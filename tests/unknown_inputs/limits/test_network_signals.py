@@ -107,7 +107,7 @@ def test_a_noise_model_that_the_known_inputs_do_not_need_is_made_smaller() -> No
         Orders(nb=1, nf={"w1": 0, "w2": 1}, nc=1, nd=1), truth,
     )  # fmt: skip
     known, neglected = (compared[n] for n in ("all inputs known, PEM", "neglect, PEM"))
-    assert known.notes == ("the noise is simpler than asked for: nc = 0, nd = 0",)
+    assert known.notes == ("the noise is simpler than specified: nc = 0, nd = 0",)
     assert not any("simpler" in note for note in neglected.notes)
     assert neglected["d1"] == pytest.approx(-0.6, abs=1e-6)  # w2's memory is the noise model's now
     assert neglected.bias("b1[w1]") == pytest.approx(0, abs=1e-7)
