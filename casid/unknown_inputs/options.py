@@ -8,7 +8,6 @@ model in each of these ways.
 
 from __future__ import annotations
 
-import html
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -31,6 +30,7 @@ from casid.identification.identify import identify
 from casid.linear.noisy_model import White, noise_sources
 from casid.model.model import Model
 from casid.unknown_inputs.observers.input_estimate import noise_guess
+from casid.unknown_inputs.option_comparison import OptionRow, UnknownInputComparison
 
 KNOWN = "known"
 AS_EXACT = "measured, taken as exact"
@@ -43,121 +43,72 @@ PREDICTION = "eliminated, prediction error"
 OPTIONS = (KNOWN, AS_EXACT, WITH_ERRORS, WALK, WALK_INTEGRAL, SHAPED, SIMULATION, PREDICTION)
 """The options in the order of 7.3: (A) the first three, (B) three, (C) two."""
 
-WIDTH = 110
-"""Characters that a line of the table may have."""
 
-_LETTER = dict(zip(OPTIONS, "AAABBBCC", strict=True))
+@dataclass(frozen=True, slots=True)
+class _Option:
+    """What an option needs, and whether it is consistent.
 
+    Attributes
+    ----------
+    letter : (A), (B) or (C) of 7.3.
+    needs : argument that names the channel it cannot do without.
+    why : what follows "consistent" or "not consistent", with the names u, y and integral.
+    """
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OptionRow:
-    """One option: what it estimates, how well it predicts, and whether it can be trusted."""
-
-    option: str
-    letter: str  # (A), (B) or (C) of 7.3
-    estimate: Estimate | None  # None where the option failed: `remark` says why
-    parameters: tuple[str, ...]
-    error: Mapping[str, float]  # parameter -> estimate minus truth, empty where no truth is given
-    prediction_rms: Mapping[str, float]  # output -> rms of the one-step prediction error
+    letter: str
+    needs: str
     is_consistent: bool
-    remark: str
-
-    def value(self, name: str) -> float:
-        """The estimate of a parameter; NaN where the option failed."""
-        return float("nan") if self.estimate is None else self.estimate[name]
-
-    def std_error(self, name: str) -> float:
-        """Its standard error; NaN where there is none."""
-        found = None if self.estimate is None else self.estimate.parameter(name).std_error
-        return float("nan") if found is None else found
+    why: str
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of at most `WIDTH` characters: columns that do not fit follow in a table below."""
-    widths = [max(len(r[i]) for r in [heads, *rows]) for i in range(len(heads))]
-    blocks: list[list[int]] = [[0]]
-    for i in range(1, len(heads)):
-        if heads[i] == "error":
-            continue  # stands beside its parameter
-        columns = [i, i + 1] if heads[i + 1 : i + 2] == ["error"] else [i]
-        used = sum(2 + widths[k] for k in [*blocks[-1], *columns]) - 2
-        if used > WIDTH and len(blocks[-1]) > 1:
-            blocks.append([0])
-        blocks[-1] += columns
-    lines: list[str] = []
-    for block in blocks:
-        lines += [""] if lines else []
-        for cells in [heads, *rows]:
-            rest = [cells[k].rjust(widths[k]) for k in block[1:]]
-            lines.append("  ".join([cells[0].ljust(widths[0]), *rest]))
-    return lines
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UnknownInputComparison:
-    """The options for one unknown input on the same records."""
-
-    model: str
-    unknown: str
-    parameters: tuple[str, ...]
-    units: Mapping[str, str]
-    truth: Mapping[str, float]
-    outputs: tuple[str, ...]
-    rows: tuple[OptionRow, ...]
-
-    def __getitem__(self, option: str) -> OptionRow:
-        """The row of an option, by its name."""
-        for row in self.rows:
-            if row.option == option:
-                return row
-        raise KeyError(f"no option {option!r}; there are {', '.join(r.option for r in self.rows)}")
-
-    def cells(self) -> tuple[list[str], list[list[str]]]:
-        """Heads and rows of the table, as text."""
-        heads = ["option"]
-        for name in self.parameters:
-            heads.append(f"{name} [{self.units[name]}]")
-            if name in self.truth:
-                heads.append("error")
-        heads += [f"rms {o}" for o in self.outputs]
-        rows = []
-        for row in self.rows:
-            cells = [f"({row.letter}) {row.option}"]
-            for name in self.parameters:
-                value, sd = row.value(name), row.std_error(name)
-                spread = "(at bound)" if np.isnan(sd) else f"+- {sd:.2g}"
-                cells.append("--" if np.isnan(value) else f"{value:.5g} {spread}")
-                if name in self.truth:
-                    cells.append(f"{row.error[name]:+.2g}" if name in row.error else "--")
-            for output in self.outputs:
-                rms = row.prediction_rms.get(output)
-                cells.append("--" if rms is None else f"{rms:.4g}")
-            rows.append(cells)
-        return heads, rows
-
-    def __repr__(self) -> str:
-        return f"<UnknownInputComparison {self.model}/{self.unknown}: {len(self.rows)} options>"
-
-    def __str__(self) -> str:
-        heads, rows = self.cells()
-        lines = [f"Options for the unknown input {self.unknown} of {self.model}"]
-        if self.truth:
-            known = ", ".join(
-                f"{n} = {self.truth[n]:g}" for n in self.parameters if n in self.truth
-            )
-            lines.append(f"  truth {known}")
-        lines += ["", *_table(heads, rows), ""]
-        lines += [f"({r.letter}) {r.option}: {r.remark}" for r in self.rows]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        heads, rows = self.cells()
-        head = "".join(f"<th>{html.escape(h)}</th>" for h in [*heads, "remark"])
-        body = "".join(
-            "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in [*cells, row.remark]) + "</tr>"
-            for cells, row in zip(rows, self.rows, strict=True)
-        )
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+_TABLE = {
+    KNOWN: _Option(
+        "A", "exact", True, ": {u} is exact and the noise white; the bound for the others"
+    ),
+    AS_EXACT: _Option(
+        "A",
+        "measured",
+        False,
+        ": the noise of {u} acts on the model but not on the system (errors in variables); its "
+        "gain is drawn to zero, more the noisier it is (Linder 2017, (3.55))",
+    ),
+    WITH_ERRORS: _Option(
+        "A",
+        "measured",
+        True,
+        " if {u} is a random walk and the noises are white; {u} is smoothed, not believed",
+    ),
+    WALK: _Option(
+        "B", "", True, " if {u} is a random walk; it is estimated from the outputs alone"
+    ),
+    WALK_INTEGRAL: _Option(
+        "B",
+        "integral",
+        True,
+        " if {u} is a random walk; its measured integral {integral} keeps slow changes apart from "
+        "the model's own",
+    ),
+    SHAPED: _Option(
+        "B",
+        "",
+        True,
+        " if {u} has the spectrum of noise through two poles, whatever its distribution",
+    ),
+    SIMULATION: _Option(
+        "C",
+        "",
+        False,
+        ": {y} is an input with noise, fed back by the system itself (Linder 2017, (7.30)); no "
+        "assumption on {u}",
+    ),
+    PREDICTION: _Option(
+        "C",
+        "",
+        False,
+        ": the noise of {y} acts like process noise only where {y} itself is much larger; the loop "
+        "has a direct term (Linder 2017, (7.31)). No assumption on {u}",
+    ),
+}
 
 
 def compare_unknown_input_options(
@@ -204,7 +155,7 @@ def compare_unknown_input_options(
         If the model has no unknown input, or several and none is named; if an option (C) is to be
         fitted and no output feels the unknown input.
     DataError
-        If a channel named here is missing, in `noise` too, or an option asked for lacks its own.
+        If a channel named here is missing, in `noise` too, or a requested option lacks its own.
     """
     say = progress or (lambda _: None)
     given = [experiments] if isinstance(experiments, Experiment | Record) else list(experiments)
@@ -213,8 +164,38 @@ def compare_unknown_input_options(
     if measured is None and all(unknown in e.record for e in chosen) and exact != unknown:
         measured = unknown
     channels = {"exact": exact, "measured": measured, "integral": integral}
+    _require_channels(model, chosen, channels, noise)
+    wanted = _wanted(options, channels)
+    using = _eliminated_with(model, unknown, using, wanted)
+    job = _Job(
+        model, unknown, chosen, using, channels, dict(noise or {}), noise_sources(process), solver
+    )
+    names = tuple(p.name for p in model.parameters.values() if not p.is_known)
+    names = tuple(n for n in names if not all(n in e.known for e in chosen))
+    rows = []
+    for option in wanted:
+        say(option)
+        rows.append(_row(job, option, names, truth or {}))
+    return UnknownInputComparison(
+        model=model.name,
+        unknown=unknown,
+        parameters=names,
+        units={n: model.parameters[n].unit for n in names},
+        truth={n: float(v) for n, v in (truth or {}).items() if n in names},
+        outputs=tuple(dict.fromkeys(o for row in rows for o in row.prediction_rms)),
+        rows=tuple(rows),
+    )
+
+
+def _require_channels(
+    model: Model,
+    experiments: Sequence[Experiment],
+    channels: Mapping[str, str | None],
+    noise: Mapping[str, float] | None,
+) -> None:
+    """Refuse channels that a record lacks, and noise of neither an output nor a channel."""
     for role, channel in channels.items():
-        for e in chosen:
+        for e in experiments:
             if channel is not None and channel not in e.record:
                 raise DataError(
                     f"{e.name}: no channel {channel!r} for {role}; it has "
@@ -226,51 +207,34 @@ def compare_unknown_input_options(
             f"deviation, noise={{{next(iter(model.outputs))!r}: 0.01}}; process noise is process="
         )
     for name in noise or {}:
-        if name not in model.outputs and not any(name in e.record for e in chosen):
+        if name not in model.outputs and not any(name in e.record for e in experiments):
             raise DataError(
                 f"noise names {name!r}, which is no output of {model.name} and no channel; there "
-                f"are {', '.join(model.outputs)} and {', '.join(chosen[0].record.names)}"
+                f"are {', '.join(model.outputs)} and {', '.join(experiments[0].record.names)}"
             )
-    needs = {KNOWN: exact, AS_EXACT: measured, WITH_ERRORS: measured, WALK_INTEGRAL: integral}
-    words = {KNOWN: "exact", AS_EXACT: "measured", WITH_ERRORS: "measured"}
-    asked = (options,) if isinstance(options, str) else tuple(options or ())
-    for option in asked:
+
+
+def _wanted(
+    options: Sequence[str] | str | None, channels: Mapping[str, str | None]
+) -> tuple[str, ...]:
+    """The options given, or all that have their channel.
+
+    Raises
+    ------
+    DataError
+        If there is no such option, or its channel is not named.
+    """
+    given = (options,) if isinstance(options, str) else tuple(options or ())
+    for option in given:
         if option not in OPTIONS:
             raise DataError(f"no option {option!r}; there are {', '.join(OPTIONS)}")
-        if option in needs and needs[option] is None:
+        needs = _TABLE[option].needs
+        if needs and channels[needs] is None:
             raise DataError(
-                f"option {option!r} needs a channel: give "
-                f"{words.get(option, 'integral')}='name of the channel'"
+                f"option {option!r} needs a channel: give {needs}='name of the channel'"
             )
-    wanted = asked or tuple(o for o in OPTIONS if o not in needs or needs[o] is not None)
-    job = _Job(
-        model,
-        unknown,
-        chosen,
-        _eliminated_with(model, unknown, using, wanted),
-        exact,
-        measured,
-        integral,
-        dict(noise or {}),
-        noise_sources(process),
-        solver,
-    )
-    rows = []
-    names = tuple(p.name for p in model.parameters.values() if not p.is_known)
-    names = tuple(n for n in names if not all(n in e.known for e in chosen))
-    for option in wanted:
-        say(option)
-        rows.append(_row(job, option, names, truth or {}))
-    outputs = tuple(dict.fromkeys(o for row in rows for o in row.prediction_rms))
-    return UnknownInputComparison(
-        model=model.name,
-        unknown=unknown,
-        parameters=names,
-        units={n: model.parameters[n].unit for n in names},
-        truth={n: float(v) for n, v in (truth or {}).items() if n in names},
-        outputs=outputs,
-        rows=tuple(rows),
-    )
+    there = [o for o in OPTIONS if not _TABLE[o].needs or channels[_TABLE[o].needs] is not None]
+    return given or tuple(there)
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,9 +243,7 @@ class _Job:
     unknown: str
     experiments: list[Experiment]
     using: str
-    exact: str | None
-    measured: str | None
-    integral: str | None
+    channels: Mapping[str, str | None]  # "exact", "measured", "integral"
     noise: dict[str, float]
     process: tuple[White, ...]
     solver: Solver | None
@@ -301,7 +263,7 @@ class _Job:
         """The noise of every output, and the process noise that all options have."""
         sources = []
         for name in model.outputs:
-            of = self.measured if name == self.unknown and self.measured else name
+            of = (name == self.unknown and self.channels["measured"]) or name
             guess = max(noise_guess(e.record[name]) for e in experiments)
             sources.append(White(name, self.noise.get(of, guess)))
         return [*sources, *self.process]
@@ -351,40 +313,44 @@ def _eliminated_with(model: Model, unknown: str, using: str | None, wanted: Sequ
 
 
 def _row(job: _Job, option: str, names: tuple[str, ...], truth: Mapping[str, float]) -> OptionRow:
-    consistent, remark = _judgement(job, option)
+    letter, consistent = _TABLE[option].letter, _TABLE[option].is_consistent
     try:
         estimate = _fit(job, option)
     except CasidError as why:
-        return OptionRow(option, _LETTER[option], None, names, {}, {}, False, f"failed: {why}")
+        return OptionRow(option, letter, None, names, {}, {}, False, f"failed: {why}")
+    why_so = _TABLE[option].why.format(
+        u=job.unknown, y=job.using, integral=job.channels["integral"]
+    )
+    remark = f"{'' if consistent else 'not '}consistent{why_so}"
     rms: dict[str, float] = {}
     for output in next(iter(estimate.rmse.values())):
         sizes = [by_output[output] for by_output in estimate.rmse.values()]
         rms[output] = float(np.sqrt(np.mean(np.square(sizes))))
-    coloured = [name for name, said in estimate.whiteness.items() if "coloured" in said]
+    coloured = [name for name, test in estimate.whiteness.items() if "coloured" in test]
     if consistent and coloured:
         verb = "leaves" if len(coloured) == 1 else "leave"
         remark += f". Here {', '.join(coloured)} {verb} coloured residuals: the condition fails"
     if not estimate.is_converged:
         remark += f". {estimate.status}: not converged"
     error = {n: estimate[n] - truth[n] for n in names if n in truth}
-    return OptionRow(option, _LETTER[option], estimate, names, error, rms, consistent, remark)
+    return OptionRow(option, letter, estimate, names, error, rms, consistent, remark)
 
 
 def _fit(job: _Job, option: str) -> Estimate:
     if option in (KNOWN, AS_EXACT):
         model = as_known(job.model, job.unknown)
-        experiments = job.with_input(job.exact if option == KNOWN else job.measured)
+        experiments = job.with_input(job.channels[_TABLE[option].needs])
         noise = job.white(model, experiments)
     elif option in (WITH_ERRORS, WALK, WALK_INTEGRAL):
-        record = job.experiments[0].record
+        record, integral = job.experiments[0].record, job.channels["integral"]
         model, rate = as_random_walk(
             job.model,
             job.unknown,
             measured=option == WITH_ERRORS,
-            integral=job.integral if option == WALK_INTEGRAL else None,
-            integral_unit=None if job.integral is None else record.units[job.integral],
+            integral=integral if option == WALK_INTEGRAL else None,
+            integral_unit=None if integral is None else record.units[integral],
         )
-        experiments = job.with_input(job.measured if option == WITH_ERRORS else None)
+        experiments = job.with_input(job.channels["measured"] if option == WITH_ERRORS else None)
         noise = [*job.white(model, experiments), White(rate, job.roughness())]
     elif option == SHAPED:
         return _fit_shaped(job)
@@ -431,46 +397,3 @@ def _fit_shaped(job: _Job) -> Estimate:
         solver=job.solver,
         throw=False,
     ).estimate
-
-
-def _judgement(job: _Job, option: str) -> tuple[bool, str]:
-    """Whether an option is consistent, and why."""
-    u, y = job.unknown, job.using
-    return {
-        KNOWN: (True, f"consistent: {u} is exact and the noise white; the bound for the others"),
-        AS_EXACT: (
-            False,
-            f"not consistent: the noise of {u} acts on the model but not on the system "
-            "(errors in variables); its gain is drawn to zero, more the noisier it is (Linder "
-            "2017, (3.55))",
-        ),
-        WITH_ERRORS: (
-            True,
-            f"consistent if {u} is a random walk and the noises are white; {u} is smoothed, not "
-            "believed",
-        ),
-        WALK: (
-            True,
-            f"consistent if {u} is a random walk; the outputs alone tell what it was",
-        ),
-        WALK_INTEGRAL: (
-            True,
-            f"consistent if {u} is a random walk; its measured integral {job.integral} keeps slow "
-            "changes apart from the model's own",
-        ),
-        SHAPED: (
-            True,
-            f"consistent if {u} has the spectrum of noise through two poles, whatever its "
-            "distribution",
-        ),
-        SIMULATION: (
-            False,
-            f"not consistent: {y} is an input with noise, fed back by the system itself (Linder "
-            f"2017, (7.30)); no assumption on {u}",
-        ),
-        PREDICTION: (
-            False,
-            f"not consistent: the noise of {y} acts like process noise only where {y} itself is "
-            f"much larger; the loop has a direct term (Linder 2017, (7.31)). No assumption on {u}",
-        ),
-    }[option]

@@ -15,6 +15,7 @@ from casid.errors import DataError, ModelError
 from casid.estimation.prediction_error.input_models import as_known, as_random_walk
 from casid.linear.linear_model import linearise
 from casid.linear.noisy_model import White
+from casid.unknown_inputs.option_comparison import OptionRow, UnknownInputComparison
 from casid.unknown_inputs.options import (
     AS_EXACT,
     KNOWN,
@@ -25,8 +26,6 @@ from casid.unknown_inputs.options import (
     WALK,
     WALK_INTEGRAL,
     WITH_ERRORS,
-    OptionRow,
-    UnknownInputComparison,
     compare_unknown_input_options,
 )
 from problems.pendulum import direct_model

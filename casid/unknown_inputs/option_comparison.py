@@ -1,0 +1,125 @@
+"""The options for one unknown input side by side, as fitted to the same records."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.estimation.estimate import Estimate
+
+WIDTH = 110
+"""Characters that a line of the table may have."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OptionRow:
+    """One option: what it estimates, how well it predicts, and whether it can be trusted."""
+
+    option: str
+    letter: str  # (A), (B) or (C) of 7.3
+    estimate: Estimate | None  # None where the option failed: `remark` says why
+    parameters: tuple[str, ...]
+    error: Mapping[str, float]  # parameter -> estimate minus truth, empty where no truth is given
+    prediction_rms: Mapping[str, float]  # output -> rms of the one-step prediction error
+    is_consistent: bool
+    remark: str
+
+    def value(self, name: str) -> float:
+        """The estimate of a parameter; NaN where the option failed."""
+        return float("nan") if self.estimate is None else self.estimate[name]
+
+    def std_error(self, name: str) -> float:
+        """Its standard error; NaN where there is none."""
+        found = None if self.estimate is None else self.estimate.parameter(name).std_error
+        return float("nan") if found is None else found
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of at most `WIDTH` characters: columns that do not fit follow in a table below."""
+    widths = [max(len(r[i]) for r in [heads, *rows]) for i in range(len(heads))]
+    blocks: list[list[int]] = [[0]]
+    for i in range(1, len(heads)):
+        if heads[i] == "error":
+            continue  # stands beside its parameter
+        columns = [i, i + 1] if heads[i + 1 : i + 2] == ["error"] else [i]
+        used = sum(2 + widths[k] for k in [*blocks[-1], *columns]) - 2
+        if used > WIDTH and len(blocks[-1]) > 1:
+            blocks.append([0])
+        blocks[-1] += columns
+    lines: list[str] = []
+    for block in blocks:
+        lines += [""] if lines else []
+        for cells in [heads, *rows]:
+            rest = [cells[k].rjust(widths[k]) for k in block[1:]]
+            lines.append("  ".join([cells[0].ljust(widths[0]), *rest]))
+    return lines
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnknownInputComparison:
+    """The options for one unknown input on the same records."""
+
+    model: str
+    unknown: str
+    parameters: tuple[str, ...]
+    units: Mapping[str, str]
+    truth: Mapping[str, float]
+    outputs: tuple[str, ...]
+    rows: tuple[OptionRow, ...]
+
+    def __getitem__(self, option: str) -> OptionRow:
+        """The row of an option, by its name."""
+        for row in self.rows:
+            if row.option == option:
+                return row
+        raise KeyError(f"no option {option!r}; there are {', '.join(r.option for r in self.rows)}")
+
+    def cells(self) -> tuple[list[str], list[list[str]]]:
+        """Heads and rows of the table, as text."""
+        heads = ["option"]
+        for name in self.parameters:
+            heads.append(f"{name} [{self.units[name]}]")
+            if name in self.truth:
+                heads.append("error")
+        heads += [f"rms {o}" for o in self.outputs]
+        rows = []
+        for row in self.rows:
+            cells = [f"({row.letter}) {row.option}"]
+            for name in self.parameters:
+                value, sd = row.value(name), row.std_error(name)
+                spread = "(at bound)" if np.isnan(sd) else f"+- {sd:.2g}"
+                cells.append("--" if np.isnan(value) else f"{value:.5g} {spread}")
+                if name in self.truth:
+                    cells.append(f"{row.error[name]:+.2g}" if name in row.error else "--")
+            for output in self.outputs:
+                rms = row.prediction_rms.get(output)
+                cells.append("--" if rms is None else f"{rms:.4g}")
+            rows.append(cells)
+        return heads, rows
+
+    def __repr__(self) -> str:
+        return f"<UnknownInputComparison {self.model}/{self.unknown}: {len(self.rows)} options>"
+
+    def __str__(self) -> str:
+        heads, rows = self.cells()
+        lines = [f"Options for the unknown input {self.unknown} of {self.model}"]
+        if self.truth:
+            known = ", ".join(
+                f"{n} = {self.truth[n]:g}" for n in self.parameters if n in self.truth
+            )
+            lines.append(f"  truth {known}")
+        lines += ["", *_table(heads, rows), ""]
+        lines += [f"({r.letter}) {r.option}: {r.remark}" for r in self.rows]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        heads, rows = self.cells()
+        head = "".join(f"<th>{html.escape(h)}</th>" for h in [*heads, "remark"])
+        body = "".join(
+            "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in [*cells, row.remark]) + "</tr>"
+            for cells, row in zip(rows, self.rows, strict=True)
+        )
+        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
