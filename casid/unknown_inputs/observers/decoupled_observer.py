@@ -102,13 +102,7 @@ class DecoupledObserver:
             sample time, or a name in x0 that is no state.
         """
         s = self.system
-        y, u = s.signals(record)
-        if not np.all(np.isfinite(y)):
-            t, i = (int(v) for v in np.argwhere(~np.isfinite(y))[0])
-            raise DataError(
-                f"{record.name}: {s.outputs[i]} is missing at sample {t}; an observer needs every "
-                "sample: cut with record.between, join with record.filled, or use reconstruct_input"
-            )
+        y, u = s.complete_signals(record)
         start = np.zeros(s.nx)
         for name, value in (x0 or {}).items():
             if name not in s.states:
@@ -265,16 +259,7 @@ def _least_variance(
             f"{s.name} is in continuous time, where white noise through G2 y has no finite "
             "variance; sample it first, system.sampled(Ts), or give poles"
         )
-    for name in noise:
-        if name not in s.outputs:
-            raise ModelError(f"noise names {name!r}, no output{nearest(name, s.outputs)}")
-    lacking = [o for o in s.outputs if not noise.get(o, 0.0) > 0]
-    if lacking:
-        raise ModelError(
-            f"{s.name}: no noise of {', '.join(lacking)}; give a positive standard deviation for "
-            "every output (its resolution / sqrt(12) at least)"
-        )
-    R = np.diag([float(noise[o]) ** 2 for o in s.outputs])
+    R = np.diag(s.noise_levels(noise) ** 2)
     W = np.zeros((s.nx, s.nx)) if process is None else np.atleast_2d(np.asarray(process, float))
     if W.shape != (s.nx, s.nx):
         raise ModelError(f"{s.name}: process is {W.shape}; give ({s.nx}, {s.nx})")

@@ -24,7 +24,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.data.record import Record
-from casid.errors import DataError, ModelError, nearest
+from casid.errors import DataError, ModelError
 from casid.linear.split_dynamics import SplitDynamics, split_dynamics
 from casid.linear.subspaces import unobservable_subspace
 from casid.unknown_inputs.observers.equivalent_model import (
@@ -85,7 +85,7 @@ class NoncausalInverse:
         ----------
         omega : (F,) frequencies [rad/s]. noise : output -> standard deviation of white noise.
         """
-        sd = self._noise(noise)
+        sd = self.system.noise_levels(noise)
         power = np.sum(np.abs(self.response(omega)) ** 2 * sd**2, axis=2)
         return np.asarray(np.sqrt(power * self.system.Ts))
 
@@ -118,13 +118,7 @@ class NoncausalInverse:
             For channels that do not fit, missing samples, or a record shorter than the transients.
         """
         s = self.system
-        y, u = s.signals(record)
-        if not np.all(np.isfinite(y)):
-            t, i = (int(v) for v in np.argwhere(~np.isfinite(y))[0])
-            raise DataError(
-                f"{record.name}: {s.outputs[i]} is missing at sample {t}, which an inverse cannot "
-                "bridge; cut with record.between, or use reconstruct_input"
-            )
+        y, u = s.complete_signals(record)
         given = {o: noise_guess(y[:, i]) for i, o in enumerate(s.outputs)} | dict(noise or {})
         known = split_dynamics(s.A).run(u @ s.B.T)
         y = y - known @ s.C.T - u @ s.D.T
@@ -149,11 +143,6 @@ class NoncausalInverse:
         values, x = np.pad(values, pad), np.pad(x, pad)
         valid = np.zeros(record.N, dtype=bool)
         valid[start : N - end] = True
-        assumed = ["the model is exact, and the unknown input is held over each sample"]
-        assumed += [f"noise of {o} is white; its size was guessed" for o in s.outputs
-                    if o not in (noise or {})]  # fmt: skip
-        if band is not None:
-            assumed.append(f"the input has nothing above {band:g} rad/s")
         return InputEstimate(
             s.unknown,
             {i: s.units[i] for i in s.unknown if i in s.units},
@@ -166,21 +155,16 @@ class NoncausalInverse:
             record.name,
             self._bands(values[valid], given),
             {f"noise of {o}": v for o, v in given.items()},
-            tuple(assumed),
+            self._assumed(noise or {}, band),
         )
 
-    def _noise(self, noise: Mapping[str, float]) -> Array:
-        s = self.system
-        for name in noise:
-            if name not in s.outputs:
-                raise ModelError(f"noise names {name!r}, no output{nearest(name, s.outputs)}")
-        lacking = [o for o in s.outputs if not noise.get(o, 0.0) > 0]
-        if lacking:
-            raise ModelError(
-                f"{s.name}: no noise of {', '.join(lacking)}; give a positive standard deviation "
-                "for every output"
-            )
-        return np.array([noise[o] for o in s.outputs])
+    def _assumed(self, noise: Mapping[str, float], band: float | None) -> tuple[str, ...]:
+        guessed = [o for o in self.system.outputs if o not in noise]
+        return (
+            "the model is exact, and the unknown input is held over each sample",
+            *(f"noise of {o} is white; its size was guessed" for o in guessed),
+            *([] if band is None else [f"the input has nothing above {band:g} rad/s"]),
+        )
 
     def _deviation(self, noise: Mapping[str, float], cut: Array | None) -> Array:
         """(nu,) standard deviations: the noise's spectrum integrated over the unit circle."""
@@ -300,9 +284,7 @@ def noncausal_inverse(
             raise ModelError(f"{s.name} is in continuous time; give the record's sample time, Ts=")
         s = s.sampled(Ts)
     require_recoverable(s)
-    for name in noise or {}:
-        if name not in s.outputs:
-            raise ModelError(f"noise names {name!r}, no output{nearest(name, s.outputs)}")
+    s.require_outputs(noise or {})
     sd = np.array([(noise or {}).get(o, 1.0) for o in s.outputs])
     delay, O, K, N = output_window(s, sd)  # noqa: E741
     A = s.A - s.E @ K @ O

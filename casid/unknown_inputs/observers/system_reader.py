@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -41,10 +42,10 @@ def unknown_input_system(
         return system
     chosen = None if unknown is None else (unknown,) if isinstance(unknown, str) else tuple(unknown)
     if isinstance(system, Model):
-        units, holds = _units(system), {n: i.hold for n, i in system.inputs.items()}
+        holds = {n: i.hold for n, i in system.inputs.items()}
         if chosen is None:
             chosen = tuple(n for n, i in system.inputs.items() if i.kind == "unknown")
-        return _from_linear(linearise(system), chosen, values, outputs, units, holds)
+        return _from_linear(linearise(system), chosen, values, outputs, _units(system), holds)
     if isinstance(system, LinearModel):
         return _from_linear(system, chosen, values, outputs, {}, {})
     return _from_control(system, chosen, outputs)
@@ -75,18 +76,9 @@ def _from_linear(
             f"{linear.name}: {', '.join(away)} are not zero at rest; subtract the value there from "
             "the channel, and leave the constant out of the model"
         )
-    return _split(
-        (A, B, C, D),
-        linear.states,
-        linear.inputs,
-        linear.outputs,
-        unknown,
-        outputs,
-        0.0,
-        linear.name,
-        units,
-        holds,
-    )
+    names = (linear.states, linear.inputs, linear.outputs)
+    given = _Given(linear.name, (A, B, C, D), *names, units=units, holds=holds)
+    return given.split(unknown, outputs)
 
 
 def _from_control(
@@ -109,60 +101,59 @@ def _from_control(
             f"{system.name}: discrete without a sample time; give dt in seconds, "
             "control.StateSpace(A, B, C, D, 0.01)"
         )
-    return _split(
-        (system.A, system.B, system.C, system.D),
-        tuple(system.state_labels),
-        tuple(system.input_labels),
-        tuple(system.output_labels),
-        unknown,
-        outputs,
-        float(system.dt or 0.0),
-        str(system.name),
-        {},
-        {},
-    )
+    names = (tuple(system.state_labels), tuple(system.input_labels), tuple(system.output_labels))
+    matrices = (system.A, system.B, system.C, system.D)
+    given = _Given(str(system.name), matrices, *names, Ts=float(system.dt or 0.0))
+    return given.split(unknown, outputs)
 
 
-def _split(
-    matrices: tuple[Array, Array, Array, Array],
-    states: Sequence[str],
-    inputs: Sequence[str],
-    measured: Sequence[str],
-    unknown: tuple[str, ...] | None,
-    outputs: Sequence[str] | None,
-    Ts: float,
-    name: str,
-    units: Mapping[str, str],
-    holds: Mapping[str, str],
-) -> UnknownInputSystem:
-    """Columns of the inputs sorted into known and unknown ones, rows of the outputs chosen."""
-    if not unknown:
-        raise ModelError(
-            f"{name}: which input is unknown? Give unknown='...', one of {', '.join(inputs)}"
+@dataclass(frozen=True, slots=True, eq=False)
+class _Given:
+    """A state space with all inputs together."""
+
+    name: str
+    matrices: tuple[Array, Array, Array, Array]
+    states: Sequence[str]
+    inputs: Sequence[str]
+    outputs: Sequence[str]
+    Ts: float = 0.0
+    units: Mapping[str, str] = field(default_factory=dict)
+    holds: Mapping[str, str] = field(default_factory=dict)
+
+    def split(
+        self, unknown: tuple[str, ...] | None, outputs: Sequence[str] | None
+    ) -> UnknownInputSystem:
+        """Columns of the inputs sorted into known and unknown ones, rows of the outputs chosen."""
+        if not unknown:
+            raise ModelError(
+                f"{self.name}: which input is unknown? Give unknown='...', one of "
+                f"{', '.join(self.inputs)}"
+            )
+        kept = tuple(self.outputs if outputs is None else outputs)
+        for wanted, there, what in (
+            (unknown, self.inputs, "input"),
+            (kept, self.outputs, "output"),
+        ):
+            for one in wanted:
+                if one not in there:
+                    raise ModelError(f"{self.name} has no {what} {one!r}{nearest(one, there)}")
+        A, B, C, D = self.matrices
+        known = tuple(i for i in self.inputs if i not in unknown)
+        k, u = ([list(self.inputs).index(i) for i in group] for group in (known, unknown))
+        rows = [list(self.outputs).index(o) for o in kept]
+        return UnknownInputSystem(
+            A,
+            B[:, k],
+            B[:, u],
+            C[rows],
+            D[rows][:, k],
+            D[rows][:, u],
+            self.Ts,
+            tuple(self.states),
+            known,
+            unknown,
+            kept,
+            dict(self.units),
+            {n: v for n, v in self.holds.items() if n in known},
+            self.name,
         )
-    for wanted, there, what in ((unknown, inputs, "input"), (outputs or (), measured, "output")):
-        for one in wanted:
-            if one not in there:
-                raise ModelError(f"{name} has no {what} {one!r}{nearest(one, there)}")
-    A, B, C, D = matrices
-    known = tuple(i for i in inputs if i not in unknown)
-    k, u = ([list(inputs).index(i) for i in group] for group in (known, unknown))
-    kept = tuple(measured) if outputs is None else tuple(outputs)
-    rows = [list(measured).index(o) for o in kept]
-    C, D = C[rows], D[rows]
-    return UnknownInputSystem(
-        A,
-        B[:, k],
-        B[:, u],
-        C,
-        D[:, k],
-        D[:, u],
-        Ts,
-        tuple(states),
-        known,
-        unknown,
-        kept,
-        dict(units),
-        {n: v for n, v in holds.items() if n in known},
-        name,
-    )

@@ -185,6 +185,46 @@ class UnknownInputSystem:
         u = [record[n] for n in self.known]
         return np.column_stack(y), np.column_stack(u) if u else np.zeros((record.N, 0))
 
+    def complete_signals(self, record: Record) -> tuple[Array, Array]:
+        """`signals` of a record that has every sample of every output.
+
+        Raises
+        ------
+        DataError
+            As `signals`, or for a missing sample.
+        """
+        y, u = self.signals(record)
+        if not np.all(np.isfinite(y)):
+            t, i = (int(v) for v in np.argwhere(~np.isfinite(y))[0])
+            raise DataError(
+                f"{record.name}: {self.outputs[i]} is missing at sample {t}, and every sample is "
+                "needed: cut with record.between, join with record.filled, or use reconstruct_input"
+            )
+        return y, u
+
+    def noise_levels(self, noise: Mapping[str, float]) -> Array:
+        """(ny,) standard deviations of the outputs' noise.
+
+        Raises
+        ------
+        ModelError
+            If a name is no output, or an output has no positive one.
+        """
+        self.require_outputs(noise)
+        lacking = [o for o in self.outputs if not noise.get(o, 0.0) > 0]
+        if lacking:
+            raise ModelError(
+                f"{self.name}: no noise of {', '.join(lacking)}; give a positive standard "
+                "deviation for every output (its resolution / sqrt(12) at least)"
+            )
+        return np.array([float(noise[o]) for o in self.outputs])
+
+    def require_outputs(self, noise: Mapping[str, float]) -> None:
+        """Refuse noise of what is no output; raises ModelError."""
+        for name in noise:
+            if name not in self.outputs:
+                raise ModelError(f"noise names {name!r}, no output{nearest(name, self.outputs)}")
+
     def to_control(self) -> Any:
         """A ``control.StateSpace`` from [known, unknown] to the outputs, with names."""
         import control
