@@ -34,10 +34,11 @@ from analysis.diagnosis_advice_records import Cause, Drive
 from analysis.output import Output
 from analysis.targets import Target, report
 from casid.arrays import Array
-from casid.diagnosis.advice.isolability import MARGIN, POWER, likeness, separation_energy
+from casid.diagnosis.advice.isolability import likeness, separation_energy
 from casid.diagnosis.advice.next_experiment import Advice, Suspect, next_experiment
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
+from casid.diagnosis.thresholds import PLANNING
 from casid.estimation.noise import NoiseModel, noise_response
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.signals import signals_of
@@ -131,7 +132,7 @@ class Setting:
     def margin(self, a: Key, b: Key) -> float:
         """By how much more `a` has to lower the criterion than `b`."""
         n = self.at.criterion.n_samples
-        return MARGIN + (self.effect(a).cost - self.effect(b).cost) * float(np.log(n))
+        return PLANNING.margin + (self.effect(a).cost - self.effect(b).cost) * float(np.log(n))
 
     def predicted(self, a: Key, b: Key) -> float:
         """Energy at which `a`, at work, is told from `b`."""
@@ -262,7 +263,7 @@ def measured(
                 rng = np.random.default_rng((i, j, r))
                 noisy = records.with_noise(clean[i * len(FACTORS) + j], rng)
                 found[j, r] = duel.difference(noisy) - margin
-        low = found.mean(axis=1) - norm.isf(1 - POWER) * found.std(axis=1, ddof=1)
+        low = found.mean(axis=1) - norm.isf(1 - PLANNING.power) * found.std(axis=1, ddof=1)
         slope, height = np.polyfit(np.log(FACTORS), low, 1)
         # Outside the sizes tried the line says nothing: a factor of 4 is as far as it is followed.
         root = float(np.clip(-height / slope, -np.log(4), np.log(4))) if slope > 0 else np.inf
@@ -309,12 +310,12 @@ def energies(runs: int, pairs: Sequence[tuple[Key, Key]], output: Output) -> Ite
     share = float(np.mean([float(r["won at predicted"]) for r in rows]))
     n = runs * len(rows)
     # Three binomial standard errors, and what the approximations of (3) cost.
-    room = 3 * float(np.sqrt(POWER * (1 - POWER) / n)) + 0.03
+    room = 3 * float(np.sqrt(PLANNING.power * (1 - PLANNING.power) / n)) + 0.03
     yield Target(
         f"won at the predicted energy, {n} records",
         f"{share:.3f}",
-        f"{POWER:g} +- {room:.2g}",
-        abs(share - POWER) <= room,
+        f"{PLANNING.power:g} +- {room:.2g}",
+        abs(share - PLANNING.power) <= room,
     )
 
 

@@ -54,7 +54,7 @@ def diagnose(problem: str, **given: Any) -> None:
 
     Several: casid diagnose ship.py nominal=a.csv loaded=b.csv --hold-out c.csv --calibrate
     """
-    from casid.diagnosis.verdict.sufficiency import require_settings
+    from casid.diagnosis.settings import require_settings
 
     output, fit, search = taken(Output, given), taken(FitOptions, given), taken(_Search, given)
     request = Request(**given)

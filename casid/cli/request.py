@@ -247,7 +247,7 @@ def read_experiment(
     """
     from casid.data.reading.columns import resolve
     from casid.data.reading.tables import Table
-    from casid.diagnosis.verdict.sufficiency import left_out_by_clock, refuse_shared_columns
+    from casid.diagnosis.evidence.recorded_channels import left_out_by_clock, refuse_shared_columns
 
     table = Table(source.path)
     _, clock = resolve(table, {}, problem.time)

@@ -1,23 +1,42 @@
-"""`diagnose`: what the simulation gets wrong, why, and what naming the cause gains."""
+"""`diagnose`: what the simulation gets wrong, why, and what including the cause gains."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from functools import partial
+
+import numpy as np
 
 from casid.data.problem import Problem, experiments_of
 from casid.data.record import Experiment, Record
+from casid.diagnosis.advice.recommendation import recommend
 from casid.diagnosis.calibration.false_alarm_rate import Calibration, require_runs
 from casid.diagnosis.calibration.false_alarm_rate import calibrate as run_calibration
-from casid.diagnosis.diagnosis import Diagnosis
-from casid.diagnosis.search.rounds import Progress
-from casid.diagnosis.verdict.diagnosis_builder import report
-from casid.diagnosis.verdict.findings import Findings, find_causes
-from casid.diagnosis.verdict.sufficiency import require_settings
-from casid.estimation.holdout import split_records
+from casid.diagnosis.diagnosis import Diagnosis, Evidence, Gain, Limits
+from casid.diagnosis.evidence.baseline import fit_baseline
+from casid.diagnosis.search.findings import Findings, search_causes
+from casid.diagnosis.settings import DiagnosisSettings, Progress, require_settings
+from casid.diagnosis.verdict.judgement import judge, notes_on
+from casid.diagnosis.verdict.sentences import noise_text
+from casid.estimation.estimate import Origin
+from casid.estimation.holdout import Split, split_records
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.simulation.fit import FitSettings
 from casid.identifiability.requirement import require_identifiable
+from casid.versions import versions
+
+SOURCES = (
+    "J. Linder, Indirect System Identification for Unknown Input Problems, Linkoping 2017",
+    "D. W. K. Andrews, Econometrica 59 (1991) 817-858: bandwidth of a robust covariance",
+    "W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708: robust covariance",
+    "J. P. Romano, M. Wolf, Econometrica 73 (2005) 1237-1282: stepwise multiple testing",
+    "Q. H. Vuong, Econometrica 57 (1989) 307-333: tests between models that are not nested",
+    "F. X. Diebold, R. S. Mariano, J. Bus. Econ. Stat. 13 (1995) 253-263: predictive accuracy",
+    "L. T. Biegler, A. Waechter, Math. Program. 106 (2006) 25-57: Ipopt",
+    "J. A. E. Andersson et al., Math. Program. Comput. 11 (2019) 1-36: CasADi",
+)
+"""Papers behind the methods of a diagnosis."""
 
 
 def diagnose(
@@ -58,8 +77,7 @@ def diagnose(
     -------
     Diagnosis
         Verdict "undecided" where the record cannot support an answer at all. A cause of kind
-        "unknown" is something that no effect of the catalogue explains; `unexplained` tells what is
-        known of it.
+        "unknown" is something that no effect of the catalogue explains; `unexplained` describes it.
 
     Raises
     ------
@@ -68,71 +86,100 @@ def diagnose(
 
     Notes
     -----
-    The false-alarm rate assumes residuals that are stationary after whitening, with memory short
-    against the record, and white noise on measured inputs. It is the first cause's: a further one
-    must be as significant and improve what was held out. `calibrate` tries it without assuming the
-    theory behind it, from the fitted model and its noise.
+    The false-alarm rate assumes residuals that are stationary after whitening, with a correlation
+    time that is short compared with the record, and white noise on measured inputs. It is the first
+    cause's: a further one must be as significant and improve what was held out. `calibrate`
+    measures it on records drawn from the fitted model and its noise.
     """
-    say = progress or (lambda _: None)
+    # Prepare.
     chosen = experiments_of(problem, experiments)
     require_settings(problem, false_alarm_rate, max_causes, without)
     if calibrate:
         require_runs(calibrate)
     split = split_records(chosen, [hold_out] if isinstance(hold_out, Experiment) else hold_out)
-    settings = FitSettings(
+    fit_settings = FitSettings(
         starts=problem.starts if starts is None else starts, solver=solver, seed=seed
     )
-    require_identifiable(problem.model, split.fitted, problem=problem, progress=say)
-    find = partial(
-        find_causes, problem, split, settings, max_causes=max_causes, without=without, say=say
+    settings = DiagnosisSettings(
+        false_alarm_rate, max_causes, without, fit_settings, progress or (lambda _: None)
     )
-    found = find(alpha=false_alarm_rate)
+    require_identifiable(problem.model, split.fitted, problem=problem, progress=settings.progress)
+    # Evidence and search: the baseline, then rounds of candidates.
+    found = _searched(problem, split, settings)
     calibration: Calibration | None = None
-    if calibrate and not found.why_undecided:
-        calibration = _calibrated(
-            problem, found, settings, false_alarm_rate, calibrate, without, say
-        )
+    if calibrate and not found.baseline.why_undecided:
+        calibration = _calibrated(problem, found, settings, calibrate)
         if calibration.is_corrected:
-            say(f"judge again at {calibration.threshold:.2g}")
-            found = find(alpha=calibration.threshold)
-    return report(
-        problem,
-        found,
-        settings,
-        calibration=calibration,
-        advise=advise,
-        say=say,
-        false_alarm_rate=false_alarm_rate,
+            settings.progress(f"judge again at {calibration.threshold:.2g}")
+            found = _searched(problem, split, replace(settings, alpha=calibration.threshold))
+    # Verdict and advice.
+    judged = judge(problem, found, false_alarm_rate)
+    advice = recommend(problem, found, judged, plan=advise)
+    left = judged.left
+    return Diagnosis(
+        problem=problem.name,
+        verdict=judged.verdict,
+        sentence=judged.sentence,
+        causes=judged.causes,
+        ranking=judged.ranking,
+        evidence=Evidence(judged.baseline, judged.extended, judged.records, noise_text(found.at)),
+        gain=Gain(judged.fitted, judged.held_out, judged.moved, judged.remaining),
+        advice=advice.sentence,
+        proposals=advice.proposals,
+        limits=Limits(
+            false_alarm_rate=false_alarm_rate,
+            notes=notes_on(problem, found),
+            unexplained=left.unexplained if left is not None else None,
+            isolability=advice.isolability,
+            invisible=advice.invisible,
+            calibration=calibration,
+        ),
+        origin=Origin(judged.baseline.provenance, versions(), SOURCES),
+        settings=_settings_in_words(found, fit_settings, false_alarm_rate),
     )
+
+
+def _searched(problem: Problem, split: Split, settings: DiagnosisSettings) -> Findings:
+    """The baseline fitted, and the causes that it is missing."""
+    return search_causes(problem, fit_baseline(problem, split, settings), settings)
 
 
 def _calibrated(
-    problem: Problem,
-    found: Findings,
-    settings: FitSettings,
-    alpha: float,
-    runs: int,
-    without: Collection[str],
-    say: Progress,
+    problem: Problem, found: Findings, settings: DiagnosisSettings, runs: int
 ) -> Calibration:
     """The false-alarm rate of this very diagnosis, one cause being an alarm."""
     null = partial(
         diagnose,
         max_causes=1,
-        without=tuple(without),
+        without=tuple(settings.without),
         advise=False,
         starts=1,
-        solver=settings.solver,
-        seed=settings.seed,
+        solver=settings.fit.solver,
+        seed=settings.fit.seed,
     )
     return run_calibration(
         problem,
-        found.split,
-        found.start,
+        found.baseline.split,
+        found.baseline.start,
         found.base_fit,
         diagnose_null=null,
-        alpha=alpha,
+        alpha=settings.alpha,
         runs=runs,
-        seed=settings.seed,
-        progress=say,
+        seed=settings.fit.seed,
+        progress=settings.progress,
     )
+
+
+def _settings_in_words(found: Findings, settings: FitSettings, alpha: float) -> dict[str, str]:
+    split = found.baseline.split
+    share = f"the last {100 * float(np.mean(split.held[0])):.0f} % of each record"
+    out = ", ".join(e.name for e in split.apart) or share
+    return {
+        "fitted records": ", ".join(e.name for e in split.fitted),
+        "held out": "nothing" if split.is_empty else out,
+        "family-wise false-alarm rate": f"{alpha:g}",
+        "starts": str(settings.starts),
+        "solver": (settings.solver or Solver()).name,
+        "Runge-Kutta steps a sample": str(found.base_fit.criterion.substeps),
+        "seed": str(settings.seed),
+    }

@@ -5,130 +5,166 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
+from casid.diagnosis.advice.isolability import Isolability
+from casid.diagnosis.advice.next_experiment import Proposal
+from casid.diagnosis.advice.undetectable import Invisible
+from casid.diagnosis.calibration.false_alarm_rate import Calibration
+from casid.diagnosis.unexplained.description import Unexplained
+from casid.diagnosis.verdict.cause import Alternative, Cause, Ranked, Verdict
 from casid.diagnosis.verdict.remainder import Moved, Remaining
-from casid.estimation.estimate import Estimate, Estimated, RecordView
+from casid.estimation.estimate import Estimate, Origin, RecordView
 from casid.presentation import Presented, present, write
 
-if TYPE_CHECKING:
-    from casid.diagnosis.advice.isolability import Isolability
-    from casid.diagnosis.advice.next_experiment import Proposal
-    from casid.diagnosis.advice.undetectable import Invisible
-    from casid.diagnosis.calibration.false_alarm_rate import Calibration
-    from casid.diagnosis.unexplained.description import Unexplained
-
-Verdict = Literal["adequate", "deficient", "undecided"]
-
-
-@dataclass(frozen=True, slots=True)
-class Alternative:
-    """A kind that this record cannot reject against the named one."""
-
-    kind: str
-    where: str
-    p_value: float
-    why: str
-    description: str = ""  # what it is like where the catalogue has no name: kind "unknown"
-
-    @property
-    def name(self) -> str:
-        """Kind and place; what has no name, with its description."""
-        like = f" ({self.description})" if self.kind == "unknown" and self.description else ""
-        return f"{self.kind} in {self.where}{like}"
-
-    def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` has it."""
-        return {
-            "kind": self.kind,
-            "where": self.where,
-            "p_value": self.p_value,
-            "why": self.why,
-            "description": self.description,
-        }
+__all__ = [
+    "Alternative",
+    "Cause",
+    "Diagnosis",
+    "Evidence",
+    "Gain",
+    "Limits",
+    "Ranked",
+    "Verdict",
+]
 
 
-@dataclass(frozen=True, slots=True)
-class Cause:
-    """An effect that the data require and the model lacked."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """The fits before and after, and the noise found."""
 
-    kind: str
-    where: str
-    p_value: float  # family-wise
-    parameters: tuple[Estimated, ...]
-    alternatives: tuple[Alternative, ...] = ()
-    share: float = 0.0  # of the misfit removed, 0..1
-    sentence: str = ""
-    description: str = ""  # what is known of it where the catalogue has no name: kind "unknown"
-    by_record: Mapping[str, Mapping[str, Estimated]] = field(default_factory=dict, hash=False)
-    # record -> parameter -> value; empty where one value explains all records
-
-    def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` has it."""
-        return {
-            "kind": self.kind,
-            "where": self.where,
-            "p_value": self.p_value,
-            "parameters": {
-                p.name: {"value": p.value, "std_error": p.std_error, "unit": p.unit}
-                for p in self.parameters
-            },
-            "alternatives": [a.to_json() for a in self.alternatives],
-            "share": self.share,
-            "sentence": self.sentence,
-            "description": self.description,
-            "by_record": {
-                record: {
-                    n: {"value": p.value, "std_error": p.std_error, "unit": p.unit}
-                    for n, p in values.items()
-                }
-                for record, values in self.by_record.items()
-            },
-        }
+    baseline: Estimate
+    extended: Estimate | None
+    records: tuple[RecordView, ...]
+    noise: Mapping[str, str] = field(default_factory=dict)  # channel -> sentence
 
 
-@dataclass(frozen=True, slots=True)
-class Ranked:
-    """One candidate of the catalogue as the first round saw it."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Gain:
+    """What including the causes gains, and what it leaves."""
 
-    kind: str
-    where: str
-    p_value: float  # of this candidate alone
-    adjusted: float  # family-wise
-    gain: float | None  # fall of the criterion after a refit, None where it was not refitted
-    status: str  # "named", "cannot be rejected", "rejected", "not significant", "invisible"
-    why: str = ""
+    fitted: Mapping[str, Mapping[str, float]]  # baseline_rmse, extended_rmse -> output -> value
+    held_out: Mapping[str, Mapping[str, float]]  # ... and noise_floor
+    moved: tuple[Moved, ...] = ()  # parameters that the missing causes had biased
+    remaining: Remaining | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Limits:
+    """What bears on the trust in a diagnosis, and what the records cannot show."""
+
+    false_alarm_rate: float = 0.05
+    notes: tuple[str, ...] = ()
+    unexplained: Unexplained | None = None  # what a cause of kind "unknown" looks like
+    isolability: Isolability | None = None
+    invisible: tuple[Invisible, ...] = ()
+    calibration: Calibration | None = None  # false alarms counted on simulated records
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis(Presented):
-    """What the simulation gets wrong, why, and what naming the cause gains."""
+    """What the simulation gets wrong, why, and what including the cause gains.
+
+    Every field of `evidence`, `gain`, `limits` and `origin` is an attribute of the diagnosis, too.
+    """
 
     problem: str
     verdict: Verdict
     sentence: str
     causes: tuple[Cause, ...]
     ranking: tuple[Ranked, ...]
-    baseline: Estimate
-    extended: Estimate | None
-    records: tuple[RecordView, ...]
-    fitted: Mapping[str, Mapping[str, float]]  # baseline_rmse, extended_rmse -> output -> value
-    held_out: Mapping[str, Mapping[str, float]]  # ... and noise_floor
+    evidence: Evidence
+    gain: Gain
     advice: str
-    noise: Mapping[str, str] = field(default_factory=dict)  # channel -> sentence
-    false_alarm_rate: float = 0.05
-    notes: tuple[str, ...] = ()
-    provenance: tuple[str, ...] = ()
-    settings: Mapping[str, str] = field(default_factory=dict)
-    versions: Mapping[str, str] = field(default_factory=dict)
-    sources: tuple[str, ...] = ()
-    moved: tuple[Moved, ...] = ()  # parameters that the missing causes had biased
-    remaining: Remaining | None = None
-    unexplained: Unexplained | None = None  # what a cause of kind "unknown" looks like
-    isolability: Isolability | None = None
-    invisible: tuple[Invisible, ...] = ()
     proposals: tuple[Proposal, ...] = ()  # next experiments, the best first
-    calibration: Calibration | None = None  # false alarms counted on simulated records
+    limits: Limits = Limits()
+    origin: Origin = Origin()
+    settings: Mapping[str, str] = field(default_factory=dict)  # of the diagnosis, in words
+
+    @property
+    def baseline(self) -> Estimate:
+        """Fit of the model as it is."""
+        return self.evidence.baseline
+
+    @property
+    def extended(self) -> Estimate | None:
+        """Fit of the model with the causes; None where none was adopted."""
+        return self.evidence.extended
+
+    @property
+    def records(self) -> tuple[RecordView, ...]:
+        """Signals of every record, measured and simulated."""
+        return self.evidence.records
+
+    @property
+    def noise(self) -> Mapping[str, str]:
+        """Channel or balance -> the noise found there, in words."""
+        return self.evidence.noise
+
+    @property
+    def fitted(self) -> Mapping[str, Mapping[str, float]]:
+        """RMS errors of the fitted part: baseline_rmse, extended_rmse -> output -> value."""
+        return self.gain.fitted
+
+    @property
+    def held_out(self) -> Mapping[str, Mapping[str, float]]:
+        """The same of what was held out, with noise_floor."""
+        return self.gain.held_out
+
+    @property
+    def moved(self) -> tuple[Moved, ...]:
+        """Parameters that the missing causes had biased."""
+        return self.gain.moved
+
+    @property
+    def remaining(self) -> Remaining | None:
+        """What the causes leave unexplained."""
+        return self.gain.remaining
+
+    @property
+    def false_alarm_rate(self) -> float:
+        """Family-wise, for the whole catalogue."""
+        return self.limits.false_alarm_rate
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What bears on the trust in it."""
+        return self.limits.notes
+
+    @property
+    def unexplained(self) -> Unexplained | None:
+        """What a cause of kind "unknown" looks like."""
+        return self.limits.unexplained
+
+    @property
+    def isolability(self) -> Isolability | None:
+        """Which causes the records can separate."""
+        return self.limits.isolability
+
+    @property
+    def invisible(self) -> tuple[Invisible, ...]:
+        """Causes that the records cannot show."""
+        return self.limits.invisible
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """False alarms counted on simulated records."""
+        return self.limits.calibration
+
+    @property
+    def provenance(self) -> tuple[str, ...]:
+        """Files and conversions that the records come from."""
+        return self.origin.provenance
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """Versions of the packages used."""
+        return self.origin.versions
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Papers behind the methods used."""
+        return self.origin.sources
 
     def to_json(self) -> dict[str, Any]:
         """The content of `diagnosis.json` (schema casid.diagnosis/1)."""

@@ -338,7 +338,7 @@ def test_a_user_sees_verdict_cause_and_gain_in_the_text():
 
 def test_a_recorded_channel_named_like_the_eliminated_input_is_no_candidate():
     """a_y is in the model already, behind the accelerometer that took its place."""
-    from casid.diagnosis.verdict.findings import recorded_beside
+    from casid.diagnosis.evidence.recorded_channels import recorded_beside
 
     rng = np.random.default_rng(1)
     channels = {n: rng.standard_normal(50) for n in ("gyro", "accel", "a_y", "yaw_rate")}

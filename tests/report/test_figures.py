@@ -283,7 +283,7 @@ def test_every_figure_has_a_caption_and_its_legend_above(make):
 
 
 def test_an_undecided_diagnosis_without_records_has_only_the_figures_it_can_fill():
-    d = replace(samples.undecided(), records=())
+    d = samples.changed(samples.undecided(), records=())
     assert list(diagnosis_figures(d)) == ["parameters"]
     with pytest.raises(ValueError, match="no record"):
         simulation_figure(d.records)
@@ -294,7 +294,7 @@ def test_a_record_too_short_for_a_curve_is_no_fault(n):
     v = samples.view(N=100)
     arrays = ("t", "measured", "used", "fitted", "baseline", "extended", "u", "x")
     short = replace(v, **{name: getattr(v, name)[:n] for name in arrays})
-    figures = diagnosis_figures(replace(samples.deficient(N=100), records=(short,)))
+    figures = diagnosis_figures(samples.changed(samples.deficient(N=100), records=(short,)))
     assert len(figures) == 7
 
 

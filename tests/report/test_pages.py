@@ -112,7 +112,7 @@ def test_everything_the_diagnosis_knows_stands_in_the_text(page):
 
 def test_warnings_of_both_fits_are_printed_beside_the_key_numbers():
     d = samples.deficient(N=100)
-    d = replace(d, baseline=replace(d.baseline, warnings=("only 1 of 4 starts agrees",)))
+    d = samples.changed(d, baseline=replace(d.baseline, warnings=("only 1 of 4 starts agrees",)))
     text = Seen(diagnosis_page(d)).text
     assert text.index("Warning: only 1 of 4 starts agrees") < text.index(d.causes[0].sentence)
 
@@ -238,7 +238,7 @@ def test_only_the_two_scripts_named_by_their_hash_may_run(hostile):
 
 def test_an_unfinished_number_is_named_not_printed_as_nan():
     d = samples.deficient(N=100)
-    d = replace(d, fitted={"baseline_rmse": {"gyro": float("nan")}, "extended_rmse": {}})
+    d = samples.changed(d, fitted={"baseline_rmse": {"gyro": float("nan")}, "extended_rmse": {}})
     text = Seen(diagnosis_page(d)).text
     assert "not finite" in text
     assert not re.search(r"\bnan\b", text)

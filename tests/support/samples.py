@@ -7,12 +7,20 @@ numbers around the signals are plausible, and consistent with each other.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
-from casid.diagnosis.diagnosis import Alternative, Cause, Diagnosis, Ranked
+from casid.diagnosis.diagnosis import (
+    Alternative,
+    Cause,
+    Diagnosis,
+    Evidence,
+    Gain,
+    Limits,
+    Ranked,
+)
 from casid.diagnosis.verdict.remainder import (
     Explained,
     Moved,
@@ -139,9 +147,33 @@ RANKING = (
 )
 
 
+GROUPS: dict[str, type] = {"evidence": Evidence, "gain": Gain, "limits": Limits, "origin": Origin}
+
+
+def diagnosis_of(**values: Any) -> Diagnosis:
+    """A diagnosis from the values of its own fields and of those of its groups."""
+    groups = {
+        name: kind(**{f.name: values.pop(f.name) for f in fields(kind) if f.name in values})
+        for name, kind in GROUPS.items()
+    }
+    return Diagnosis(**values, **groups)
+
+
+def changed(diagnosis: Diagnosis, **values: Any) -> Diagnosis:
+    """The same with other values, those of its groups among them."""
+    groups = {
+        name: replace(
+            getattr(diagnosis, name),
+            **{f.name: values.pop(f.name) for f in fields(kind) if f.name in values},
+        )
+        for name, kind in GROUPS.items()
+    }
+    return replace(diagnosis, **values, **groups)
+
+
 def deficient(*, records: int = 1, N: int = 6000) -> Diagnosis:
     """Quadratic damping named, Coulomb friction beside it."""
-    return Diagnosis(
+    return diagnosis_of(
         problem="pendulum",
         verdict="deficient",
         sentence="The model lacks quadratic damping in the torque balance; naming it brings the "
@@ -197,7 +229,7 @@ def deficient(*, records: int = 1, N: int = 6000) -> Diagnosis:
 def adequate() -> Diagnosis:
     """The model as it is explains the record."""
     v = replace(view(d_2=0.0), extended=None)
-    return replace(
+    return changed(
         deficient(N=100),
         verdict="adequate",
         sentence="No effect of the catalogue improves the simulation beyond chance.",
@@ -221,7 +253,7 @@ def undecided() -> Diagnosis:
     """A record too short for any answer, and nothing to rank."""
     v = replace(view(N=60), extended=None)
     bare: dict[str, Any] = {"ranking": (), "fitted": {}, "held_out": {}, "noise": {}, "sources": ()}
-    return replace(
+    return changed(
         adequate(),
         verdict="undecided",
         sentence="The record cannot support an answer: 1.2 s hold less than one period.",
@@ -255,7 +287,7 @@ def rich() -> Diagnosis:
     causes = (named, replace(unknown, share=0.12))
     extended = d.extended
     assert extended is not None
-    return replace(
+    return changed(
         d,
         causes=causes,
         moved=moved_parameters(d.baseline, extended),
@@ -297,7 +329,7 @@ def hostile() -> Diagnosis:
         warnings=(h,),
         origin=Origin((h,), {h: h}, (h,)),
     )
-    return replace(
+    return changed(
         d,
         problem=h,
         sentence=h,

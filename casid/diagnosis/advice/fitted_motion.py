@@ -18,12 +18,10 @@ from casid.arrays import TINY, Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment, Record
 from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.thresholds import EXPERIMENTS
 from casid.errors import CasidError
 from casid.estimation.simulation.simulator import Simulator
 from casid.model.model import Model
-
-LONGEST_SETTLING = 0.5
-"""Share of the record's length that one free decay may take."""
 
 
 @dataclass(slots=True)
@@ -98,11 +96,11 @@ class FittedMotion:
         for n, v in self.acting(0).items():
             if self.is_free(n) and np.ptp(v) > 0:
                 power = np.cumsum(np.abs(rfft(v - v.mean())) ** 2)
-                share = np.searchsorted(power, 0.95 * power[-1])
+                share = np.searchsorted(power, EXPERIMENTS.band_power * power[-1])
                 tops.append(float(rfftfreq(d.N, d.Ts)[share]))
         if not tops:
             return 0.0
-        return min(times * max(*tops, self.main_frequency()), 0.4 / d.Ts)
+        return min(times * max(*tops, self.main_frequency()), EXPERIMENTS.highest / d.Ts)
 
     def main_frequency(self) -> float:
         """Frequency at which the first output moves most [Hz]."""
@@ -172,12 +170,12 @@ class FittedMotion:
 
     def settling(self, record: Record) -> int:
         """Samples until no output stands above its noise any more."""
-        last = 40
+        last = shortest = EXPERIMENTS.shortest_decay
         for name, sd in zip(self.at.criterion.outputs, self.at.noise.output_sd, strict=True):
             y = record[name]
             above = np.flatnonzero(np.abs(y - y[-1]) > float(sd))
             last = max(last, int(above[-1]) + 1 if len(above) else 0)
-        return min(last, max(int(LONGEST_SETTLING * record.N), 40), record.N)
+        return min(last, max(int(EXPERIMENTS.settling * record.N), shortest), record.N)
 
     def unmeasured(self) -> list[str]:
         """States that are no output themselves, and eliminated inputs."""

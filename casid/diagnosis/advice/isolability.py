@@ -39,24 +39,16 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.score_tests import INVISIBLE, ScoreTable
+from casid.diagnosis.evidence.score_tests import ScoreTable
+from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import DataError
 from casid.model.effects.effect import Effect
 from casid.presentation import present
 
 Key = tuple[str, str]
 
-MARGIN = 6.0
-"""Units of BIC within which causes count as tied: the search's own (Kass and Raftery: strong)."""
 
-POWER = 0.95
-"""Probability with which the right cause is to win by the margin."""
-
-SAME = 0.995
-"""|cosine| from which two effects are one and the same in this record: a hundredfold energy."""
-
-
-def separation_constant(*, margin: float = MARGIN, power: float = POWER) -> float:
+def separation_constant(*, margin: float = PLANNING.margin, power: float = PLANNING.power) -> float:
     """Numerator of (3): energy that tells two causes apart whose signatures are at right angles.
 
     Raises
@@ -73,7 +65,9 @@ def separation_constant(*, margin: float = MARGIN, power: float = POWER) -> floa
     return (z + sqrt(z * z + margin)) ** 2
 
 
-def separation_energy(cosine: float, *, margin: float = MARGIN, power: float = POWER) -> float:
+def separation_energy(
+    cosine: float, *, margin: float = PLANNING.margin, power: float = PLANNING.power
+) -> float:
     """Energy (3) of the misfit at which the record tells the right one of two causes; may be inf.
 
     Parameters
@@ -85,7 +79,7 @@ def separation_energy(cosine: float, *, margin: float = MARGIN, power: float = P
     return constant / apart if apart > 1e-10 else float("inf")
 
 
-def win_probability(energy: float, cosine: float, *, margin: float = MARGIN) -> float:
+def win_probability(energy: float, cosine: float, *, margin: float = PLANNING.margin) -> float:
     """Probability that D of (2) exceeds the margin, without the approximations of (3).
 
     The product of two independent normals is integrated over one of them.
@@ -103,7 +97,7 @@ def win_probability(energy: float, cosine: float, *, margin: float = MARGIN) -> 
 
 
 def exact_separation_energy(
-    cosine: float, *, margin: float = MARGIN, power: float = POWER
+    cosine: float, *, margin: float = PLANNING.margin, power: float = PLANNING.power
 ) -> float:
     """As `separation_energy`, from `win_probability`; how good (3) is, the tests say."""
     about = separation_energy(cosine, margin=margin, power=power)
@@ -134,7 +128,7 @@ class Pair:
     @property
     def is_same(self) -> bool:
         """True if this record cannot tell them apart at any size worth thinking of."""
-        return abs(self.cosine) > SAME
+        return abs(self.cosine) > PLANNING.same
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers; an infinite energy is None."""
@@ -156,7 +150,8 @@ class Isolability:
     keys : kind and place of the visible causes, the strongest variant of each.
     cosines : (K, K) in that order.
     pairs : all of them, the hardest first.
-    groups : causes that are the same in this record, |cosine| above `SAME`, two or more each.
+    groups : causes that are indistinguishable in this record, two or more each: |cosine| above
+        `PLANNING.same`.
     unseen : causes that the baseline absorbs; `invisible` says why.
     """
 
@@ -165,8 +160,8 @@ class Isolability:
     pairs: tuple[Pair, ...]
     groups: tuple[tuple[Key, ...], ...]
     unseen: tuple[Key, ...] = ()
-    margin: float = MARGIN
-    power: float = POWER
+    margin: float = PLANNING.margin
+    power: float = PLANNING.power
 
     def of(self, key: Key) -> tuple[Pair, ...]:
         """The pairs that a cause stands in, its hardest rival first.
@@ -246,8 +241,8 @@ def isolability(
     table: ScoreTable,
     *,
     n_samples: int | None = None,
-    margin: float = MARGIN,
-    power: float = POWER,
+    margin: float = PLANNING.margin,
+    power: float = PLANNING.power,
 ) -> Isolability:
     """Compare every pair of causes of a score table.
 
@@ -264,7 +259,7 @@ def isolability(
         Causes that the baseline absorbs are set apart.
     """
     places = strongest_variants(table)
-    seen = [i for i in places if table.scores[i].visible > INVISIBLE]
+    seen = [i for i in places if table.scores[i].visible > SCORES.undetectable]
     unseen = tuple(table.scores[i].effect.key for i in places if i not in seen)
     effects = [table.scores[i].effect for i in seen]
     cosines = np.clip(np.asarray(table.cosines)[np.ix_(seen, seen)], -1.0, 1.0)

@@ -20,8 +20,6 @@ import numpy as np
 from casid.data.problem import Problem
 from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.advice.isolability import (
-    MARGIN,
-    POWER,
     Key,
     label,
     likeness,
@@ -29,18 +27,13 @@ from casid.diagnosis.advice.isolability import (
 )
 from casid.diagnosis.advice.planned_records import Planned, Planner, with_start
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.score_tests import INVISIBLE, ScoreTable, score_test
+from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
+from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import CasidError, DataError
 from casid.estimation.noise import NoiseModel, noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
-
-SHORTEST = 0.05
-"""Share of the predicted record below which its length is not extrapolated."""
-
-CLEARER = 2.0
-"""Factor by which an experiment has to lower the energy needed, to be preferred for that."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,7 +81,7 @@ class Proposal:
         Signatures that are nearly the same are told by small differences, which a model that is
         wrong elsewhere gets wrong first; so this goes before a short record.
         """
-        return self.gain_factor >= CLEARER and self.record_length <= now.record_length
+        return self.gain_factor >= PLANNING.clearer and self.record_length <= now.record_length
 
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`; None where nothing of that length or energy tells."""
@@ -159,8 +152,8 @@ def next_experiment(
     at: Weighted,
     suspects: Sequence[Suspect],
     *,
-    margin: float = MARGIN,
-    power: float = POWER,
+    margin: float = PLANNING.margin,
+    power: float = PLANNING.power,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Advice:
@@ -246,7 +239,7 @@ def predicted_table(planned: Planned, at: Weighted, effects: Sequence[Effect]) -
     )
     criterion.whiten = noise.whiten
     fit = Fit(criterion, replace(at.fit.solution, x=x))
-    return score_test(fit, effects, input_sd={}, draws=50)
+    return score_test(fit, effects, input_sd={}, draws=SCORES.few_draws)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,7 +274,7 @@ class _Rule:
                     worst = energy, abs(cosine), (b.effect.key, a.effect.key)
                 long_enough = planned.seconds * energy / min(given) if isfinite(energy) else inf
                 # Much shorter records than that predicted have other tangents: nothing is promised.
-                longest = max(longest, long_enough, SHORTEST * planned.seconds)
+                longest = max(longest, long_enough, PLANNING.shortest * planned.seconds)
         assert worst is not None
         energy, cosine, pair = worst
         before = energy if now is None else now.energy_needed
@@ -302,7 +295,7 @@ class _Rule:
     def _given(s: Suspect, table: ScoreTable, place: dict[Key, int]) -> float:
         """Energy of the misfit that the planned record has if `s` is the cause."""
         score = table.scores[place[s.effect.key]]
-        if score.visible <= INVISIBLE:
+        if score.visible <= SCORES.undetectable:
             return 0.0
         return score.energy * (1.0 if s.effect.test == "clip" else s.size**2)
 
@@ -318,7 +311,7 @@ def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal])
             "outputs. What is left is to know one of them apart from these records."
         )
     best = able[0]
-    shorter = best.is_clearer(now) or best.record_length <= 0.8 * now.record_length
+    shorter = best.is_clearer(now) or best.record_length <= PLANNING.shorter * now.record_length
     if isfinite(now.record_length) and not shorter:
         return (
             f"To tell {who}, record the same for {_seconds(now.record_length)}: no other "
@@ -327,7 +320,7 @@ def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal])
     text = f"To tell {who}: {best.description}. About {_seconds(best.record_length)} of it would do"
     if isfinite(now.record_length):
         text += f", where the same again would take {_seconds(now.record_length)}"
-    if best.gain_factor > 1.5:
+    if best.gain_factor > PLANNING.notable:
         text += (
             f"; the energy needed falls by a factor of {best.gain_factor:.2g} (cosine "
             f"{best.cosine:.2f}, not {now.cosine:.2f})"

@@ -17,15 +17,13 @@ from scipy.fft import irfft, rfftfreq
 from casid.arrays import Array
 from casid.data.record import Experiment
 from casid.diagnosis.advice.fitted_motion import FittedMotion
+from casid.diagnosis.thresholds import EXPERIMENTS
 from casid.errors import CasidError
 from casid.model.model import Model
 
 Change = Callable[[Array], Array]  # (N,) of one input, less its mean -> (M,)
 
 Bands = tuple[tuple[float, float], ...]
-
-ASIDE = 1.6
-"""Ratio by which an excitation beside the resonance keeps away from it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,8 +77,8 @@ class Planner:
             self.wider_band,
             self.slower,
             self.around,
-            partial(self.larger, 2.0),
-            partial(self.longer, 4),
+            partial(self.larger, EXPERIMENTS.larger),
+            partial(self.longer, EXPERIMENTS.longer),
         ]
         makers += [partial(self.load, n, v) for n, v in self._loads().items()]
         makers += [partial(self.sensor, n) for n in self.motion.unmeasured()]
@@ -126,13 +124,13 @@ class Planner:
 
     def wider_band(self) -> Planned | None:
         """A multisine of equal power up to three times the band of excitation and motion."""
-        top = self.motion.band(3.0)
+        top = self.motion.band(EXPERIMENTS.wider)
         what = f"a wide-band excitation of the same strength, up to {top:.2g} Hz"
         return self._multisine("wider band", what, ((0.0, top),)) if top > 0 else None
 
     def slower(self) -> Planned | None:
         """A multisine of the same power well below what the system answers most."""
-        top = self.motion.main_frequency() / 3
+        top = EXPERIMENTS.slower * self.motion.main_frequency()
         what = f"slow excitation of the same strength, up to {top:.2g} Hz"
         return self._multisine("slower", what, ((0.0, top),)) if top > 0 else None
 
@@ -142,8 +140,8 @@ class Planner:
         Where a resonance makes most of the motion, stiffness, inertia and damping show at one
         frequency alone, and what changes them looks alike.
         """
-        centre, top = self.motion.main_frequency(), self.motion.band(3.0)
-        low, high = centre / ASIDE, centre * ASIDE
+        centre, top = self.motion.main_frequency(), self.motion.band(EXPERIMENTS.wider)
+        low, high = centre / EXPERIMENTS.aside, centre * EXPERIMENTS.aside
         what = (
             f"an excitation of the same strength on both sides of the resonance, up to {low:.2g} "
             f"Hz and from {high:.2g} to {top:.2g} Hz"
@@ -288,7 +286,7 @@ class Planner:
         of_cases = {n for values in self.motion.problem.load_cases.values() for n in values}
         for name, p in model.parameters.items():
             if p.value and not p.is_constant and name not in of_cases:
-                value = float(np.clip(1.5 * p.value, p.lower, p.upper))
+                value = float(np.clip(EXPERIMENTS.load * p.value, p.lower, p.upper))
                 if value != p.value:
                     out[f"{name} changed"] = {name: value}
         return out

@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from casid.data.record import Experiment
-from casid.diagnosis.evidence.score_tests import INVISIBLE, ScoreTable
+from casid.diagnosis.evidence.score_tests import ScoreTable
+from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import CasidError
 from casid.identifiability.combinations.closed_form import families, joint_invariants
 from casid.identifiability.combinations.fixing_sets import confounded_groups, fixing_sets
@@ -27,12 +28,6 @@ from casid.model.effects.effect import Effect
 from casid.model.model import Model
 
 Reason = Literal["structural", "practical", "practical (not asked structurally)"]
-
-RANK_LIMIT = 0.3
-"""Seconds for the rank of one extended model."""
-
-FORMULA_LIMIT = 0.6
-"""Seconds for all closed forms of what is told instead; the names alone take none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +81,7 @@ def invisible(
     model: Model,
     experiments: Sequence[Experiment],
     *,
-    threshold: float = INVISIBLE,
+    threshold: float = SCORES.undetectable,
 ) -> tuple[Invisible, ...]:
     """Causes of the table that are absorbed in every variant, structural ones first.
 
@@ -115,7 +110,7 @@ class _Asked:
     def __init__(self, model: Model, experiments: Sequence[Experiment]) -> None:
         self.model = model
         self.experiments = [replace(e, name=word(e.name)) for e in experiments]
-        self.formulas = FORMULA_LIMIT
+        self.formulas = PLANNING.formula_limit
         base = self._rank(model)
         self.unseen = set() if base is None else _unobservable(base)
 
@@ -167,7 +162,7 @@ class _Asked:
         """None where it is not found in time, or the equations cannot be read."""
         try:
             systems = translated(model, self.experiments, resting=False).systems
-            found = observability(systems, time_limit=RANK_LIMIT, error_bound=1e-9)
+            found = observability(systems, time_limit=PLANNING.rank_limit, error_bound=1e-9)
         except CasidError:
             return None
         return None if found.is_partial else found

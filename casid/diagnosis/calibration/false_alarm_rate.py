@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from scipy.stats import binomtest
@@ -39,6 +39,9 @@ from casid.campaigns.monte_carlo import digest
 from casid.campaigns.parquet_parts import FAILED, Parts
 from casid.data.problem import Problem, load_problem
 from casid.diagnosis.calibration.null_records import NullNoise, NullRecords, null_noise
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.thresholds import CALIBRATING
+from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
 from casid.errors import CasidError, DataError, ModelError, SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.minimization import Fit
@@ -47,10 +50,27 @@ from casid.presentation import present
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
 
-    from casid.diagnosis.diagnosis import Diagnosis
-    from casid.diagnosis.evidence.prewhitening import Weighted
 
-Diagnose = Callable[..., "Diagnosis"]
+class Diagnosed(Protocol):
+    """What a calibration reads of the diagnosis of a null record."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """What was decided."""
+        ...
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """What was named."""
+        ...
+
+    @property
+    def ranking(self) -> tuple[Ranked, ...]:
+        """The first round's candidates."""
+        ...
+
+
+Diagnose = Callable[..., Diagnosed]
 """Called with problem and experiments, and `hold_out` and `false_alarm_rate` by name."""
 
 SOURCES = (
@@ -59,9 +79,6 @@ SOURCES = (
     "C. J. Clopper, E. S. Pearson, Biometrika 26 (1934) 404-413: interval of a share",
 )
 """Papers behind a calibration."""
-
-RUNS = 200
-"""Null records where no number is given: a rate of 5 % is then known to 1.5 %."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,7 +233,7 @@ def calibrate(
     *,
     diagnose_null: Diagnose,
     alpha: float = 0.05,
-    runs: int = RUNS,
+    runs: int = CALIBRATING.runs,
     seed: int = 0,
     jobs: int | None = None,
     progress: Callable[[str], None] | None = None,
@@ -297,7 +314,7 @@ def require_runs(runs: object) -> None:
     if not is_whole or int(runs) < 1:  # type: ignore[call-overload]
         raise DataError(
             f"calibrate = {runs!r}: give the number of null records, a whole number from 1 on, "
-            f"for example calibrate={RUNS} (--calibrate {RUNS})"
+            f"for example calibrate={CALIBRATING.runs} (--calibrate {CALIBRATING.runs})"
         )
 
 
@@ -366,7 +383,9 @@ class NullRun:
         level = max(smallest, self.alpha)
         if d.verdict == "deficient":
             # An alarm at alpha, whatever p its causes have.
-            level = min(min((c.p_value for c in d.causes), default=0.0), 0.999 * self.alpha)
+            level = min(
+                min((c.p_value for c in d.causes), default=0.0), CALIBRATING.alarm * self.alpha
+            )
         elif d.verdict == "undecided":
             level = 1.0
         return {"verdict": d.verdict, "level": float(level), "smallest": float(smallest)}

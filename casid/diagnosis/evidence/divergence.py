@@ -6,12 +6,10 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import TINY, Array
+from casid.diagnosis.thresholds import PREWHITENING
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
-
-SHARE = 0.01
-"""Size of the trial: what the effect adds to a derivative or an output, over the rms of that."""
 
 
 def destabilises(fit: Fit, effect: Effect) -> float | None:
@@ -34,7 +32,7 @@ def destabilises(fit: Fit, effect: Effect) -> float | None:
     )
     x = wide.start
     i = wide.names.index(names[0])
-    tiny = SHARE / _added(wide, x, names[0])
+    tiny = PREWHITENING.trial / _added(wide, x, names[0])
     variable = wide.variables[i]
     signs = [s for s in (1.0, -1.0) if variable.lower <= x[i] + s * tiny <= variable.upper]
     for sign in signs if np.isfinite(tiny) else []:

@@ -14,15 +14,7 @@ from scipy.stats import poisson
 from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
-
-FEWEST = 4
-"""Equal samples at an end that are a plateau at all."""
-
-FAST = 0.5
-"""Of the median step between two samples: a step into a plateau that no motion at rest takes."""
-
-BESIDE = 20
-"""Distinct values next to the end that tell how often values repeat in this channel."""
+from casid.diagnosis.thresholds import CLIPPING
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,11 +44,11 @@ def find_plateaus(
 ) -> Plateaus | None:
     """Plateaus at the ends of a channel's range, where the simulation goes beyond them.
 
-    Ties at the end are compared with those of the `BESIDE` values next to it (Poisson): a coarse
-    converter repeats all of them. What rests at the end of its travel repeats as well, so one of
+    Ties at the end are compared with those of the values next to it (Poisson): a coarse converter
+    repeats all of them. What rests at the end of its travel repeats as well, so one of
     two more must hold. The simulation lies beyond the limit on those samples, by more than its
     error elsewhere explains (a t-test), and moves there. Or the channel runs into the limit and out
-    of it at `FAST` times its usual speed or more, where a motion that comes to rest slows down.
+    of it at half its usual speed or more, where a motion that comes to rest slows down.
 
     Parameters
     ----------
@@ -64,7 +56,7 @@ def find_plateaus(
     alpha : of both tests.
     """
     values = np.concatenate([y[u] for y, u in zip(measured, used, strict=True)])
-    if len(values) < 10 * FEWEST or np.ptp(values) == 0.0:
+    if len(values) < CLIPPING.samples_per_plateau * CLIPPING.fewest or np.ptp(values) == 0.0:
         return None
     ends: dict[float, float | None] = {1.0: None, -1.0: None}
     smallest = 1.0
@@ -84,7 +76,9 @@ def find_plateaus(
         mean, spread = float(beyond.mean()), float(beyond.std(ddof=1))
         error = np.hypot(spread, size) / np.sqrt(len(beyond))
         is_beyond = float(student.sf(mean / max(error, TINY), len(beyond) - 1)) < alpha
-        is_beyond = is_beyond and mean >= 0.5 * size and spread >= 0.1 * mean
+        is_beyond = (
+            is_beyond and mean >= CLIPPING.beyond * size and spread >= CLIPPING.motion * mean
+        )
         if not (is_beyond or _runs_in(measured, at)):
             continue
         ends[side] = side * level
@@ -119,13 +113,13 @@ def _runs_in(measured: Sequence[Array], at: Sequence[Array]) -> bool:
     if not len(usual) or not all(len(x) for x in edges):
         return False
     # A body that hits its stop comes fast and leaves slowly: each side counts.
-    return min(float(np.median(x)) for x in edges) >= FAST * float(np.median(usual))
+    return min(float(np.median(x)) for x in edges) >= CLIPPING.fast * float(np.median(usual))
 
 
 def _ties(values: Array) -> float:
     """How likely chance repeats the largest value as often, from the values next to it."""
     distinct, counts = np.unique(values, return_counts=True)
-    if counts[-1] < FEWEST or len(distinct) < BESIDE // 2:
+    if counts[-1] < CLIPPING.fewest or len(distinct) < CLIPPING.beside // 2:
         return 1.0
-    usual = float(np.mean(counts[-BESIDE - 1 : -1] - 1)) + 0.05
+    usual = float(np.mean(counts[-CLIPPING.beside - 1 : -1] - 1)) + CLIPPING.repeats
     return float(poisson.sf(counts[-1] - 2, usual))

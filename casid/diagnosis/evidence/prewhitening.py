@@ -13,18 +13,13 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.record import Experiment
-from casid.diagnosis.evidence.score_tests import LONGEST, step_without_bias
+from casid.diagnosis.evidence.score_tests import step_without_bias
+from casid.diagnosis.thresholds import PREWHITENING
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
-
-HIDDEN = 1.1
-"""Residual over the sensors' noise beyond which misfit is taken to hide in the noise model.
-
-More where the record is so short, or the resonance so sharp, that chance gives as much.
-"""
 
 NEAR = Solver(
     max_iterations=25,
@@ -34,9 +29,6 @@ NEAR = Solver(
 
 EXACT = Solver(options={**NEAR.options, "ipopt.mu_init": 1e-6, "ipopt.tol": 1e-8})
 """The same for fits that are reported."""
-
-SMALL = 0.0005
-"""Share of the misfit's rms that counts as white noise where the misfit is most of the residual."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +64,7 @@ class Weighing:
     solver: Solver | None = None  # default: `NEAR`
     seed: int = 0
 
-    def weigh(self, model: Model, fit: Fit, *, rounds: int = 2) -> Weighted:
+    def weigh(self, model: Model, fit: Fit, *, rounds: int = PREWHITENING.rounds) -> Weighted:
         """Estimate the noise at a fit and fit again under it.
 
         Where much is unexplained by sensors and measured inputs, misfit would pass for a
@@ -99,17 +91,17 @@ class Weighing:
             unbiased=None if at is found else at.fit,
         )
 
-    def _without_bias(self, found: Weighted, steps: int = 40, patience: int = 8) -> Weighted | None:
+    def _without_bias(self, found: Weighted) -> Weighted | None:
         """The root of (2) in `scores`, with the noise found there; None if none is near.
 
         Where much is unexplained, the noise meanwhile is that of sensors and inputs alone. Given up
-        where as many steps as `patience` come no nearer: a bound holds a parameter back, say.
+        where several steps come no nearer: a bound holds a parameter back, say.
         """
         if not any(found.input_sd.values()):
             return None
         at = found
         shortest, since = np.inf, 0
-        for _ in range(steps):
+        for _ in range(PREWHITENING.steps):
             noise = at.full.quiet(at.input_sd) if at.is_hidden else at.full
             criterion = self.criterion(at.model, noise, at.fit.values, found.criterion)
             use_samples_of(criterion, found.criterion)
@@ -118,10 +110,11 @@ class Weighing:
             if not np.isfinite(criterion.evaluate(x).value):
                 return None
             at = self._estimated(moved)
-            if length < 0.05:
+            if length < PREWHITENING.converged:
                 return at
-            shortest, since = (length, 0) if length < 0.98 * shortest else (shortest, since + 1)
-            if since >= patience and length < LONGEST:
+            is_nearer = length < PREWHITENING.nearer * shortest
+            shortest, since = (length, 0) if is_nearer else (shortest, since + 1)
+            if since >= PREWHITENING.patience and length < PREWHITENING.longest_step:
                 return None
         return None
 
@@ -131,7 +124,8 @@ class Weighing:
         input_sd = self.input_sd(full, fit.criterion)
         quiet = full.quiet(input_sd)
         ratio, spread = full.excess(quiet, [d.N for d in fit.criterion.data])
-        is_hidden = ratio > max(HIDDEN**2, 1 + 2 * spread)
+        limit = max(PREWHITENING.absorbs_misfit**2, 1 + PREWHITENING.absorbs_spreads * spread)
+        is_hidden = ratio > limit
         return Weighted(fit.criterion.model, fit, full, full, input_sd, is_hidden)
 
     def noise(self, fit: Fit) -> NoiseModel:
@@ -213,4 +207,4 @@ def _not_below(noise: NoiseModel, criterion: SimulationError, x: Array) -> Noise
     """
     parts = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
     left = np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
-    return replace(noise, output_sd=np.maximum(noise.output_sd, SMALL * left))
+    return replace(noise, output_sd=np.maximum(noise.output_sd, PREWHITENING.white_share * left))

@@ -29,6 +29,7 @@ from casid.data.record import Experiment
 from casid.diagnosis.evidence.candidate_functions import regressions
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import Regression
+from casid.diagnosis.thresholds import RESIDUAL, SCORES
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 
 Left = Literal[
@@ -42,19 +43,6 @@ NOISE: Left = "noise as estimated"
 DISTURBANCE: Left = "a disturbance (random, uncorrelated with inputs and states)"
 DETERMINISTIC: Left = "deterministic (depends on inputs or states)"
 IN_TIME: Left = "changes in time (mean or power)"
-
-BANDS = 12
-BLOCKS = 20
-
-TOLD = 0.05
-"""p of the dependence up to which its share is found out, whatever the rate."""
-
-ENOUGH = 0.15
-"""Share of what is left that functions of inputs and states have to explain to be called its cause.
-
-A disturbance reaches measured inputs in the loop and so correlates a little with everything; what
-depends on the states is explained by them for the most part. A heuristic.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +155,7 @@ def residual_tests(
             continue
         best = min(tested, key=lambda t: t.p_value)
         p = min(1.0, len(places) * best.adjusted)
-        share = _share(regression, seed) if p < max(alpha, TOLD) else 0.0
+        share = _share(regression, seed) if p < max(alpha, RESIDUAL.share_p) else 0.0
         better = correlated is None or (p, -share) < (correlated.p_value, -correlated.share)
         if better:
             p_dependence = p
@@ -197,7 +185,7 @@ def _verdict(
     p_spectrum: float, p_dependence: float, p_time: float, share: float, alpha: float
 ) -> Left:
     is_spectral, is_dependent, is_changing = _holm([p_spectrum, p_dependence, p_time], alpha)
-    if is_dependent and share >= ENOUGH:
+    if is_dependent and share >= RESIDUAL.share:
         return DETERMINISTIC
     if is_changing:
         return IN_TIME
@@ -223,12 +211,12 @@ def _share(regression: Regression, seed: int) -> float:
     """Share of what is left that the best function and up to two more explain."""
     chosen: list[int] = []
     gain = 0.0
-    for k in range(3):
-        tested = regression.test(chosen, draws=50, seed=seed)
+    for k in range(RESIDUAL.functions):
+        tested = regression.test(chosen, draws=SCORES.few_draws, seed=seed)
         if not tested:
             break
         best = max(tested, key=lambda t: t.gain)
-        if k and best.gain < 2 * best.chance:
+        if k and best.gain < RESIDUAL.by_chance * best.chance:
             break
         # The best of K explains 2 log K times what each of them does by chance.
         by_choice = best.chance * max(2 * np.log(len(tested)), 1.0)
@@ -255,7 +243,7 @@ def _spectrum(
         f, s = np.concatenate(hertz), np.concatenate(power)
         order = np.argsort(f, kind="stable")
         f, s = f[order], s[order]
-        cuts = np.unique(np.geomspace(8, len(f), BANDS + 1).astype(int))
+        cuts = np.unique(np.geomspace(RESIDUAL.first_band, len(f), RESIDUAL.bands + 1).astype(int))
         cuts[0] = 0
         ps = []
         for a, b in zip(cuts[:-1], cuts[1:], strict=True):
@@ -306,7 +294,7 @@ def _blocks(whitened: Sequence[Array], sample_times: Sequence[float]) -> Array:
     rows, before = [], 0.0
     total = sum(len(e) * Ts for e, Ts in zip(whitened, sample_times, strict=True))
     for e, Ts in zip(whitened, sample_times, strict=True):
-        count = max(2, round(BLOCKS * len(e) * Ts / total))
+        count = max(2, round(RESIDUAL.blocks * len(e) * Ts / total))
         edges = np.linspace(0, len(e), count + 1).astype(int)
         for a, b in zip(edges[:-1], edges[1:], strict=True):
             rows.append([before + a * Ts, before + b * Ts, float(np.mean(e[a:b] ** 2))])

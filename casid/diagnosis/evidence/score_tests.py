@@ -16,8 +16,8 @@ little. So it is first moved to the root of
 
 whose left side has mean zero at the truth. Between its samples a measured input is not known: a
 line misses a first-order response of time constant T as a delay of Ts^2 / 12 T would. The p of a
-score is the largest under what a delay of up to `BETWEEN_SAMPLES` could give to it (Armstrong and
-Kolesar, Econometrica 86 (2018) 655-683: tests that are aware of a bounded bias).
+score is the largest under what a delay of up to `SCORES.between_samples` could give to it
+(Armstrong and Kolesar, Econometrica 86 (2018) 655-683: tests that are aware of a bounded bias).
 
 The scores' covariance is robust to what whitening left (Newey and West 1987); the threshold for the
 whole family comes from Gaussian draws with that covariance (Romano and Wolf 2005).
@@ -32,6 +32,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
+from casid.diagnosis.thresholds import PREWHITENING, SCORES
 from casid.errors import ModelError, SolveError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.noise import GROUP
@@ -57,8 +58,8 @@ class Score:
     @property
     def is_visible(self) -> bool:
         """True if the record shows it, or shows little of it that explains what noise cannot."""
-        hardly = self.visible > HARDLY_VISIBLE and self.unrobust > MUCH
-        return self.visible > INVISIBLE or hardly
+        hardly = self.visible > SCORES.hardly_detectable and self.unrobust > SCORES.much
+        return self.visible > SCORES.undetectable or hardly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,25 +132,7 @@ class Family:
         if not draws:
             return bound
         drawn = (int(np.searchsorted(self.smallest, p, side="right")) + 1) / (draws + 1)
-        return min(bound, drawn) if drawn > 20 / draws else bound
-
-
-INVISIBLE = 1e-4
-"""Share of a signature, in squares, outside the baseline's tangent space; less is none."""
-
-HARDLY_VISIBLE = 1e-5
-"""The same where what is left of the signature explains `MUCH`: dry friction beside viscous and
-quadratic damping in a long swing. Below it, a linear signature no longer tells how it would fit."""
-
-MUCH = 100.0
-"""Lagrange multiplier statistic that noise of the size assumed does not reach: chi^2(1)."""
-
-BETWEEN_SAMPLES = 0.01
-"""Sample times by which a line between samples of a measured input may be late or early: that of a
-first-order response with a time constant of eight samples."""
-
-ROWS = 1 << 13
-"""Samples that are projected at once."""
+        return min(bound, drawn) if drawn > SCORES.resolved / draws else bound
 
 
 def score_test(
@@ -157,7 +140,7 @@ def score_test(
     effects: Sequence[Effect],
     *,
     input_sd: Mapping[str, float],
-    draws: int = 4000,
+    draws: int = SCORES.draws,
     seed: int = 0,
 ) -> ScoreTable:
     """Test every effect against the fitted model (see the module's docstring).
@@ -211,7 +194,9 @@ def score_test(
     z = rest.T @ e
     # Score of the baseline itself, zero at its minimum except for the bias just corrected.
     per_sample = np.einsum("kij,ki->kj", rest.reshape(-1, ny, len(size)), e.reshape(-1, ny))
-    visible = (left > INVISIBLE) | ((left > HARDLY_VISIBLE) & (z**2 > MUCH * left))
+    visible = (left > SCORES.undetectable) | (
+        (left > SCORES.hardly_detectable) & (z**2 > SCORES.much * left)
+    )
     lags = bartlett_lags(per_sample[:, visible]) if visible.any() else 0
     n = len(per_sample)
     covariance = long_run_covariance(per_sample, lags)
@@ -229,7 +214,7 @@ def score_test(
     gram = rest.T @ rest
     possible = _between_samples(base, effects, np.abs(gram) * size)
     ratio, bias = (np.where(visible, a / sd_z, 0.0) for a in (z, possible))
-    freedom = max(1.5 * n / (lags + 1), 4.0)
+    freedom = max(SCORES.freedom_per_lag * n / (lags + 1), SCORES.least_freedom)
     one = np.array([eff.sided == "positive" or eff.test == "clip" for eff in effects])
     # P(|t + b| > |z|) at the largest bias b, whichever its sign.
     near, far = np.abs(ratio) - bias, np.abs(ratio) + bias
@@ -272,11 +257,7 @@ def _between_samples(
         for j, e in enumerate(effects)
         if e.kind == "time_delay" and e.where in inputs and inputs[e.where].hold == "foh"
     ]
-    return np.asarray(BETWEEN_SAMPLES * Ts * response[:, late].sum(axis=1))
-
-
-LONGEST = 25.0
-"""Length of one step towards (2), in standard errors: further away nothing is linear."""
+    return np.asarray(SCORES.between_samples * Ts * response[:, late].sum(axis=1))
 
 
 def step_without_bias(
@@ -304,9 +285,11 @@ def step_without_bias(
     seen = values > 1e-12 * values[-1]
     root = vectors[:, seen] / np.sqrt(values[seen]) / size[:, None]  # root' (T'T) root = 1
     share, axes = np.linalg.eigh(np.eye(int(seen.sum())) - root.T @ noise @ root)
-    step = axes @ ((axes.T @ (root.T @ gradient)) / np.maximum(share, 0.2))
+    step = axes @ (
+        (axes.T @ (root.T @ gradient)) / np.maximum(share, PREWHITENING.least_information)
+    )
     length = float(np.linalg.norm(step))
-    step *= min(1.0, LONGEST / max(length, TINY))
+    step *= min(1.0, PREWHITENING.longest_step / max(length, TINY))
     lower, upper = (
         np.array([getattr(v, side) for v in criterion.variables]) for side in ("lower", "upper")
     )
@@ -413,8 +396,8 @@ def _joined(parts: list[Array]) -> Array:
 
 def _take_out(columns: Array, of: Array, gamma: Array) -> None:
     """columns -= of @ gamma, in place, some rows at a time."""
-    for first in range(0, len(columns), ROWS):
-        rows = slice(first, first + ROWS)
+    for first in range(0, len(columns), SCORES.rows):
+        rows = slice(first, first + SCORES.rows)
         columns[rows] -= of[rows] @ gamma
 
 

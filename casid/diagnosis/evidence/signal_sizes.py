@@ -7,6 +7,7 @@ from collections.abc import Collection
 import numpy as np
 
 from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.thresholds import PREWHITENING
 from casid.model.effects.effect import Sizes, Spread
 
 
@@ -23,7 +24,7 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
             for i, n in enumerate(at.criterion.outputs)
         },
         window=(float(d.t[0]), float(d.t[-1])),
-        longest_delay=float(min(0.3, 0.02 * d.N * d.Ts)),
+        longest_delay=float(min(PREWHITENING.longest_delay, PREWHITENING.delay_share * d.N * d.Ts)),
         Ts=min(s.Ts for s in at.criterion.data),
         channels={c: _spread(at, c) for c in recorded},
         ranges={

@@ -25,7 +25,7 @@ from scipy.stats import f as fisher
 
 from casid.arrays import TINY, Array
 from casid.data.record import Experiment
-from casid.diagnosis.evidence.score_tests import BETWEEN_SAMPLES
+from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.errors import ModelError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.noise import NoiseModel
@@ -40,9 +40,6 @@ Table = Mapping[str, Array]  # variable -> (N,) of one record
 
 TIME = "time"
 """Name of the variable that runs on from record to record."""
-
-VISIBLE = 1e-4
-"""Share of a signature's energy outside the tangent below which it is not seen at all."""
 
 
 # -- the linearised simulation --------------------------------------------------------------------
@@ -134,7 +131,7 @@ class Linearised:
             elif stage.kind == "lag":
                 response[:, i] = lag_columns(response[:, i], float(value) / d.Ts)[0]
             else:
-                response[np.abs(y[:, i]) >= 0.999 * value, i] = 0.0
+                response[np.abs(y[:, i]) >= FUNCTIONS.at_limit * value, i] = 0.0
         return response
 
 
@@ -200,8 +197,8 @@ def units_of(model: Model, recorded: Mapping[str, str]) -> dict[str, str]:
 
 def has_both_signs(values: Array) -> bool:
     """True where a variable spends time on both sides of zero: oddness then means something."""
-    low, high = np.quantile(values, [0.01, 0.99])
-    return bool(min(-low, high) > 0.2 * max(-low, high))
+    low, high = np.quantile(values, [FUNCTIONS.tail, 1.0 - FUNCTIONS.tail])
+    return bool(min(-low, high) > FUNCTIONS.both_signs * max(-low, high))
 
 
 def knots_of(name: str, values: Array, count: int) -> Array:
@@ -210,10 +207,12 @@ def knots_of(name: str, values: Array, count: int) -> Array:
         return np.linspace(values.min(), values.max(), 2 * count + 1)
     if has_both_signs(values):
         size = np.abs(values)
-        levels = np.append(np.linspace(0.25, 0.9, count), 1.0)  # the ends tell most of growth
+        levels = np.append(
+            np.linspace(*FUNCTIONS.levels, count), 1.0
+        )  # the ends tell most of growth
         half = np.unique(np.quantile(size, levels))
         return np.concatenate([-half[::-1], [0.0], half])
-    return np.asarray(np.unique(np.quantile(values, np.linspace(0.02, 0.98, count + 2))))
+    return np.asarray(np.unique(np.quantile(values, np.linspace(*FUNCTIONS.ends, count + 2))))
 
 
 def hats(values: Array, knots: Array) -> Array:
@@ -233,7 +232,7 @@ def hats(values: Array, knots: Array) -> Array:
 
 def splines(values: Array, knots: Array) -> Array:
     """Cubic splines, one at each knot and zero at the others, (N, K); cubics are in their span."""
-    if len(knots) < 4:
+    if len(knots) < FUNCTIONS.fewest_knots:
         return hats(values, knots)
     return np.asarray(CubicSpline(knots, np.eye(len(knots)))(values))
 
@@ -336,8 +335,8 @@ class Regression:
         return np.concatenate([self._between(k, d) for k, d in enumerate(data)])
 
     def _between(self, k: int, d: Signals) -> Array:
-        """What measured inputs do as late as `BETWEEN_SAMPLES` allows, whitened, (N ny, inputs)."""
-        late = BETWEEN_SAMPLES * np.gradient(d.u, axis=0)
+        """Whitened response to measured inputs `SCORES.between_samples` late, (N ny, inputs)."""
+        late = SCORES.between_samples * np.gradient(d.u, axis=0)
         columns = []
         for i, entry in enumerate(self.criterion.model.inputs.values()):
             if entry.kind == "measured" and entry.hold == "foh":
@@ -378,7 +377,7 @@ class Regression:
         """Of each group, the directions that the record sees, of unit length."""
         for j in self.slices:
             values, vectors = np.linalg.eigh(rest[:, j].T @ rest[:, j])
-            keep = values > max(VISIBLE, 1e-3 * values.max(initial=0.0))
+            keep = values > max(SCORES.undetectable, SCORES.relative_rank * values.max(initial=0.0))
             yield j, vectors[:, keep] / np.sqrt(values[keep])
 
     def _rest(self, chosen: Sequence[int]) -> tuple[Array, Array, Array | None]:
@@ -407,14 +406,14 @@ class Regression:
         self,
         chosen: Sequence[int] = (),
         *,
-        draws: int = 2000,
+        draws: int = SCORES.function_draws,
         seed: int = 0,
         charge: float = 0.0,
     ) -> list[Tested]:
         """Test every group, given that those `chosen` are in the model.
 
         What measured inputs could give that are no lines between their samples is taken off the
-        scores (`BETWEEN_SAMPLES` in `scores`).
+        scores (`SCORES.between_samples`).
         The covariance is that of what the best group leaves: where much is missing, the missing
         part itself would else pass for noise. Family-wise by min-p draws, as in `scores`.
 
@@ -448,7 +447,9 @@ class Regression:
         possible = np.abs(rest.T @ self.between).sum(axis=1)
         certain = np.sign(z) * np.maximum(np.abs(z) - possible, 0.0)
         score = np.concatenate([roots[i].T @ certain[self.slices[i]] for i in free])
-        freedom = max(1.5 * len(per_sample) / (lags + 1), 20.0)
+        freedom = max(
+            SCORES.freedom_per_lag * len(per_sample) / (lags + 1), SCORES.least_function_freedom
+        )
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         rng = np.random.default_rng(seed)
@@ -471,7 +472,9 @@ class Regression:
             own_p = max(float(p[k]), TINY)
             share = (np.searchsorted(smallest, own_p, side="right") + 1) / (draws + 1)
             adjusted = min(
-                1.0, len(free) * own_p, float(share) if share > 20 / max(draws, 1) else 1.0
+                1.0,
+                len(free) * own_p,
+                float(share) if share > SCORES.resolved / max(draws, 1) else 1.0,
             )
             out.append(Tested(i, gains[i], chance[k], roots[i].shape[1], own_p, adjusted))
         return out
@@ -485,7 +488,7 @@ class Regression:
         index = np.concatenate([np.arange(len(self.size))[self.slices[g]] for g in chosen])
         part = rest[:, index]
         values, vectors = np.linalg.eigh(part.T @ part)
-        keep = values > max(VISIBLE, 1e-3 * values.max(initial=0.0))
+        keep = values > max(SCORES.undetectable, SCORES.relative_rank * values.max(initial=0.0))
         root = vectors[:, keep] / np.sqrt(values[keep])
         score = root.T @ z[index]
         left = self.e - part @ (root @ score)

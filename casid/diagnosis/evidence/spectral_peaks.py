@@ -27,22 +27,11 @@ from scipy.linalg import solve_toeplitz
 from scipy.optimize import minimize_scalar
 
 from casid.arrays import TINY, Array
+from casid.diagnosis.thresholds import PEAKS
 from casid.estimation.simulation.minimization import Fit, widened
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
 from casid.model.effects.periodic import periodic_disturbance
-
-GUARD = 2
-"""Lines beside the one judged that its own leakage reaches: not taken for its level."""
-
-FINER = 4
-"""Points of the searched grid per line: the largest is then missed by 5 % of its power at most."""
-
-ORDER = 4
-"""Order of the autoregression that takes the colour of the residual out."""
-
-ROWS = 1 << 12
-"""Lines whose level is found at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +47,7 @@ class Peak:
 
 
 def find_peaks(
-    residuals: Sequence[Array], Ts: Sequence[float], *, alpha: float = 0.05, most: int = 3
+    residuals: Sequence[Array], Ts: Sequence[float], *, alpha: float = 0.05, most: int = PEAKS.most
 ) -> list[Peak]:
     """The peaks that chance would not bring, the most significant first.
 
@@ -85,7 +74,7 @@ def find_peaks(
     found.sort(key=lambda peak: (peak.p_value, -peak.power))
     kept: list[Peak] = []
     for peak in found:
-        width = GUARD / (len(residuals[peak.record]) * Ts[peak.record])
+        width = PEAKS.guard / (len(residuals[peak.record]) * Ts[peak.record])
         apart = all(abs(peak.frequency - other.frequency) > width for other in kept)
         if peak.p_value < alpha and apart:
             kept.append(peak)
@@ -102,22 +91,22 @@ def tail(x: float, n: int, r: int) -> float:
 def _peaks_of(e: Array, Ts: float, most: int) -> list[tuple[float, float, float, float]]:
     """(frequency, amplitude, power over level, p) of the largest peaks of one column (N,)."""
     N = len(e)
-    if N < 64 or not np.any(e):
+    if N < PEAKS.shortest or not np.any(e):
         return []
-    lines = np.arange(3, N // 2)
-    shape = _smooth_shape(e)  # (FINER N / 2 + 1,)
-    raw = np.abs(np.fft.rfft(e)) ** 2 / N / shape[::FINER][: N // 2 + 1]
+    lines = np.arange(PEAKS.first, N // 2)
+    shape = _smooth_shape(e)  # (PEAKS.finer N / 2 + 1,)
+    raw = np.abs(np.fft.rfft(e)) ** 2 / N / shape[:: PEAKS.finer][: N // 2 + 1]
     level, n, r = _levels(raw, lines)
-    fine = np.arange(FINER * lines[0], FINER * lines[-1] + 1)
-    nearest = np.clip(np.rint(fine / FINER).astype(int) - lines[0], 0, len(lines) - 1)
+    fine = np.arange(PEAKS.finer * lines[0], PEAKS.finer * lines[-1] + 1)
+    nearest = np.clip(np.rint(fine / PEAKS.finer).astype(int) - lines[0], 0, len(lines) - 1)
     expected = level[nearest] * shape[fine]
     W = np.sqrt(np.pi / 3) * len(lines)
     out = []
     t = np.arange(N)
     for _ in range(most):
-        ratio = np.abs(np.fft.rfft(e, FINER * N)[fine]) ** 2 / N / expected
+        ratio = np.abs(np.fft.rfft(e, PEAKS.finer * N)[fine]) ** 2 / N / expected
         at = int(np.argmax(ratio))
-        f, height = _refined(e, t, fine[at] / (FINER * N))
+        f, height = _refined(e, t, fine[at] / (PEAKS.finer * N))
         x = height / float(expected[at])
         P = tail(x, n, r)
         p = -np.expm1(np.log1p(-min(P, 1 - 1e-12)) - W * np.sqrt(x) * P)
@@ -134,32 +123,32 @@ def _smooth_shape(e: Array) -> Array:
     Too stiff to follow a line, it leaves the level to be nearly constant over the neighbours.
     """
     N = len(e)
-    r = np.array([e[: N - k] @ e[k:] for k in range(ORDER + 1)]) / N
+    r = np.array([e[: N - k] @ e[k:] for k in range(PEAKS.order + 1)]) / N
     r[0] *= 1.0 + 1e-6
     a = np.concatenate([[1.0], -solve_toeplitz(r[:-1], r[1:])])
-    return np.asarray(1.0 / np.abs(np.fft.rfft(a, FINER * N)) ** 2)
+    return np.asarray(1.0 / np.abs(np.fft.rfft(a, PEAKS.finer * N)) ** 2)
 
 
 def _levels(raw: Array, lines: Array) -> tuple[Array, int, int]:
     """Local level at each line, the number of neighbours n and the rank r of the median."""
-    half = int(np.clip(len(lines) // 8, 10, 40))
+    half = int(np.clip(int(PEAKS.share * len(lines)), *PEAKS.neighbours))
     n = 2 * half
     r = (n + 1) // 2
     a = float(np.sum(1.0 / (n - np.arange(r))))
     level = np.empty(len(lines))
     values = raw[lines]
-    reach = half + GUARD
+    reach = half + PEAKS.guard
     # Where there are enough on both sides the neighbours lie alike: those of many lines at once.
     inside = np.arange(reach, len(lines) - reach)
-    beside = np.concatenate([np.arange(half), np.arange(half + 2 * GUARD + 1, 2 * reach + 1)])
-    for part in np.array_split(inside, len(inside) // ROWS + 1):
+    beside = np.concatenate([np.arange(half), np.arange(half + 2 * PEAKS.guard + 1, 2 * reach + 1)])
+    for part in np.array_split(inside, len(inside) // PEAKS.rows + 1):
         near = values[part[:, None] - reach + beside]
         level[part] = np.partition(near, r - 1, axis=1)[:, r - 1] / a
     for j in [*range(min(reach, len(lines))), *range(max(len(lines) - reach, reach), len(lines))]:
         # At the ends the neighbours are those of the first line that has enough on both sides.
         first = int(np.clip(j - reach, 0, max(len(lines) - 2 * reach - 1, 0)))
         around = np.arange(first, min(first + 2 * reach + 1, len(lines)))
-        near = around[np.argsort(np.abs(around - j), kind="stable")[2 * GUARD + 1 :]]
+        near = around[np.argsort(np.abs(around - j), kind="stable")[2 * PEAKS.guard + 1 :]]
         near = near[:n]
         level[j] = np.partition(values[near], r - 1)[r - 1] / a
     return np.maximum(level, TINY), n, r
@@ -171,7 +160,7 @@ def _refined(e: Array, t: Array, f: float) -> tuple[float, float]:
     def height(at: float) -> float:
         return -float(np.abs(np.exp(-2j * np.pi * at * t) @ e) ** 2 / len(e))
 
-    step = 0.5 / (FINER * len(e))
+    step = 0.5 / (PEAKS.finer * len(e))
     best = minimize_scalar(
         height,
         bounds=(f - 2 * step, f + 2 * step),
@@ -192,7 +181,7 @@ class PeriodicCandidate:
 
 
 def periodic_candidates(
-    fit: Fit, window: tuple[float, float], *, alpha: float = 0.05, most: int = 2
+    fit: Fit, window: tuple[float, float], *, alpha: float = 0.05, most: int = PEAKS.most_forces
 ) -> list[PeriodicCandidate]:
     """Each significant peak as a force in each balance, the largest statistic first.
 

@@ -19,17 +19,7 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from casid.arrays import TINY, Array
-
-FAINTEST = 2.5
-"""Variance of the spikes in d over that of its noise, below which they are none (heuristic)."""
-
-LIKE_WHITE = 0.1
-"""How far the correlations of d may lie from those of white noise, -2/3 and 1/6."""
-
-LARGE = 5.0
-"""Standard deviations of d beyond which noise hardly hides what a spike leaves beside it."""
-
-_FARTHEST = 12.0  # standard deviations: what lies beyond stands out by itself
+from casid.diagnosis.thresholds import OUTLIERS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +36,11 @@ class Spikes:
 
 
 def find_spikes(
-    channel: str, residuals: Sequence[Array], alpha: float, *, largest_share: float = 0.05
+    channel: str,
+    residuals: Sequence[Array],
+    alpha: float,
+    *,
+    largest_share: float = OUTLIERS.largest_share,
 ) -> Spikes | None:
     """Samples that differ from both neighbours more than noise ever would.
 
@@ -60,7 +54,7 @@ def find_spikes(
     """
     total = sum(len(r) for r in residuals)
     differences = [_from_neighbours(r) for r in residuals]
-    long = [d for d in differences if len(d) >= 20]
+    long = [d for d in differences if len(d) >= OUTLIERS.shortest]
     if not long:
         return None
     sds = [_scale(d) for d in differences]
@@ -107,7 +101,7 @@ def find_spikes(
 def _from_neighbours(r: Array) -> Array:
     """d (N,) of a residual; zero at the ends and in records too short to judge."""
     d = np.zeros(len(r))
-    if len(r) >= 20:
+    if len(r) >= OUTLIERS.shortest:
         d[1:-1] = r[1:-1] - 0.5 * (r[:-2] + r[2:])
     return d
 
@@ -119,14 +113,16 @@ def _is_white(differences: Sequence[Array]) -> bool:
         sum(float(d[:-lag] @ d[lag:]) for d in differences if len(d) > lag) / max(power, TINY)
         for lag in (1, 2)
     )
-    return abs(one + 2 / 3) < LIKE_WHITE and abs(two - 1 / 6) < LIKE_WHITE
+    far = max(abs(one + 2 / 3), abs(two - 1 / 6))
+    return far < OUTLIERS.like_white
 
 
 def _stands_alone(near: Array, top: float, sd: float) -> bool:
     """False where a large d has not half of it, with the other sign, on both sides on average."""
-    if len(near) < 3 or abs(top) < LARGE * sd:
+    if len(near) < 3 or abs(top) < OUTLIERS.large * sd:
         return True
-    return -0.85 < float(near[0] + near[2]) / (2 * top) < -0.15
+    least, most = OUTLIERS.neighbours
+    return least < -float(near[0] + near[2]) / (2 * top) < most
 
 
 def _largest(d: Array) -> float:
@@ -135,11 +131,11 @@ def _largest(d: Array) -> float:
 
 def _scale(d: Array) -> float:
     """Standard deviation of d without its tails."""
-    if len(d) < 20:
+    if len(d) < OUTLIERS.shortest:
         return 0.0
     core = np.sort(np.abs(d[1:-1]))
     mad = 1.4826 * float(np.median(core))
-    body = core[: int(0.96 * len(core))]
+    body = core[: int(OUTLIERS.body * len(core))]
     # Standard deviation of a normal cut off at its central 96 %, undone.
     spread = float(np.sqrt(np.mean(body**2))) / 0.880
     return max(mad, spread, TINY)
@@ -159,12 +155,14 @@ def _mixture_cut(h: Array, largest_share: float) -> float | None:
     Shares and variances by maximum likelihood; a tail that is merely heavy, or noise whose size
     changes, fits with a large share of errors hardly larger.
     """
-    counts, edges = np.histogram(np.minimum(np.abs(h), _FARTHEST), 600, (0.0, _FARTHEST))
+    counts, edges = np.histogram(
+        np.minimum(np.abs(h), OUTLIERS.farthest), 600, (0.0, OUTLIERS.farthest)
+    )
     square = (0.5 * (edges[1:] + edges[:-1])) ** 2
 
     def parts(x: Array) -> tuple[float, float, list[Array]]:
         """Share of spikes, w / s, and the log densities of noise, spikes and what is beside."""
-        share = 0.2 / (1 + float(np.exp(-x[0])))
+        share = OUTLIERS.fitted_share / (1 + float(np.exp(-x[0])))
         s, w = float(np.exp(x[1])), float(np.exp(x[2]))
         kinds = ((1 - 3 * share, s), (share, s + w), (2 * share, s + w / 4))
         logs = [np.log(weight) - 0.5 * np.log(v) - 0.5 * square / v for weight, v in kinds]
@@ -181,7 +179,7 @@ def _mixture_cut(h: Array, largest_share: float) -> float | None:
     )
     share, ratio, (noise, spike, beside) = parts(best.x)
     # The largest share is of what is found; of those there are, not all rise from the noise.
-    if share > 1.4 * largest_share or ratio < FAINTEST:
+    if share > OUTLIERS.undetected_share * largest_share or ratio < OUTLIERS.faintest:
         return None
     is_spike = spike > np.logaddexp(noise, beside)
     return float(edges[int(np.argmax(is_spike))]) if np.any(is_spike) else None

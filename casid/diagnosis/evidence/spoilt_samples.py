@@ -10,11 +10,9 @@ import numpy as np
 from casid.arrays import Array
 from casid.diagnosis.evidence.plateaus import Plateaus, find_plateaus
 from casid.diagnosis.evidence.spikes import Spikes, find_spikes
+from casid.diagnosis.thresholds import OUTLIERS
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
 from casid.estimation.simulation.minimization import Fit
-
-SHARE = 1 / 50
-"""Of the false-alarm rate, spent on each of these tests in each channel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,14 +56,16 @@ def without_spoilt(
     for i, channel in enumerate(fit.criterion.outputs):
         at = _channel(fit, split, i)
         if "saturation" not in without:
-            cut = find_plateaus(channel, at.measured, at.simulated, at.used, SHARE * alpha)
+            cut = find_plateaus(
+                channel, at.measured, at.simulated, at.used, OUTLIERS.test_share * alpha
+            )
             if cut is not None:
                 plateaus.append(cut)
                 split = _masked(split, channel, cut.masks)
                 for used, mask in zip(at.used, cut.masks, strict=True):
                     used &= ~mask
         if "outliers" not in without:
-            found = find_spikes(channel, at.residuals, SHARE * alpha)
+            found = find_spikes(channel, at.residuals, OUTLIERS.test_share * alpha)
             if found is not None:
                 spikes.append(found)
                 split = _masked(split, channel, found.masks)

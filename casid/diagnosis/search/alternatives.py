@@ -20,20 +20,12 @@ from casid.diagnosis.evidence.prewhitening import Weighted, use_samples_of
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.candidates import Candidate, Rival
 from casid.diagnosis.search.joint_refit import Refitting
+from casid.diagnosis.thresholds import COMPARISON
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.model.effects.effect import ON_THE_CLOCK
 
-STRONG = 6.0
-"""Units of BIC that reject a rival."""
-
 IMITATORS = (*ON_THE_CLOCK, "missing_mode")
 """Kinds with a time or a frequency of their own."""
-
-WORTH = 0.3
-"""Share of the best predicted or found gain below which a candidate cannot win."""
-
-BY_CHANCE = 10.0
-"""How far a gain predicted, or found on a part, may be off: chi^2(1) and more."""
 
 
 def by_what_is_left(refitting: Refitting, at: Weighted, found: list[Candidate]) -> list[Candidate]:
@@ -45,7 +37,7 @@ def by_what_is_left(refitting: Refitting, at: Weighted, found: list[Candidate]) 
     r2 = _losses(max(found, key=lambda c: c.gain))
     spread = float(np.var(r2)) * len(r2)
     long_run = float(long_run_covariance(r2[:, None], bartlett_lags(r2[:, None]))[0, 0])
-    n = float(np.clip(len(r2) * spread / max(long_run, TINY), 8.0, len(r2)))
+    n = float(np.clip(len(r2) * spread / max(long_run, TINY), COMPARISON.least_samples, len(r2)))
     out = []
     before = refitting.value(at)
     for c in found:
@@ -58,7 +50,11 @@ def by_what_is_left(refitting: Refitting, at: Weighted, found: list[Candidate]) 
     # imitates whatever depends on amplitude: it must explain clearly more than the best that
     # does, half as much again (a heuristic).
     lasting = max((c.gain for c in out if c.effect.kind not in IMITATORS), default=0.0)
-    out.sort(key=lambda c: -(c.merit - (0.5 * lasting if c.effect.kind in IMITATORS else 0.0)))
+    out.sort(
+        key=lambda c: (
+            -(c.merit - (COMPARISON.imitator * lasting if c.effect.kind in IMITATORS else 0.0))
+        )
+    )
     return out
 
 
@@ -66,8 +62,8 @@ def rejudge(
     refitting: Refitting,
     at: Weighted,
     found: list[Candidate],
-    count: int = 6,
-    rounds: int = 2,
+    count: int = COMPARISON.leaders,
+    rounds: int = COMPARISON.rounds,
 ) -> list[Candidate]:
     """Compare the leaders again under the noise that the best of them leaves.
 
@@ -83,7 +79,7 @@ def rejudge(
     )
     out = []
     for c in found[:count]:
-        if c is not best and c.gain <= WORTH * best.gain:
+        if c is not best and c.gain <= COMPARISON.relative_gain * best.gain:
             continue
         criterion = weighing.criterion(c.model, noise, c.fit.values, at.criterion)
         use_samples_of(criterion, c.fit.criterion)
@@ -132,8 +128,9 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
         sd = float(np.sqrt(long_run_covariance(difference[:, None], lags)[0, 0]))
         total = float(difference.sum()) + 0.5 * (c.cost - best.cost)
         p = float(norm.sf(total / sd)) if sd > 0 else 1.0
-        is_open = at.is_hidden and p > 0.05 and c.merit > 0.5 * best.merit
-        if c.merit > best.merit - STRONG or is_open:
+        is_near = c.merit > COMPARISON.vuong_share * best.merit
+        is_open = at.is_hidden and p > COMPARISON.vuong_p and is_near
+        if c.merit > best.merit - COMPARISON.strong or is_open:
             out.append(Rival(c, max(p, TINY)))
     return tuple(sorted(out, key=lambda r: -r.p_value))
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from casid.diagnosis.evidence.divergence import destabilises
 from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted, use_samples_of
+from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.search.candidates import Candidate, found_values
+from casid.diagnosis.thresholds import REFITS
 from casid.errors import SolveError
-from casid.estimation.covariance import sandwich
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.model.effects.effect import KINDS, Effect
 from casid.model.model import Model
@@ -124,21 +125,6 @@ class Refitting:
         return bool(self.left_out[effect.key])
 
 
-def std_error(fit: Fit, name: str) -> float:
-    """Robust standard error of one variable."""
-    criterion = fit.criterion
-    free = np.ones(len(fit.x), dtype=bool)
-    covariance, _ = sandwich(fit.solution.hessian, criterion.scores(fit.x), free)
-    i = criterion.names.index(name)
-    return float(np.sqrt(max(covariance[i, i], 0.0)))
-
-
-def wald(fit: Fit, name: str, null: float = 0.0) -> float:
-    """Distance of an estimate from its null value in robust standard errors."""
-    sd = std_error(fit, name)
-    return float((fit.x[fit.criterion.names.index(name)] - null) / sd) if sd > 0 else 0.0
-
-
 def moved_parameter(effect: Effect) -> str | None:
     """The parameter that an effect moves, if it moves one."""
     if effect.kind == "scheduled_parameter":
@@ -153,10 +139,12 @@ def _starts(
     Ts = at.criterion.data[0].Ts
     if effect.limit is not None:
         # A large delay or lag is far from its linearised size, and the fit has local minima.
-        factors = (0.5, 1.0, 2.0, 4.0) if at.is_hidden or abs(step) > Ts else (1.0,)
+        factors = REFITS.factors if at.is_hidden or abs(step) > Ts else (1.0,)
         factors = (1.0,) if near else factors
-        grid = {min(max(k * abs(step), 0.2 * Ts), effect.limit) for k in factors}
-        return [(g, min(2.0 * g + 4 * Ts, effect.limit)) for g in sorted(grid)]
+        grid = {min(max(k * abs(step), REFITS.least_delay * Ts), effect.limit) for k in factors}
+        return [
+            (g, min(REFITS.room * g + REFITS.room_samples * Ts, effect.limit)) for g in sorted(grid)
+        ]
     if near:
         return [(effect.parameters[0].start + step, None)]
     if effect.test == "clip" and effect.variant is not None:
@@ -164,13 +152,13 @@ def _starts(
     if effect.kind == "parameter_jump":
         # A linearised step can exceed what the parameter itself can lose.
         name = effect.where
-        now = abs(at.fit.values.get(name, 0.0)) or abs(step) * 4
-        step = float(np.clip(step, -0.4 * now, 0.4 * now))
+        now = abs(at.fit.values.get(name, 0.0)) or abs(step) * REFITS.unknown_size
+        step = float(np.clip(step, -REFITS.step_share * now, REFITS.step_share * now))
     moved = moved_parameter(effect)
     value = at.fit.values.get(moved, 0.0) if moved is not None else 0.0
     if effect.span is not None and value != 0.0:
         low, high = _slopes_to_zero(effect.span, value)
-        step = float(np.clip(step, 0.4 * low, 0.4 * high))
+        step = float(np.clip(step, REFITS.step_share * low, REFITS.step_share * high))
     null = effect.parameters[0].start
     return [(null + (step if effect.sided == "both" else max(step, 0.0)), None)]
 
@@ -183,13 +171,14 @@ def _keep_sign(model: Model, change: str, value: float, effect: Effect) -> None:
     if value == 0.0:
         return
     if effect.span is None:
-        low, high = sorted((-0.95 * value, 3.0 * value))
+        low, high = sorted((-REFITS.loss * value, REFITS.growth * value))
     else:
-        low, high = sorted(2.0 * slope for slope in _slopes_to_zero(effect.span, value))
+        low, high = sorted(
+            REFITS.slope_room * slope for slope in _slopes_to_zero(effect.span, value)
+        )
     p = model.parameters[change]
-    model.parameters[change] = replace(
-        p, lower=low, upper=high, start=float(np.clip(p.start, 0.9 * low, 0.9 * high))
-    )
+    start = float(np.clip(p.start, REFITS.inside * low, REFITS.inside * high))
+    model.parameters[change] = replace(p, lower=low, upper=high, start=start)
 
 
 def _slopes_to_zero(span: tuple[float, float], value: float) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import scan
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.joint_refit import Refitting
+from casid.diagnosis.thresholds import JUMPS
 from casid.model.effects.effect import Effect
 from casid.model.effects.parameter_effects import JUMP_TIMES, parameter_jump
 
@@ -34,7 +35,7 @@ def placed(
     top = max(c.gain for c in found)
     out, instant = [], None
     for c in sorted(found, key=lambda c: -c.gain):
-        if c.effect.kind == "parameter_jump" and c.gain > 0.6 * top:
+        if c.effect.kind == "parameter_jump" and c.gain > JUMPS.promising * top:
             progress(f"place {c.effect.kind} in {c.effect.where}")
             if instant is not None:
                 c = _better_at(refitting, at, c, instant, known)
@@ -50,19 +51,19 @@ def _placed(
     """Scan ever finer, linearly about the last refit: a ringing leaves many local minima."""
     d = at.criterion.data[0]
     start, stop = float(d.t[0]), float(d.t[-1])
-    reach = 1.5 * (stop - start) / (JUMP_TIMES + 1)
-    for _ in range(3):
+    reach = JUMPS.reach * (stop - start) / (JUMP_TIMES + 1)
+    for _ in range(JUMPS.scans):
         now = found.effect.variant
         assert now is not None
-        times = now + reach * np.linspace(-1, 1, 101)
+        times = now + reach * np.linspace(-1, 1, JUMPS.instants)
         inside = [float(t) for t in times if start < t < stop]
         model = found.model
         effects = [parameter_jump(model, found.effect.where, t) for t in inside]
         left = scan(found.fit, found.names[0], effects)
         found = _better_at(refitting, at, found, inside[int(np.argmin(left))], known)
-        if reach < 50 * d.Ts:
+        if reach < JUMPS.fine * d.Ts:
             break
-        reach /= 12
+        reach /= JUMPS.zoom
     return found
 
 
@@ -90,6 +91,6 @@ def events_of(adopted: Sequence[Candidate]) -> list[float]:
 def is_known_event(at: Weighted, effect: Effect, known: Sequence[float]) -> bool:
     """True if a jump is at about the instant of a known one: one event, named once."""
     d = at.criterion.data[0]
-    near = 1.2 * d.N * d.Ts / (JUMP_TIMES + 1)
+    near = JUMPS.same_event * d.N * d.Ts / (JUMP_TIMES + 1)
     when = effect.variant
     return when is not None and any(abs(t - when) < near for t in known)

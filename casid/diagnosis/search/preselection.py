@@ -17,22 +17,10 @@ from casid.arrays import TINY
 from casid.data.record import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score
-from casid.diagnosis.search.alternatives import BY_CHANCE
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.joint_refit import Refitting
+from casid.diagnosis.thresholds import COMPARISON, ROUNDS
 from casid.model.effects.effect import ON_THE_CLOCK
-
-LONG = 30_000
-"""Samples beyond which candidates are compared on a part first."""
-
-PART = 20_000
-"""Samples of that part, all records together."""
-
-KEPT = 0.2
-"""Share of the best gain on the part below which a candidate is left out.
-
-Less than `comparing.WORTH`: on the whole the shares are not quite the same.
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,10 +46,10 @@ def preselected(
     # Of kinds on the clock the part says nothing: they are refitted on the whole.
     compared = [s for s in short if s.effect.kind not in ON_THE_CLOCK]
     samples = [d.N for d in at.criterion.data]
-    share = PART / sum(samples)
-    if sum(samples) <= LONG or at.criterion.own or len(compared) < 3:
+    share = ROUNDS.part / sum(samples)
+    if sum(samples) <= ROUNDS.long or at.criterion.own or len(compared) < ROUNDS.fewest_compared:
         return everything
-    if _misfit_in_head(at, share) < 0.5 * share:
+    if _misfit_in_head(at, share) < ROUNDS.head_misfit * share:
         return everything
     heads = [_head(e, share) for e in refitting.weighing.experiments]
     weighing = replace(refitting.weighing, experiments=heads)
@@ -75,7 +63,7 @@ def preselected(
     out = []
     for s in short:
         c = found.get(s.effect.key)
-        if c is None or c.gain >= KEPT * best - BY_CHANCE:
+        if c is None or c.gain >= ROUNDS.kept * best - COMPARISON.by_chance:
             out.append(Start(s, c))
     return out
 

@@ -11,14 +11,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.search.alternatives import STRONG, rivals_of
+from casid.diagnosis.search.alternatives import rivals_of
 from casid.diagnosis.search.candidates import Adopted, Candidate, found_values
 from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.thresholds import COMPARISON, ROUNDS
 from casid.errors import CasidError
 from casid.model.model import Model
-
-MOST = 4
-"""Rivals of one cause that are refitted."""
 
 
 def reconsidered(
@@ -41,7 +39,7 @@ def reconsidered(
                 again = _without(search, others, start, at)
                 found = [
                     c
-                    for b in (a.candidate, *(r.candidate for r in rivals[:MOST]))
+                    for b in (a.candidate, *(r.candidate for r in rivals[: ROUNDS.rivals]))
                     if (c := search.refitting.again(again, b, near=False)) is not None
                 ]
             except CasidError:
@@ -66,12 +64,12 @@ def better_rivals(
         first = search.refitting.again(again, last.candidate, near=False)
         found = [
             c
-            for r in last.rivals[:MOST]
+            for r in last.rivals[: ROUNDS.rivals]
             if (c := search.refitting.again(again, r.candidate, near=False)) is not None
         ]
     except CasidError:
         return []
-    better = [c for c in found if first is not None and c.merit > first.merit + STRONG]
+    better = [c for c in found if first is not None and c.merit > first.merit + COMPARISON.strong]
     return sorted(better, key=lambda c: (c.effect.priority, -c.merit))
 
 

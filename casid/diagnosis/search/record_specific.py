@@ -19,14 +19,12 @@ from scipy.stats import chi2
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.search.candidates import Adopted
+from casid.diagnosis.thresholds import ROUNDS
 from casid.errors import SolveError
 from casid.estimation.covariance import sandwich
 from casid.estimation.estimate import Estimated
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
-
-LEVEL = 0.01
-"""Level below which sizes are called different."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +62,7 @@ def record_specific(
     except SolveError:
         return (), fit, at
     different = {key: _wald(apart, names[0]) for key, names in asked.items()}
-    level = LEVEL / max(len(different), 1)
+    level = ROUNDS.record_alpha / max(len(different), 1)
     kept = {key: p for key, (p, _) in different.items() if p < level}
     if not kept:
         return (), fit, at

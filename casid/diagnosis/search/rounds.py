@@ -7,28 +7,25 @@ and ranks what was found (`comparing`). What is adopted of it, `adoption` decide
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.residual_tests import ResidualTests
 from casid.diagnosis.evidence.score_tests import Score, ScoreTable, score_test
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_candidates
-from casid.diagnosis.search.alternatives import BY_CHANCE, WORTH, by_what_is_left, rejudge
+from casid.diagnosis.search.alternatives import by_what_is_left, rejudge
 from casid.diagnosis.search.candidates import Candidate, is_plausible
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.preselection import preselected
+from casid.diagnosis.settings import Progress
+from casid.diagnosis.thresholds import COMPARISON, ROUNDS
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.user_effects import UserEffect, user_effects
-
-if TYPE_CHECKING:
-    from casid.diagnosis.evidence.residual_tests import ResidualTests
-
-Progress = Callable[[str], None]
 
 
 @dataclass(slots=True)
@@ -119,7 +116,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
         # Under the right noise the score predicts what a refit of a small effect gains. A line is
         # an estimate at its best frequency already, which a score at a guessed one is far from.
         scored = [s.unrobust for s in visible if s.effect.test != "peak"]
-        least = WORTH * max(scored, default=0.0) - BY_CHANCE
+        least = COMPARISON.relative_gain * max(scored, default=0.0) - COMPARISON.by_chance
         visible = [s for s in visible if s.unrobust > least]
     strongest: dict[tuple[str, str], Score] = {}
     for s in sorted(visible, key=lambda s: -s.unrobust):
@@ -131,7 +128,8 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
     ):
         keys = list(dict.fromkeys(s.effect.key for s in order))
         named = [key for key in keys if key[0] != "unknown"]
-        for key in (*named[:6], *[key for key in keys if key[0] == "unknown"][:4]):
+        unnamed = [key for key in keys if key[0] == "unknown"]
+        for key in (*named[: ROUNDS.shortlist], *unnamed[: ROUNDS.unnamed]):
             chosen.setdefault(key, strongest[key])
     return list(chosen.values())
 

@@ -5,24 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 
 from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
+from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.search.alternatives import IMITATORS, p_value, rivals_of
 from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, null_values
-from casid.diagnosis.search.joint_refit import wald
-from casid.diagnosis.search.open_set import is_more_than_noise
 from casid.diagnosis.search.reconsideration import better_rivals
+from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.thresholds import COMPARISON, ROUNDS
 from casid.errors import SolveError
 from casid.estimation.holdout import Split, held_out_error, why_no_better, why_worse
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import ON_THE_CLOCK
-
-LIKELY = 4.0
-"""Units of BIC by which a kind that is met less often must be better than one met more often."""
-
-LIKELY_SHARE = 0.015
-"""The same as a share of the better one's merit, where misfit passes for noise: there (1) counts
-misfit of another kind as well, to which the two may be no equals (a heuristic)."""
 
 
 def adopt_causes(
@@ -126,7 +120,7 @@ def _eliminated(
         first = c.names[0]
         if len(adopted) == 1 or c.effect.test != "score":
             continue
-        if abs(wald(fit, first, null[first])) > 2.0:
+        if abs(wald(fit, first, null[first])) > ROUNDS.backward_wald:
             continue
         search.refused.append((c, "the other causes together leave nothing for it to explain"))
         adopted.remove(a)
@@ -143,9 +137,11 @@ def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
     it: famous effects are famous for being met.
     """
     order = list(found)
-    likely = LIKELY
+    likely = COMPARISON.likely
     if at.is_hidden:
-        likely = max(LIKELY, LIKELY_SHARE * max((c.merit for c in order), default=0.0))
+        likely = max(
+            COMPARISON.likely, COMPARISON.likely_share * max((c.merit for c in order), default=0.0)
+        )
     for i in range(1, len(order)):
         for j in range(i, 0, -1):
             near = abs(order[j - 1].merit - order[j].merit) < likely

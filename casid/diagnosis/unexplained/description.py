@@ -19,12 +19,9 @@ from casid.data.record import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.residual_tests import IN_TIME, NOISE, ResidualTests, residual_tests
 from casid.diagnosis.evidence.signatures import TIME, variables_of
+from casid.diagnosis.thresholds import DESCRIPTION
 from casid.diagnosis.unexplained.missing_force import MissingForce, missing_force, quiet_fit
 from casid.diagnosis.unexplained.smoothed_force import ForceSeries, smoothed_force
-
-APART = 12.0
-"""Squares by which a place must explain more than another to be told alone: six units of BIC, which
-Kass and Raftery (1995) call strong evidence, doubled, as the places' terms were chosen too."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,7 +174,7 @@ def _is_dynamic(at: Weighted, force: MissingForce) -> bool:
         smoothed_force(fit.criterion, fit.x, noise, o, at.input_sd).evidence
         for o in fit.criterion.outputs
     ]
-    return force.over_time.evidence > max(rivals) + 3.0
+    return force.over_time.evidence > max(rivals) + DESCRIPTION.dynamic
 
 
 def _signals(
@@ -207,7 +204,7 @@ def _when(
             i, j = round((a - before) / d.Ts), round((b - before) / d.Ts)
             for name in sizes:
                 sizes[name].append(float(np.mean(table[name][i:j] ** 2)))
-            if p > 2.0 * usual:
+            if p > DESCRIPTION.loud * usual:
                 start, stop = float(d.t[0]) + a - before, float(d.t[0]) + b - before
                 if rows and rows[-1].record == d.name and abs(rows[-1].stop - start) < 2 * d.Ts:
                     last = rows.pop()
@@ -223,7 +220,7 @@ def _when(
             found.append((name, float(r.statistic)))
     found.sort(key=lambda row: -abs(row[1]))
     # Loud stretches that are many are no occurrences: it is then simply there.
-    is_rare = sum(o.stop - o.start for o in rows) < 0.4 * before
+    is_rare = sum(o.stop - o.start for o in rows) < DESCRIPTION.rare * before
     return (tuple(rows) if is_rare else ()), tuple(found)
 
 
@@ -253,7 +250,7 @@ def _sentences(
         if rivals:
             told = ", ".join(" times a function of ".join(r) for r in rivals)
             out.append(f"In this record {told} would explain nearly as much.")
-        near = [m for m in found[1:] if m.dependences and best.score - m.score < APART]
+        near = [m for m in found[1:] if m.dependences and best.score - m.score < DESCRIPTION.apart]
         if near:
             out.append(
                 "That it acts there is not certain: "
@@ -271,7 +268,7 @@ def _sentences(
             f"{kind}{place}: no function of states, inputs or recorded channels explains it."
         )
         b = tests.loudest
-        if b.p_value < 0.01:
+        if b.p_value < DESCRIPTION.band_p:
             out.append(
                 f"Most of it lies between {b.low:.3g} and {b.high:.3g} Hz of {b.output}, "
                 f"{b.ratio:.2g} times the noise."
@@ -288,7 +285,8 @@ def _sentences(
             )
     if occurrences:
         ranges = ", ".join(
-            f"{o.start:.3g} to {o.stop:.3g} s of {o.record}" for o in occurrences[:4]
+            f"{o.start:.3g} to {o.stop:.3g} s of {o.record}"
+            for o in occurrences[: DESCRIPTION.stretches]
         )
         out.append(f"It is strongest from {ranges}.")
     if goes_with and not best.dependences:

@@ -33,6 +33,7 @@ from casid.diagnosis.evidence.signatures import (
     units_of,
     variables_of,
 )
+from casid.diagnosis.thresholds import FUNCTIONS, SCORES, TERMS
 from casid.diagnosis.unexplained.smoothed_force import SmoothedForce, smoothed_force
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit
@@ -40,8 +41,6 @@ from casid.estimation.simulation.minimization import Fit
 SINE = "a sine in time"
 """Name of what repeats at a line of the spectrum."""
 
-ODD_POWERS = (0.0, 0.5, 2.0, 3.0, 5.0)
-EVEN_POWERS = (1.0, 2.0, 4.0)
 GROWTH = {
     0.0: "a sign, whatever the size",
     0.5: "saturating",
@@ -128,7 +127,7 @@ def missing_force(
     *,
     recorded: Mapping[str, str] | None = None,
     alpha: float = 0.05,
-    largest: int = 3,
+    largest: int = TERMS.most,
     with_series: bool = True,
     seed: int = 0,
 ) -> MissingForce:
@@ -193,7 +192,7 @@ def missing_force(
         # A term that explains little of what is missing is a shape's imperfection, not a cause.
         best = _simplest(found, groups, charge)
         total = max(regression.misfit, chosen[0].gain if chosen else best.gain)
-        is_small = bool(chosen) and best.gain - best.chance < 0.03 * total
+        is_small = bool(chosen) and best.gain - best.chance < TERMS.small * total
         if best.adjusted >= alpha or best.gain <= charge * best.rank or is_small:
             break
         # Under the sensors' noise alone a disturbance is coloured, and a few of its swings decide:
@@ -206,9 +205,10 @@ def missing_force(
         near = [
             groups[t.group].names
             for t in sorted(found, key=lambda t: -t.gain)
-            if t is not best and t.gain - charge * t.rank > 0.9 * (best.gain - charge * best.rank)
+            if t is not best
+            and t.gain - charge * t.rank > TERMS.near * (best.gain - charge * best.rank)
         ]
-        rivals.append(tuple(n for n in near if n)[:4])
+        rivals.append(tuple(n for n in near if n)[: TERMS.rivals])
         dependent.update(groups[best.group].names, *near)
     total = max(regression.misfit, sum(t.gain - t.chance for t in chosen), TINY)
     dependences = _describe(regression, chosen, rivals, joined, knots, total, at, seed)
@@ -247,7 +247,7 @@ def _simplest(found: Sequence[Tested], groups: Sequence[Group], charge: float) -
         return t.gain - charge * t.rank
 
     best = max(found, key=merit)
-    near = [t for t in found if merit(t) > 0.9 * merit(best)]
+    near = [t for t in found if merit(t) > TERMS.near * merit(best)]
     fewest = min((len(groups[t.group].names) for t in near), default=0)
     return max((t for t in near if len(groups[t.group].names) == fewest), key=merit, default=best)
 
@@ -296,19 +296,19 @@ def candidate_groups(
         groups.append(Group(names, lambda t: _columns(t, last, bends, carrier)))
 
     if line is not None:
-        apart = 0.5 / float(np.ptp(joined[TIME]))
+        apart = TERMS.line_width / float(np.ptp(joined[TIME]))
         found = 2 * np.pi * np.array([line - apart, line, line + apart])
         groups.append(Group((SINE,), lambda t: _sines(t[TIME], found)))
     for name in joined:
         if name.startswith("slope of "):
             groups.append(Group((name,), lambda t, name=name: t[name][:, None]))  # type: ignore[misc]
         else:
-            add((name,), 3)
+            add((name,), FUNCTIONS.bends)
     carriers = [*model.states, *model.inputs] if is_balance else [place]
     for carrier in carriers:
         for name in joined:
             if name != carrier and carrier in joined and not name.startswith("slope of "):
-                add((carrier, name), 2)
+                add((carrier, name), FUNCTIONS.product_bends)
     return groups, knots
 
 
@@ -382,9 +382,9 @@ def _in_time(t: Array, value: Array) -> str:
     if travel <= 0:
         return ""
     j = int(np.argmax(np.abs(steps)))
-    if abs(steps[j]) > 0.6 * travel:
+    if abs(steps[j]) > TERMS.step * travel:
         return f"a step between {t[j]:.3g} and {t[j + 1]:.3g} s"
-    if abs(value[-1] - value[0]) > 0.7 * travel:
+    if abs(value[-1] - value[0]) > TERMS.trend * travel:
         return "rising over the record" if value[-1] > value[0] else "falling over the record"
     return "coming and going"
 
@@ -406,7 +406,9 @@ def _shape(
     scale = float(np.sqrt(np.mean(values**2)))
     shapes: list[tuple[str, float]] = []
     if has_both_signs(values):
-        shapes += [("odd", p) for p in (*ODD_POWERS, 1.0)] + [("even", p) for p in EVEN_POWERS]
+        shapes += [("odd", p) for p in (*TERMS.odd_powers, 1.0)] + [
+            ("even", p) for p in TERMS.even_powers
+        ]
     else:
         values_mean = float(values.mean())
         shapes += [("", 1.0)]
@@ -436,13 +438,13 @@ def _shape(
         seed=seed,
     )
     given = list(range(len(asked) + 1, len(again.groups)))
-    gains = {t.group: t.gain for t in again.test(given, draws=50, seed=seed)}
+    gains = {t.group: t.gain for t in again.test(given, draws=SCORES.few_draws, seed=seed)}
     if not any(i in gains for i in range(len(asked))):
         return "", None, 0.0
     best = max((i for i in gains if i < len(asked)), key=lambda i: gains[i])
     whole = max(gains.get(len(asked), 0.0), gains[best])
     parity, power = shapes[best]
-    if gains[best] < 0.6 * whole:
+    if gains[best] < TERMS.shape * whole:
         return ("neither" if parity else ""), None, 0.0
     coefficient, _ = again.estimate([best])
     if not parity:

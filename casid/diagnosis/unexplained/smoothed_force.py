@@ -19,10 +19,9 @@ from scipy.fft import rfft
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.signatures import Linearised
+from casid.diagnosis.thresholds import SMOOTHING
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.simulation_error import SimulationError
-
-BANDS = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +63,7 @@ class SmoothedForce:
 
         Eight units of log-likelihood are beyond what two parameters gain by chance in 1 of 1000.
         """
-        return self.evidence > 8.0 and self.share_seen > 0.3
+        return self.evidence > SMOOTHING.evidence and self.share_seen > SMOOTHING.share
 
 
 def smoothed_force(
@@ -147,7 +146,9 @@ def _levels(ordinates: list[list[_Ordinates]], Ts: float) -> tuple[float, float,
     # In bands: the mean of exponentials is all that their common mean needs.
     rows = []
     for o in flat:
-        edges = np.unique(np.geomspace(1, len(o.omega) + 1, 200).astype(int)) - 1
+        edges = (
+            np.unique(np.geomspace(1, len(o.omega) + 1, SMOOTHING.likelihood_bands).astype(int)) - 1
+        )
         count = np.diff(edges)
         rows.append(
             [np.add.reduceat(v, edges[:-1]) / count for v in (o.omega, o.power, o.noise, o.gain2)]
@@ -163,7 +164,7 @@ def _levels(ordinates: list[list[_Ordinates]], Ts: float) -> tuple[float, float,
     scale = float(np.sum(count * power) / max(float(np.sum(count * gain2)), TINY))
     best = (0.0, 0.0, Ts)
     longest = 2 * np.pi / float(omega.min()) * Ts
-    for memory in np.geomspace(0.5 * Ts, longest / 4, 14):
+    for memory in np.geomspace(0.5 * Ts, SMOOTHING.longest_memory * longest, SMOOTHING.memories):
         grid = scale * np.geomspace(1e-5, 1e4, 37)
         for _ in range(2):
             found = none - loss(grid, float(memory))
@@ -179,23 +180,23 @@ def _spectrum(
 ) -> ForceSpectrum:
     """Weighted over outputs and records by what each tells: |G|^4 / S^2, S with the force in it."""
     low = min(o.omega[0] for one in ordinates for o in one)
-    edges = np.geomspace(low * 0.999, np.pi, BANDS + 1)
-    top, bottom, floor = (np.zeros(BANDS) for _ in range(3))
+    edges = np.geomspace(low * 0.999, np.pi, SMOOTHING.bands + 1)
+    top, bottom, floor = (np.zeros(SMOOTHING.bands) for _ in range(3))
     largest, where, count = 0.0, 0.0, 0
     for one in ordinates:
         for o in one:
             total = o.noise + variance * o.gain2 * _process(o.omega, memory, Ts)
             weight = o.gain2**2 / total**2
-            band = np.clip(np.searchsorted(edges, o.omega) - 1, 0, BANDS - 1)
+            band = np.clip(np.searchsorted(edges, o.omega) - 1, 0, SMOOTHING.bands - 1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 apart = np.where(o.gain2 > 0, (o.power - o.noise) / o.gain2, 0.0)
-            top += np.bincount(band, weight * apart, BANDS)
-            bottom += np.bincount(band, weight, BANDS)
-            floor += np.bincount(band, o.gain2**2 / o.noise**2, BANDS)
+            top += np.bincount(band, weight * apart, SMOOTHING.bands)
+            bottom += np.bincount(band, weight, SMOOTHING.bands)
+            floor += np.bincount(band, o.gain2**2 / o.noise**2, SMOOTHING.bands)
             # The ratio to a smooth spectrum, by the median beside it: a line stands out alone.
-            if len(o.power) > 50 and np.any(o.gain2 > 0):
+            if len(o.power) > 2 * SMOOTHING.line_window and np.any(o.gain2 > 0):
                 ratio = o.power / total
-                width = 25
+                width = SMOOTHING.line_window
                 padded = np.pad(ratio, width, mode="reflect")
                 windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * width + 1)
                 # The median of exponentials is ln 2 of their mean.
@@ -213,7 +214,7 @@ def _spectrum(
         density=to_density * top[known] / bottom[known],
         floor=to_density / np.sqrt(np.maximum(floor[known], TINY)),
         sd=to_density / np.sqrt(bottom[known]),
-        line=where / (2 * np.pi * Ts) if p < 1e-4 else None,
+        line=where / (2 * np.pi * Ts) if p < SMOOTHING.line_p else None,
         line_p=p,
     )
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from casid.arrays import TINY
-from casid.diagnosis.diagnosis import Alternative, Cause
-from casid.diagnosis.evidence.score_tests import INVISIBLE
-from casid.diagnosis.evidence.spoilt_samples import Spoilt
+from casid.diagnosis.evidence.plateaus import Plateaus
+from casid.diagnosis.evidence.spikes import Spikes
 from casid.diagnosis.search.candidates import Adopted, Candidate
-from casid.diagnosis.search.record_specific import Specific
+from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.thresholds import JUDGING, SCORES
+from casid.diagnosis.verdict.cause import Alternative, Cause
 from casid.diagnosis.verdict.contributions import contributions_of
 from casid.diagnosis.verdict.sentences import says, says_kind, why_alternative
 from casid.estimation.estimate import Estimate, Estimated
@@ -20,92 +20,77 @@ from casid.identification.wrong_signs import WrongSign
 from casid.model.effects.effect import Effect
 
 
-def causes_of(
-    search: Search,
-    adopted: Sequence[Adopted],
-    spoilt: Spoilt,
-    estimate: Estimate,
-    fit: Fit,
-    specific: Sequence[Specific] = (),
-) -> list[Cause]:
+def causes_of(found: Findings, estimate: Estimate) -> list[Cause]:
     """Causes in the order of their contribution: the misfit that returns when one is taken out."""
-    own = {found.key: found.by_record for found in specific}
-    rows: list[tuple[float, Cause]] = []
-    losses = contributions_of(search.weighing, adopted, fit)
+    fit = found.best_fit
     outputs, weights = fit.criterion.outputs, fit.criterion.weights
     scale = {o: weights[outputs.index(o)] ** 2 / 2 for o in outputs}
     # Few and small spikes are left out of the fit, but are nothing that a user would miss.
-    least = 0.01 * fit.solution.value
+    least = JUDGING.small_outliers * fit.solution.value
+    spoilt = found.baseline.spoilt
     spikes = [s for s in spoilt.spikes if s.energy * scale[s.channel] > least]
-    clipped = spoilt.plateaus  # a fact, however little it cuts off
-    lost = sum(s.energy * scale[s.channel] for s in spikes)
-    lost += sum(c.energy * scale[c.channel] for c in clipped)
-    total = max(sum(losses) + lost, TINY)
-    for a, loss in zip(adopted, losses, strict=True):
-        effect = a.candidate.effect
-        alternatives = tuple(
-            Alternative(
-                r.candidate.effect.kind,
-                r.candidate.effect.where,
-                r.p_value,
-                why_alternative(a.candidate, r.candidate),
-                r.candidate.effect.description,
-            )
-            for r in a.rivals
-        )
-        alternatives += tuple(_aliases(search, effect))
-        rows.append(
-            (
-                loss,
-                Cause(
-                    kind=effect.kind,
-                    where=effect.where,
-                    p_value=a.p_value,
-                    parameters=_parameters_of(a.candidate, estimate),
-                    alternatives=alternatives,
-                    share=loss / total,
-                    sentence=says(effect),
-                    description=effect.description,
-                    by_record=own.get(effect.key, {}),
-                ),
-            )
-        )
-    for s in spikes:
-        rows.append(
-            (
-                s.energy * scale[s.channel],
-                Cause(
-                    kind="outliers",
-                    where=s.channel,
-                    p_value=s.p_value,
-                    parameters=(
-                        Estimated("share", s.share, "1"),
-                        Estimated("size", s.size, search_unit(search, s.channel)),
-                    ),
-                    share=s.energy * scale[s.channel] / total,
-                    sentence=says_kind("outliers", s.channel),
-                ),
-            )
-        )
-    for c in clipped:
-        unit = search_unit(search, c.channel)
-        share = c.energy * scale[c.channel] / total
-        rows.append(
-            (
-                c.energy * scale[c.channel],
-                Cause(
-                    kind="saturation",
-                    where=c.channel,
-                    p_value=c.p_value,
-                    parameters=(Estimated(f"limit_{c.channel}", c.limit, unit),),
-                    share=share,
-                    sentence=says_kind("saturation", c.channel),
-                    description=f"{c.count} samples stand exactly at the limit",
-                ),
-            )
-        )
+    samples = [(s.energy * scale[s.channel], _outliers(found.search, s)) for s in spikes]
+    samples += [  # a fact, however little it cuts off
+        (c.energy * scale[c.channel], _saturation(found.search, c)) for c in spoilt.plateaus
+    ]
+    losses = contributions_of(found.search.weighing, found.adopted, fit)
+    effects = [_adopted(found, a, estimate) for a in found.adopted]
+    rows = [*zip(losses, effects, strict=True), *samples]
+    total = max(sum(losses) + sum(loss for loss, _ in samples), TINY)
     rows.sort(key=lambda row: -row[0])
-    return [cause for _, cause in rows]
+    return [replace(cause, share=loss / total) for loss, cause in rows]
+
+
+def _adopted(found: Findings, adopted: Adopted, estimate: Estimate) -> Cause:
+    """An effect of the catalogue, without its share."""
+    effect = adopted.candidate.effect
+    alternatives = tuple(
+        Alternative(
+            r.candidate.effect.kind,
+            r.candidate.effect.where,
+            r.p_value,
+            why_alternative(adopted.candidate, r.candidate),
+            r.candidate.effect.description,
+        )
+        for r in adopted.rivals
+    )
+    by_record = {s.key: s.by_record for s in found.specific}
+    return Cause(
+        kind=effect.kind,
+        where=effect.where,
+        p_value=adopted.p_value,
+        parameters=_parameters_of(adopted.candidate, estimate),
+        alternatives=(*alternatives, *_aliases(found.search, effect)),
+        sentence=says(effect),
+        description=effect.description,
+        by_record=by_record.get(effect.key, {}),
+    )
+
+
+def _outliers(search: Search, spikes: Spikes) -> Cause:
+    """Isolated spikes of a channel, without their share of the misfit."""
+    return Cause(
+        kind="outliers",
+        where=spikes.channel,
+        p_value=spikes.p_value,
+        parameters=(
+            Estimated("share", spikes.share, "1"),
+            Estimated("size", spikes.size, _unit(search, spikes.channel)),
+        ),
+        sentence=says_kind("outliers", spikes.channel),
+    )
+
+
+def _saturation(search: Search, cut: Plateaus) -> Cause:
+    """The clipping of a channel, without its share of the misfit."""
+    return Cause(
+        kind="saturation",
+        where=cut.channel,
+        p_value=cut.p_value,
+        parameters=(Estimated(f"limit_{cut.channel}", cut.limit, _unit(search, cut.channel)),),
+        sentence=says_kind("saturation", cut.channel),
+        description=f"{cut.count} samples equal the limit exactly",
+    )
 
 
 def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated, ...]:
@@ -131,7 +116,11 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
             continue
         for j, other in enumerate(keys):
             c = float(table.cosines[i, j])
-            if other == key or table.scores[j].visible <= INVISIBLE or abs(c) < 0.99:
+            if (
+                other == key
+                or table.scores[j].visible <= SCORES.undetectable
+                or abs(c) < JUDGING.alias
+            ):
                 continue
             kind, where = other
             if kind == effect.kind == "scheduled_parameter" and other not in refitted:
@@ -140,7 +129,7 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
             if kind == effect.kind == "time_delay" and c < 0.0:
                 why = f"an advance of {where} looks the same as a delay of {effect.where}"
                 out.append(Alternative(kind, where, 1.0, why))
-    return out[:3]
+    return out[: JUDGING.aliases]
 
 
 def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fit) -> list[Cause]:
@@ -163,6 +152,6 @@ def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fi
     return [first, *(replace(c, share=(1 - share) * c.share) for c in causes)]
 
 
-def search_unit(search: Search, channel: str) -> str:
+def _unit(search: Search, channel: str) -> str:
     """Unit of a channel in the records searched."""
     return str(search.weighing.experiments[0].record.units.get(channel, "1"))

@@ -10,6 +10,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.search.findings import Findings
+from casid.diagnosis.thresholds import FUNCTIONS, JUDGING
 from casid.estimation.estimate import RecordView
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, record_views, simulate_apart, whole_simulation
@@ -29,7 +31,7 @@ def rmse(
         error = np.where(d.used, d.y - y, np.nan)
         for name, level in limits.items():
             i = outputs.index(name)
-            error[np.abs(best[:, i]) >= 0.999 * level, i] = np.nan
+            error[np.abs(best[:, i]) >= FUNCTIONS.at_limit * level, i] = np.nan
         parts.append(error[split.held[e]] if held else error[~split.held[e]])
     if held:
         for experiment in split.apart:
@@ -66,7 +68,7 @@ def unlike_held_out(
     for output, error in held.get("baseline_rmse", {}).items():
         inside = fitted["baseline_rmse"][output]
         floor = fitted["noise_floor"][output]
-        if error > 1.5 * max(inside, floor):
+        if error > JUDGING.unlike * max(inside, floor):
             return (
                 f"the fitted part hides nothing, but the simulation of {output} is wrong by "
                 f"{error:.3g} where it was not fitted, against {inside:.3g} where it was: "
@@ -98,3 +100,20 @@ def views(
         replace(a, baseline=b.baseline * signs, extended=a.baseline)
         for b, a in zip(before, after, strict=True)
     )
+
+
+Errors = dict[str, dict[str, float]]
+
+
+def errors_of(found: Findings) -> tuple[Errors, Errors]:
+    """RMS errors before and after and the noise floor, of what was fitted and what was held out."""
+    base_fit, best_fit, base = found.base_fit, found.best_fit, found.baseline
+    limits = clipping_limits(best_fit)
+    reference, clipped = (best_fit, limits) if base.negated is None else (base_fit, {})
+    fitted = {"baseline_rmse": rmse(base_fit, reference, base.recorded, clipped, held=False)}
+    held = {"baseline_rmse": rmse(base_fit, reference, base.recorded, clipped, held=True)}
+    if found.extended_fit is not None or base.spoilt.count:
+        fitted["extended_rmse"] = rmse(best_fit, best_fit, base.split, limits, held=False)
+        held["extended_rmse"] = rmse(best_fit, best_fit, base.split, limits, held=True)
+    fitted["noise_floor"] = held["noise_floor"] = noise_floor(found.at)
+    return fitted, {} if base.split.is_empty else held

@@ -7,9 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from casid.diagnosis.thresholds import JUDGING
 from casid.estimation.estimate import Estimate
-
-_NEAR = 1.1  # of the noise floor: what a floor estimated from the same record cannot tell from 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +89,7 @@ class Remaining:
 
 
 def moved_parameters(
-    baseline: Estimate, extended: Estimate, *, at_least: float = 2.0
+    baseline: Estimate, extended: Estimate, *, at_least: float = JUDGING.moved
 ) -> tuple[Moved, ...]:
     """Parameters that both fits estimate and that moved, the furthest in standard errors first.
 
@@ -176,14 +175,14 @@ def _sentence(
     ends = f"the error of {worst} ends at {over[worst]:.3g} times its noise floor"
     if explained:
         many = "causes explain" if len(explained) > 1 else "cause explains"
-        share = "more than 99.5 %" if 0 < left < 0.005 else f"{100 * (1 - left):.0f} %"
+        share = "more than 99.5 %" if 0 < left < JUDGING.nearly_all else f"{100 * (1 - left):.0f} %"
         text = f"The named {many} {share} of the excess misfit, and {ends}."
     else:
         text = f"Nothing is named; {ends}."
     is_left = p_value is not None and p_value < alpha
     if is_left:
         return f"{text} What is left is more than noise: something remains unexplained."
-    if over[worst] > _NEAR:
+    if over[worst] > JUDGING.at_floor:
         why = " that no effect of the catalogue explains" if p_value is not None else ""
         return f"{text} Above the floor, there is an error left{why}."
     if p_value is None:

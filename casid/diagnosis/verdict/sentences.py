@@ -8,10 +8,10 @@ import numpy as np
 
 from casid.arrays import TINY
 from casid.data.problem import Problem
-from casid.diagnosis.diagnosis import Cause, Verdict
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.candidates import Candidate
+from casid.diagnosis.thresholds import JUDGING
+from casid.diagnosis.verdict.cause import Cause, Verdict
 from casid.model.effects.effect import Effect
 
 _SAYS = {
@@ -118,51 +118,6 @@ def verdict_sentence(
     return f"{text[0].upper()}{text[1:]}.{gain}"
 
 
-_MENDS = (": check ", ": fit ", ": diagnose ")
-"""How a reason goes on that says what to do itself (`refusals`, `gain`)."""
-
-
-def advice(
-    verdict: Verdict, causes: list[Cause], table: ScoreTable | None, why_undecided: str
-) -> str:
-    """What to do next, in a sentence."""
-    if verdict == "undecided":
-        if any(mend in why_undecided for mend in _MENDS):
-            return "Mend what the reason names, then diagnose again."
-        return "Record longer, or excite the system more strongly over a wider band."
-    tied = [c for c in causes if c.alternatives]
-    if tied:
-        c = tied[0]
-        others = ", ".join(a.name for a in c.alternatives)
-        return f"To tell {c.kind} in {c.where} from {others}: {separates(c.kind)}."
-    if verdict == "deficient":
-        return (
-            "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
-            f"with "
-            f"{separates(causes[0].kind)}."
-        )
-    scores = table.scores if table is not None else ()
-    seen = {s.effect.key for s in scores if s.is_visible}
-    invisible = {s.effect.key for s in scores} - seen
-    if invisible:
-        names = ", ".join(sorted(f"{k} in {w}" for k, w in invisible))
-        return f"The model may be used. This set-up cannot show: {names}."
-    return "The model may be used for motions like those recorded."
-
-
-def bound_advice(problem: Problem, bounds: Mapping[str, str]) -> str:
-    """What to do about a parameter that the fit holds at its bound."""
-    name = next(iter(bounds))
-    p = problem.model.parameters[name.partition("@")[0]]
-    return (
-        "A wrong sign of a channel drives a parameter to its bound: compare the sensors' axes with "
-        "the model's, channel by channel (casid.identification.sign_flips.sign_flips asks each). "
-        f"Where the signs are right and the bound is no physics, widen it (lower={p.lower:g}, "
-        f"upper={p.upper:g} of {p.name} in the problem file); where it is, give {p.name} that "
-        f"value (--set {p.name}=VALUE) and diagnose again."
-    )
-
-
 def noise_text(at: Weighted) -> dict[str, str]:
     """Channel or balance -> what the noise found there is."""
     out = {
@@ -181,7 +136,7 @@ def noise_text(at: Weighted) -> dict[str, str]:
                     f"; the residual shows more than {source} itself moves ({moves:.3g} {unit}): "
                     f"it is no noise of {source}, but a misfit"
                 )
-            elif sd > 1.5 * max(own, TINY):
+            elif sd > JUDGING.more_noise * max(own, TINY):
                 text += f"; the residual shows as much as {sd:.3g}, a disturbance or a misfit"
         else:
             text = f"disturbance {sd:.3g} {at.model.balances[source].unit} a sample"

@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 
 from casid.diagnosis.advice.isolability import (
-    MARGIN,
-    POWER,
     exact_separation_energy,
     isolability,
     likeness,
@@ -22,6 +20,7 @@ from casid.diagnosis.advice.isolability import (
     separation_energy,
     win_probability,
 )
+from casid.diagnosis.thresholds import PLANNING
 from casid.errors import DataError
 from casid.model.effects.effect import Effect
 from casid.model.model import Parameter
@@ -54,7 +53,7 @@ def drawn_wins(energy: float, cosine: float, margin: float, n: int = 40_000) -> 
 def test_the_constant_is_that_of_the_margin_and_the_power():
     """x^2 - 2 z x - m = 0 at x^2 = the constant; m = 0 gives the 4 z^2 = 10.8 of coming first."""
     x = np.sqrt(separation_constant())
-    assert x**2 - 2 * 1.6448536 * x - MARGIN == pytest.approx(0, abs=1e-6)
+    assert x**2 - 2 * 1.6448536 * x - PLANNING.margin == pytest.approx(0, abs=1e-6)
     assert separation_constant(margin=0) == pytest.approx(4 * 1.6448536**2, rel=1e-6)
     assert separation_constant() == pytest.approx(21.12, abs=0.01)
 
@@ -62,14 +61,14 @@ def test_the_constant_is_that_of_the_margin_and_the_power():
 @pytest.mark.parametrize("cosine", [0.0, -0.5, 0.9, 0.99])
 def test_at_the_predicted_energy_the_right_cause_wins_as_often_as_asked(cosine):
     """The normal approximation leaves out a skewness that helps: a little more than 95 % win."""
-    share = drawn_wins(separation_energy(cosine), cosine, MARGIN)
-    standard_error = np.sqrt(POWER * (1 - POWER) / 40_000)
-    assert POWER - 3 * standard_error < share < POWER + 0.03
+    share = drawn_wins(separation_energy(cosine), cosine, PLANNING.margin)
+    standard_error = np.sqrt(PLANNING.power * (1 - PLANNING.power) / 40_000)
+    assert PLANNING.power - 3 * standard_error < share < PLANNING.power + 0.03
 
 
 @pytest.mark.parametrize(("energy", "cosine"), [(5.0, 0.3), (20.0, 0.0), (300.0, 0.95)])
 def test_the_probability_to_win_is_that_of_drawn_residuals(energy, cosine):
-    drawn = drawn_wins(energy, cosine, MARGIN)
+    drawn = drawn_wins(energy, cosine, PLANNING.margin)
     # Four binomial standard errors of 40 000 draws, at most 0.01.
     assert win_probability(energy, cosine) == pytest.approx(drawn, abs=0.01)
 
@@ -123,7 +122,7 @@ def test_the_dearer_cause_has_to_win_by_what_it_is_charged_for():
     t = table([jump, plain], np.eye(2))
     found = isolability(t, n_samples=1000)
     assert found.pairs[0].energy == pytest.approx(
-        separation_constant(margin=MARGIN + 2 * np.log(1000))
+        separation_constant(margin=PLANNING.margin + 2 * np.log(1000))
     )
 
 

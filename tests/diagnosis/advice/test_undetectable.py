@@ -7,6 +7,7 @@ and nothing tells a constant torque from a constant angle (Linder 2017, section 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import pytest
 import casid
 from casid.diagnosis.advice.undetectable import Invisible, invisible
 from casid.diagnosis.evidence.score_tests import score_test
+from casid.diagnosis.thresholds import PLANNING
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.model.effects.balance_effects import extra_input, offset, quadratic_damping
 from casid.model.effects.channel_effects import sensor_bias, time_delay
@@ -79,9 +81,8 @@ def test_the_scale_of_a_sensor_is_stiffness_damping_and_inertia_together(fitted,
 
 
 def test_what_is_told_of_the_confounded_parameters_stands_with_them(fitted, monkeypatch):
-    monkeypatch.setattr(
-        "casid.diagnosis.advice.undetectable.FORMULA_LIMIT", 20.0
-    )  # a slow machine's time
+    patient = replace(PLANNING, formula_limit=20.0)  # a slow machine's time
+    monkeypatch.setattr("casid.diagnosis.advice.undetectable.PLANNING", patient)
     i = asked(fitted, [scale(fitted.criterion.model, "gyro")])["sensor_scale", "gyro"]
     assert "d/k" in i.told
     assert "told all the same" in i.why

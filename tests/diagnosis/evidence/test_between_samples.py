@@ -10,7 +10,8 @@ from scipy.linalg import expm
 from scipy.stats import norm
 
 import casid
-from casid.diagnosis.evidence.score_tests import BETWEEN_SAMPLES, ScoreTable, score_test
+from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
+from casid.diagnosis.thresholds import SCORES
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.channel_effects import time_delay
@@ -69,7 +70,7 @@ def test_a_line_between_samples_of_a_first_order_response_is_a_delay_of_ts_squar
 
 
 def test_the_allowance_is_that_of_eight_samples():
-    assert BETWEEN_SAMPLES == pytest.approx(1 / (12 * SAMPLES), rel=0.05)
+    assert SCORES.between_samples == pytest.approx(1 / (12 * SAMPLES), rel=0.05)
 
 
 def test_a_delay_s_p_is_the_largest_within_the_allowance():
@@ -81,7 +82,7 @@ def test_a_delay_s_p_is_the_largest_within_the_allowance():
     (score,) = table("foh").scores
     assert score.z > 0.5
     sd = np.sqrt(score.unrobust) / score.z
-    allowed = BETWEEN_SAMPLES * TS * np.sqrt(score.energy) / sd
+    allowed = SCORES.between_samples * TS * np.sqrt(score.energy) / sd
     assert allowed > 0.25
     assert norm.isf(score.p_value) == pytest.approx(score.z - allowed, abs=0.02)
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from casid.diagnosis.evidence.plateaus import FEWEST, find_plateaus
+from casid.diagnosis.evidence.plateaus import find_plateaus
+from casid.diagnosis.thresholds import CLIPPING
 
 Array = np.ndarray
 
@@ -162,7 +163,7 @@ def test_one_limit_is_sought_in_all_records_together():
 def test_fewer_equal_samples_than_four_are_no_plateau():
     y = motion()
     full = noisy(0, y)
-    limit = float(np.sort(full)[-(FEWEST - 1)])
+    limit = float(np.sort(full)[-(CLIPPING.fewest - 1)])
     assert find(np.minimum(full, limit), y) is None
 
 

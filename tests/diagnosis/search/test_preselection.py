@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search import preselection
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.search.rounds import Search, shortlist
+from casid.diagnosis.thresholds import ROUNDS
 from tests.support.hidden_forces import RECORDED, fitted
 
 
@@ -32,19 +35,17 @@ def test_only_hopeless_candidates_are_left_out_of_a_long_record(found, monkeypat
     refitting, at, short = found
     every = {s.effect.key: refitting.refit(at, s.effect, s.step, starts=s.starts) for s in short}
     best = max(c.gain for c in every.values() if c is not None)
-    monkeypatch.setattr(preselection, "LONG", 1000)
-    monkeypatch.setattr(preselection, "PART", 800)
+    monkeypatch.setattr(preselection, "ROUNDS", replace(ROUNDS, long=1000, part=800))
     kept = {s.score.effect.key: s for s in preselection.preselected(refitting, at, short)}
     assert ("quadratic_damping", "force") in kept
     lost = [every[key].gain for key in every if key not in kept]
     assert lost
-    assert max(lost) < 0.3 * best  # `comparing.WORTH`: none would have been judged further
+    assert max(lost) < 0.3 * best  # `Comparison.relative_gain`: none would have been judged further
 
 
 def test_a_refit_from_the_part_ends_where_any_other_does(found, monkeypatch):
     refitting, at, short = found
-    monkeypatch.setattr(preselection, "LONG", 1000)
-    monkeypatch.setattr(preselection, "PART", 800)
+    monkeypatch.setattr(preselection, "ROUNDS", replace(ROUNDS, long=1000, part=800))
     near = {s.score.effect.key: s for s in preselection.preselected(refitting, at, short)}
     start = near["quadratic_damping", "force"]
     score = start.score
@@ -57,8 +58,7 @@ def test_a_refit_from_the_part_ends_where_any_other_does(found, monkeypatch):
 
 def test_a_beginning_that_shows_little_is_not_asked(found, monkeypatch):
     refitting, at, short = found
-    monkeypatch.setattr(preselection, "LONG", 1000)
-    monkeypatch.setattr(preselection, "PART", 800)
+    monkeypatch.setattr(preselection, "ROUNDS", replace(ROUNDS, long=1000, part=800))
     monkeypatch.setattr(preselection, "_misfit_in_head", lambda at, share: 0.4 * share)
     assert all(s.found is None for s in preselection.preselected(refitting, at, short))
 

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
-from casid.diagnosis.verdict.sentences import advice
+from tests.support.samples import changed
 from tests.support.samples import deficient as small
 
 
@@ -59,7 +60,7 @@ def test_the_text_describes_what_has_no_name_and_tells_the_notes_of_a_calibratio
         undecided=3,
         is_interrupted=True,
     )
-    text = str(replace(small(), causes=(NAMED, unknown), calibration=calibration))
+    text = str(changed(small(), causes=(NAMED, unknown), calibration=calibration))
     assert "or unknown in torque (p^3) (p = 0.2): explains as much" in text
     assert "2. unknown in torque (p = 1.0e-09): a torque like p^3" in text
     assert "interrupted: 40 of 200 null records were done" in text

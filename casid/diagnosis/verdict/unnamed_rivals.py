@@ -19,19 +19,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.diagnosis.diagnosis import Alternative
 from casid.diagnosis.evidence.candidate_functions import regressions
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.search.alternatives import STRONG
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.rounds import Search
-
-NEAR = -STRONG
-"""Units of BIC by which a function may be worse than the causes, and is still not rejected."""
-
-EXPRESSED = 0.03
-"""Share of a signature, in squares, left beside the causes below which they express it: 1 - cos^2
-of the two. Linear signatures of one thing at two sizes of it differ by as much."""
+from casid.diagnosis.thresholds import COMPARISON, JUDGING
+from casid.diagnosis.verdict.cause import Alternative
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +40,7 @@ class OpenRival:
     @property
     def is_better(self) -> bool:
         """True if the causes are rejected against it."""
-        return self.ahead > STRONG
+        return self.ahead > COMPARISON.strong
 
     def alternative(self) -> Alternative:
         """As one of the things that a cause may be."""
@@ -87,7 +80,7 @@ def open_rivals(
     for place, names, regression in regressions(start, experiments, search.recorded):
         for name, gain, energy in zip(names, *regression.seen(), strict=True):
             by = gain - cost - merit
-            if by > NEAR:
+            if by > -COMPARISON.strong:
                 near.setdefault(place, {})[name] = gain, by, energy
     found = []
     under = replace(at, noise=start.noise)
@@ -97,6 +90,6 @@ def open_rivals(
         beside = dict(zip(names, regression.seen()[1], strict=True))
         for name, (gain, by, alone) in near[place].items():
             own = float(beside[name] / alone)
-            if own > EXPRESSED:
+            if own > JUDGING.expressed:
                 found.append(OpenRival(place, name, gain, by, own))
     return tuple(sorted(found, key=lambda r: -r.ahead))

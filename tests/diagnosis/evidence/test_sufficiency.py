@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.verdict.sufficiency import (
+from casid.diagnosis.evidence.recorded_channels import (
+    channels_held_out_too,
     left_out_by_clock,
     rate_of,
     refuse_shared_columns,
-    require_settings,
-    usable_beside,
-    why_silent,
 )
+from casid.diagnosis.evidence.sufficiency import why_uninformative
+from casid.diagnosis.settings import require_settings
 from casid.errors import DataError
 from casid.estimation.holdout import split_records
 from problems import emps, pendulum, roll_decay
@@ -102,7 +102,7 @@ def test_a_motion_under_three_times_its_noise_is_still_asked():
     rng = np.random.default_rng(6)
     loud = record["gyro"] + 3 * np.std(record["gyro"]) * rng.standard_normal(record.N)
     split = split_records([casid.Experiment(with_channels(record, gyro=loud), {}, "loud")], 0.3)
-    assert why_silent(pendulum.problem.model, split) == ""
+    assert why_uninformative(pendulum.problem.model, split) == ""
 
 
 def test_outliers_in_a_quiet_record_do_not_pass_for_noise():
@@ -208,7 +208,7 @@ def test_a_channel_of_a_slower_clock_is_known_by_its_rows():
 def test_a_held_out_record_that_lacks_a_channel_takes_it_from_the_candidates():
     record = pendulum.simulate(duration=4.0)
     aside = casid.Experiment(record.without("yaw_rate"), {}, "aside")
-    kept, notes = usable_beside({"yaw_rate": "rad/s", "speed": "m/s"}, [aside])
+    kept, notes = channels_held_out_too({"yaw_rate": "rad/s", "speed": "m/s"}, [aside])
     assert kept == {"speed": "m/s"}
     assert "yaw_rate was not asked as a cause: aside, held out, lacks it" in notes[0]
     assert "record it there" in notes[0]

@@ -12,27 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from casid.arrays import TINY
-from casid.diagnosis.diagnosis import Alternative, Cause
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.residual_tests import (
-    DISTURBANCE,
-    NOISE,
-    ResidualTests,
-    residual_tests,
-)
+from casid.diagnosis.evidence.residual_tests import DISTURBANCE, NOISE
 from casid.diagnosis.search.candidates import Adopted
+from casid.diagnosis.search.residual_check import tested_residual
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.search.unnamed_rivals import OpenRival
+from casid.diagnosis.thresholds import JUDGING, ROUNDS
 from casid.diagnosis.unexplained.description import Unexplained, unexplained
+from casid.diagnosis.verdict.cause import Alternative, Cause
 from casid.diagnosis.verdict.remainder import Remaining
+from casid.diagnosis.verdict.unnamed_rivals import OpenRival
 from casid.model.effects.effect import OF_SAMPLES
-
-SHARE = 0.2
-"""Of the false-alarm rate, for the test of what is left where nothing was named: it comes on top of
-the search's. Where something was, the verdict stands already, and the rate is twice as large."""
-
-DOUBTFUL = 0.15
-"""Share of the excess misfit left, above which the one cause named is not the cause (heuristic)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,25 +34,10 @@ class Left:
     unexplained: Unexplained | None = None
 
 
-def is_more_than_noise(at: Weighted, search: Search) -> bool:
-    """True if the residual depends on states and inputs, or changes in time."""
-    tests = _tested(at, search, SHARE * search.alpha)
-    return tests.verdict not in (NOISE, DISTURBANCE)
-
-
-def _tested(at: Weighted, search: Search, level: float) -> ResidualTests:
-    """The residual's tests; those of the last model asked for are kept."""
-    if search.tested is None or search.tested[0] is not at:
-        of = search.weighing
-        found = residual_tests(at, of.experiments, search.recorded, alpha=level, seed=of.seed)
-        search.tested = at, found
-    return search.tested[1].at_level(level)
-
-
 def what_is_left(at: Weighted, search: Search, adopted: Sequence[Adopted]) -> Left:
     """Test the residual of the last model; describe it where it is deterministic or changes."""
-    level = (2 if adopted else 1) * SHARE * search.alpha
-    tests = _tested(at, search, level)
+    level = (2 if adopted else 1) * ROUNDS.residual_share * search.alpha
+    tests = tested_residual(at, search, level)
     if tests.verdict in (NOISE, DISTURBANCE) and not (at.is_hidden and not adopted):
         return Left(tests.adjusted, level)
     search.progress("describe what is left unexplained")
@@ -125,7 +100,7 @@ def with_the_unknown(
     assert found is not None
     share = remaining.unexplained if remaining is not None else 1.0
     named = [c for c in causes if c.kind not in OF_SAMPLES]
-    if named and share < DOUBTFUL:
+    if named and share < JUDGING.doubtful:
         return list(causes)
     where = found.where or (named[0].where if named else "model")
     alternatives: tuple[Alternative, ...] = ()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from casid.diagnosis.diagnosis import Cause, Ranked
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.verdict.cause import Cause, Ranked
 
 
 def ranking(

@@ -14,9 +14,9 @@ import pytest
 import casid
 from casid.diagnosis.diagnosis import Cause
 from casid.diagnosis.evidence.candidate_functions import functions_of
-from casid.diagnosis.search.alternatives import STRONG
-from casid.diagnosis.search.open_set import with_the_open_rival
-from casid.diagnosis.search.unnamed_rivals import OpenRival
+from casid.diagnosis.thresholds import COMPARISON
+from casid.diagnosis.verdict.open_set import with_the_open_rival
+from casid.diagnosis.verdict.unnamed_rivals import OpenRival
 from casid.errors import ModelError
 from casid.model.effects.balance_effects import extra_input
 from casid.model.effects.effect import KINDS
@@ -70,7 +70,7 @@ CAUSE = Cause("parameter_jump", "k", 1e-6, (), share=1.0, sentence="k jumps")
 
 
 def test_a_function_as_good_as_the_cause_is_one_of_its_alternatives():
-    rival = OpenRival("torque", "phi growing in time", gain=50.0, ahead=STRONG, own=0.2)
+    rival = OpenRival("torque", "phi growing in time", gain=50.0, ahead=COMPARISON.strong, own=0.2)
     (cause,) = with_the_open_rival([CAUSE], rival)
     assert cause.kind == "parameter_jump"
     (other,) = cause.alternatives
@@ -79,7 +79,9 @@ def test_a_function_as_good_as_the_cause_is_one_of_its_alternatives():
 
 
 def test_a_function_better_than_the_cause_takes_its_place():
-    rival = OpenRival("torque", "phi growing in time", gain=50.0, ahead=STRONG + 1, own=0.2)
+    rival = OpenRival(
+        "torque", "phi growing in time", gain=50.0, ahead=COMPARISON.strong + 1, own=0.2
+    )
     (cause,) = with_the_open_rival([CAUSE], rival)
     assert (cause.kind, cause.where) == ("unknown", "torque")
     assert [(a.kind, a.where) for a in cause.alternatives] == [("parameter_jump", "k")]
@@ -88,7 +90,9 @@ def test_a_function_better_than_the_cause_takes_its_place():
 
 def test_what_was_spoilt_stays_beside_the_function():
     outliers = Cause("outliers", "gyro", 1e-6, (), share=0.1, sentence="outliers in gyro")
-    rival = OpenRival("torque", "phi growing in time", gain=50.0, ahead=STRONG + 1, own=0.2)
+    rival = OpenRival(
+        "torque", "phi growing in time", gain=50.0, ahead=COMPARISON.strong + 1, own=0.2
+    )
     assert with_the_open_rival([CAUSE, outliers], rival)[1:] == [outliers]
 
 

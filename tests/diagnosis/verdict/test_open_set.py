@@ -11,7 +11,8 @@ import pytest
 
 import casid
 from casid.diagnosis.diagnosis import Cause
-from casid.diagnosis.search.open_set import DOUBTFUL, Left, with_the_unknown
+from casid.diagnosis.thresholds import JUDGING
+from casid.diagnosis.verdict.open_set import Left, with_the_unknown
 from casid.diagnosis.verdict.remainder import Remaining
 from problems import pendulum
 from tests.diagnosis.test_diagnose import record_of
@@ -46,7 +47,7 @@ def test_where_nothing_is_named_the_unknown_is_the_cause():
 
 
 def test_one_name_that_leaves_much_is_the_nearest_of_the_catalogue_and_no_cause():
-    (only,) = after(DOUBTFUL + 0.1, cause("quadratic_damping"))
+    (only,) = after(JUDGING.doubtful + 0.1, cause("quadratic_damping"))
     assert only.kind == "unknown"
     assert [(a.kind, a.where) for a in only.alternatives] == [("quadratic_damping", "torque")]
     assert "it explains 75 % of the excess misfit" in only.alternatives[0].why
@@ -55,12 +56,12 @@ def test_one_name_that_leaves_much_is_the_nearest_of_the_catalogue_and_no_cause(
 
 def test_names_that_leave_little_stand_alone():
     named = [cause("quadratic_damping")]
-    assert after(DOUBTFUL - 0.01, *named) == named
+    assert after(JUDGING.doubtful - 0.01, *named) == named
 
 
 def test_several_names_keep_their_places_and_the_unknown_comes_last():
     named = [cause("quadratic_damping"), cause("coulomb_friction")]
-    found = after(DOUBTFUL + 0.1, *named)
+    found = after(JUDGING.doubtful + 0.1, *named)
     assert found[:-1] == named
     assert found[-1].kind == "unknown"
     assert found[-1].alternatives == ()

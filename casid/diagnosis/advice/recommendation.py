@@ -1,0 +1,126 @@
+"""What to do next, and what the records cannot separate or show at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from casid.data.problem import Problem
+from casid.diagnosis.advice.isolability import Isolability, isolability
+from casid.diagnosis.advice.next_experiment import Advice, Proposal, Suspect, next_experiment
+from casid.diagnosis.advice.undetectable import Invisible, invisible
+from casid.diagnosis.evidence.score_tests import ScoreTable
+from casid.diagnosis.search.findings import Findings
+from casid.diagnosis.thresholds import PLANNING
+from casid.diagnosis.verdict.cause import Cause, Verdict
+from casid.diagnosis.verdict.judgement import Judgement
+from casid.diagnosis.verdict.sentences import separates
+from casid.errors import CasidError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recommendation:
+    """Advice in a sentence, with the experiments and the limits that it rests on."""
+
+    sentence: str
+    isolability: Isolability | None
+    invisible: tuple[Invisible, ...]
+    proposals: tuple[Proposal, ...]
+
+
+def recommend(
+    problem: Problem, found: Findings, judged: Judgement, *, plan: bool
+) -> Recommendation:
+    """Advise on what to record or change next.
+
+    Parameters
+    ----------
+    plan : whether experiments are planned, and undetectable causes explained; it takes seconds.
+    """
+    table, base = found.search.first_table, found.baseline
+    planned = _planned(problem, found, judged.causes) if plan else None
+    if base.negated is not None:
+        text = base.negated.mend
+    elif judged.bounds and judged.verdict == "undecided":
+        text = bound_advice(problem, judged.bounds)
+    elif planned is not None:
+        text = planned.sentence
+    else:
+        text = advice(judged.verdict, judged.causes, table, judged.why_undecided)
+    if table is None:
+        return Recommendation(text, None, (), planned.proposals if planned is not None else ())
+    return Recommendation(
+        sentence=text,
+        isolability=isolability(table, n_samples=found.base_fit.criterion.n_samples),
+        invisible=invisible(table, problem.model, base.split.fitted) if plan else (),
+        proposals=planned.proposals if planned is not None else (),
+    )
+
+
+def _planned(problem: Problem, found: Findings, causes: Sequence[Cause]) -> Advice | None:
+    """Experiments that separate the first cause whose rivals the record cannot reject."""
+    say = found.search.progress
+    for a in found.adopted:
+        named = any(
+            (c.kind, c.where) == (a.candidate.effect.kind, a.candidate.effect.where)
+            and c.alternatives
+            for c in causes
+        )
+        rivals = [r.candidate for r in a.rivals]
+        if not named or not rivals or a.before is None:
+            continue
+        suspects = [
+            Suspect(c.effect, c.fit.values[c.names[0]])
+            for c in (a.candidate, *rivals[: PLANNING.suspects])
+        ]
+        say("plan the experiment that would separate the tied causes")
+        try:
+            return next_experiment(problem, a.before, suspects, progress=say)
+        except CasidError as error:
+            say(f"no experiment could be planned: {error}")
+    return None
+
+
+_MENDS = (": check ", ": fit ", ": diagnose ")
+"""How a reason goes on that says what to do itself (`refusals`, `gain`)."""
+
+
+def advice(
+    verdict: Verdict, causes: Sequence[Cause], table: ScoreTable | None, why_undecided: str
+) -> str:
+    """What to do next, in a sentence."""
+    if verdict == "undecided":
+        if any(mend in why_undecided for mend in _MENDS):
+            return "Mend what the reason names, then diagnose again."
+        return "Record longer, or excite the system more strongly over a wider band."
+    tied = [c for c in causes if c.alternatives]
+    if tied:
+        c = tied[0]
+        others = ", ".join(a.name for a in c.alternatives)
+        return f"To tell {c.kind} in {c.where} from {others}: {separates(c.kind)}."
+    if verdict == "deficient":
+        return (
+            "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
+            f"with "
+            f"{separates(causes[0].kind)}."
+        )
+    scores = table.scores if table is not None else ()
+    seen = {s.effect.key for s in scores if s.is_visible}
+    invisible = {s.effect.key for s in scores} - seen
+    if invisible:
+        names = ", ".join(sorted(f"{k} in {w}" for k, w in invisible))
+        return f"The model may be used. This set-up cannot show: {names}."
+    return "The model may be used for motions like those recorded."
+
+
+def bound_advice(problem: Problem, bounds: Mapping[str, str]) -> str:
+    """What to do about a parameter that the fit holds at its bound."""
+    name = next(iter(bounds))
+    p = problem.model.parameters[name.partition("@")[0]]
+    return (
+        "A wrong sign of a channel drives a parameter to its bound: compare the sensors' axes with "
+        "the model's, channel by channel (casid.identification.sign_flips.sign_flips asks each). "
+        f"Where the signs are right and the bound is no physics, widen it (lower={p.lower:g}, "
+        f"upper={p.upper:g} of {p.name} in the problem file); where it is, give {p.name} that "
+        f"value (--set {p.name}=VALUE) and diagnose again."
+    )

@@ -1,0 +1,124 @@
+"""The baseline: the model as it is, fitted to records from which spoilt samples are left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+from casid.data.problem import Problem
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.recorded_channels import channels_held_out_too, recorded_beside
+from casid.diagnosis.evidence.robust_errors import std_error
+from casid.diagnosis.evidence.spoilt_samples import Spoilt, without_spoilt
+from casid.diagnosis.evidence.sufficiency import (
+    few_step_fit,
+    weighted_as_white,
+    why_undecided,
+    why_uninformative,
+)
+from casid.diagnosis.settings import DiagnosisSettings
+from casid.errors import SolveError
+from casid.estimation.holdout import Split
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.minimization import Fit
+from casid.identification.wrong_signs import WrongSign, in_short_order, negated_split, wrong_sign
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Baseline:
+    """The model without any cause, fitted.
+
+    Attributes
+    ----------
+    split : the records as they are judged, spoilt samples marked missing and a wrong sign negated.
+    recorded : the same with the sign as it was recorded.
+    fit : simulation-error fit to `split`.
+    reported_fit : the same to `recorded`.
+    start : the model under the noise found there.
+    channels : recorded beside the model's, on which causes may depend, name -> unit.
+    spoilt : samples left out.
+    negated : a channel that probably has the wrong sign.
+    why_undecided : why the records support no answer, or an empty text.
+    """
+
+    split: Split
+    recorded: Split
+    fit: Fit
+    reported_fit: Fit
+    start: Weighted
+    weighing: Weighing
+    channels: dict[str, str]
+    spoilt: Spoilt = Spoilt()
+    negated: WrongSign | None = None
+    why_undecided: str = ""
+    notes: tuple[str, ...] = ()
+
+
+def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
+    """Fit the model as it is, and find its noise.
+
+    Raises
+    ------
+    SolveError
+        If the records support an answer, but the fit does not converge.
+    """
+    say = settings.progress
+    reason = why_uninformative(problem.model, split)
+    if reason:
+        return _uninformative(problem, split, settings.fit, reason)
+    say("fit the model as it is")
+    negated = wrong_sign(problem, split.fitted, settings.fit, alpha=settings.alpha)
+    as_recorded: Fit | None = None
+    if negated is not None:
+        say(f"negate {negated.channel}, which probably has the wrong sign")
+        as_recorded = _fit_as_recorded(problem, split, settings.fit, negated)
+        split = negated_split(split, negated.channel)
+    fit = fit_model(problem.model, split.fitted, settings.fit, throw=False)
+    spoilt, split = without_spoilt(fit, split, settings.alpha, without=tuple(settings.without))
+    if spoilt.count:
+        say(f"leave out {spoilt.count} clipped samples or outliers and fit again")
+        fit = fit_model(problem.model, split.fitted, settings.fit, start=fit.values)
+    channels, notes = channels_held_out_too(recorded_beside(problem, split.fitted), split.apart)
+    weighing = Weighing(
+        split.fitted, known_noise=problem.noise, solver=settings.fit.solver, seed=settings.fit.seed
+    )
+    say("estimate the noise")
+    start = weighing.weigh(problem.model, fit)
+    undecided = why_undecided(fit, start, partial(std_error, start.fit))
+    if not undecided and not fit.solution.is_converged:
+        raise SolveError(
+            f"{problem.name}: the model as it is could not be fitted "
+            f"({fit.solution.status}): {fit.solution.mend}"
+        )
+    return Baseline(
+        split=split,
+        recorded=split if negated is None else negated_split(split, negated.channel),
+        fit=fit,
+        reported_fit=as_recorded or fit,
+        start=start,
+        weighing=weighing,
+        channels=channels,
+        spoilt=spoilt,
+        negated=negated,
+        why_undecided=undecided,
+        notes=notes,
+    )
+
+
+def _uninformative(problem: Problem, split: Split, settings: FitSettings, why: str) -> Baseline:
+    """A baseline for the report where nothing can be estimated."""
+    fit = few_step_fit(problem.model, split.fitted)
+    weighing = Weighing(split.fitted, solver=settings.solver)
+    start = weighted_as_white(fit)
+    return Baseline(split, split, fit, fit, start, weighing, {}, why_undecided=why)
+
+
+def _fit_as_recorded(
+    problem: Problem, split: Split, settings: FitSettings, negated: WrongSign
+) -> Fit:
+    """The best quick fit with the sign as it was recorded."""
+    quick = in_short_order(settings)
+    try:
+        return fit_model(problem.model, split.fitted, quick, check_rank=False, throw=False)
+    except SolveError as error:
+        raise SolveError(f"{negated} As recorded: {error}") from error

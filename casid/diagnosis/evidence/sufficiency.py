@@ -1,0 +1,218 @@
+"""What a record cannot support: data that hold no answer.
+
+A record that is read without fault and yet says nothing (no excitation, noise alone, too few
+samples) is no error: its verdict is "undecided", with the reason in words.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+from scipy.signal import correlate
+from scipy.stats import norm
+
+from casid.arrays import TINY
+from casid.data.record import Experiment
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.thresholds import SUFFICIENCY
+from casid.estimation.covariance import whiteness
+from casid.estimation.fit_statistics import rms
+from casid.estimation.holdout import Split
+from casid.estimation.nlp.nlp import Solver
+from casid.estimation.noise import NoiseModel, Response
+from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.model import Model
+
+
+def why_uninformative(model: Model, split: Split) -> str:
+    """Why the fitted part says nothing of the system, or an empty text.
+
+    Asked before the fit, which has nothing to go by: every output stands still, or is white noise
+    that no measured input has a part in. White and independent of an input, an output has
+    correlations with it of variance 1/N at every lag, whatever the input's colour; a system that
+    the samples resolve colours what it passes on, and its decay too.
+    """
+    outputs = _moving(split.fitted, model.outputs)
+    if any(n not in e.record for e in split.fitted for n in (*model.outputs, *_measured(model))):
+        return ""  # refused with its mend as it is fitted
+    inputs = _measured(model)
+    if not outputs:
+        values = [float(e.record[n][0]) for e in split.fitted for n in model.outputs]
+        what = "zero" if not any(values) else "constant"
+        verb = "is" if len(model.outputs) == 1 else "are"
+        text = f"{' and '.join(model.outputs)} {verb} {what} in every sample that is fitted"
+        if _moving([*split.whole, *split.apart], model.outputs):
+            return f"{text}, and {_ELSEWHERE}"
+        return f"{text}: check the sensor, its cable and the mapping"
+    for e in split.fitted:
+        for name in model.outputs:
+            if not _is_noise(e, name, inputs, len(split.fitted) * len(model.outputs)):
+                return ""
+    still = [n for n in inputs if not _moving(split.fitted, [n])]
+    text = f"{' and '.join(outputs)}, as far as fitted, {'is' if len(outputs) == 1 else 'are'}"
+    text += " noise alone: white" + (f", and without a part of {', '.join(inputs)}" * bool(inputs))
+    if any(
+        np.std(e.record[n][held]) > SUFFICIENCY.held_motion * np.std(e.record[n][~held])
+        for e, held in zip(split.whole, split.held, strict=True)
+        if held.any()
+        for n in outputs
+    ):
+        return f"{text}; {_ELSEWHERE}"
+    return text + _check(still)
+
+
+_ELSEWHERE = (
+    "what moves lies in the held-out part: fit the part that moves (--window, or --hold-out 0)"
+)
+
+
+def _measured(model: Model) -> list[str]:
+    return [n for n, u in model.inputs.items() if u.kind == "measured"]
+
+
+def _moving(experiments: Sequence[Experiment], names: Iterable[str]) -> list[str]:
+    """Channels that move in any of the records."""
+    return [
+        n
+        for n in names
+        if any(
+            values.size > 1 and np.ptp(values) > 0.0
+            for e in experiments
+            if n in e.record
+            for values in (e.record[n][~e.record.is_missing(n)],)
+        )
+    ]
+
+
+def _is_noise(e: Experiment, output: str, inputs: Sequence[str], tests: int) -> bool:
+    """True if an output is white and uncorrelated with every input, or stands still."""
+    y = e.record[output]
+    y = np.where(e.record.is_missing(output), np.nan, y - np.nanmedian(y))
+    # A few outliers must neither make noise of a motion nor a motion of noise.
+    spread = 1.4826 * float(np.nanmedian(np.abs(y)))  # of normal noise
+    y = np.clip(y, *(SUFFICIENCY.clip * spread * np.array([-1.0, 1.0])))
+    y = np.nan_to_num(y - np.nanmean(y))
+    if y.size < SUFFICIENCY.shortest:
+        return False
+    if not np.any(y):
+        return True
+    if whiteness(y) > SUFFICIENCY.lags_outside:
+        return False
+    lags = min(int(SUFFICIENCY.lag_share * y.size), SUFFICIENCY.lags)
+    bound = float(norm.isf(0.5 * SUFFICIENCY.alpha / (lags * max(len(inputs), 1) * tests)))
+    for name in inputs:
+        u = e.record[name] - e.record[name].mean()
+        if not np.any(u):
+            continue
+        r = correlate(y, u, mode="full", method="fft")[y.size - 1 : y.size - 1 + lags]
+        size = math.sqrt(float(y @ y) * float(u @ u) / y.size)
+        if float(np.max(np.abs(r))) > bound * size:
+            return False
+    return True
+
+
+def _still_inputs(c: SimulationError) -> str:
+    return _check([n for n in _measured(c.model) if not _moving(c.experiments, [n])])
+
+
+def _check(still: Sequence[str]) -> str:
+    return f"; {' and '.join(still)} never moves: check its cable and mapping" if still else ""
+
+
+def why_undecided(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> str:
+    """Why the record cannot support an answer, or an empty text.
+
+    Parameters
+    ----------
+    fit, at : the model as it is, and under its noise.
+    std_error : of a variable by name, robust (`refitting.std_error`).
+    """
+    c = fit.criterion
+    few = why_too_few(c)
+    if few:
+        return few
+    loudest = 0.0
+    for e, d in enumerate(c.data):
+        y = c.simulated(fit.x, e).y
+        for i in range(len(c.outputs)):
+            noise = float(at.noise.output_sd[i])
+            loudest = max(loudest, float(np.std(y[d.used[:, i], i])) / max(noise, TINY))
+    if loudest < 1.0:
+        return (
+            f"the simulated outputs move by {loudest:.2g} of the noise only: nothing excites the "
+            f"system enough to show what the model lacks{_still_inputs(c)}"
+        )
+    relative = _relative_errors(at, std_error)
+    if relative and min(relative.values()) > 1.0:
+        return (
+            f"no parameter is known to better than its own size from this record{_still_inputs(c)}"
+        )
+    return ""
+
+
+def why_too_few(criterion: SimulationError) -> str:
+    """Why the samples cannot pay for the unknowns, or an empty text."""
+    n, unknowns = criterion.n_samples, len(criterion.variables)
+    if n >= SUFFICIENCY.per_unknown * unknowns:
+        return ""
+    return (
+        f"{n} samples are too few to judge a model with {unknowns} unknowns; "
+        f"{SUFFICIENCY.per_unknown * unknowns} are the least"
+    )
+
+
+def weak_parameters(at: Weighted, std_error: Callable[[str], float]) -> tuple[str, ...]:
+    """A note on parameters that the record does not know to better than their own size.
+
+    The model may still be judged: what such a parameter does cannot be seen, and so cannot be
+    missed either. But neither can an effect that acts as it does.
+    """
+    weak = [n for n, r in _relative_errors(at, std_error).items() if not r <= 1.0]
+    if not weak:
+        return ()
+    names = " and ".join(weak)
+    return (
+        f"this record does not know {names} to better than {'its' if len(weak) == 1 else 'their'} "
+        "own size: what is missing and acts alike cannot be seen in it either",
+    )
+
+
+def _relative_errors(at: Weighted, std_error: Callable[[str], float]) -> dict[str, float]:
+    """Standard error over the larger of estimate and start, of every parameter."""
+    c = at.fit.criterion
+    out = {}
+    for v, value in zip(c.variables, at.fit.x.tolist(), strict=True):
+        if v.source in c.model.parameters:
+            error = std_error(v.name) / max(abs(value), v.scale)
+            out[v.name] = error if math.isfinite(error) else math.inf
+    return out
+
+
+# -- a baseline all the same ----------------------------------------------------------------------
+
+
+def few_step_fit(model: Model, experiments: Sequence[Experiment]) -> Fit:
+    """A baseline for the report where nothing can be estimated: a few steps from the start."""
+    criterion = SimulationError(model, experiments)
+    return minimize_simulation_error(
+        criterion, solver=Solver(max_iterations=3), check_rank=False, throw=False
+    )
+
+
+def weighted_as_white(fit: Fit) -> Weighted:
+    """The same as a `Weighted`, its residual taken for white noise."""
+    c = fit.criterion
+    parts = [np.where(d.used, c.simulated(fit.x, e).residual, np.nan) for e, d in enumerate(c.data)]
+    sd = np.nan_to_num(rms(np.concatenate(parts)), nan=0.0, posinf=0.0)
+    sources = tuple(n for n, u in c.model.inputs.items() if u.kind == "measured")
+    flat = Response(np.array([0.0, math.pi]), np.zeros((2, len(sd), len(sources))), sources)
+    noise = NoiseModel(
+        output_sd=np.maximum(sd, TINY),
+        source_sd=dict.fromkeys(sources, 0.0),
+        responses=[flat] * len(c.data),
+        weights=c.weights,
+    )
+    return Weighted(c.model, fit, noise, noise, dict.fromkeys(sources, 0.0), False)

@@ -1,0 +1,72 @@
+"""What the search finds: the causes adopted, and the model extended by them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from casid.data.problem import Problem
+from casid.diagnosis.evidence.baseline import Baseline
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.search.candidates import Adopted
+from casid.diagnosis.search.reconsideration import reconsidered
+from casid.diagnosis.search.record_specific import Specific, record_specific
+from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.search.selection import adopt_causes
+from casid.diagnosis.settings import DiagnosisSettings
+from casid.estimation.simulation.minimization import Fit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Findings:
+    """Everything that a verdict is made of.
+
+    Attributes
+    ----------
+    at : the model as extended, under the noise found there; the baseline where nothing was adopted.
+    extended_fit : its simulation-error fit; None where nothing was adopted and no sign is wrong.
+    specific : causes whose size differs from record to record.
+    """
+
+    baseline: Baseline
+    search: Search
+    at: Weighted
+    extended_fit: Fit | None = None
+    adopted: tuple[Adopted, ...] = ()
+    specific: tuple[Specific, ...] = ()
+
+    @property
+    def base_fit(self) -> Fit:
+        """The model as it is, fitted to the records as they were recorded."""
+        return self.baseline.reported_fit
+
+    @property
+    def best_fit(self) -> Fit:
+        """The extended model's fit, or the baseline's."""
+        return self.extended_fit or self.base_fit
+
+
+def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSettings) -> Findings:
+    """Look for what the baseline is missing, and adopt what is borne out."""
+    search = Search(
+        baseline.weighing,
+        baseline.channels,
+        alpha=settings.alpha,
+        max_causes=settings.max_causes,
+        without=settings.without,
+        effects=problem.effects,
+        progress=settings.progress,
+    )
+    # With a wrong sign, the model fitted to the negated channel is an extension by itself.
+    negated_fit = baseline.fit if baseline.negated is not None else None
+    if baseline.why_undecided:
+        return Findings(baseline, search, baseline.start, negated_fit)
+    fit, split, start = baseline.fit, baseline.split, baseline.start
+    adopted, at, extended = adopt_causes(search, start, fit, split, settings.fit)
+    adopted = reconsidered(search, adopted, start, at)
+    specific: tuple[Specific, ...] = ()
+    if extended is not None and len(split.fitted) > 1:
+        settings.progress("test whether one size of each cause explains every record")
+        specific, extended, at = record_specific(
+            baseline.weighing, adopted, extended, at, settings.fit
+        )
+    return Findings(baseline, search, at, extended or negated_fit, tuple(adopted), specific)

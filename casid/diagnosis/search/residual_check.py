@@ -1,0 +1,28 @@
+"""Whether the residual of an extended model is more than noise: what ends the search."""
+
+from __future__ import annotations
+
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.residual_tests import (
+    DISTURBANCE,
+    NOISE,
+    ResidualTests,
+    residual_tests,
+)
+from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.thresholds import ROUNDS
+
+
+def is_more_than_noise(at: Weighted, search: Search) -> bool:
+    """True if the residual depends on states and inputs, or changes in time."""
+    tests = tested_residual(at, search, ROUNDS.residual_share * search.alpha)
+    return tests.verdict not in (NOISE, DISTURBANCE)
+
+
+def tested_residual(at: Weighted, search: Search, level: float) -> ResidualTests:
+    """The residual's tests; those of the last model asked for are kept."""
+    if search.tested is None or search.tested[0] is not at:
+        of = search.weighing
+        found = residual_tests(at, of.experiments, search.recorded, alpha=level, seed=of.seed)
+        search.tested = at, found
+    return search.tested[1].at_level(level)

@@ -1,0 +1,71 @@
+"""Settings of a diagnosis; those that mean nothing are refused before anything is fitted."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+
+from casid.data.problem import Problem
+from casid.errors import DataError
+from casid.estimation.simulation.fit import FitSettings
+from casid.model.effects.effect import KINDS
+from casid.model.effects.user_effects import user_effects
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisSettings:
+    """How causes are sought.
+
+    Attributes
+    ----------
+    alpha : family-wise false-alarm rate of the whole catalogue.
+    max_causes : the search stops there.
+    without : kinds that are left out of the catalogue.
+    fit : of the simulation-error fits.
+    progress : called with a line of text at every step.
+    """
+
+    alpha: float = 0.05
+    max_causes: int = 4
+    without: Collection[str] = ()
+    fit: FitSettings = field(default_factory=FitSettings)
+    progress: Progress = lambda _: None
+
+
+def require_settings(
+    problem: Problem, false_alarm_rate: float, max_causes: int, without: Collection[str]
+) -> None:
+    """Refuse settings of a diagnosis that mean nothing.
+
+    Raises
+    ------
+    DataError
+        For a rate outside (0, 1), fewer causes than one, or a kind that there is none of.
+    """
+    if not 0.0 < false_alarm_rate < 1.0:
+        raise DataError(
+            f"false_alarm_rate = {false_alarm_rate:g} is no rate between 0 and 1; give the share "
+            "of adequate models that may be called deficient, for example 0.05 "
+            "(--false-alarm-rate 0.05)"
+        )
+    if max_causes < 1:
+        raise DataError(
+            f"max_causes = {max_causes}: the search looks for one cause at least; give 1 or more "
+            "(--max-causes 4)"
+        )
+    if isinstance(without, str):
+        raise DataError(
+            f"without = {without!r} is one text; give kinds in a list, without=[{without!r}]"
+        )
+    kinds = sorted(KINDS | {e.kind for e in user_effects(problem.model, problem.effects)})
+    for kind in without:
+        if kind not in kinds:
+            near = difflib.get_close_matches(kind, kinds, 1)
+            raise DataError(
+                f"without {kind!r}: there is no such kind"
+                + (f"; did you mean {near[0]!r}?" if near else "")
+                + f" There are {', '.join(kinds)}"
+            )

@@ -1,0 +1,647 @@
+"""Every number that decides something in a diagnosis: limits, counts, factors of comparisons.
+
+One frozen group a question; each entry has its value, what it means, where it comes from and the
+test or study whose result pins it. Nothing else decides by a bare number. Numbers that keep a
+division or a decomposition regular, and conversions of units, stand where they are used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any, NamedTuple
+
+HEURISTIC = "heuristic"
+
+POWER_STUDY = "analysis.diagnosis_power"
+CASES = "analysis.cases"
+ADVICE_STUDY = "analysis.diagnosis_advice"
+TESTS = "tests/diagnosis"
+
+
+class Entry(NamedTuple):
+    """One row of the table."""
+
+    name: str  # group.name
+    value: Any
+    meaning: str
+    source: str  # a reference, or "heuristic"
+    pinned_by: str  # a test, or a study run as `python -m <name>`
+
+
+def _is(value: Any, meaning: str, pinned_by: str, source: str = HEURISTIC) -> Any:
+    return field(
+        default=value, metadata={"meaning": meaning, "source": source, "pinned_by": pinned_by}
+    )
+
+
+# -- evidence -------------------------------------------------------------------------------------
+
+_SUFFICIENCY = f"{TESTS}/evidence/test_sufficiency.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Sufficiency:
+    """When a record holds no answer."""
+
+    per_unknown: int = _is(10, "samples that every unknown must have at least", _SUFFICIENCY)
+    held_motion: float = _is(
+        3.0, "the held-out part moves so many times as much as the fitted one", _SUFFICIENCY
+    )
+    clip: float = _is(4.0, "robust standard deviations at which outliers are cut off", _SUFFICIENCY)
+    shortest: int = _is(40, "samples below which no channel is called noise", _SUFFICIENCY)
+    lags_outside: int = _is(
+        4,
+        "of 20 lags outside their 95 % bounds, beyond which a channel is coloured",
+        _SUFFICIENCY,
+        "binomial: P(5 or more) = 0.3 %",
+    )
+    lags: int = _is(400, "lags of the correlation with an input, at most", _SUFFICIENCY)
+    lag_share: float = _is(0.25, "of the record, at most", _SUFFICIENCY)
+    alpha: float = _is(0.01, "level of that correlation, over all lags and inputs", _SUFFICIENCY)
+    clock_gaps: int = _is(3, "rows with a value that show another clock, at least", _SUFFICIENCY)
+    clock_share: float = _is(0.95, "of rows that keep that clock", _SUFFICIENCY)
+
+
+_PLATEAUS = f"{TESTS}/evidence/test_plateaus.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Clipping:
+    """When equal samples at the end of a channel's range are a limit."""
+
+    fewest: int = _is(4, "equal samples at an end that are a plateau at all", _PLATEAUS)
+    samples_per_plateau: int = _is(10, "samples of the channel for each of these", _PLATEAUS)
+    fast: float = _is(
+        0.5,
+        "of the median step: a step into a plateau that no motion coming to rest takes",
+        _PLATEAUS,
+    )
+    beside: int = _is(
+        20,
+        "distinct values next to the end that show how often values repeat in this channel",
+        _PLATEAUS,
+    )
+    repeats: float = _is(0.05, "repetitions a value, added to those counted", _PLATEAUS)
+    beyond: float = _is(
+        0.5, "of the error elsewhere, by which the simulation lies beyond at least", _PLATEAUS
+    )
+    motion: float = _is(0.1, "of that mean, by which the simulation moves there", _PLATEAUS)
+
+
+_SPIKES = f"{TESTS}/evidence/test_spikes.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Outliers:
+    """When isolated samples are spikes."""
+
+    faintest: float = _is(
+        2.5, "variance of the spikes over that of the noise, both differenced", _SPIKES
+    )
+    like_white: float = _is(
+        0.1, "how far correlations of the differences may lie from those of white noise", _SPIKES
+    )
+    large: float = _is(
+        5.0,
+        "standard deviations beyond which noise hardly hides what a spike leaves beside it",
+        _SPIKES,
+    )
+    farthest: float = _is(12.0, "standard deviations at which the mixture is cut off", _SPIKES)
+    shortest: int = _is(20, "samples of a record that can be judged", _SPIKES)
+    largest_share: float = _is(0.05, "of samples that are still exceptions", _SPIKES)
+    undetected_share: float = _is(
+        1.4, "spikes that there may be for each that rises from the noise", _SPIKES
+    )
+    fitted_share: float = _is(0.2, "of spikes that the mixture may fit at most", _SPIKES)
+    body: float = _is(
+        0.96, "central share of the differences that their scale is taken of", _SPIKES
+    )
+    neighbours: tuple[float, float] = _is(
+        (0.15, 0.85), "of a large spike, turned round, that its two neighbours show", _SPIKES
+    )
+    test_share: float = _is(
+        1 / 50,
+        "of the false-alarm rate, spent on each test of samples in each channel",
+        _SPIKES,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Prewhitening:
+    """Noise found at a fit."""
+
+    absorbs_misfit: float = _is(
+        1.1,
+        "residual over the sensors' noise beyond which the noise model absorbs misfit",
+        POWER_STUDY,
+    )
+    absorbs_spreads: float = _is(
+        2.0,
+        "standard deviations of that ratio by chance, for short records and sharp resonances",
+        POWER_STUDY,
+    )
+    white_share: float = _is(
+        0.0005,
+        "of the misfit's RMS that counts as white noise where misfit is most of the residual",
+        POWER_STUDY,
+    )
+    rounds: int = _is(2, "noise and fit in turn", POWER_STUDY)
+    steps: int = _is(40, "Gauss-Newton steps towards the root without bias", POWER_STUDY)
+    patience: int = _is(8, "steps that come no nearer before it is given up", POWER_STUDY)
+    nearer: float = _is(0.98, "of the shortest step so far: one that comes nearer", POWER_STUDY)
+    converged: float = _is(0.05, "standard errors: the length of a last step", POWER_STUDY)
+    longest_step: float = _is(
+        25.0, "standard errors of one step: further away nothing is linear", POWER_STUDY
+    )
+    least_information: float = _is(
+        0.2,
+        "share of the information that input noise leaves, below which a step is held short",
+        POWER_STUDY,
+    )
+    longest_delay: float = _is(0.3, "seconds of delay that are sought at most", POWER_STUDY)
+    delay_share: float = _is(0.02, "of the record, the same", POWER_STUDY)
+    trial: float = _is(
+        0.01,
+        "what the trial of an effect adds to a derivative or an output, over the RMS of that",
+        f"{TESTS}/evidence/test_divergence.py",
+    )
+
+
+_BETWEEN = f"{TESTS}/evidence/test_between_samples.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Score tests of effects and of functions."""
+
+    undetectable: float = _is(
+        1e-4,
+        "share of a signature, in squares, outside the baseline's tangent space; less is none",
+        f"{TESTS}/advice/test_undetectable.py",
+    )
+    hardly_detectable: float = _is(
+        1e-5,
+        "the same where the rest of the signature explains `much`: dry friction beside viscous and "
+        "quadratic damping in a long decay. Below it a linear signature does not predict a fit",
+        POWER_STUDY,
+    )
+    much: float = _is(
+        100.0,
+        "Lagrange multiplier statistic that noise of the size assumed does not reach",
+        POWER_STUDY,
+        "chi^2(1)",
+    )
+    between_samples: float = _is(
+        0.01,
+        "sample times by which a line between samples of a measured input may be late or early: "
+        "that of a first-order response with a time constant of eight samples",
+        _BETWEEN,
+        "Ts^2 / (12 T), Armstrong and Kolesar, Econometrica 86 (2018) 655-683",
+    )
+    draws: int = _is(4000, "Gaussian draws of the family of effects", POWER_STUDY)
+    function_draws: int = _is(2000, "the same of functions", POWER_STUDY)
+    few_draws: int = _is(50, "the same where only gains are compared", POWER_STUDY)
+    resolved: int = _is(
+        20, "draws beyond a p-value that resolve it; below, Bonferroni's bound", POWER_STUDY
+    )
+    freedom_per_lag: float = _is(
+        1.5,
+        "degrees of freedom a sample over the lags of the covariance",
+        POWER_STUDY,
+        "Bartlett window: Andrews, Econometrica 59 (1991) 817-858",
+    )
+    least_freedom: float = _is(4.0, "degrees of freedom of a score, at least", POWER_STUDY)
+    least_function_freedom: float = _is(20.0, "the same of functions", POWER_STUDY)
+    relative_rank: float = _is(
+        1e-3, "of a group's largest squared singular value, below which it is dropped", POWER_STUDY
+    )
+    rows: int = _is(1 << 13, "samples projected at once, a bound on memory", POWER_STUDY)
+
+
+_MISSING = f"{TESTS}/unexplained/test_missing_force.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Functions:
+    """Functions of states and inputs on which a missing force may depend."""
+
+    both_signs: float = _is(
+        0.2, "of the larger side that the other reaches, where a variable has both signs", _MISSING
+    )
+    tail: float = _is(0.01, "quantile at which a variable's sides are measured", _MISSING)
+    levels: tuple[float, float] = _is(
+        (0.25, 0.9), "quantiles of the size between which functions bend", _MISSING
+    )
+    ends: tuple[float, float] = _is(
+        (0.02, 0.98), "the same of a variable of one sign, to the outermost", _MISSING
+    )
+    fewest_knots: int = _is(4, "knots of a cubic spline", _MISSING)
+    bends: int = _is(3, "levels at which a function of one variable bends", _MISSING)
+    product_bends: int = _is(2, "the same of a coefficient of another variable", _MISSING)
+    at_limit: float = _is(
+        0.999, "of a clipping limit: samples beyond it are clipped", f"{_PLATEAUS}"
+    )
+
+
+_RESIDUAL = f"{TESTS}/evidence/test_residual_tests.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """Kinds of residual."""
+
+    bands: int = _is(12, "bands of the spectrum of every output", _RESIDUAL)
+    first_band: int = _is(8, "lines of the lowest band", _RESIDUAL)
+    blocks: int = _is(20, "stretches in which power is compared over time", _RESIDUAL)
+    share_p: float = _is(
+        0.05, "p of the dependence up to which its share is computed, whatever the rate", _RESIDUAL
+    )
+    share: float = _is(
+        0.15,
+        "of the residual that functions of inputs and states have to explain to be its cause: a "
+        "disturbance reaches measured inputs in the loop and correlates a little with everything",
+        _RESIDUAL,
+    )
+    functions: int = _is(3, "functions that this share is taken of, at most", _RESIDUAL)
+    by_chance: float = _is(2.0, "times what chance gives, for each after the first", _RESIDUAL)
+
+
+_PEAKS = f"{TESTS}/evidence/test_spectral_peaks.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Peaks:
+    """Narrow peaks of a spectrum."""
+
+    guard: int = _is(
+        2, "lines beside the one judged that its own leakage reaches: not part of its level", _PEAKS
+    )
+    finer: int = _is(
+        4,
+        "points of the searched grid a line: the largest is then missed by 5 % of its power",
+        _PEAKS,
+    )
+    order: int = _is(4, "order of the autoregression that prewhitens the residual", _PEAKS)
+    rows: int = _is(1 << 12, "lines whose level is found at once, a bound on memory", _PEAKS)
+    shortest: int = _is(64, "samples of a record that is long enough for a level", _PEAKS)
+    first: int = _is(3, "lowest line; those below are left to trends", _PEAKS)
+    share: float = _is(1 / 8, "of the lines on each side that the level is taken of", _PEAKS)
+    neighbours: tuple[int, int] = _is((10, 40), "lines on each side, at least and at most", _PEAKS)
+    most: int = _is(3, "peaks of one search", _PEAKS)
+    most_forces: int = _is(2, "peaks that are tried as forces", _PEAKS)
+
+
+# -- search ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Candidates compared."""
+
+    strong: float = _is(
+        6.0,
+        "units of BIC that reject a rival",
+        POWER_STUDY,
+        'Kass and Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795: "strong"',
+    )
+    relative_gain: float = _is(
+        0.3, "share of the best gain below which a candidate cannot win", POWER_STUDY
+    )
+    by_chance: float = _is(
+        10.0,
+        "how far a gain predicted, or found on a part, may be off",
+        POWER_STUDY,
+        "chi^2(1): P = 0.2 %",
+    )
+    least_samples: float = _is(8.0, "independent samples of a residual, at least", POWER_STUDY)
+    imitator: float = _is(
+        0.5,
+        "of the best lasting cause's gain that one on the clock must gain beside",
+        POWER_STUDY,
+    )
+    leaders: int = _is(6, "candidates compared again under the noise of the best", POWER_STUDY)
+    rounds: int = _is(2, "such comparisons, where another comes first", POWER_STUDY)
+    vuong_p: float = _is(
+        0.05,
+        "p above which a rival is open where the noise model absorbs misfit",
+        POWER_STUDY,
+        "Vuong, Econometrica 57 (1989) 307-333, (5.6)",
+    )
+    vuong_share: float = _is(0.5, "of the best merit that such a rival has at least", POWER_STUDY)
+    likely: float = _is(
+        4.0,
+        "units of BIC by which a kind with lower prior plausibility must be better than another",
+        POWER_STUDY,
+    )
+    likely_share: float = _is(
+        0.015,
+        "the same as a share of the better one's merit, where the noise model absorbs misfit: "
+        "gains count misfit of another kind as well there",
+        POWER_STUDY,
+    )
+    plausible_hold: float = _is(0.5, "of a hold that is neither one nor the other", POWER_STUDY)
+
+
+@dataclass(frozen=True, slots=True)
+class Refits:
+    """Where refits of an effect start, and how far its parameter may go."""
+
+    factors: tuple[float, ...] = _is(
+        (0.5, 1.0, 2.0, 4.0), "times the linearised delay or lag to start from", POWER_STUDY
+    )
+    least_delay: float = _is(0.2, "sample times to start from, at least", POWER_STUDY)
+    room: float = _is(2.0, "times its start that a delay may reach", POWER_STUDY)
+    room_samples: float = _is(4.0, "sample times beyond that", POWER_STUDY)
+    unknown_size: float = _is(
+        4.0, "steps that a parameter of unknown value is taken to have", POWER_STUDY
+    )
+    step_share: float = _is(0.4, "of a parameter's value that a first change takes", POWER_STUDY)
+    loss: float = _is(0.95, "of its value that a parameter may lose", POWER_STUDY)
+    growth: float = _is(3.0, "times its value that a parameter may gain", POWER_STUDY)
+    slope_room: float = _is(2.0, "times the slope to zero that a change may have", POWER_STUDY)
+    inside: float = _is(0.9, "of these bounds between which a fit starts", POWER_STUDY)
+
+
+@dataclass(frozen=True, slots=True)
+class Jumps:
+    """Instants of a parameter's jump."""
+
+    promising: float = _is(0.6, "of the best gain beyond which a jump is placed", POWER_STUDY)
+    reach: float = _is(1.5, "steps of the first grid on both sides", POWER_STUDY)
+    scans: int = _is(3, "scans, each finer", POWER_STUDY)
+    instants: int = _is(101, "instants of a scan", POWER_STUDY)
+    zoom: float = _is(12.0, "by which the next scan is finer", POWER_STUDY)
+    fine: float = _is(50.0, "samples of reach at which the scans end", POWER_STUDY)
+    same_event: float = _is(
+        1.2, "steps of the first grid within which it is one event", POWER_STUDY
+    )
+
+
+_PRESELECTION = f"{TESTS}/search/test_preselection.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Rounds:
+    """How much is searched, and what is adopted."""
+
+    shortlist: int = _is(6, "kinds refitted, by robust p and by plain score each", POWER_STUDY)
+    unnamed: int = _is(4, "neighbours without a name beside them, of each order", POWER_STUDY)
+    rivals: int = _is(4, "rivals of one cause that are refitted in the end", POWER_STUDY)
+    backward_wald: float = _is(
+        2.0, "standard errors below which a cause is eliminated again", POWER_STUDY
+    )
+    record_alpha: float = _is(
+        0.01,
+        "level below which sizes are called different between records",
+        f"{TESTS}/test_record_specific.py",
+    )
+    residual_share: float = _is(
+        0.2,
+        "of the false-alarm rate, for the test of the residual where nothing was named: it comes "
+        "on top of the search's. Where something was, the rate is twice as large",
+        POWER_STUDY,
+    )
+    long: int = _is(
+        30_000, "samples beyond which candidates are compared on a part first", _PRESELECTION
+    )
+    part: int = _is(20_000, "samples of that part, all records together", _PRESELECTION)
+    kept: float = _is(
+        0.2,
+        "of the best gain on the part below which a candidate is left out; less than "
+        "`Comparison.relative_gain`, as on the whole the shares are not quite the same",
+        _PRESELECTION,
+    )
+    fewest_compared: int = _is(3, "candidates that are worth comparing on a part", _PRESELECTION)
+    head_misfit: float = _is(
+        0.5, "of its share of samples that a part must have of the misfit", _PRESELECTION
+    )
+
+
+# -- what is unexplained --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """Terms of a missing force."""
+
+    most: int = _is(3, "terms of one place, at most", _MISSING)
+    small: float = _is(
+        0.03, "of the misfit: a smaller term is a shape's imperfection, not a cause", _MISSING
+    )
+    near: float = _is(0.9, "of the best term's merit that a rival or simpler term has", _MISSING)
+    rivals: int = _is(4, "rivals of a term that are listed", _MISSING)
+    line_width: float = _is(0.5, "lines of the spectrum beside one, for sines", _MISSING)
+    step: float = _is(0.6, "of the travel in one interval: a step", _MISSING)
+    trend: float = _is(0.7, "of the travel from first to last: rising or falling", _MISSING)
+    shape: float = _is(0.6, "of the gain that a power must explain to be called so", _MISSING)
+    odd_powers: tuple[float, ...] = _is(
+        (0.0, 0.5, 2.0, 3.0, 5.0), "powers of |v| with the sign of v, beside v itself", _MISSING
+    )
+    even_powers: tuple[float, ...] = _is((1.0, 2.0, 4.0), "powers of |v|", _MISSING)
+
+
+_DESCRIPTION = f"{TESTS}/unexplained/test_description.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What is said of a misfit without a name."""
+
+    apart: float = _is(
+        12.0,
+        "squares by which a place must explain more than another to be named alone: six units of "
+        "BIC, doubled, as the places' terms were chosen too",
+        _DESCRIPTION,
+        "Kass and Raftery (1995), doubled",
+    )
+    dynamic: float = _is(
+        3.0, "log-likelihood by which a force is better than an error of a sensor", _DESCRIPTION
+    )
+    loud: float = _is(2.0, "times the median power: a stretch in which much remains", _DESCRIPTION)
+    rare: float = _is(0.4, "of the record beyond which such stretches are not named", _DESCRIPTION)
+    stretches: int = _is(4, "stretches that are listed", _DESCRIPTION)
+    band_p: float = _is(0.01, "p below which the loudest band is named", _DESCRIPTION)
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothing:
+    """A missing force over time."""
+
+    bands: int = _is(60, "bands of its spectrum", _MISSING)
+    likelihood_bands: int = _is(200, "bands in which the likelihood is computed", _MISSING)
+    memories: int = _is(14, "correlation times tried", _MISSING)
+    longest_memory: float = _is(0.25, "of the longest period that the record holds", _MISSING)
+    evidence: float = _is(
+        8.0,
+        "units of log-likelihood that two parameters gain by chance in 1 of 1000",
+        _MISSING,
+        "chi^2(2) / 2",
+    )
+    share: float = _is(0.3, "of the variance that the smoother finds, to be shown", _MISSING)
+    line_p: float = _is(1e-4, "p below which a line of the spectrum is named", _MISSING)
+    line_window: int = _is(25, "lines on each side that a line's level is the median of", _MISSING)
+
+
+# -- verdict --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Judging:
+    """What decides the verdict and its sentences."""
+
+    doubtful: float = _is(
+        0.15,
+        "share of the excess misfit left, above which the one cause named is not the cause",
+        f"{TESTS}/verdict/test_open_set.py",
+    )
+    expressed: float = _is(
+        0.03,
+        "share of a signature, in squares, left beside the causes below which they express it: "
+        "1 - cos^2; linear signatures of one thing at two sizes of it differ by as much",
+        f"{TESTS}/verdict/test_unnamed_rivals.py",
+    )
+    alias: float = _is(0.99, "|cosine| of two effects that are the same in this model", POWER_STUDY)
+    aliases: int = _is(3, "of them that are listed", POWER_STUDY)
+    small_outliers: float = _is(
+        0.01, "of the criterion: outliers that carry less are not reported", _SPIKES
+    )
+    unlike: float = _is(
+        1.5, "times the fitted error or floor: a held-out error that forbids a verdict", CASES
+    )
+    at_floor: float = _is(
+        1.1,
+        "times the noise floor: a floor estimated from the same record is no better known",
+        f"{TESTS}/verdict/test_remainder.py",
+    )
+    moved: float = _is(
+        2.0,
+        "standard errors of the extended fit by which a parameter moved",
+        f"{TESTS}/verdict/test_remainder.py",
+        "Hausman, Econometrica 46 (1978) 1251-1271, section 2: by chance in less than 1 of 20",
+    )
+    nearly_all: float = _is(
+        0.005, "share left below which 100 % is not printed", f"{TESTS}/verdict/test_remainder.py"
+    )
+    more_noise: float = _is(
+        1.5, "times a channel's own noise beyond which a disturbance is named", CASES
+    )
+
+
+# -- advice and calibration -----------------------------------------------------------------------
+
+_ISOLABILITY = f"{TESTS}/advice/test_isolability.py"
+_NEXT = f"{TESTS}/advice/test_next_experiment.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Planning:
+    """What separates tied causes, and which experiments are proposed."""
+
+    margin: float = _is(
+        6.0, "units of BIC within which causes count as tied", _ISOLABILITY, "Comparison.strong"
+    )
+    power: float = _is(0.95, "probability with which the right cause is to win", _ISOLABILITY)
+    same: float = _is(
+        0.995, "|cosine| from which two effects are indistinguishable in a record", _ISOLABILITY
+    )
+    suspects: int = _is(3, "rivals that experiments are planned to separate", ADVICE_STUDY)
+    shortest: float = _is(
+        0.05, "of the predicted record below which its length is not extrapolated", _NEXT
+    )
+    clearer: float = _is(2.0, "times less energy needed: an experiment preferred for that", _NEXT)
+    shorter: float = _is(0.8, "of the same record again: a clearly shorter one", _NEXT)
+    notable: float = _is(1.5, "times less energy needed: it is mentioned", _NEXT)
+    rank_limit: float = _is(
+        0.3, "seconds for the rank of one extended model", f"{TESTS}/advice/test_undetectable.py"
+    )
+    formula_limit: float = _is(
+        0.6,
+        "seconds for all closed forms of identifiable combinations",
+        f"{TESTS}/advice/test_undetectable.py",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Experiments:
+    """Which experiments are predicted."""
+
+    larger: float = _is(2.0, "times the amplitude", _NEXT)
+    longer: int = _is(4, "times the record's length", _NEXT)
+    wider: float = _is(3.0, "times the band of excitation and motion", _NEXT)
+    slower: float = _is(1 / 3, "of the frequency at which the system moves most", _NEXT)
+    aside: float = _is(
+        1.6, "ratio by which an excitation beside the resonance keeps away from it", _NEXT
+    )
+    load: float = _is(1.5, "times a known value that may be changed", _NEXT)
+    band_power: float = _is(0.95, "of the power of an input that its band holds", _NEXT)
+    highest: float = _is(0.4, "of the sampling rate, the highest frequency excited", _NEXT)
+    settling: float = _is(0.5, "of the record's length that one free decay may take", _NEXT)
+    shortest_decay: int = _is(40, "samples of a free decay, at least", _NEXT)
+
+
+_CALIBRATION = f"{TESTS}/calibration/test_false_alarm_rate.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrating:
+    """Null records."""
+
+    runs: int = _is(
+        200,
+        "null records where no number is given: a rate of 5 % is then known to 1.5 %",
+        _CALIBRATION,
+        "binomial standard error",
+    )
+    alarm: float = _is(
+        0.999, "of the level: an alarm whatever p-value its causes have", _CALIBRATION
+    )
+
+
+SUFFICIENCY = Sufficiency()
+CLIPPING = Clipping()
+OUTLIERS = Outliers()
+PREWHITENING = Prewhitening()
+SCORES = Scores()
+FUNCTIONS = Functions()
+RESIDUAL = Residual()
+PEAKS = Peaks()
+COMPARISON = Comparison()
+REFITS = Refits()
+JUMPS = Jumps()
+ROUNDS = Rounds()
+TERMS = Terms()
+DESCRIPTION = Description()
+SMOOTHING = Smoothing()
+JUDGING = Judging()
+PLANNING = Planning()
+EXPERIMENTS = Experiments()
+CALIBRATING = Calibrating()
+
+GROUPS = (
+    SUFFICIENCY,
+    CLIPPING,
+    OUTLIERS,
+    PREWHITENING,
+    SCORES,
+    FUNCTIONS,
+    RESIDUAL,
+    PEAKS,
+    COMPARISON,
+    REFITS,
+    JUMPS,
+    ROUNDS,
+    TERMS,
+    DESCRIPTION,
+    SMOOTHING,
+    JUDGING,
+    PLANNING,
+    EXPERIMENTS,
+    CALIBRATING,
+)
+
+TABLE = tuple(
+    Entry(f"{type(group).__name__}.{f.name}", getattr(group, f.name), **f.metadata)
+    for group in GROUPS
+    for f in fields(group)
+)
+"""All of them."""

@@ -1,0 +1,90 @@
+"""Causes, their alternatives and the ranking of candidates, as a diagnosis reports them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from casid.estimation.estimate import Estimated
+
+Verdict = Literal["adequate", "deficient", "undecided"]
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """A kind that this record cannot reject against the named one."""
+
+    kind: str
+    where: str
+    p_value: float
+    why: str
+    description: str = ""  # what it is like where the catalogue has no name: kind "unknown"
+
+    @property
+    def name(self) -> str:
+        """Kind and place; what has no name, with its description."""
+        like = f" ({self.description})" if self.kind == "unknown" and self.description else ""
+        return f"{self.kind} in {self.where}{like}"
+
+    def to_json(self) -> dict[str, Any]:
+        """As `diagnosis.json` has it."""
+        return {
+            "kind": self.kind,
+            "where": self.where,
+            "p_value": self.p_value,
+            "why": self.why,
+            "description": self.description,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """An effect that the data require and the model lacked."""
+
+    kind: str
+    where: str
+    p_value: float  # family-wise
+    parameters: tuple[Estimated, ...]
+    alternatives: tuple[Alternative, ...] = ()
+    share: float = 0.0  # of the misfit removed, 0..1
+    sentence: str = ""
+    description: str = ""  # what is known of it where the catalogue has no name: kind "unknown"
+    by_record: Mapping[str, Mapping[str, Estimated]] = field(default_factory=dict, hash=False)
+    # record -> parameter -> value; empty where one value explains all records
+
+    def to_json(self) -> dict[str, Any]:
+        """As `diagnosis.json` has it."""
+        return {
+            "kind": self.kind,
+            "where": self.where,
+            "p_value": self.p_value,
+            "parameters": {
+                p.name: {"value": p.value, "std_error": p.std_error, "unit": p.unit}
+                for p in self.parameters
+            },
+            "alternatives": [a.to_json() for a in self.alternatives],
+            "share": self.share,
+            "sentence": self.sentence,
+            "description": self.description,
+            "by_record": {
+                record: {
+                    n: {"value": p.value, "std_error": p.std_error, "unit": p.unit}
+                    for n, p in values.items()
+                }
+                for record, values in self.by_record.items()
+            },
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Ranked:
+    """One candidate of the catalogue as the first round saw it."""
+
+    kind: str
+    where: str
+    p_value: float  # of this candidate alone
+    adjusted: float  # family-wise
+    gain: float | None  # fall of the criterion after a refit, None where it was not refitted
+    status: str  # "named", "cannot be rejected", "rejected", "not significant", "invisible"
+    why: str = ""

@@ -1,0 +1,152 @@
+"""The verdict on what was found: causes, errors before and after, and what remains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+from casid.data.problem import Problem
+from casid.diagnosis.evidence.robust_errors import std_error
+from casid.diagnosis.evidence.sufficiency import weak_parameters
+from casid.diagnosis.search.findings import Findings
+from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
+from casid.diagnosis.verdict.causes import causes_of, with_the_sign
+from casid.diagnosis.verdict.gain import (
+    Errors,
+    bounds_met,
+    errors_of,
+    unlike_held_out,
+    views,
+)
+from casid.diagnosis.verdict.open_set import (
+    Left,
+    described,
+    what_is_left,
+    with_the_open_rival,
+    with_the_unknown,
+)
+from casid.diagnosis.verdict.ranking import ranking
+from casid.diagnosis.verdict.remainder import Moved, Remaining, moved_parameters, what_remains
+from casid.diagnosis.verdict.sentences import verdict_sentence
+from casid.diagnosis.verdict.unnamed_rivals import open_rivals
+from casid.estimation.estimate import Estimate, RecordView
+from casid.estimation.holdout import validation
+from casid.estimation.simulation.simulation_estimate import estimate_of, standing_channels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """The verdict with its reasons.
+
+    Attributes
+    ----------
+    fitted, held_out : RMS errors before and after, and the noise floor, see `Diagnosis`.
+    bounds : parameters that the fit holds at a bound, where they decide the verdict.
+    left : the test of the residual, and its description.
+    """
+
+    verdict: Verdict
+    sentence: str
+    why_undecided: str
+    causes: tuple[Cause, ...]
+    ranking: tuple[Ranked, ...]
+    baseline: Estimate
+    extended: Estimate | None
+    records: tuple[RecordView, ...]
+    fitted: Errors
+    held_out: Errors
+    moved: tuple[Moved, ...]
+    remaining: Remaining | None
+    left: Left | None
+    bounds: dict[str, str]
+
+
+def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgement:
+    """Name the causes, say how much they explain, and decide."""
+    base_fit, extended_fit, start = found.base_fit, found.extended_fit, found.baseline
+    baseline = estimate_of(problem, base_fit, validation(base_fit, start.recorded))
+    extended = None
+    if extended_fit is not None:
+        extended = estimate_of(problem, extended_fit, validation(extended_fit, start.split))
+    fitted, held = errors_of(found)
+    part = held if held.get("extended_rmse") else fitted
+    causes = causes_of(found, extended or baseline)
+    left = None
+    if not start.why_undecided:
+        found.search.progress("test the residual")
+        left = what_is_left(found.at, found.search, found.adopted)
+    remaining = what_remains(
+        [(c.kind, c.where, c.share) for c in causes],
+        part,
+        p_value=left.p_value if left is not None else None,
+        test="kind of the residual: spectrum, dependence on states and inputs, change in time",
+        false_alarm_rate=left.level if left is not None else false_alarm_rate,
+    )
+    bounds = bounds_met(problem, found.best_fit)
+    if left is not None and left.unexplained is not None and not (bounds and not causes):
+        # A parameter held at its bound leaves misfit of its own: it is named first.
+        causes = with_the_unknown(causes, left, remaining)
+    causes, left = _compared_with_functions(found, causes, left)
+    if start.negated is not None:
+        causes = with_the_sign(start.negated, causes, base_fit, found.best_fit)
+    why_undecided = start.why_undecided or unlike_held_out(fitted, held)
+    if bounds and not why_undecided:
+        why_undecided = f"the fit holds {' and '.join(bounds.values())}"
+    else:
+        bounds = {}
+    verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
+    return Judgement(
+        verdict=verdict,
+        sentence=verdict_sentence(verdict, causes, part, why_undecided, problem),
+        why_undecided=why_undecided,
+        causes=tuple(causes),
+        ranking=ranking(found.search, found.adopted, causes),
+        baseline=baseline,
+        extended=extended,
+        records=views(base_fit, extended_fit, start.split, start.recorded, start.negated),
+        fitted=fitted,
+        held_out=held,
+        moved=moved_parameters(baseline, extended) if extended is not None else (),
+        remaining=remaining if extended is not None or left is not None else None,
+        left=left,
+        bounds=bounds,
+    )
+
+
+def _compared_with_functions(
+    found: Findings, causes: list[Cause], left: Left | None
+) -> tuple[list[Cause], Left | None]:
+    """The causes, if what was named is no worse than functions without a name."""
+    if left is None or any(c.kind == "unknown" for c in causes):
+        return causes, left
+    found.search.progress("compare the causes with functions that the catalogue does not have")
+    start = found.baseline.start
+    rivals = open_rivals(found.search, start, found.at, found.adopted)
+    if not rivals:
+        return causes, left
+    best = rivals[0]
+    if not best.is_better:
+        return with_the_open_rival(causes, best), left
+    whole = described(start, found.search, left.level, left.p_value)
+    return with_the_open_rival(causes, best, whole), whole
+
+
+def notes_on(problem: Problem, found: Findings) -> tuple[str, ...]:
+    """What bears on the trust in a diagnosis."""
+    search, base, negated = found.search, found.baseline, found.baseline.negated
+    notes = standing_channels(problem.model, [*base.recorded.whole, *base.recorded.apart])
+    notes += base.notes
+    if not base.why_undecided:
+        notes += weak_parameters(found.at, partial(std_error, found.at.fit))
+    if negated is not None and negated.reference:
+        notes.append(
+            f"the sign of {negated.channel} was told by instruments from {negated.reference}: "
+            f"negated, Hansen's J falls to {100 * negated.left:.2g} %; the simulation error alone, "
+            "most of it noise or disturbance, does not tell it"
+        )
+    notes += [
+        f"{c.effect.kind} in {c.effect.where} was significant but refused: {why}"
+        for c, why in search.refused
+    ]
+    notes += [why for why in search.refitting.left_out.values() if why]
+    return tuple(notes)

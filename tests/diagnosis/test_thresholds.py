@@ -1,0 +1,99 @@
+"""A diagnosis decides by the numbers of one table, each with its meaning, source and proof."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import importlib.util
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from casid.diagnosis import thresholds
+from casid.diagnosis.thresholds import GROUPS, TABLE, Entry
+
+ROOT = Path(__file__).resolve().parents[2]
+ROOM = ROOT / "casid" / "diagnosis"
+FILES = [p for p in sorted(ROOM.rglob("*.py")) if p.name != "thresholds.py"]
+
+# Numbers that decide nothing: they are compared with what they are by definition.
+PLAIN = {0, 1, -1, 0.5, 2}
+REGULAR = 1e-6  # and smaller: keeps divisions and decompositions regular
+
+# file, number -> why it stands in a comparison there.
+ALLOWED = {
+    ("advice/next_experiment.py", 120): "seconds that are printed as minutes",
+    ("advice/next_experiment.py", 7200): "seconds that are printed as hours",
+    ("calibration/false_alarm_rate.py", 90): "seconds that are printed as minutes",
+    ("evidence/spikes.py", 3): "a sample with both its neighbours",
+}
+
+
+def numbers_in(node: ast.AST) -> Iterator[float]:
+    for part in ast.walk(node):
+        if isinstance(part, ast.Constant) and type(part.value) in (int, float):
+            yield part.value
+
+
+def in_room(path: Path) -> str:
+    return str(path.relative_to(ROOM))
+
+
+@pytest.mark.parametrize("entry", TABLE, ids=lambda e: e.name)
+def test_every_threshold_has_a_meaning_a_source_and_a_proof_that_exists(entry: Entry):
+    assert len(entry.meaning) > 10
+    assert entry.source
+    if entry.pinned_by.startswith("analysis."):
+        assert importlib.util.find_spec(entry.pinned_by) is not None
+    else:
+        assert (ROOT / entry.pinned_by).is_file()
+
+
+def test_the_table_is_frozen_and_every_entry_has_one_name():
+    assert len({e.name for e in TABLE}) == len(TABLE)
+    for group in GROUPS:
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(group, dataclasses.fields(group)[0].name, 0)
+
+
+def test_every_threshold_is_used_and_every_one_used_is_in_the_table():
+    instances = {k: v for k, v in vars(thresholds).items() if any(v is g for g in GROUPS)}
+    used = set()
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                group = instances.get(node.value.id)
+                if group is not None:
+                    used.add(f"{type(group).__name__}.{node.attr}")
+    assert used == {e.name for e in TABLE}
+
+
+@pytest.mark.parametrize("path", FILES, ids=in_room)
+def test_no_module_has_a_numeric_constant_of_its_own(path: Path):
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        targets = node.targets if isinstance(node, ast.Assign) else []
+        targets = [node.target] if isinstance(node, ast.AnnAssign) else targets
+        for target in targets:
+            if isinstance(target, ast.Name) and target.id.lstrip("_").isupper():
+                value = getattr(node, "value", None)
+                # Options of a solver are handed on, not compared; a dictionary is words.
+                if not isinstance(value, ast.Call | ast.Dict):
+                    assert not list(numbers_in(value)), f"{target.id} belongs in the table"
+
+
+@pytest.mark.parametrize("path", FILES, ids=in_room)
+def test_no_comparison_decides_by_a_bare_number(path: Path):
+    found = {
+        number
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Compare)
+        for number in numbers_in(node)
+        if number not in PLAIN and abs(number) > REGULAR
+    }
+    assert found <= {number for name, number in ALLOWED if name == in_room(path)}
+
+
+def test_every_exception_is_still_needed():
+    for name, number in ALLOWED:
+        assert number in set(numbers_in(ast.parse((ROOM / name).read_text(encoding="utf-8"))))
