@@ -1,4 +1,4 @@
-"""Rational functions of letters as numbers of a field, so that formulas stay cancelled.
+"""Rational functions of symbols as numbers of a field, so that formulas stay cancelled.
 
 Matrices are numpy arrays of field elements (or of floats), so that one code serves both.
 """
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.algebra import elimination
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError
 
@@ -17,7 +18,7 @@ RANK = 1e-10  # smallest singular value of scaled moments that is not zero
 
 
 class ExactField:
-    """The field of rational functions in the letters of some expressions."""
+    """The field of rational functions in the symbols of some expressions."""
 
     def __init__(self, expressions: Iterable[Any]) -> None:
         from sympy.polys.constructor import construct_domain
@@ -27,18 +28,15 @@ class ExactField:
     def of(self, values: Array) -> Array:
         """Expressions (any shape) as elements."""
         elements = [self.domain.from_sympy(_rational(v)) for v in values.ravel()]
-        made = np.empty(len(elements), dtype=object)
-        made[:] = elements
-        return made.reshape(values.shape)
+        return _objects(elements).reshape(values.shape)
 
     def expressions(self, values: Array) -> Array:
         """Elements as sympy expressions, factored."""
         import sympy
 
-        made = np.empty(values.size, dtype=object)
         domain = self.domain
-        made[:] = [sympy.factor(domain.to_sympy(domain.convert(v))) for v in values.ravel()]
-        return made.reshape(values.shape)
+        made = [sympy.factor(domain.to_sympy(domain.convert(v))) for v in values.ravel()]
+        return _objects(made).reshape(values.shape)
 
 
 def _rational(value: Any) -> Any:
@@ -69,16 +67,8 @@ def solve(matrix: Array, right: Array, labels: list[str], what: str, mend: str) 
     if matrix.dtype != object:
         scale = _scale(matrix, axis=0)
         return np.asarray(np.linalg.solve(matrix / scale, right) / scale[:, None])
-    work = np.concatenate([matrix, right], axis=1)
-    n = len(matrix)
-    for k in range(n):
-        pivot = next(i for i in range(k, n) if work[i, k] != 0)
-        work[[k, pivot]] = work[[pivot, k]]
-        work[k] = work[k] / work[k, k]
-        for i in range(n):
-            if i != k and work[i, k] != 0:
-                work[i] = work[i] - work[k] * work[i, k]
-    return np.asarray(work[:, n:])
+    found = elimination.solve(matrix.tolist(), right.tolist())
+    return _objects([v for row in found or () for v in row]).reshape(right.shape)
 
 
 def null_vector(matrix: Array) -> Array | None:
@@ -93,25 +83,17 @@ def null_vector(matrix: Array) -> Array | None:
         vector = vt[-1] / scale
         vector[np.abs(vt[-1]) < 1e-6] = 0.0
         return np.asarray(vector / vector[np.flatnonzero(vector)[0]])
-    work = matrix.copy()
-    pivots: list[int] = []
-    row, n = 0, matrix.shape[1]
-    for k in range(n):
-        found = [i for i in range(row, len(work)) if work[i, k] != 0]
-        if not found:
-            vector = np.zeros(n, dtype=object)
-            vector[k] = 1
-            for i, p in enumerate(pivots):
-                vector[p] = -work[i, k]
-            return np.asarray(vector / vector[np.flatnonzero(vector != 0)[0]])
-        work[[row, found[0]]] = work[[found[0], row]]
-        work[row] = work[row] / work[row, k]
-        for i in range(len(work)):
-            if i != row and work[i, k] != 0:
-                work[i] = work[i] - work[row] * work[i, k]
-        pivots.append(k)
-        row += 1
+    for vector in elimination.null_space(matrix.tolist(), 1)[:1]:
+        first = next(v for v in vector if v != 0)
+        return _objects([v / first for v in vector])
     return None
+
+
+def _objects(values: list[Any]) -> Array:
+    """(n,) elements, one by one: numpy may not look into them."""
+    made = np.empty(len(values), dtype=object)
+    made[:] = values
+    return made
 
 
 def _scale(matrix: Array, axis: int) -> Array:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 from casid.algebra import polynomial as poly
+from casid.algebra.elimination import row_echelon, solve
 from casid.algebra.polynomial import Polynomial
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
@@ -15,41 +16,20 @@ Rows = Sequence[Sequence[Rational]]
 
 def determinant(rows: Rows) -> Rational:
     """The determinant of a square matrix of rational functions, by elimination."""
-    work = [list(row) for row in rows]
-    value = Rational(poly.ONE)
-    for k in range(len(work)):
-        pivot = next((i for i in range(k, len(work)) if not work[i][k].is_zero), None)
-        if pivot is None:
-            return Rational(poly.ZERO)
-        if pivot != k:
-            work[k], work[pivot] = work[pivot], work[k]
-            value = -value
-        value = value * work[k][k]
-        for i in range(k + 1, len(work)):
-            if not work[i][k].is_zero:
-                factor = work[i][k] / work[k][k]
-                work[i] = [a - factor * b for a, b in zip(work[i], work[k], strict=True)]
-    return value
+    found = row_echelon(rows, is_zero=_is_zero, reduced=False)
+    value = Rational(poly.ONE if found.rank == len(rows) else poly.ZERO)
+    for k in range(found.rank):
+        value = value * found.rows[k][k]
+    return value if found.sign > 0 else -value
 
 
 def normal_rank(rows: Rows) -> int:
     """The rank over rational functions."""
-    work, rank = [list(row) for row in rows], 0
-    for k in range(len(work[0]) if work else 0):
-        pivot = next((i for i in range(rank, len(work)) if not work[i][k].is_zero), None)
-        if pivot is None:
-            continue
-        work[rank], work[pivot] = work[pivot], work[rank]
-        for i in range(rank + 1, len(work)):
-            if not work[i][k].is_zero:
-                factor = work[i][k] / work[rank][k]
-                work[i] = [a - factor * b for a, b in zip(work[i], work[rank], strict=True)]
-        rank += 1
-    return rank
+    return row_echelon(rows, is_zero=_is_zero, reduced=False).rank
 
 
 def inverse(rows: Rows) -> tuple[tuple[Rational, ...], ...]:
-    """The inverse of a square matrix of rational functions, by Gauss and Jordan.
+    """The inverse of a square matrix of rational functions.
 
     Raises
     ------
@@ -62,21 +42,16 @@ def inverse(rows: Rows) -> tuple[tuple[Rational, ...], ...]:
             f"a {n} x {len(rows[0])} transfer matrix has no inverse; a tall one has left inverses"
         )
     one, zero = Rational(poly.ONE), Rational(poly.ZERO)
-    work = [[*row, *(one if i == k else zero for k in range(n))] for i, row in enumerate(rows)]
-    for k in range(n):
-        pivot = next((i for i in range(k, n) if not work[i][k].is_zero), None)
-        if pivot is None:
-            raise ModelError(
-                f"the {n} x {n} transfer matrix is singular at every q (normal rank "
-                f"{normal_rank(rows)}): column {k} depends on the columns before it. Leave it out"
-            )
-        work[k], work[pivot] = work[pivot], work[k]
-        work[k] = [a / work[k][k] for a in work[k]]
-        for i in range(n):
-            if i != k and not work[i][k].is_zero:
-                factor = work[i][k]
-                work[i] = [a - factor * b for a, b in zip(work[i], work[k], strict=True)]
-    return tuple(tuple(row[n:]) for row in work)
+    eye = [[one if i == k else zero for k in range(n)] for i in range(n)]
+    found = solve(rows, eye, is_zero=_is_zero)
+    if found is None:
+        pivots = row_echelon(rows, is_zero=_is_zero, reduced=False).pivots
+        column = next(k for k in range(n) if k not in pivots)
+        raise ModelError(
+            f"the {n} x {n} transfer matrix is singular at every q (normal rank {len(pivots)}): "
+            f"column {column} depends on the columns before it. Leave it out"
+        )
+    return tuple(map(tuple, found))
 
 
 def pole_polynomial(rows: Rows) -> Polynomial:
@@ -114,6 +89,10 @@ def zero_polynomial(rows: Rows) -> Polynomial:
             fill = poly.divide(below, minor.denominator)[0]
             found = poly.common_divisor(found, poly.multiply(minor.numerator, fill))
     return found or poly.ONE
+
+
+def _is_zero(g: Rational) -> bool:
+    return g.is_zero
 
 
 def _minors(rows: Rows, order: int) -> Iterator[Rational]:

@@ -134,14 +134,41 @@ def walk(
     operations: Mapping[int, Operation],
     number: Callable[[float], Register],
 ) -> list[list[Register]]:
-    """Run an SX function's instructions on registers of any kind that `operations` understands.
+    """Run an SX function's instructions by a table: CasADi operation code -> what does it.
+
+    Others as in `run_instructions`.
+
+    Raises
+    ------
+    ModelError
+        If the numbers of entries differ, or an operation is not among `operations`.
+    """
+
+    def operate(code: int, *registers: Register) -> Register:
+        if code not in operations:
+            raise ModelError(
+                f"{function.name()}: {_CODES.get(code, code)} cannot be done in exact algebra; "
+                "only numerical methods read such an expression"
+            )
+        return operations[code](*registers)
+
+    return run_instructions(function, arguments, operate, number)
+
+
+def run_instructions(
+    function: ca.Function,
+    arguments: Sequence[Sequence[Register]],
+    operate: Operation,
+    number: Callable[[float], Register],
+) -> list[list[Register]]:
+    """Run an SX function's instructions on registers of any kind.
 
     Parameters
     ----------
     function : SX function (an MX function is expanded), all arguments and results dense or with
         structural zeros, which come out as ``number(0)``.
     arguments : for each argument its entries, column by column.
-    operations : CasADi operation code -> what does it.
+    operate : (CasADi operation code, registers) -> register.
     number : turns a constant into a register.
 
     Returns
@@ -151,7 +178,7 @@ def walk(
     Raises
     ------
     ModelError
-        If the numbers of entries differ, or an operation is not among `operations`.
+        If the numbers of entries differ.
     """
     if not function.is_a("SXFunction"):
         function = function.expand()
@@ -174,14 +201,14 @@ def walk(
             results[target[0]][goals[target[0]][target[1]]] = register[source[0]]
         elif code == ca.OP_CONST:
             register[target[0]] = number(function.instruction_constant(k))
-        elif code in operations:
-            register[target[0]] = operations[code](*[register[i] for i in source])
         else:
-            raise ModelError(
-                f"{function.name()}: {_CODES.get(code, code)} cannot be done in exact algebra; "
-                "only numerical methods read such an expression"
-            )
+            register[target[0]] = operate(code, *[register[i] for i in source])
     return results
+
+
+def operation_name(code: int) -> str:
+    """The name of a CasADi operation, in small letters: ``fmin``."""
+    return _CODES[code][3:].lower() if code in _CODES else f"operation {code}"
 
 
 def _nonzeros(sparsity: Any) -> list[int]:

@@ -21,13 +21,13 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 
+from casid.algebra.elimination import null_space, row_echelon
 from casid.algebra.symbolic import evaluate_exactly
 from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError, ModelError
 from casid.linear.linear_constraints import check_consistent as check_consistent
 from casid.linear.linear_constraints import coefficient_names, largest_one, relation
 from casid.linear.parameter_draws import ParameterDraw, Range, count_of_coefficients
-from casid.linear.structural_relations import echelon
 from casid.linear.symbolic_hull import SymbolicHull as SymbolicHull
 from casid.linear.symbolic_hull import symbolic_hull as symbolic_hull
 
@@ -289,21 +289,8 @@ def _rank(singular: Array) -> tuple[int, bool]:
 
 def _reduced(rows: Array, rounding: float) -> Array:
     """Reduced row echelon form with entries of size one; what is below rounding becomes zero."""
-    rows = np.array(rows, dtype=float)
-    done = 0
-    for j in range(rows.shape[1]):
-        if done == len(rows):
-            break
-        pivot = done + int(np.argmax(np.abs(rows[done:, j])))
-        if abs(rows[pivot, j]) < 100 * rounding:
-            rows[done:, j] = 0.0
-            continue
-        rows[[done, pivot]] = rows[[pivot, done]]
-        rows[done] /= rows[done, j]
-        for i in range(len(rows)):
-            if i != done:
-                rows[i] -= rows[i, j] * rows[done]
-        done += 1
+    found = row_echelon(rows.tolist(), is_zero=lambda v: abs(v) < 100 * rounding, size=abs)
+    rows = np.array(found.rows).reshape(rows.shape)
     size = np.max(np.abs(rows), axis=1, keepdims=True)
     rows[np.abs(rows) < rounding * size] = 0.0
     return rows
@@ -339,17 +326,8 @@ def _exact_relations(g: ca.Function, draw: ParameterDraw, n: int) -> list[list[F
             break
     else:
         return None
-    reduced, pivots = echelon(rows)
-    basis = []
-    for j in range(n + 1):
-        if j in pivots:
-            continue
-        vector = [Fraction(0)] * (n + 1)
-        vector[j] = Fraction(1)
-        for i, k in enumerate(pivots):
-            vector[k] = -reduced[i][j]
-        basis.append(vector)
-    return echelon(basis)[0]
+    found = row_echelon(null_space(rows, Fraction(1)))
+    return found.rows[: found.rank]
 
 
 def _exact_rank(J: ca.Function, draw: ParameterDraw, columns: int) -> int | None:
@@ -357,7 +335,7 @@ def _exact_rank(J: ca.Function, draw: ParameterDraw, columns: int) -> int | None
     for count, flat in enumerate(_exact_points(J, draw)):
         rows = len(flat) // columns
         matrix = [[flat[i + rows * j] for j in range(columns)] for i in range(rows)]
-        best = max(best or 0, len(echelon(matrix)[1]))
+        best = max(best or 0, row_echelon(matrix, reduced=False).rank)
         if count == 2:
             break
     return best

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from casid.algebra.elimination import solve
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.linear.discretisation import (
@@ -39,7 +40,6 @@ from casid.linear.lagged_columns import Column
 from casid.linear.linear_model import LinearModel, TransferMatrix, linearise, parameter_vector
 from casid.linear.structural_relations import (
     common_degree,
-    echelon,
     hold_relations,
     rational_relations,
 )
@@ -373,8 +373,7 @@ def _inverse_substitution(n: int, Ts: float, method: str) -> Array:
     """The inverse of `substitution`, (n+1, n+1), computed exactly."""
     K = substitution(n, Fraction(repr(float(Ts))), method)
     eye = [[Fraction(int(i == j)) for j in range(n + 1)] for i in range(n + 1)]
-    reduced, _ = echelon([row + one for row, one in zip(K, eye, strict=True)])
-    return np.array([[float(v) for v in row[n + 1 :]] for row in reduced])
+    return np.array([[float(v) for v in row] for row in solve(K, eye) or ()])
 
 
 def _unheld(name: str, rows: Array, Ts: float, method: str) -> Array:

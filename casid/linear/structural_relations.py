@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from casid.algebra import polynomial as poly
+from casid.algebra.elimination import row_echelon
 from casid.algebra.vanishing import exact_points, float_points
 from casid.arrays import Array
 from casid.linear.discretisation import DiscreteTransfer, discretise, substitution
@@ -39,7 +41,8 @@ def rational_relations(
     count = len(flat) + 4
     points = exact_points(flat, p, count)
     rows = points if points is not None else _rationalised(float_points(flat, p, 3 * count))
-    basis, _ = echelon(rows)
+    found = row_echelon(rows)
+    basis = found.rows[: found.rank]
     K = substitution(n, Fraction(repr(float(Ts))), method)
     images = [
         [
@@ -49,29 +52,9 @@ def rational_relations(
         ]
         for row in basis
     ]
-    reduced, pivots = echelon(images)
-    return np.array([[float(v) for v in row] for row in reduced]).T, pivots
-
-
-def echelon(rows: Sequence[Sequence[Fraction]]) -> tuple[list[list[Fraction]], list[int]]:
-    """Reduced row echelon form without zero rows, and its pivot columns."""
-    work = [list(row) for row in rows]
-    pivots: list[int] = []
-    n = len(work[0]) if work else 0
-    for j in range(n):
-        r = len(pivots)
-        best = next((i for i in range(r, len(work)) if work[i][j]), None)
-        if best is None:
-            continue
-        work[r], work[best] = work[best], work[r]
-        lead = work[r][j]
-        work[r] = [v / lead for v in work[r]]
-        for i in range(len(work)):
-            if i != r and work[i][j]:
-                factor = work[i][j]
-                work[i] = [v - factor * w for v, w in zip(work[i], work[r], strict=True)]
-        pivots.append(j)
-    return work[: len(pivots)], pivots
+    reduced = row_echelon(images)
+    independent = reduced.rows[: reduced.rank]
+    return np.array([[float(v) for v in row] for row in independent]).T, reduced.pivots
 
 
 def _dependent(values: Array) -> list[tuple[int, list[int], Array]]:
@@ -124,30 +107,10 @@ def common_degree(polynomials: Sequence[Expr], p: Expr) -> int:
     if points is None:
         return 0
     rows = [points[0][i * (n + 1) : (i + 1) * (n + 1)] for i in range(len(polynomials))]
-    factor = rows[0]
+    factor = poly.trimmed(rows[0])
     for other in rows[1:]:
-        a, b = factor, _stripped(other)
-        while b:
-            a, b = b, _remainder(a, b)
-        factor = a
-    return len(factor) - 1
-
-
-def _stripped(polynomial: Sequence[Fraction]) -> list[Fraction]:
-    """Without leading zeros."""
-    first = next((i for i, c in enumerate(polynomial) if c), len(polynomial))
-    return list(polynomial[first:])
-
-
-def _remainder(a: Sequence[Fraction], b: Sequence[Fraction]) -> list[Fraction]:
-    rest = list(a)
-    while len(rest) >= len(b):
-        factor = rest[0] / b[0]
-        rest = [
-            r - factor * c for r, c in zip(rest, [*b, *[Fraction(0)] * len(rest)], strict=False)
-        ]
-        rest = rest[1:]
-    return _stripped(rest)
+        factor = poly.common_divisor(factor, poly.trimmed(other))
+    return poly.degree(factor)
 
 
 def hold_relations(

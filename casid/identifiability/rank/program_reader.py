@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
-from casid.algebra.symbolic import exact
+from casid.algebra.symbolic import exact, operation_name, run_instructions
 from casid.errors import ModelError
 from casid.identifiability.equations.system import System
 from casid.identifiability.rank.immersion import SPECIAL
@@ -82,21 +82,8 @@ class _Reader:
 
     def read(self, function: Any) -> list[Terms]:
         """The linear combination of each output of an SX function of one vector."""
-        register: list[Terms] = [{} for _ in range(function.sz_w())]
-        results: list[Terms] = [{} for _ in range(function.nnz_out(0))]
-        for i in range(function.n_instructions()):
-            code = function.instruction_id(i)
-            source, target = function.instruction_input(i), function.instruction_output(i)
-            if code == ca.OP_INPUT:
-                register[target[0]] = {source[1]: Fraction(1)}
-            elif code == ca.OP_OUTPUT:
-                results[target[1]] = register[source[0]]
-            elif code == ca.OP_CONST:
-                register[target[0]] = self._number(function.instruction_constant(i))
-            else:
-                arguments = [register[j] for j in source]
-                register[target[0]] = self._operation(code, *arguments)
-        return results
+        inputs: list[Terms] = [{i: Fraction(1)} for i in range(function.numel_in(0))]
+        return run_instructions(function, [inputs], self._operation, self._number)[0]
 
     def node(self, terms: Terms) -> int:
         """The node with the value of a linear combination."""
@@ -389,8 +376,5 @@ def _nearest(value: float, name: str) -> Fraction:
 
 
 def _name(code: int) -> str:
-    for name in dir(ca):
-        if name.startswith("OP_") and getattr(ca, name) == code:
-            called = name[3:].lower()
-            return {"fmin": "fmin (min)", "fmax": "fmax (max)"}.get(called, called)
-    return f"operation {code}"
+    called = operation_name(code)
+    return {"fmin": "fmin (min)", "fmax": "fmax (max)"}.get(called, called)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from casid.algebra import prime_field
+from casid.algebra.elimination import row_echelon
 from casid.algebra.interpolation import interpolate
 from casid.arrays import Array
 from casid.errors import ModelError
@@ -316,19 +317,8 @@ def _echelon_in_digits(matrix: Array, tolerance: Any) -> tuple[Array, list[int]]
         largest = max((abs(v) for v in a[i]), default=0)
         if largest > 0:
             a[i] = a[i] / largest
-    pivots: list[int] = []
-    row = 0
-    for column in range(a.shape[1]):
-        if row == a.shape[0]:
-            break
-        best = max(range(row, a.shape[0]), key=lambda i: abs(a[i, column]))
-        if abs(a[best, column]) <= tolerance:
-            continue
-        a[[row, best]] = a[[best, row]]
-        a[row] = a[row] / a[row, column]
-        for i in range(a.shape[0]):
-            if i != row:
-                a[i] = a[i] - a[i, column] * a[row]
-        pivots.append(column)
-        row += 1
-    return a[:row], pivots
+    found = row_echelon(a.tolist(), is_zero=lambda v: abs(v) <= tolerance, size=abs)
+    rows = np.empty((found.rank, a.shape[1]), dtype=object)
+    for i in range(found.rank):
+        rows[i] = found.rows[i]
+    return rows, found.pivots

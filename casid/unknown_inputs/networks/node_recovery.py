@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from casid.algebra.elimination import row_echelon
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.equations import Element, Field, NodeEquations
 from casid.unknown_inputs.networks.nodes import Edge, Node, labels
@@ -82,20 +83,6 @@ def _reduced(
         + [field.one if k == i else zero for k in range(len(measured))]
         for i, m in enumerate(measured)
     ]
-    origin = list(measured)
-    pivots: dict[Node, Node] = {}
-    for k, u in enumerate(unknown):
-        rank = len(pivots)
-        pivot = next((i for i in range(rank, len(rows)) if usable(field, rows[i][k])), None)
-        if pivot is None:
-            continue
-        rows.insert(rank, rows.pop(pivot))
-        origin.insert(rank, origin.pop(pivot))
-        pivots[u] = origin[rank]
-        head = rows[rank][k]
-        rows[rank] = [x / head for x in rows[rank]]
-        for i in range(len(rows)):
-            if i != rank and usable(field, rows[i][k]):
-                factor = rows[i][k]
-                rows[i] = [a - factor * b for a, b in zip(rows[i], rows[rank], strict=True)]
-    return rows, pivots
+    found = row_echelon(rows, columns=len(unknown), is_zero=lambda x: not usable(field, x))
+    pivots = {unknown[k]: measured[found.origin[i]] for i, k in enumerate(found.pivots)}
+    return found.rows, pivots
