@@ -9,6 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError, SolveError, nearest
+from casid.linear.stability import largest_root
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +41,7 @@ class DiscreteLoop:
     @property
     def is_stable(self) -> bool:
         """True if all poles lie inside the unit circle."""
-        return bool(np.all(np.abs(self.poles) < 1.0))
+        return largest_root(self.denominator) < 1.0
 
     def simulate(self, signals: Mapping[str, Array]) -> dict[str, Array]:
         """Outputs from rest, (N,) each, for the given inputs (N,); one that is not given is zero.

@@ -14,8 +14,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
-
-LAST_STABLE = 1 - 1e-9  # a pole nearer to the unit circle counts as lying on it
+from casid.linear.stability import LAST_STABLE, largest_root, modulus_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +56,7 @@ class Filter:
     @property
     def radius(self) -> float:
         """Largest modulus of a pole, 0 without one."""
-        return float(np.max(np.abs(self.poles), initial=0.0))
+        return largest_root(self.a)
 
 
 def lag(samples: int) -> Filter:
@@ -177,10 +176,3 @@ def require_stable(filter: Filter, where: str) -> None:
         "stationary and an estimate has no limit. Give the stable closed loop's filters from the "
         "externals, or difference the signal"
     )
-
-
-def modulus_text(modulus: float) -> str:
-    """The modulus of a refused pole, so that one inside the circle is not taken for one on it."""
-    if LAST_STABLE <= modulus < 1:
-        return f"modulus 1 - {1 - modulus:.2g}, within {1 - LAST_STABLE:.0e} of the unit circle"
-    return f"modulus {modulus:.4g}"

@@ -17,6 +17,7 @@ from scipy import linalg
 from casid.arrays import TINY, Array
 from casid.errors import ModelError
 from casid.linear.noisy_system import NoisySystem
+from casid.linear.stability import spectral_radius
 
 ON_CIRCLE = 1e-8
 """Modes this near to the unit circle count as lying on it."""
@@ -52,7 +53,7 @@ class Predictor:
 
     def __repr__(self) -> str:
         s = self.system
-        slowest = _radius(self.A_closed)
+        slowest = spectral_radius(self.A_closed)
         return (
             f"<Predictor of {', '.join(s.output_name(i) for i in range(s.ny))}: {s.nx} states, "
             f"{s.nu} inputs, Ts = {s.Ts:g} s, slowest pole {slowest:.4g}>"
@@ -140,7 +141,7 @@ def steady_state(system: NoisySystem, near: Array | None = None) -> Predictor:
     try:
         P = linalg.solve_discrete_are(s.A.T, s.C.T, s.Q, s.R, s=s.S)
         _, K = _gain(s, P)
-        if _radius(s.A - K @ s.C) >= 1.0:
+        if spectral_radius(s.A - K @ s.C) >= 1.0:
             raise linalg.LinAlgError("the predictor is not stable")
         P = _covariance_of(s, K)
     except (linalg.LinAlgError, ValueError) as error:
@@ -155,7 +156,7 @@ def steady_state(system: NoisySystem, near: Array | None = None) -> Predictor:
 def _newton(s: NoisySystem, P: Array) -> Predictor | None:
     """Newton's method for the Riccati equation; None where it does not settle at once."""
     F, K = _gain(s, P)
-    if not np.all(np.isfinite(K)) or _radius(s.A - K @ s.C) >= 1 - ON_CIRCLE:
+    if not np.all(np.isfinite(K)) or spectral_radius(s.A - K @ s.C) >= 1 - ON_CIRCLE:
         return None
     for _ in range(12):
         new = _covariance_of(s, K)
@@ -180,10 +181,6 @@ def _lyapunov(F: Array, W: Array) -> Array:
         return np.array([linalg.solve_discrete_lyapunov(F, w) for w in W]).reshape(m, n, n)
     system = np.eye(n * n) - np.kron(F, F)
     return np.asarray(np.linalg.solve(system, W.reshape(m, n * n).T).T.reshape(m, n, n))
-
-
-def _radius(F: Array) -> float:
-    return float(np.max(np.abs(np.linalg.eigvals(F)), initial=0.0))
 
 
 def joseph_noise(s: NoisySystem, K: Array) -> Array:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.linalg import expm
 
 from casid.arrays import Array
 from casid.data.record import Record
@@ -152,24 +153,6 @@ class NoisySystem:
 # -- sampling -----------------------------------------------------------------------------------
 
 
-def exponential(X: Array) -> Array:
-    """e^X of a stack of small matrices (..., n, n), real or complex, all at once.
-
-    Taylor's series of X / 2^s with a norm below 1/4, 13 terms (remainder 1e-18), squared s times
-    (C. B. Moler, C. F. van Loan, SIAM Review 45 (2003) 3-49, method 3).
-    """
-    norm = float(np.max(np.sum(np.abs(X), axis=-1), initial=0.0))
-    squarings = max(0, int(np.ceil(np.log2(4 * norm)))) if np.isfinite(norm) and norm > 0 else 0
-    scaled = X / 2.0**squarings
-    eye = np.eye(X.shape[-1])
-    out = eye + scaled / 13
-    for k in range(12, 0, -1):  # Horner
-        out = eye + scaled @ out / k
-    for _ in range(squarings):
-        out = out @ out
-    return np.asarray(out)
-
-
 def sample_system(
     A: Array, B: Array, C: Array, D: Array, Ts: float, hold: Sequence[str]
 ) -> tuple[Array, Array, Array, Array, Array]:
@@ -184,7 +167,7 @@ def sample_system(
     block = np.zeros((*B.shape[:-2], n + 2 * nu, n + 2 * nu), dtype=np.result_type(A, B, float))
     block[..., :n, :n], block[..., :n, n : n + nu] = A * Ts, B * Ts
     block[..., n : n + nu, n + nu :] = np.eye(nu)
-    power = exponential(block)
+    power = expm(block)
     Ad, held, ramp = (
         power[..., :n, :n],
         power[..., :n, n : n + nu],
@@ -212,7 +195,7 @@ def sample_noise(A: Array, W: Array, Ts: float) -> Array:
     block = np.zeros((*shape, 2 * n, 2 * n), dtype=np.result_type(A, W, float))
     block[..., :n, :n], block[..., :n, n:] = -A * h, W * h
     block[..., n:, n:] = A.swapaxes(-1, -2) * h
-    power = exponential(block)
+    power = expm(block)
     F = power[..., n:, n:].swapaxes(-1, -2)
     Q = F @ power[..., :n, n:]
     for _ in range(doublings):

@@ -17,6 +17,7 @@ from scipy import linalg
 
 from casid.arrays import Array
 from casid.linear.kalman import recursion
+from casid.linear.stability import spectral_radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +74,7 @@ def split_dynamics(A: Array) -> SplitDynamics:
 
 
 def _samples(A: Array, fraction: float) -> int:
-    radius = float(np.max(np.abs(np.linalg.eigvals(A)), initial=0.0))
+    radius = spectral_radius(A)
     if radius <= 1e-12:
         return len(A)
     if radius >= 1.0:

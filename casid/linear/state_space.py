@@ -1,36 +1,61 @@
-"""State-space descriptions of signals: their matrices checked, their frequency response."""
+"""A linear system in state space: its poles, its frequency response, and how one is read."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from casid.algebra.roots import Root
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.linear.filters import LAST_STABLE, modulus_text
+from casid.linear.stability import LAST_STABLE, modulus_text, spectral_radius
 
 _NUMBERS = 1_600_000  # numbers in the matrices that are solved at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Matrices:
-    """x+ = A x + B e, s = C x + D e, with the names of its outputs."""
+class StateSpace:
+    """x+ = A x + B e, s = C x + D e (dx/dt for x+ where Ts is 0).
+
+    Attributes
+    ----------
+    A (n, n), B (n, ne), C (ns, n), D (ns, ne)
+    signals : names of its outputs s.
+    Ts : sample time [s]; 0 in continuous time, None where none is stated.
+    """
 
     A: Array
     B: Array
     C: Array
     D: Array
-    signals: tuple[str, ...]
-    Ts: float
+    signals: tuple[str, ...] = ()
+    Ts: float | None = None
+
+    def poles(self) -> tuple[Root, ...]:
+        """Eigenvalues of A, largest first; hidden modes among them."""
+        found = sorted(np.linalg.eigvals(self.A), key=lambda x: (-abs(x), -x.imag))
+        variable = "s" if self.Ts == 0 else "q"
+        return tuple(Root(complex(x), variable, self.Ts) for x in found)
+
+    def response(self, z: Array) -> Array:
+        """C (zI - A)^-1 B + D at the points z (M,), (M, ns, ne)."""
+        eye = np.eye(len(self.A))
+        block = max(1, _NUMBERS // max(1, self.A.size))
+        parts = []
+        for first in range(0, len(z), block):
+            shifted = z[first : first + block, None, None] * eye - self.A
+            right = np.broadcast_to(self.B, (len(shifted), *self.B.shape))
+            parts.append(self.C @ np.linalg.solve(shifted, right) + self.D)
+        return np.concatenate(parts)
 
 
-def matrices(
+def checked_state_space(
     system: Any, externals: Sequence[str], signals: Sequence[str] | None, Ts: float | None
-) -> Matrices:
-    """Checked matrices, columns in the order of the externals.
+) -> StateSpace:
+    """A stable discrete state space as a user gives it, columns in the order of the externals.
 
     Raises
     ------
@@ -71,27 +96,11 @@ def matrices(
             f"{ny} outputs and {'no' if signals is None else len(signals)} names; give "
             "signals=[..], one name for each row of C"
         )
-    poles = np.linalg.eigvals(A)
-    if nx and np.max(np.abs(poles)) >= LAST_STABLE:
+    if spectral_radius(A) >= LAST_STABLE:
+        poles = np.linalg.eigvals(A)
         worst = poles[np.argmax(np.abs(poles))]
         raise ModelError(
             f"A has the eigenvalue {worst:.4g}, {modulus_text(abs(worst))}: the signals are not "
             "stationary and an estimate has no limit. Give the stable closed loop"
         )
-    return Matrices(A, B, C, D, tuple(signals), 1.0 if Ts is None else float(Ts))
-
-
-def state_space_response(given: Matrices) -> Callable[[Array], Array]:
-    """z (M,) -> C (zI - A)^-1 B + D, (M, ny, ne)."""
-    eye = np.eye(len(given.A))
-    block = max(1, _NUMBERS // max(1, given.A.size))
-
-    def response(z: Array) -> Array:
-        parts = []
-        for first in range(0, len(z), block):
-            shifted = z[first : first + block, None, None] * eye - given.A
-            right = np.broadcast_to(given.B, (len(shifted), *given.B.shape))
-            parts.append(given.C @ np.linalg.solve(shifted, right) + given.D)
-        return np.concatenate(parts)
-
-    return response
+    return StateSpace(A, B, C, D, tuple(signals), None if Ts is None else float(Ts))

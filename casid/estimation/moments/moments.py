@@ -19,6 +19,7 @@ from casid.errors import DataError
 from casid.estimation.moments.gram import CONSTANT, Moments, checked_channels, checked_lags
 from casid.estimation.moments.lag_products import BLOCK, Core, Window, short_stretch, two_sum
 from casid.linear.lagged_columns import Column
+from casid.linear.stability import largest_root
 
 if TYPE_CHECKING:
     from casid.data.fir_filter import FirFilter
@@ -470,7 +471,7 @@ def _checked_rational(rational: Rational) -> tuple[Array, Array]:
             f"filter with numerator {b} and denominator {a}. Give finite coefficients in "
             "ascending powers of q^-1, the denominator's first one not zero."
         )
-    radius = float(np.abs(np.roots(a)).max(initial=0.0))
+    radius = largest_root(a)
     if radius >= 1:
         raise DataError(
             f"the prefilter is unstable: its denominator {a} has a root of modulus {radius:.6g}. "

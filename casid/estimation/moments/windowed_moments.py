@@ -24,6 +24,7 @@ from casid.errors import DataError
 from casid.estimation.moments.gram import Moments, checked_channels, checked_lags
 from casid.estimation.moments.moments import moments
 from casid.linear.lagged_columns import Column
+from casid.linear.stability import largest_root
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,9 +245,9 @@ def on_simulated(columns: Sequence[Column], simulated: Mapping[str, str]) -> tup
 def _require_stable(a: Array, what: str) -> None:
     if not a.size or a[0] != 1.0 or not np.isfinite(a).all():
         raise DataError(f"{what}: denominator {a.tolist()} is not monic. Divide by its first.")
-    roots = np.roots(a)
-    if roots.size and np.max(np.abs(roots)) >= 1.0:
+    radius = largest_root(a)
+    if radius >= 1.0:
         raise DataError(
-            f"{what}: a pole at |z| = {np.max(np.abs(roots)):.4f}; the stream would grow without "
+            f"{what}: a pole at |z| = {radius:.4f}; the stream would grow without "
             "end. Reflect it into the unit circle."
         )

@@ -22,10 +22,10 @@ from casid.estimation.prediction_error.polynomial_model import PolynomialModel
 from casid.estimation.prediction_error.polynomial_orders import (
     Orders,
     is_stable,
-    largest_root,
     settling,
 )
 from casid.estimation.prediction_error.polynomial_start import long_model, long_order
+from casid.linear.stability import largest_root
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,11 +30,11 @@ from casid.estimation.prediction_error.polynomial_orders import (
     Polynomials,
     is_number,
     is_whole,
-    largest_root,
     settling,
 )
 from casid.estimation.prediction_error.polynomial_residuals import residual_input_correlation
 from casid.estimation.prediction_error.polynomial_start import Candidate, Data, candidates
+from casid.linear.stability import largest_root
 
 Errors = Literal["white", "robust"]
 NEAR = 0.999  # a root with this modulus or more is at the unit circle

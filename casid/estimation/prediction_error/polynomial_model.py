@@ -19,8 +19,9 @@ from casid.data.record import Record
 from casid.errors import DataError, ModelError, SolveError
 from casid.estimation.covariance import whiteness
 from casid.estimation.prediction_error.polynomial_data import one_record
-from casid.estimation.prediction_error.polynomial_orders import is_stable, largest_root
+from casid.estimation.prediction_error.polynomial_orders import is_stable
 from casid.estimation.prediction_error.polynomial_residuals import LAGS
+from casid.linear.stability import largest_root
 
 
 @dataclass(frozen=True, slots=True, eq=False)

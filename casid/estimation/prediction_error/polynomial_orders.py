@@ -14,14 +14,10 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.linear.stability import largest_root
 
 PerInput = int | Mapping[str, int]
 LAST_STABLE = 1 - 1e-6  # a root nearer to the unit circle counts as lying on it
-
-
-def largest_root(polynomial: Array) -> float:
-    """Largest modulus of the roots in z of a polynomial in ascending powers of q^-1."""
-    return float(np.max(np.abs(np.roots(polynomial)), initial=0.0))
 
 
 def is_stable(polynomial: Array) -> bool:

@@ -165,15 +165,14 @@ class LinearSignals:
         ModelError
             If shapes or names disagree, or A has an eigenvalue on or outside the unit circle.
         """
-        from casid.linear.state_space import matrices, state_space_response
+        from casid.linear.state_space import checked_state_space
 
-        given = matrices(system, tuple(variances), signals, Ts)
-        response = state_space_response(given)
+        given = checked_state_space(system, tuple(variances), signals, Ts)
         return cls.of_response(
             given.signals,
-            response,
+            given.response,
             variances,
-            Ts=given.Ts,
+            Ts=1.0 if given.Ts is None else given.Ts,
             excess_kurtosis=excess_kurtosis,
             longest_delay=len(given.A) + 1,
         )

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from casid.errors import ModelError
 from casid.linear.filters import as_filter
-from casid.linear.state_space import Matrices, state_space_response
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.networks.dynamics import network_states, refuse_unstable
 from casid.unknown_inputs.networks.network import Network
@@ -48,10 +47,9 @@ def network_signals(network: Network) -> LinearSignals:
     noisy = [n for n in network.measured if network.sensor_noise.get(n, 0.0) > 0]
     variances |= {f"noise {label[n]}": network.sensor_noise[n] for n in noisy}
     nodes = tuple(label[n] for n in network.nodes)
-    closed = state_space_response(Matrices(states.A, states.B, states.C, states.D, nodes, Ts))
 
     def response(z: Array) -> Array:
-        own = closed(z)
+        own = states.response(z)
         made = np.zeros((len(z), len(nodes), len(variances)), dtype=complex)
         for k, (column, model) in enumerate(entering):
             made[:, :, k] = own[:, :, column] * model(z)[:, None]

@@ -2,44 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from casid.algebra.realisation import matrices
-from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.linear.state_space import StateSpace
 from casid.unknown_inputs.networks.network import Network
-from casid.unknown_inputs.networks.nodes import edge_label
+from casid.unknown_inputs.networks.nodes import edge_label, node_label
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NetworkStates:
-    """x+ = A x + B e, w = C x + D e, with e = delta + tau of every node, in the order of nodes.
+def network_states(network: Network) -> StateSpace:
+    """The state space from delta + tau of every node to the nodes: (I - G)^-1.
 
-    Attributes
-    ----------
-    A : (n, n), B : (n, L), C : (L, n), D : (L, L).
-    variable, Ts : "q" or "s", and the sample time [s].
-    """
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    variable: str
-    Ts: float | None
-
-    def poles(self) -> tuple[Root, ...]:
-        """Eigenvalues of A, largest first; hidden modes among them."""
-        found = sorted(np.linalg.eigvals(self.A), key=lambda x: (-abs(x), -x.imag))
-        return tuple(Root(complex(x), self.variable or "q", self.Ts) for x in found)
-
-
-def network_states(network: Network) -> NetworkStates:
-    """Realise every row of modules and close the network: (I - G)^-1 with the states of G.
+    Every row of modules is realised, then the network closed. Inputs and outputs are in the order
+    of the nodes.
 
     Raises
     ------
@@ -73,8 +51,13 @@ def network_states(network: Network) -> NetworkStates:
         A0[start:stop, start:stop], B0[start:stop], C0[i, start:stop] = a, b, c[0]
         start = stop
     closed: Array = np.asarray(np.linalg.inv(np.eye(L) - D0))  # w = C0 x + D0 w + e
-    return NetworkStates(
-        A0 + B0 @ closed @ C0, B0 @ closed, closed @ C0, closed, network.variable, network.Ts
+    return StateSpace(
+        A0 + B0 @ closed @ C0,
+        B0 @ closed,
+        closed @ C0,
+        closed,
+        tuple(node_label(n) for n in network.nodes),
+        0.0 if network.variable == "s" else network.Ts,
     )
 
 

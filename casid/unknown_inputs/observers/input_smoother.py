@@ -19,8 +19,9 @@ from casid.arrays import TINY, Array
 from casid.data.record import Record
 from casid.errors import ModelError, nearest
 from casid.linear.extended_smoother import ExtendedSmoother, StochasticModel
-from casid.linear.noisy_system import exponential, sample_noise
+from casid.linear.noisy_system import sample_noise
 from casid.linear.split_dynamics import split_dynamics
+from casid.linear.stability import LAST_STABLE, spectral_radius
 from casid.unknown_inputs.observers.equivalent_model import require_recoverable
 from casid.unknown_inputs.observers.input_estimate import InputEstimate, noise_guess
 from casid.unknown_inputs.observers.system_reader import unknown_input_system
@@ -155,7 +156,7 @@ def _shape(name: str, s: UnknownInputSystem, Ts: float, model: Any) -> _Shape:
         one = np.ones((1, 1))
         return _Shape(one, Ts * one, np.ones(1), None, f"rate of {name}")
     import control
-    from scipy.linalg import solve_discrete_lyapunov
+    from scipy.linalg import expm, solve_discrete_lyapunov
 
     g = control.ss(model)
     if g.noutputs != 1 or np.any(g.D):
@@ -164,7 +165,7 @@ def _shape(name: str, s: UnknownInputSystem, Ts: float, model: Any) -> _Shape:
             "one output and D = 0 (white noise itself is a pole that is fast for the record)"
         )
     if g.dt in (0, None):
-        A, Q = exponential(g.A * Ts), sample_noise(g.A, g.B @ g.B.T, Ts)
+        A, Q = expm(g.A * Ts), sample_noise(g.A, g.B @ g.B.T, Ts)
     elif g.dt is True or abs(g.dt - Ts) < 1e-6 * Ts:
         A, Q = g.A, g.B @ g.B.T
     else:
@@ -172,7 +173,7 @@ def _shape(name: str, s: UnknownInputSystem, Ts: float, model: Any) -> _Shape:
             f"{s.name}: the model of {name} has Ts = {g.dt:g} s, the record {Ts:g} s; give it in "
             "continuous time, or sampled with the record's Ts"
         )
-    stable = np.max(np.abs(np.linalg.eigvals(A)), initial=0.0) < 1 - 1e-9
+    stable = spectral_radius(A) < LAST_STABLE
     P0 = np.asarray(solve_discrete_lyapunov(A, Q)) if stable else None
     return _Shape(np.asarray(A), np.asarray(Q), np.asarray(g.C).ravel(), P0, f"rate of {name}")
 

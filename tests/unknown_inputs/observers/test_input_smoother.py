@@ -165,9 +165,11 @@ def test_a_model_of_the_input_s_spectrum_beats_the_random_walk_where_it_is_right
     s = oscillator()
     rng = np.random.default_rng(6)
     shape = control.ss(control.tf([3.0], [1, 0.3, 9.0]))
-    from casid.linear.noisy_system import exponential, sample_noise
+    from scipy.linalg import expm
 
-    Ad, Q = exponential(shape.A * s.Ts), sample_noise(shape.A, shape.B @ shape.B.T, s.Ts)
+    from casid.linear.noisy_system import sample_noise
+
+    Ad, Q = expm(shape.A * s.Ts), sample_noise(shape.A, shape.B @ shape.B.T, s.Ts)
     root = np.linalg.cholesky(Q)
     N, z = 800, np.zeros(2)
     w = np.empty((N, 1))
