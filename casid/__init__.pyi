@@ -1,7 +1,6 @@
 """The public names of casid, each with the module it is loaded from at its first use."""
 
-from .algebra.rational import Rational
-from .algebra.rational_reader import rational
+from .algebra.rational import Rational, rational
 from .algebra.transfer_matrix import transfer_matrix
 from .campaigns.campaign import campaign
 from .campaigns.monte_carlo import MonteCarlo, montecarlo

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from casid.algebra import polynomial as poly
+from casid.algebra.coefficients import cancelled, coefficient
 from casid.algebra.polynomial import Coefficient, Polynomial
+from casid.algebra.rational_reader import read
+from casid.algebra.rational_text import fraction_text
+from casid.algebra.roots import Root, roots_of
 from casid.arrays import Array
 from casid.errors import ModelError
-
-if TYPE_CHECKING:
-    from casid.algebra.roots import Root
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,8 +131,6 @@ class Rational:
         """The same function with parameters replaced by numbers; names it lacks are ignored."""
         if not self.parameters:
             return self
-        from casid.algebra.rational_reader import coefficient
-
         given = {n: coefficient(v) for n, v in values.items()}
         above, below = (
             tuple(_replaced(c, given) for c in p) for p in (self.numerator, self.denominator)
@@ -204,9 +203,7 @@ class Rational:
         return control.TransferFunction(above, self._floats(self.denominator), dt)
 
     def __str__(self) -> str:
-        from casid.algebra.rational_text import written
-
-        return written(self)
+        return fraction_text(self.numerator, self.denominator, self.variable or "q")
 
     def __repr__(self) -> str:
         return f"<Rational {self}>"
@@ -214,7 +211,7 @@ class Rational:
     # -- arithmetic --------------------------------------------------------------------------
 
     def __add__(self, other: Any) -> Rational:
-        b = _as_rational(other)
+        b = rational(other)
         cross = poly.add(
             poly.multiply(self.numerator, b.denominator),
             poly.multiply(b.numerator, self.denominator),
@@ -224,7 +221,7 @@ class Rational:
         )
 
     def __mul__(self, other: Any) -> Rational:
-        b = _as_rational(other)
+        b = rational(other)
         return Rational(
             poly.multiply(self.numerator, b.numerator),
             poly.multiply(self.denominator, b.denominator),
@@ -247,10 +244,10 @@ class Rational:
         return self * Fraction(-1)
 
     def __sub__(self, other: Any) -> Rational:
-        return self + -_as_rational(other)
+        return self + -rational(other)
 
     def __truediv__(self, other: Any) -> Rational:
-        return self * _as_rational(other).inverse()
+        return self * rational(other).inverse()
 
     def __rsub__(self, other: Any) -> Rational:
         return (-self).__add__(other)
@@ -272,7 +269,7 @@ class Rational:
 
     def equals(self, other: Any) -> bool:
         """Whether two functions are the same, decided exactly."""
-        return (self - _as_rational(other)).is_zero
+        return (self - rational(other)).is_zero
 
     # -- inside ------------------------------------------------------------------------------
 
@@ -285,17 +282,43 @@ class Rational:
         return [float(c) for c in p]
 
     def _roots(self, p: Polynomial) -> tuple[Root, ...]:
-        from casid.algebra.roots import roots_of
-
         return roots_of(self._floats(p), self.variable, self.Ts)
 
 
-def _as_rational(value: Any) -> Rational:
-    if isinstance(value, Rational):
-        return value
-    from casid.algebra.rational_reader import rational
+def rational(
+    value: Any,
+    *,
+    Ts: float | None = None,
+    values: Mapping[str, Any] | None = None,
+    variable: str | None = None,
+) -> Rational:
+    """Read one transfer function.
 
-    return rational(value)
+    Parameters
+    ----------
+    value : a number; a `Rational`; a sympy expression in q (q**-1, z) or s; a SISO
+        `control.TransferFunction` or `control.StateSpace`; a rational CasADi SX expression. Symbols
+        other than the variable are parameters.
+    Ts : sample time [s] of what does not carry its own.
+    values : numbers for parameters; those without stay symbolic.
+    variable : name of the symbol that is the shift or s, where its name does not show it.
+
+    Raises
+    ------
+    ModelError
+        If the expression is not rational, both q and s occur, or the object is not SISO.
+    """
+    out = value if isinstance(value, Rational) else Rational(*read(value, variable))
+    if values:
+        out = out.substitute(values)
+    if Ts is not None and out.variable == "q":
+        if out.Ts is not None and abs(out.Ts - Ts) > 1e-12 * abs(Ts):
+            raise ModelError(
+                f"{out} has the sample time {out.Ts:g} s, not {Ts:g} s; resample it, or "
+                "leave out Ts"
+            )
+        out = Rational(out.numerator, out.denominator, "q", Ts)
+    return out
 
 
 def common_time(a: Rational, b: Rational) -> tuple[str, float | None]:
@@ -326,14 +349,10 @@ def _reduced(above: Polynomial, below: Polynomial) -> tuple[Polynomial, Polynomi
             shared = poly.common_divisor(above, below)
             above, below = poly.divide(above, shared)[0], poly.divide(below, shared)[0]
         return tuple(c / below[0] for c in above), poly.monic(below)
-    from casid.algebra.rational_reader import cancelled
-
     return cancelled(above, below)
 
 
 def _replaced(c: Coefficient, given: Mapping[str, Any]) -> Coefficient:
     if isinstance(c, Fraction):
         return c
-    from casid.algebra.rational_reader import coefficient
-
     return coefficient(c.subs({x: given[str(x)] for x in c.free_symbols if str(x) in given}))

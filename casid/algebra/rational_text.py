@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 from casid.algebra.polynomial import Coefficient, Polynomial
-
-if TYPE_CHECKING:
-    from casid.algebra.rational import Rational
 
 _LONGEST = 12  # characters of an exact number; a longer one is rounded in print
 
 
-def written(function: Rational) -> str:
+def fraction_text(numerator: Polynomial, denominator: Polynomial, variable: str) -> str:
     """One line, descending powers."""
-    letter = function.variable or "q"
-    above = polynomial_text(function.numerator, letter)
-    if len(function.denominator) == 1 and function.denominator[0] == 1:
+    above = polynomial_text(numerator, variable)
+    if len(denominator) == 1 and denominator[0] == 1:
         return above
-    below = polynomial_text(function.denominator, letter)
+    below = polynomial_text(denominator, variable)
     above = f"({above})" if " + " in above or " - " in above or "/" in above else above
     return f"{above} / {_bracketed(below)}"
 
 
-def polynomial_text(p: Polynomial, letter: str) -> str:
+def polynomial_text(p: Polynomial, variable: str) -> str:
     """A polynomial, descending."""
     terms = []
     for power, c in zip(range(len(p) - 1, -1, -1), p, strict=True):
         if c != 0:
-            name = ("", letter)[power] if power < 2 else f"{letter}^{power}"
+            name = ("", variable)[power] if power < 2 else f"{variable}^{power}"
             terms.append(_term(c, name))
     return " + ".join(terms).replace("+ -", "- ") if terms else "0"
 

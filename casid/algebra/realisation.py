@@ -2,21 +2,58 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
 from casid.algebra import polynomial as poly
 from casid.algebra.minors import pole_polynomial
 from casid.algebra.rational import Rational
-from casid.algebra.transfer_matrix import RationalMatrix
 from casid.arrays import Array
 from casid.errors import ModelError
 
 Matrices = tuple[Array, Array, Array, Array]
 
 
-def state_space(function: Rational | RationalMatrix) -> Any:
+class TransferFunctions(Protocol):
+    """What is read of a `RationalMatrix`."""
+
+    @property
+    def rows(self) -> tuple[tuple[Rational, ...], ...]:
+        """m rows of n transfer functions."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the rows."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the columns."""
+
+    @property
+    def time(self) -> tuple[str, float | None]:
+        """Variable and sample time."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Single:
+    """One transfer function as a matrix."""
+
+    function: Rational
+    outputs: tuple[str, ...] = ("y1",)
+    inputs: tuple[str, ...] = ("u1",)
+
+    @property
+    def rows(self) -> tuple[tuple[Rational, ...], ...]:
+        return ((self.function,),)
+
+    @property
+    def time(self) -> tuple[str, float | None]:
+        return self.function.variable, self.function.Ts
+
+
+def state_space(function: Rational | TransferFunctions) -> Any:
     """A `control.StateSpace`, minimal where there is one output or one input.
 
     One output: observer form over the least common denominator of entries that share poles, block
@@ -30,7 +67,7 @@ def state_space(function: Rational | RationalMatrix) -> Any:
     """
     import control
 
-    matrix = RationalMatrix(((function,),)) if isinstance(function, Rational) else function
+    matrix = _Single(function) if isinstance(function, Rational) else function
     A, B, C, D = matrices(matrix)
     variable, Ts = matrix.time
     dt: Any = {"s": 0, "": None}.get(variable, Ts or True)
@@ -46,7 +83,7 @@ def state_space(function: Rational | RationalMatrix) -> Any:
     )
 
 
-def matrices(matrix: RationalMatrix) -> Matrices:
+def matrices(matrix: TransferFunctions) -> Matrices:
     """(A, B, C, D) of `state_space` as arrays."""
     _refuse(matrix)
     rows = matrix.rows
@@ -58,19 +95,19 @@ def matrices(matrix: RationalMatrix) -> Matrices:
     return A.T, C.T, B.T, D.T
 
 
-def mcmillan_degree(function: Rational | RationalMatrix) -> int:
+def mcmillan_degree(function: Rational | TransferFunctions) -> int:
     """The least number of states, exactly; poles at infinity counted for improper functions."""
-    matrix = RationalMatrix(((function,),)) if isinstance(function, Rational) else function
+    rows = ((function,),) if isinstance(function, Rational) else function.rows
     # The degree does not change under q = 1/x + a, and a proper matrix has its poles at finite x
     # once a is no pole.
-    if matrix.is_proper:
-        return poly.degree(pole_polynomial(matrix.rows))
+    if all(g.is_proper for row in rows for g in row):
+        return poly.degree(pole_polynomial(rows))
     a = next(
         k
         for k in range(2, 1000)
-        if all(poly.evaluate(g.denominator, k) != 0 for row in matrix.rows for g in row)
+        if all(poly.evaluate(g.denominator, k) != 0 for row in rows for g in row)
     )
-    moved = tuple(tuple(_moved(g, a) for g in row) for row in matrix.rows)
+    moved = tuple(tuple(_moved(g, a) for g in row) for row in rows)
     return poly.degree(pole_polynomial(moved))
 
 
@@ -90,7 +127,7 @@ def _moved(g: Rational, a: int) -> Rational:
     return Rational(top, bottom, "q")
 
 
-def _refuse(matrix: RationalMatrix) -> None:
+def _refuse(matrix: TransferFunctions) -> None:
     for y, row in zip(matrix.outputs, matrix.rows, strict=True):
         for u, g in zip(matrix.inputs, row, strict=True):
             if g.parameters:

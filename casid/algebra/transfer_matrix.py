@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from casid.algebra.rational import Rational
+from casid.algebra.control_reader import control_entries
+from casid.algebra.minors import inverse, normal_rank, pole_polynomial, zero_polynomial
+from casid.algebra.rational import Rational, common_time, rational
+from casid.algebra.realisation import state_space
+from casid.algebra.roots import Root, roots_of
 from casid.arrays import Array
 from casid.errors import ModelError
-
-if TYPE_CHECKING:
-    from casid.algebra.roots import Root
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,22 +124,14 @@ class RationalMatrix:
 
     def rank(self) -> int:
         """Normal rank: the rank at almost every point (exact, over rational functions)."""
-        from casid.algebra.minors import normal_rank
-
         return normal_rank(self.rows)
 
     def poles(self) -> tuple[Root, ...]:
         """Poles with their multiplicities: roots of the least common denominator of all minors."""
-        from casid.algebra.minors import pole_polynomial
-        from casid.algebra.roots import roots_of
-
         return roots_of([float(c) for c in pole_polynomial(self.rows)], *self.time)
 
     def zeros(self) -> tuple[Root, ...]:
         """Transmission zeros: where the matrix loses rank (Smith-McMillan form)."""
-        from casid.algebra.minors import zero_polynomial
-        from casid.algebra.roots import roots_of
-
         return roots_of([float(c) for c in zero_polynomial(self.rows)], *self.time)
 
     # -- algebra -----------------------------------------------------------------------------
@@ -182,8 +175,6 @@ class RationalMatrix:
         ModelError
             If the matrix is not square, or singular at every q.
         """
-        from casid.algebra.minors import inverse
-
         return RationalMatrix(inverse(self.rows), self.inputs, self.outputs)
 
     def equals(self, other: RationalMatrix) -> bool:
@@ -192,8 +183,6 @@ class RationalMatrix:
 
     def state_space(self) -> Any:
         """A `control.StateSpace` of it, see `casid.algebra.realisation`."""
-        from casid.algebra.realisation import state_space
-
         return state_space(self)
 
     def __str__(self) -> str:
@@ -247,8 +236,6 @@ def transfer_matrix(
     ModelError
         If rows differ in length, or sample times or variables differ.
     """
-    from casid.algebra.rational_reader import rational
-
     rows = tuple(tuple(rational(g, Ts=Ts, values=values) for g in row) for row in _rows(value))
     return RationalMatrix(rows, tuple(outputs), tuple(inputs))
 
@@ -261,8 +248,6 @@ def shared_time(functions: Sequence[Rational]) -> tuple[str, float | None]:
     ModelError
         If two differ in them.
     """
-    from casid.algebra.rational import common_time
-
     found: tuple[str, float | None] = ("", None)
     last = Rational(())
     for g in functions:
@@ -278,9 +263,7 @@ def _rows(value: Any) -> Any:
         return value.rows
     module = type(value).__module__
     if module.startswith("control"):
-        from casid.algebra.from_control import entries
-
-        return entries(value)
+        return [[Rational(*entry) for entry in row] for row in control_entries(value)]
     if module.startswith("casadi"):
         from casid.algebra.symbolic import to_sympy
 

@@ -20,14 +20,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casid.algebra.elimination import solve
+from casid.algebra.leverrier import faddeev_leverrier
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.linear.affine_hull import AffineHull, affine_hull
 from casid.linear.discretisation import (
     SUBSTITUTIONS,
     check_method,
@@ -35,19 +37,15 @@ from casid.linear.discretisation import (
     matrix_of,
     substitution,
 )
-from casid.linear.inverse_map import invert as invert
 from casid.linear.lagged_columns import Column
 from casid.linear.linear_model import LinearModel, TransferMatrix, linearise, parameter_vector
+from casid.linear.parameter_draws import Range
 from casid.linear.structural_relations import (
     common_degree,
     hold_relations,
     rational_relations,
 )
 from casid.model.model import Model, Parameter
-
-if TYPE_CHECKING:
-    from casid.linear.affine_hull import AffineHull
-    from casid.linear.parameter_draws import Range
 
 Expr = Any  # a CasADi SX expression
 
@@ -145,8 +143,6 @@ class DifferenceEquation:
         ModelError, IdentifiabilityError
             As `casid.affine_hull`.
         """
-        from casid.linear.affine_hull import affine_hull
-
         free = (free,) if isinstance(free, str) else tuple(free)
         centres = {q.name: q.start for q in self.description if q.name in free}
         return affine_hull(
@@ -404,11 +400,8 @@ def _unheld(name: str, rows: Array, Ts: float, method: str) -> Array:
     inward = b[:, 1:].T - np.outer(a[1:], b[:, 0])  # (n, nu), with D = b[:, 0]
     B = np.linalg.solve(g1 - g2 + phi @ g2, inward)
     D = b[:, 0] - (g2 @ B)[0]
-    denominator = np.poly(A)
-    M = np.eye(n)
+    denominator, adjugate = faddeev_leverrier(A, eye, 1.0, np.trace)
     numerators = [D * denominator[0]]
-    for k in range(1, n + 1):
-        numerators.append((M @ B)[0] + denominator[k] * D)
-        M = A @ M + denominator[k] * np.eye(n)
+    numerators += [(M @ B)[0] + c * D for M, c in zip(adjugate, denominator[1:], strict=True)]
     scale = Ts ** -np.arange(n + 1.0)
     return np.asarray(np.real(np.vstack([denominator, np.array(numerators).T])) * scale)

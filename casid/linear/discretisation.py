@@ -29,7 +29,7 @@ from casid.errors import ModelError, nearest
 from casid.linear.linear_model import (
     LinearModel,
     TransferMatrix,
-    faddeev_leverrier,
+    adjugate_polynomials,
     packed_rows,
     parameter_vector,
     unpacked_rows,
@@ -268,7 +268,7 @@ def _held(
     # The state minus G2 B u has no u+ in it: y = C z + (D + C G2 B) u.
     B_now = (g1 - g2 + phi @ g2) @ B
     D = D + g2[0, :] @ B
-    denominator, adjugate = faddeev_leverrier(phi)
+    denominator, adjugate = adjugate_polynomials(phi)
     rows = [denominator[0] * D] + [
         adjugate[k - 1][0, :] @ B_now + denominator[k] * D for k in range(1, n + 1)
     ]

@@ -21,6 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.algebra.leverrier import faddeev_leverrier
 from casid.algebra.vanishing import float_points, remove_zeros
 from casid.arrays import Array
 from casid.errors import ModelError
@@ -127,7 +128,7 @@ class LinearModel:
     def transfer(self, outputs: Sequence[str] | str | None = None) -> TransferMatrix:
         """Transfer functions with one common denominator, of these outputs (all by default)."""
         part = self.subsystem(outputs)
-        denominator, adjugate = faddeev_leverrier(part.A)
+        denominator, adjugate = adjugate_polynomials(part.A)
         n, nu, ny = len(part.states), len(self.inputs), len(part.outputs)
         flat = [denominator[k] for k in range(n + 1)]
         products = [ca.SX(ny, nu), *(part.C @ M @ part.B for M in adjugate)]
@@ -309,26 +310,9 @@ def linearise(
     )
 
 
-def faddeev_leverrier(A: Expr) -> tuple[Expr, list[Expr]]:
-    """The characteristic polynomial and the adjugate of sI - A, division free but for integers.
-
-    Returns
-    -------
-    (n+1,) SX in descending powers of s, monic; and n matrices M_1 .. M_n (n, n) with
-    adj(sI - A) = sum_k M_k s^(n-k).
-
-    Source: F. R. Gantmacher, The Theory of Matrices (1959), vol. 1, ch. IV, section 5.
-    """
-    n = A.size1()
-    eye = ca.SX.eye(n)
-    coefficients, adjugate = [ca.SX(1)], []
-    M = eye
-    for k in range(1, n + 1):
-        adjugate.append(M)
-        AM = A @ M
-        c = -ca.trace(AM) / k
-        coefficients.append(c)
-        M = AM + c * eye
+def adjugate_polynomials(A: Expr) -> tuple[Expr, list[Expr]]:
+    """`faddeev_leverrier` of a square SX matrix: (n+1,) SX, and n matrices (n, n)."""
+    coefficients, adjugate = faddeev_leverrier(A, ca.SX.eye(A.size1()), ca.SX(1), ca.trace)
     return ca.vertcat(*coefficients), adjugate
 
 

@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from casid.algebra.minors import determinant
-from casid.algebra.rational import Rational
-from casid.algebra.rational_reader import rational
+from casid.algebra.rational import Rational, rational
 from casid.algebra.realisation import mcmillan_degree, state_space
 from casid.algebra.transfer_matrix import transfer_matrix
 from casid.errors import ModelError

@@ -11,9 +11,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from casid.errors import ModelError
-from casid.linear.difference_equation import difference_equation, difference_equations, invert
+from casid.linear.difference_equation import difference_equation, difference_equations
 from casid.linear.discretisation import METHODS, SUBSTITUTIONS, discretise
-from casid.linear.inverse_map import continuous_form
+from casid.linear.inverse_map import continuous_form, invert
 from casid.linear.linear_model import linearise
 from casid.model.model import Model
 from problems.pendulum import direct_model

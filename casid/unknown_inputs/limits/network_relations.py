@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
-from casid.algebra.rational import Rational
-from casid.algebra.rational_reader import rational
+from casid.algebra.rational import Rational, rational
 from casid.errors import ModelError
 from casid.estimation.prediction_error.polynomial_orders import Orders
 from casid.unknown_inputs.networks.confounders import Confounder, confounders, confounders_in

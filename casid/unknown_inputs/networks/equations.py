@@ -165,7 +165,7 @@ def _exact(q: Fraction, values: Mapping[str, Any]) -> Field:
 def _symbolic(network: Network, values: Mapping[str, Any]) -> Field:
     import sympy
 
-    from casid.algebra.rational_reader import rational
+    from casid.algebra.rational import rational
 
     letter = network.variable or "q"
     names = sorted({n for g in network.modules.values() for n in g.substitute(values).parameters})

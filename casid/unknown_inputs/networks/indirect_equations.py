@@ -100,7 +100,7 @@ def indirect_equations(
 def _checked(
     equations: NodeEquations, unknown: Sequence[Node], measured: Sequence[Node], filters: Filters
 ) -> dict[Edge, Element]:
-    from casid.algebra.rational_reader import rational
+    from casid.algebra.rational import rational
 
     strange = [e for e in filters if e[0] not in unknown or e[1] not in measured]
     if strange:

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from casid.algebra.rational import Rational
-from casid.algebra.rational_reader import rational
+from casid.algebra.rational import Rational, rational
 from casid.algebra.transfer_matrix import shared_time
 from casid.errors import ModelError
 from casid.presentation import Presented

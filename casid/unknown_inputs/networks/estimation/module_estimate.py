@@ -245,7 +245,7 @@ def _rational(b: Array, a: Array, Ts: float) -> Rational:
     n = max(len(a), len(b))
     above = [float(x) for x in b] + [0.0] * (n - len(b))
     below = [float(x) for x in a] + [0.0] * (n - len(a))
-    from casid.algebra.rational_reader import coefficient
+    from casid.algebra.coefficients import coefficient
 
     return Rational(
         tuple(coefficient(x) for x in above), tuple(coefficient(x) for x in below), "q", Ts

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
-from casid.algebra.rational import Rational
-from casid.algebra.rational_reader import rational
+from casid.algebra.rational import Rational, rational
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import node_equations
