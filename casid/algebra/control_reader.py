@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
 from casid.algebra import polynomial as poly
 from casid.algebra.coefficients import coefficient
-from casid.algebra.leverrier import faddeev_leverrier
+from casid.algebra.leverrier import fractions, transfer_polynomials
 from casid.algebra.polynomial import Polynomial
 from casid.errors import ModelError
 
@@ -54,22 +53,10 @@ def _exact(coefficients: Any) -> Polynomial:
 
 
 def _state_space(system: Any, variable: str, Ts: float | None) -> list[list[Entry]]:
-    A, B, C, D = (
-        np.array([coefficient(float(x)) for x in np.ravel(M)], dtype=object).reshape(np.shape(M))
-        for M in (system.A, system.B, system.C, system.D)
+    above, below = transfer_polynomials(
+        *(
+            fractions([coefficient(float(x)) for x in np.ravel(M)]).reshape(np.shape(M))
+            for M in (system.A, system.B, system.C, system.D)
+        )
     )
-    eye = np.array([[Fraction(int(i == k)) for k in range(len(A))] for i in range(len(A))])
-    below, adjugate = faddeev_leverrier(A, eye.reshape(A.shape), Fraction(1), np.trace)
-    above = [C @ M @ B for M in adjugate]
-    return [
-        [
-            (
-                poly.add(poly.trimmed(M[i, k] for M in above), poly.scale(tuple(below), D[i, k])),
-                tuple(below),
-                variable,
-                Ts,
-            )
-            for k in range(D.shape[1])
-        ]
-        for i in range(len(D))
-    ]
+    return [[(numerator, below, variable, Ts) for numerator in row] for row in above]

@@ -6,7 +6,14 @@ Source: F. R. Gantmacher, The Theory of Matrices (1959), vol. 1, ch. IV, section
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any, TypeAlias
+
+import numpy as np
+
+from casid.algebra import polynomial as poly
+from casid.algebra.polynomial import Polynomial
+from casid.arrays import Array
 
 Matrix: TypeAlias = Any  # of floats, fractions or CasADi expressions, with @
 
@@ -33,3 +40,29 @@ def faddeev_leverrier(
         coefficients.append(c)
         M = AM + c * eye
     return coefficients, adjugate
+
+
+def fractions(values: Any) -> Array:
+    """A matrix of fractions, as an array of objects."""
+    given = np.asarray(values)
+    made = np.empty(given.size, dtype=object)
+    made[:] = [Fraction(v) for v in given.ravel()]
+    return made.reshape(given.shape)
+
+
+def transfer_polynomials(
+    A: Array, B: Array, C: Array, D: Array
+) -> tuple[list[list[Polynomial]], Polynomial]:
+    """Numerators and common denominator of C (sI - A)^-1 B + D, matrices of fractions."""
+    eye = fractions(np.eye(len(A)))
+    coefficients, adjugate = faddeev_leverrier(A, eye, Fraction(1), np.trace)
+    below = tuple(coefficients)
+    parts = [C @ M @ B for M in adjugate]
+    above = [
+        [
+            poly.add(poly.trimmed(M[i, k] for M in parts), poly.scale(below, D[i, k]))
+            for k in range(D.shape[1])
+        ]
+        for i in range(len(D))
+    ]
+    return above, below

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from casid.errors import ModelError
-from casid.linear.linear_model import LinearModel, faddeev_leverrier, linearise
+from casid.linear.linear_model import LinearModel, adjugate_polynomials, linearise
 from casid.model.effects.balance_effects import coulomb_friction, offset, quadratic_damping
 from casid.model.effects.channel_effects import sensor_bias, time_delay
 from casid.model.effects.parameter_effects import parameter_jump
@@ -213,7 +213,7 @@ def test_transfer_functions_are_c_times_resolvent_times_b(n):
 def test_the_characteristic_polynomial_is_that_of_the_eigenvalues(seed, n):
     """Also for non-symmetric matrices with complex eigenvalues."""
     A = np.random.default_rng(seed).standard_normal((n, n))
-    coefficients, adjugate = faddeev_leverrier(ca.SX(A))
+    coefficients, adjugate = adjugate_polynomials(ca.SX(A))
     np.testing.assert_allclose(
         np.array(ca.DM(coefficients)).ravel(), np.poly(A), rtol=1e-8, atol=1e-9
     )

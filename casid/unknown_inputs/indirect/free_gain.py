@@ -18,13 +18,12 @@ from fractions import Fraction
 import numpy as np
 
 from casid.algebra import polynomial as poly
-from casid.algebra.polynomial import Polynomial
+from casid.algebra.elimination import row_echelon
+from casid.algebra.leverrier import fractions, transfer_polynomials
 from casid.algebra.rational import Rational
 from casid.algebra.transfer_matrix import RationalMatrix
-from casid.arrays import TINY
+from casid.arrays import TINY, Array
 from casid.unknown_inputs.indirect.blocks import frequency_grid, is_stable
-
-Exact = list[list[Fraction]]
 
 
 def free_gain_inverse(G: RationalMatrix) -> RationalMatrix | None:
@@ -61,87 +60,62 @@ def _advance(G: RationalMatrix) -> Rational:
 
 def _inverse_of_proper(G: RationalMatrix) -> RationalMatrix | None:
     A, E, C, F = exact_realisation(G)
-    basis = _echelon_of_transpose(F)
+    basis = _left_inverse_and_null_space(F)
     if basis is None:
         return None
     K, N = basis
-    NC = _times(N, C)
-    inner = _minus(A, _times(_times(E, K), C))
+    NC, EK = N @ C, E @ K
+    inner = A - EK @ C
     variable, Ts = G.time
     H = _gain(inner, NC, variable == "s")
     if H is None:
         return None
-    A_f = _minus(inner, _times(H, NC))
-    B_f = _plus(_times(E, K), _times(H, N))
-    minus_KC = [[-x for x in row] for row in _times(K, C)]
-    f = _transfer(A_f, B_f, minus_KC, K, variable, Ts)
+    above, below = transfer_polynomials(inner - H @ NC, EK + H @ N, -K @ C, K)
+    f = tuple(tuple(Rational(a, below, variable, Ts) for a in row) for row in above)
     out = RationalMatrix(f, G.inputs, G.outputs)
     return out if is_stable(out) else None
 
 
-def exact_realisation(G: RationalMatrix) -> tuple[Exact, Exact, Exact, Exact]:
+def exact_realisation(G: RationalMatrix) -> tuple[Array, Array, Array, Array]:
     """(A, B, C, D) in fractions: every row in observer form over its least common denominator."""
-    n = G.shape[1]
-    parts: list[tuple[Exact, Exact]] = []
-    for row in G.rows:
-        below = poly.common_multiple(g.denominator for g in row)
+    m, n = G.shape
+    denominators = [poly.common_multiple(g.denominator for g in row) for row in G.rows]
+    total = sum(poly.degree(below) for below in denominators)
+    A, B, C = (fractions(np.zeros(s)) for s in ((total, total), (total, n), (m, total)))
+    start = 0
+    for i, (row, below) in enumerate(zip(G.rows, denominators, strict=True)):
         order = poly.degree(below)
-        A = [[Fraction(0)] * order for _ in range(order)]
-        B = [[Fraction(0)] * n for _ in range(order)]
-        for i in range(order):
-            A[i][0] = -below[i + 1]
-            if i + 1 < order:
-                A[i][i + 1] = Fraction(1)
+        for k in range(order):
+            A[start + k, start] = -below[k + 1]
+            if k + 1 < order:
+                A[start + k, start + k + 1] = Fraction(1)
         for k, g in enumerate(row):
             fill = poly.divide(below, g.denominator)[0]
             rest = poly.add(poly.multiply(g.numerator, fill), poly.scale(below, -g.direct))
-            for i, c in enumerate(rest):
-                B[order - len(rest) + i][k] = c
-        parts.append((A, B))
-    total = sum(len(A) for A, _ in parts)
-    A_all = [[Fraction(0)] * total for _ in range(total)]
-    B_all: Exact = []
-    C = [[Fraction(0)] * total for _ in parts]
-    start = 0
-    for i, (A, B) in enumerate(parts):
-        for r, row_A in enumerate(A):
-            A_all[start + r][start : start + len(A)] = row_A
-        B_all += B
-        if A:
-            C[i][start] = Fraction(1)
-        start += len(A)
-    D = [[Fraction(g.direct) for g in row] for row in G.rows]
-    return A_all, B_all, C, D
+            for j, c in enumerate(rest):
+                B[start + order - len(rest) + j, k] = c
+        if order:
+            C[i, start] = Fraction(1)
+        start += order
+    return A, B, C, fractions([[g.direct for g in row] for row in G.rows])
 
 
-def _echelon_of_transpose(F: Exact) -> tuple[Exact, Exact] | None:
+def _left_inverse_and_null_space(F: Array) -> tuple[Array, Array] | None:
     """K with K F = I and N with N F = 0, rows of N a basis; None where F lacks column rank."""
-    m, n = len(F), len(F[0])
-    work = [[*row, *(Fraction(int(i == k)) for k in range(m))] for i, row in enumerate(F)]
-    for k in range(n):
-        pivot = max(range(k, m), key=lambda i: abs(work[i][k]), default=None)
-        if pivot is None or work[pivot][k] == 0:
-            return None
-        work[k], work[pivot] = work[pivot], work[k]
-        head = work[k][k]
-        work[k] = [x / head for x in work[k]]
-        for i in range(m):
-            if i != k and work[i][k] != 0:
-                factor = work[i][k]
-                work[i] = [a - factor * b for a, b in zip(work[i], work[k], strict=True)]
-    return [row[n:] for row in work[:n]], [row[n:] for row in work[n:]]
+    m, n = F.shape
+    found = row_echelon(np.hstack([F, fractions(np.eye(m))]).tolist(), columns=n, size=abs)
+    rows = np.array(found.rows, dtype=object)[:, n:]
+    return (rows[:n], rows[n:]) if found.rank == n else None
 
 
-def _gain(A: Exact, C: Exact, is_continuous: bool) -> Exact | None:
+def _gain(A: Array, C: Array, is_continuous: bool) -> Array | None:
     """H that makes A - H C stable: least variance for noise of size one on states and outputs."""
     from scipy import linalg
 
     n = len(A)
-    if n == 0:
-        return []
-    a, c = (np.array([[float(x) for x in row] for row in M]) for M in (A, C))
-    if not len(c):
-        return [[] for _ in range(n)]
+    if n == 0 or not len(C):
+        return fractions(np.zeros((n, len(C))))
+    a, c = A.astype(float), C.astype(float)
     size = max(float(np.linalg.norm(c)), TINY)
     try:
         if is_continuous:
@@ -152,49 +126,4 @@ def _gain(A: Exact, C: Exact, is_continuous: bool) -> Exact | None:
             H = a @ P @ c.T @ np.linalg.inv(c @ P @ c.T + size**2 * np.eye(len(c)))
     except (linalg.LinAlgError, ValueError):
         return None
-    return [[Fraction(f"{x:.4g}") for x in row] for row in H.tolist()]
-
-
-def _transfer(
-    A: Exact, B: Exact, C: Exact, D: Exact, variable: str, Ts: float | None
-) -> tuple[tuple[Rational, ...], ...]:
-    """C (z I - A)^-1 B + D, by the recursion of Faddeev and LeVerrier in fractions."""
-    n, columns = len(A), len(D[0])
-    below, M = [Fraction(1)], [[Fraction(int(i == k)) for k in range(n)] for i in range(n)]
-    above: list[Exact] = []
-    for k in range(1, n + 1):
-        above.append(_times(_times(C, M), B))
-        AM = _times(A, M)
-        c = -sum((AM[i][i] for i in range(n)), Fraction(0)) / k
-        below.append(c)
-        M = [[AM[i][j] + (c if i == j else 0) for j in range(n)] for i in range(n)]
-    denominator: Polynomial = tuple(below)
-    rows = []
-    for i in range(len(D)):
-        row = []
-        for j in range(columns):
-            numerator = poly.trimmed(X[i][j] for X in above)
-            total = poly.add(numerator, poly.scale(denominator, D[i][j]))
-            row.append(Rational(total, denominator, variable, Ts))
-        rows.append(tuple(row))
-    return tuple(rows)
-
-
-def _times(a: Exact, b: Exact) -> Exact:
-    columns = len(b[0]) if b else 0
-    return [
-        [sum((x * b[k][j] for k, x in enumerate(row)), Fraction(0)) for j in range(columns)]
-        for row in a
-    ]
-
-
-def _minus(a: Exact, b: Exact) -> Exact:
-    if not a or not b or not b[0]:
-        return a
-    return [[x - y for x, y in zip(p, q, strict=True)] for p, q in zip(a, b, strict=True)]
-
-
-def _plus(a: Exact, b: Exact) -> Exact:
-    if not a or not b or not b[0]:
-        return a
-    return [[x + y for x, y in zip(p, q, strict=True)] for p, q in zip(a, b, strict=True)]
+    return fractions([[f"{x:.4g}" for x in row] for row in H.tolist()])
