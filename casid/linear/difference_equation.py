@@ -30,6 +30,7 @@ from casid.algebra.leverrier import faddeev_leverrier
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.linear.affine_hull import AffineHull, affine_hull
+from casid.linear.common_denominator import parameter_vector
 from casid.linear.discretisation import (
     SUBSTITUTIONS,
     check_method,
@@ -38,7 +39,7 @@ from casid.linear.discretisation import (
     substitution,
 )
 from casid.linear.lagged_columns import Column
-from casid.linear.linear_model import LinearModel, TransferMatrix, linearise, parameter_vector
+from casid.linear.linear_model import LinearModel, TransferMatrix, linearise
 from casid.linear.parameter_draws import Range
 from casid.linear.structural_relations import (
     common_degree,
@@ -351,7 +352,7 @@ def _stability_note(transfer: TransferMatrix, discrete: Any, method: str) -> lis
     """Said where forward Euler makes a stable system unstable at the nominal parameters."""
     if method != "forward":
         return []
-    nominal = np.array([q.start if q.value is None else q.value for q in transfer.description])
+    nominal = transfer.nominal()
     continuous = np.roots(np.array(transfer.function.call([nominal])[0]).ravel())
     poles = np.roots(np.array(discrete.function.call([nominal])[0]).ravel())
     if not len(poles) or not np.isfinite(poles).all() or continuous.real.max() >= 0:

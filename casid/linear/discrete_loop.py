@@ -9,6 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError, SolveError, nearest
+from casid.linear.discretisation import substitution
 from casid.linear.stability import largest_root
 
 
@@ -100,11 +101,6 @@ def bilinear(coefficients: Array, Ts: float) -> Array:
     -------
     (n+1,) ascending powers of q^-1.
     """
-    c, n = 2.0 / Ts, len(coefficients) - 1
-    total = np.zeros(n + 1)
-    for k, value in zip(range(n, -1, -1), coefficients, strict=True):
-        term = np.array([1.0])
-        for factor in [[1.0, -1.0]] * k + [[1.0, 1.0]] * (n - k):
-            term = np.convolve(term, factor)
-        total += value * c**k * term
-    return total
+    n = len(coefficients) - 1
+    K = np.array(substitution(n, Ts, "bilinear"), dtype=float)
+    return np.asarray((2.0 / Ts) ** n * coefficients @ K)

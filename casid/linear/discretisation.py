@@ -17,7 +17,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 from numbers import Real
 from typing import Any
 
@@ -26,13 +25,11 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError, nearest
+from casid.linear.common_denominator import CommonDenominator
 from casid.linear.linear_model import (
     LinearModel,
     TransferMatrix,
     adjugate_polynomials,
-    packed_rows,
-    parameter_vector,
-    unpacked_rows,
 )
 from casid.model.model import Parameter
 
@@ -49,7 +46,7 @@ _MARGIN = 4.0  # how much faster than at the nominal parameters the system may g
 
 
 @dataclass(frozen=True, eq=False)
-class DiscreteTransfer:
+class DiscreteTransfer(CommonDenominator):
     """Transfer functions in x = q^-1 with a common denominator, functions of the parameters.
 
     Attributes
@@ -69,33 +66,9 @@ class DiscreteTransfer:
     parameters: tuple[str, ...]
     description: tuple[Parameter, ...] = ()
 
-    @property
-    def order(self) -> int:
-        """The largest lag."""
-        return int(self.denominator.numel()) - 1
-
-    @cached_property
-    def function(self) -> ca.Function:
-        """p (np,) -> denominator, then the numerators, output by output."""
-        flat = [self.denominator, *(b for row in self.numerators for b in row)]
-        return ca.Function("discrete", [self.p], [ca.densify(b) for b in flat], {"cse": True})
-
-    def evaluate(
-        self, values: Mapping[str, float] | None = None
-    ) -> tuple[Array, list[list[Array]]]:
-        """Denominator (n+1,) and numerators [output][input] -> (n+1,) as numbers."""
-        vector = parameter_vector(self.name, self.description, values or {})
-        flat: list[Array] = [np.array(b).ravel() for b in self.function.call([vector])]
-        nu = len(self.inputs)
-        return flat[0], [flat[1 + i * nu : 1 + (i + 1) * nu] for i in range(len(self.outputs))]
-
     def poles(self, values: Mapping[str, float] | None = None) -> Array:
         """The poles in the q plane, (n,) complex."""
         return np.asarray(np.roots(self.evaluate(values)[0]), dtype=complex)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        fields = {k: getattr(self, k) for k in _PLAIN}
-        return _discrete_from, (packed_rows(self), fields)
 
     def __repr__(self) -> str:
         return (
@@ -213,13 +186,6 @@ def hold_matrices(A: Expr, squarings: int, method: str) -> tuple[Expr, Expr, Exp
     return e[:n, :n], e[:n, n : 2 * n], e[:n, 2 * n :]
 
 
-_PLAIN = ("name", "Ts", "method", "inputs", "outputs", "parameters", "description")
-
-
-def _discrete_from(function: ca.Function, fields: dict[str, Any]) -> DiscreteTransfer:
-    return DiscreteTransfer(**unpacked_rows(function, fields))
-
-
 # -- inside ------------------------------------------------------------------------------------
 
 
@@ -289,12 +255,12 @@ def _require_proper(transfer: TransferMatrix, what: str, others: str) -> None:
 
 def _squarings(transfer: TransferMatrix, Ts: float) -> int:
     """How often to square: the fastest pole times Ts near the nominal parameters, with a margin."""
-    nominal = [q.start if q.value is None else q.value for q in transfer.description]
+    nominal = transfer.nominal()
     rng = np.random.default_rng(4)
     speeds = []
     for k in range(5):
         factor = np.exp(rng.uniform(-0.7, 0.7, transfer.p.numel())) if k else 1.0
-        point = np.array(nominal) * factor if nominal else rng.uniform(0.2, 1.7, transfer.p.numel())
+        point = nominal * factor if len(nominal) else rng.uniform(0.2, 1.7, transfer.p.numel())
         a = np.array(transfer.function.call([point])[0]).ravel()
         if np.isfinite(a).all():
             speeds.append(float(np.abs(np.roots(a)).max(initial=0.0)) * Ts)

@@ -12,9 +12,8 @@ and removed: states that no input reaches or no output sees, coefficients, commo
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,7 +23,13 @@ import numpy as np
 from casid.algebra.leverrier import faddeev_leverrier
 from casid.algebra.vanishing import float_points, remove_zeros
 from casid.arrays import Array
-from casid.errors import ModelError
+from casid.errors import ModelError, nearest
+from casid.linear.common_denominator import (
+    CommonDenominator,
+    packed,
+    parameter_vector,
+    unpacked,
+)
 from casid.model.model import Model, Parameter
 from casid.presentation import Presented
 
@@ -153,16 +158,13 @@ class LinearModel:
 
     def __reduce__(self) -> tuple[Any, ...]:
         expressions = [self.A, self.B, self.C, self.D, *self.equilibrium.values()]
-        fields = dict(self.__dict__, equilibrium=tuple(self.equilibrium))
-        return _linear_from, (packed(self.p, expressions), _plain(fields))
+        kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in "ABCDp"}
+        kept["equilibrium"] = tuple(self.equilibrium)
+        return _linear_from, (packed(self.p, expressions), kept)
 
     def _output(self, name: str) -> int:
         if name not in self.outputs:
-            near = difflib.get_close_matches(name, self.outputs, 1)
-            raise ModelError(
-                f"{self.name} has no output {name!r}; "
-                + (f"did you mean {near[0]!r}?" if near else f"it has {', '.join(self.outputs)}")
-            )
+            raise ModelError(f"{self.name} has no output {name!r}{nearest(name, self.outputs)}")
         return self.outputs.index(name)
 
     def __repr__(self) -> str:
@@ -173,7 +175,7 @@ class LinearModel:
 
 
 @dataclass(frozen=True, eq=False)
-class TransferMatrix(Presented):
+class TransferMatrix(CommonDenominator, Presented):
     """Rational transfer functions with a common denominator, as expressions of the parameters.
 
     Attributes
@@ -193,11 +195,6 @@ class TransferMatrix(Presented):
     description: tuple[Parameter, ...] = ()
 
     @property
-    def order(self) -> int:
-        """The degree of the denominator."""
-        return int(self.denominator.numel()) - 1
-
-    @property
     def is_proper(self) -> bool:
         """True if no numerator has a higher degree than the denominator."""
         return all(
@@ -206,24 +203,6 @@ class TransferMatrix(Presented):
             for b in row
             if b.numel() > self.order + 1
         )
-
-    @cached_property
-    def function(self) -> ca.Function:
-        """p (np,) -> denominator, then the numerators, output by output."""
-        flat = [self.denominator, *(b for row in self.numerators for b in row)]
-        return ca.Function("transfer", [self.p], [ca.densify(b) for b in flat], {"cse": True})
-
-    def evaluate(
-        self, values: Mapping[str, float] | None = None
-    ) -> tuple[Array, list[list[Array]]]:
-        """Denominator (n+1,) and numerators [output][input] -> (n+1,) as numbers."""
-        vector = parameter_vector(self.name, self.description, values or {})
-        flat: list[Array] = [np.array(b).ravel() for b in self.function.call([vector])]
-        nu = len(self.inputs)
-        return flat[0], [flat[1 + i * nu : 1 + (i + 1) * nu] for i in range(len(self.outputs))]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _transfer_from, (packed_rows(self), _plain(self.__dict__))
 
     def __repr__(self) -> str:
         return (
@@ -316,75 +295,10 @@ def adjugate_polynomials(A: Expr) -> tuple[Expr, list[Expr]]:
     return ca.vertcat(*coefficients), adjugate
 
 
-def parameter_vector(
-    name: str, description: Sequence[Parameter], values: Mapping[str, float]
-) -> Array:
-    """The parameters (np,) in order, from `values` and else from what is known.
-
-    Raises
-    ------
-    ModelError
-        If an unknown parameter has no value, or a name is not a parameter.
-    """
-    names = [q.name for q in description]
-    for given in values:
-        if given not in names:
-            near = difflib.get_close_matches(given, names, 1)
-            raise ModelError(
-                f"{name} has no parameter {given!r}; "
-                + (f"did you mean {near[0]!r}?" if near else f"it has {', '.join(names)}")
-            )
-    lacking = [q.name for q in description if q.name not in values and q.value is None]
-    if lacking:
-        raise ModelError(
-            f"{name}: no value for {', '.join(lacking)}; give one for each, "
-            f"as in {{{lacking[0]!r}: 1.0}}"
-        )
-    return np.array([values.get(q.name, q.value) for q in description], dtype=float)
-
-
-# -- pickling ----------------------------------------------------------------------------------
-# An SX expression cannot be pickled, a Function of SX expressions can: zeros stay structural.
-
-
-def packed(p: Expr, expressions: Sequence[Expr]) -> ca.Function:
-    """Expressions of p as one function, which can be pickled."""
-    return ca.Function("packed", [p], [ca.SX(e) for e in expressions])
-
-
-def unpacked(function: ca.Function, names: Sequence[str]) -> tuple[Expr, list[Expr]]:
-    """New symbols with these names, and what `packed` got as expressions of them."""
-    p = ca.vertcat(ca.SX(0, 1), *[ca.SX.sym(n) for n in names])
-    return p, list(function.call([p]))
-
-
-def packed_rows(system: Any) -> ca.Function:
-    """The polynomials of a (discrete) transfer matrix, packed."""
-    return packed(system.p, [system.denominator, *(b for row in system.numerators for b in row)])
-
-
-def unpacked_rows(function: ca.Function, fields: Mapping[str, Any]) -> dict[str, Any]:
-    """p, denominator and numerators from `packed_rows`, beside the other fields."""
-    p, (denominator, *flat) = unpacked(function, fields["parameters"])
-    nu = len(fields["inputs"])
-    rows = tuple(tuple(flat[i * nu : (i + 1) * nu]) for i in range(len(fields["outputs"])))
-    return {**fields, "p": p, "denominator": denominator, "numerators": rows}
-
-
-def _plain(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields that are neither expressions nor derived."""
-    left_out = {"A", "B", "C", "D", "p", "denominator", "numerators", "function"}
-    return {k: v for k, v in fields.items() if k not in left_out}
-
-
 def _linear_from(function: ca.Function, fields: dict[str, Any]) -> LinearModel:
     p, (A, B, C, D, *values) = unpacked(function, fields["parameters"])
     fields["equilibrium"] = dict(zip(fields["equilibrium"], values, strict=True))
     return LinearModel(A=A, B=B, C=C, D=D, p=p, **fields)
-
-
-def _transfer_from(function: ca.Function, fields: dict[str, Any]) -> TransferMatrix:
-    return TransferMatrix(**unpacked_rows(function, fields))
 
 
 # -- inside ------------------------------------------------------------------------------------
@@ -420,10 +334,8 @@ def _point(
 ) -> Expr:
     for name in given:
         if name not in names:
-            near = difflib.get_close_matches(name, names, 1)
             raise ModelError(
-                f"{model} has no {kind} {name!r} to linearise about; "
-                + (f"did you mean {near[0]!r}?" if near else f"it has {', '.join(names)}")
+                f"{model} has no {kind} {name!r} to linearise about{nearest(name, names)}"
             )
     return ca.vertcat(*[ca.SX(given.get(name, 0.0)) for name in names])
 

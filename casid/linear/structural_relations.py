@@ -126,7 +126,7 @@ def hold_relations(
     found in floating point at a sample time that suits the system's poles, and kept if they hold at
     `Ts`. Relations that change with the sample time are not found.
     """
-    nominal = np.array([q.start if q.value is None else q.value for q in transfer.description])
+    nominal = transfer.nominal()
 
     def sample(system: Any, count: int, seed: int) -> Array:
         rng = np.random.default_rng(seed)
