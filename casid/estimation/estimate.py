@@ -289,9 +289,9 @@ class Estimate:
         return self.sources
 
     def to_json(self) -> dict[str, Any]:
-        """The content of `estimate.json` (schema casid.estimation.estimate/1)."""
+        """The content of `estimate.json` (schema casid.estimate/1)."""
         return {
-            "schema": "casid.estimation.estimate/1",
+            "schema": "casid.estimate/1",
             "problem": self.problem,
             "method": self.method,
             "parameters": {p.name: p.to_json() for p in self.parameters},

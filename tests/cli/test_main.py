@@ -105,7 +105,7 @@ def test_identify_finds_the_parameters_of_an_independent_simulator(
     assert result.exit_code == 0
     assert result.stderr == ""
     estimate = json.loads(result.stdout)
-    assert estimate["schema"] == "casid.estimation.estimate/1"
+    assert estimate["schema"] == "casid.estimate/1"
     for name, value in truth.truth.items():
         if name in estimate["parameters"]:
             found = estimate["parameters"][name]
@@ -222,7 +222,7 @@ def test_default_folders_are_counted_and_a_full_one_needs_force(here: Path) -> N
 def test_what_a_problem_file_prints_does_not_spoil_the_json(here: Path) -> None:
     Path("loud.py").write_text("print('hello')\n" + MASS)
     result = casid("identify", "loud.py", "run.csv", "--json")
-    assert json.loads(result.stdout)["schema"] == "casid.estimation.estimate/1"
+    assert json.loads(result.stdout)["schema"] == "casid.estimate/1"
     assert "hello" in result.stderr
 
 

@@ -308,7 +308,7 @@ def test_the_estimate_reads_as_a_page_and_is_written_as_json(staged, tmp_path) -
         assert word in text
     assert "rank of Phi 3 of 3" in text
     content = staged.to_json()
-    assert content["schema"] == "casid.estimation.estimate/1"
+    assert content["schema"] == "casid.estimate/1"
     assert content["overidentification"]["degrees_of_freedom"] == staged.propagated.degrees
     assert content["instruments"]["stage 1/nominal/gyro"]["rank"] == 3
     assert content["std_error_unpropagated"]["m"] < content["parameters"]["m"]["std_error"]
