@@ -28,7 +28,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import CasidError
 from casid.estimation.nlp.nlp import Solver
-from casid.estimation.regression import RegressionEstimate, regress
+from casid.estimation.regression import regress
+from casid.estimation.regression_estimate import RegressionEstimate
 from casid.model.expressions import parse
 
 STARTS = ("start1", "start2")

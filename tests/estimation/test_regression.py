@@ -11,7 +11,8 @@ import pytest
 from analysis import nist
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimation.nlp.nlp import Solver
-from casid.estimation.regression import RegressionEstimate, regress
+from casid.estimation.regression import regress
+from casid.estimation.regression_estimate import RegressionEstimate
 from tests.support.shared import shared
 
 NIST = "data/nist_strd_nonlinear"
