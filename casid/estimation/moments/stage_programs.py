@@ -14,8 +14,8 @@ from casid.estimation.moments.moment_equations import MomentEquations
 from casid.estimation.moments.moment_nlp import Condensed, LinearNlp, PhysicalNlp
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.nlp.nlp import Solution
-from casid.estimation.nlp.null_space import null_space_least_squares
 from casid.estimation.nlp.solution import not_converged
+from casid.linear.constrained_least_squares import null_space_least_squares
 from casid.linear.difference_equation import DifferenceEquation
 from casid.model.model import Parameter
 

@@ -8,12 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casid.arrays import TINY, Array
+from casid.arrays import Array
+from casid.estimation.nlp.buffered_functions import (
+    Buffered,
+    curvature_of,
+    derivatives_of,
+    evaluation_of,
+    optimality_of,
+    preparation_of,
+)
 from casid.estimation.nlp.program_values import at_start, fill, inside, views
 from casid.estimation.nlp.solution import (
     Evaluation,
@@ -26,37 +35,19 @@ from casid.estimation.nlp.solution import (
 from casid.estimation.nlp.solver import Solver, as_solver, gave_up, set_up
 
 
-class _Buffered:
-    """A CasADi function on arrays that it keeps, dense, columns one after another."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Statement:
+    """A nonlinear program in physical units: what is minimised, under which limits."""
 
-    def __init__(
-        self,
-        function: Any,
-        arguments: Mapping[str, Array],
-        results: Mapping[str, Array] | None = None,
-    ) -> None:
-        self._function = function  # the buffer does not keep it alive
-        self._buffer, self._call = function.buffer()
-        self.arguments = dict(arguments)
-        for name, array in self.arguments.items():
-            self._buffer.set_arg(function.index_in(name), array.data)
-        self.results = {
-            name: (results or {}).get(name, np.zeros(function.nnz_out(i)))
-            for i, name in enumerate(function.name_out())
-        }
-        for name, array in self.results.items():
-            assert len(array) == function.nnz_out(name) == function.numel_out(name), name
-            self._buffer.set_res(function.index_out(name), array.data)
-
-    def __call__(self) -> None:
-        self._call()
-
-    def stats(self) -> Mapping[str, Any]:
-        """The solver's own account of the last call."""
-        try:
-            return dict(self._buffer.stats())
-        except RuntimeError:  # sqpmethod has no words for a QP that failed
-            return {"return_status": "Subproblem_Failed", "iter_count": 0}
+    name: str
+    names: tuple[str, ...]  # of the variables
+    parameters: Mapping[str, tuple[int, int]]  # rows and columns of each
+    function: Any  # (x, p) -> (f, g)
+    start: tuple[float, ...]
+    bounds: tuple[tuple[float, float], ...]  # of the variables
+    scale: tuple[float, ...]
+    constraints: tuple[str, ...]
+    limits: tuple[tuple[float, float], ...]  # of the constraints
 
 
 class Compiled:
@@ -68,66 +59,53 @@ class Compiled:
     units of its own slope there, so that the solver's tolerance means the same for every record.
     """
 
-    def __init__(
-        self,
-        *,
-        name: str,
-        names: tuple[str, ...],
-        parameters: Mapping[str, tuple[int, int]],
-        function: Any,
-        start: tuple[float, ...],
-        lower: tuple[float, ...],
-        upper: tuple[float, ...],
-        scale: tuple[float, ...],
-        constraints: tuple[str, ...],
-        limits: tuple[tuple[float, float], ...],
-        solver: Solver,
-    ) -> None:
-        self._state = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
-        self.name, self.names, self.constraints, self.solver = name, names, constraints, solver
-        self.parameters = dict(parameters)  # rows and columns of each
-        n, m = len(names), len(limits)
+    def __init__(self, statement: Statement, solver: Solver) -> None:
+        self._statement, self.solver = statement, solver
+        self.name, self.names = statement.name, statement.names
+        self.constraints, function = statement.constraints, statement.function
+        self.parameters = dict(statement.parameters)  # rows and columns of each
+        n, m = len(statement.names), len(statement.limits)
         try:  # scalar operations are evaluated several times faster
             function = function.expand()
         except RuntimeError:  # a callback, a rootfinder: stay with matrices
             pass
         self.function = function  # (x, p) -> (f, g), physical units
-        self._start = np.array(start, dtype=float)
-        self._scale = np.array(scale, dtype=float)
-        lower_, upper_ = np.array(lower, dtype=float), np.array(upper, dtype=float)
-        ends = np.array(limits, dtype=float).reshape(m, 2)
-        self._box = (lower_, upper_, ends[:, 0].copy(), ends[:, 1].copy())
+        self._start = np.array(statement.start, dtype=float)
+        self._scale = np.array(statement.scale, dtype=float)
+        sides = np.array(statement.bounds, dtype=float).reshape(n, 2)
+        ends = np.array(statement.limits, dtype=float).reshape(m, 2)
+        self._box = (*sides.T.copy(), *ends.T.copy())
 
         symbol: Any = ca.SX if function.is_a("SXFunction") else ca.MX
         self._values = np.zeros(function.numel_in(1))
         self._windows = views(self.parameters, self._values)
-        derivatives = _derivatives(function, symbol)
-        self._curvature = _curvature(function, symbol)
-        self._derivatives = _Buffered(derivatives, {"x": np.zeros(n), "p": self._values})
+        derivatives = derivatives_of(function, symbol)
+        self._curvature = curvature_of(function, symbol)
+        self._derivatives = Buffered(derivatives, {"x": np.zeros(n), "p": self._values})
 
         size = len(self._values)
         z, p, unit, slope = (symbol.sym(*a) for a in (("z", n), ("p", size), ("u",), ("s", m)))
         f, g = function(self._scale * z, p)
         problem = {"x": z, "p": ca.vertcat(p, unit, slope), "f": f / unit, "g": g / slope}
-        nlpsol = set_up(name, solver, problem, solver.nlpsol_options())
+        nlpsol = set_up(self.name, solver, problem, solver.nlpsol_options())
         arguments = {key: np.zeros(nlpsol.numel_in(key)) for key in nlpsol.name_in()}
-        arguments["lbx"][:], arguments["ubx"][:] = lower_ / self._scale, upper_ / self._scale
-        self._solver = _Buffered(nlpsol, arguments)
+        arguments["lbx"][:], arguments["ubx"][:] = (side / self._scale for side in self._box[:2])
+        self._solver = Buffered(nlpsol, arguments)
         self._counted = 0  # evaluations so far: CasADi's counters are never reset
         # The start is prepared, and the result judged, on the solver's own arrays.
-        self._prepare = _Buffered(
-            _preparation(derivatives, symbol, self._scale, self._box),
+        self._prepare = Buffered(
+            preparation_of(derivatives, symbol, self._scale, self._box),
             {"x": np.zeros(n), "p": self._values},
             {key: arguments[key] for key in ("x0", "lbg", "ubg")} | {"units": arguments["p"]},
         )
         found = self._solver.results
-        self._judge = _Buffered(
-            _judgement(derivatives, symbol, self._scale, self._box),
+        self._optimality = Buffered(
+            optimality_of(derivatives, symbol, self._scale, self._box),
             {"z": found["x"], "p": self._values, "lam": found["lam_g"], "units": arguments["p"]},
         )
 
     def __reduce__(self) -> Any:
-        return _build, (self._state,)
+        return Compiled, (self._statement, self.solver)
 
     def __repr__(self) -> str:
         given = ", ".join(f"{k} {r}x{c}" for k, (r, c) in self.parameters.items())
@@ -153,7 +131,7 @@ class Compiled:
 
     def with_solver(self, solver: Solver | str) -> Compiled:
         """The same program for another solver."""
-        return Compiled(**(self._state | {"solver": as_solver(solver)}))
+        return Compiled(self._statement, as_solver(solver))
 
     def put(self, values: Mapping[str, Any]) -> None:
         """Give the parameters values, without solving.
@@ -202,8 +180,8 @@ class Compiled:
             at = self.evaluate(x)
             if length < 1e-15:
                 break
-        told = (solution.status, solution.iterations, solution.evaluations)
-        found = judged(self.names, x, at, self._scale, self._box, told, solution.solver)
+        ending = (solution.status, solution.iterations, solution.evaluations)
+        found = judged(self.names, x, at, self._scale, self._box, ending, solution.solver)
         is_better = (
             found.scaled_gradient <= max(solution.scaled_gradient, _PROVEN)
             and found.constraint_violation <= max(solution.constraint_violation, 1e-12)
@@ -215,7 +193,7 @@ class Compiled:
         """Criterion, constraints and their derivatives at `x` (n,), at the last values given."""
         self._derivatives.arguments["x"][:] = x
         self._derivatives()
-        return _evaluation(self._derivatives.results, len(self.names))
+        return evaluation_of(self._derivatives.results, len(self.names))
 
     def solve(
         self,
@@ -234,7 +212,7 @@ class Compiled:
         start : (n,) in order, or name -> value; what is not named keeps its declared start.
         polish : where the solver stops short of 1e-10 in the scaled gradient, take Newton steps on
             the optimality conditions of the limits that it found active. Data with little noise
-            need it: a solver's tolerance is relative to the start, not to what is left.
+            need it: a solver's tolerance is relative to the start, not to the residual.
 
         Raises
         ------
@@ -242,28 +220,38 @@ class Compiled:
             As `Nlp.solve`; a missing, misshapen or non-finite value always raises.
         """
         self.put(values or {})
-        names, scale, (lower, upper, _, _) = self.names, self._scale, self._box
-        x = self._start
-        if start is not None:
-            x = at_start(self.name, names, start, x)
-            x = inside(self.name, names, x, lower, upper, scale)
-        self._prepare.arguments["x"][:] = x
-        self._prepare()
-        if not math.isfinite(self._prepare.results["finite"][0]):
-            raise not_finite(self.name, names, x)
+        self._begin(start)
         try:
             self._solver()
         except RuntimeError as error:
             raise gave_up(self.name, self.solver.name, error) from error
-        self._judge()
-        out, stats = self._judge.results, self._solver.stats()
-        status, iterations, counted = account(stats)
+        solution = self._found(polish)
+        if throw and not solution.is_converged:
+            raise not_converged(self.name, solution)
+        return solution
+
+    def _begin(self, start: Sequence[float] | Array | Mapping[str, float] | None) -> None:
+        """Prepare the solver's arguments for a start."""
+        x, (lower, upper, _, _) = self._start, self._box
+        if start is not None:
+            x = at_start(self.name, self.names, start, x)
+            x = inside(self.name, self.names, x, lower, upper, self._scale)
+        self._prepare.arguments["x"][:] = x
+        self._prepare()
+        if not math.isfinite(self._prepare.results["finite"][0]):
+            raise not_finite(self.name, self.names, x)
+
+    def _found(self, polish: bool) -> Solution:
+        """The point where the solver stopped, judged and where need be polished."""
+        self._optimality()
+        out, names = self._optimality.results, self.names
+        status, iterations, counted = account(self._solver.stats())
         evaluations, self._counted = counted - self._counted, counted
-        at, x = _evaluation(out, len(names)), out["x"].copy()
+        at, x = evaluation_of(out, len(names)), out["x"].copy()
         size = float(out["scaled_gradient"][0])
         if size < _PROVEN and out["relative"][0] < _ROUNDING:
             held = out["held"].tolist()
-            solution = Solution(
+            return Solution(
                 names=names,
                 x=x,
                 value=at.value,
@@ -278,13 +266,10 @@ class Compiled:
                 solver=self.solver.name,
                 evaluations=evaluations,
             )
-        else:
-            told = (status, iterations, evaluations)
-            solution = judged(names, x, at, scale, self._box, told, self.solver.name)
-            if polish and math.isfinite(solution.scaled_gradient):
-                solution = self.polished(solution, out["pull"].copy())
-        if throw and not solution.is_converged:
-            raise not_converged(self.name, solution)
+        ending = (status, iterations, evaluations)
+        solution = judged(names, x, at, self._scale, self._box, ending, self.solver.name)
+        if polish and math.isfinite(solution.scaled_gradient):
+            solution = self.polished(solution, out["pull"].copy())
         return solution
 
 
@@ -292,17 +277,6 @@ class Compiled:
 # it does not (they are in another scaling, or missing) better ones are sought by least squares.
 _PROVEN = 1e-10
 _ROUNDING = 1e-14  # of a constraint, relative to the sum of its terms
-
-
-def _evaluation(out: Mapping[str, Array], n: int) -> Evaluation:
-    """Copies of the arrays that the derivatives were written to."""
-    return Evaluation(
-        float(out["f"][0]),
-        out["gradient"].copy(),
-        out["hessian"].reshape(n, n).copy(),
-        out["g"].copy(),
-        out["jacobian"].reshape(-1, n, order="F").copy(),
-    )
 
 
 def _newton_step(W: Array, A: Array, gradient: Array, g: Array, size: Array) -> Array | None:
@@ -326,106 +300,3 @@ def _newton_step(W: Array, A: Array, gradient: Array, g: Array, size: Array) -> 
         return None
     step = np.r_[step[:n] * size, step[n:] * unit / rows]
     return step
-
-
-_NAMES = ["f", "gradient", "hessian", "g", "jacobian"]
-
-
-def _derivatives(function: Any, symbol: Any) -> Any:
-    """(x, p) -> criterion, gradient, Hessian, constraints, their Jacobian; all dense."""
-    x, p = (symbol.sym(name, function.numel_in(i)) for i, name in enumerate("xp"))
-    f, g = function(x, p)
-    hessian, gradient = ca.hessian(f, x)
-    results = [ca.densify(e) for e in (f, gradient, hessian, g, ca.jacobian(g, x))]
-    return ca.Function("derivatives", [x, p], results, ["x", "p"], _NAMES)
-
-
-def _curvature(function: Any, symbol: Any) -> Any:
-    """(x, p, lam) -> Hessian of the Lagrangian f + lam'g."""
-    x, p = (symbol.sym(name, function.numel_in(i)) for i, name in enumerate("xp"))
-    lam = symbol.sym("lam", function.numel_out(1))
-    f, g = function(x, p)
-    return ca.Function("curvature", [x, p, lam], [ca.densify(ca.hessian(f + lam.T @ g, x)[0])])
-
-
-def _preparation(derivatives: Any, symbol: Any, scale: Array, box: Any) -> Any:
-    """(x, p) -> what the solver begins with, and a number that is finite if f and gradient are."""
-    x, p = (symbol.sym(name, derivatives.numel_in(i)) for i, name in enumerate("xp"))
-    f, gradient, hessian, _, jacobian = derivatives(x, p)
-    # The steepest is 100, where Ipopt's own scaling leaves off: less lets its barrier rule.
-    unit = 1e-2 * ca.fmax(ca.norm_inf(gradient * scale), ca.norm_inf(ca.diag(hessian) * scale**2))
-    slope = ca.vertcat(
-        *[ca.mmax(ca.fabs(jacobian[i, :].T * scale)) for i in range(len(box[2]))], symbol(0, 1)
-    )
-    unit, slope = (ca.if_else((0 < e) * (e < np.inf), e, 1.0) for e in (unit, slope))
-    return ca.Function(
-        "preparation",
-        [x, p],
-        [
-            x / scale,
-            box[2] / slope,
-            box[3] / slope,
-            ca.vertcat(p, unit, slope),
-            f + ca.sum1(gradient),
-        ],
-        ["x", "p"],
-        ["x0", "lbg", "ubg", "units", "finite"],
-    )
-
-
-def _judgement(derivatives: Any, symbol: Any, scale: Array, box: Any) -> Any:
-    """(z, p, lam, units) -> x, its derivatives and how far it is from an optimum.
-
-    The measure is that of `nlp_solution`, with the solver's multipliers `lam` (m,) of the
-    scaled program.
-    """
-    lower, upper, low, high = box
-    n, m = len(scale), len(low)
-    size = derivatives.numel_in(1)
-    z, p, lam = symbol.sym("z", n), symbol.sym("p", size), symbol.sym("lam", m)
-    units = symbol.sym("units", size + 1 + m)
-    x = ca.fmin(ca.fmax(z * scale, lower), upper)
-    f, gradient, hessian, g, jacobian = derivatives(x, p)
-    h, weighs = ca.diag(hessian), ca.fmax(ca.fabs(x), scale)
-    level = ca.fabs(f) + ca.norm_inf(gradient * weighs)
-    safe = ca.if_else(level > 0, level, 1.0)
-    curved = h * weighs**2 > 1e-12 * level
-    root = ca.sqrt(ca.if_else(curved, h, 1.0))
-    weight = ca.if_else(curved, 1 / root, weighs / ca.sqrt(safe))
-    unit = ca.if_else(curved, ca.fmax(ca.sqrt(ca.fabs(f)), 1e-4 * root * weighs), ca.sqrt(safe))
-    # Only a constraint at its limit has a multiplier, and it pushes inwards.
-    tolerance = 1e-6 * ca.fmax(ca.mtimes(ca.fabs(jacobian), weighs), TINY)
-    _, objective, rows = ca.vertsplit(units, [0, size, size + 1, size + 1 + m])
-    pull = lam * objective / rows
-    at_low, at_high = ca.fabs(low - g) < tolerance, ca.fabs(high - g) < tolerance
-    pull = ca.if_else(
-        low == high,
-        pull,
-        ca.if_else(at_low, ca.fmin(pull, 0.0), 0.0) + ca.if_else(at_high, ca.fmax(pull, 0.0), 0.0),
-    )
-    slope = (gradient + ca.mtimes(jacobian.T, pull)) * weight
-    held_low, held_high = x <= lower + 1e-6 * scale, x >= upper - 1e-6 * scale
-    slope = ca.if_else(held_low, ca.fmin(slope, 0.0), slope)
-    slope = ca.if_else(held_high, ca.fmax(slope, 0.0), slope)
-    concave = ca.mmax((h * weighs**2 < -1e-12 * level) * (1 - held_low) * (1 - held_high))
-    violation = ca.mmax(ca.vertcat(0.0, low - g, g - high))
-    relative = ca.mmax(ca.vertcat(0.0, (low - g) / tolerance, (g - high) / tolerance)) * 1e-6
-    return ca.Function(
-        "judgement",
-        [z, p, lam, units],
-        [
-            *[ca.densify(e) for e in (x, f, gradient, hessian, g, jacobian)],
-            ca.if_else(concave, np.inf, ca.norm_inf(slope / unit)),
-            ca.densify(violation),
-            ca.densify(relative),
-            ca.densify(pull),
-            ca.densify(held_low + 2 * held_high),
-        ],
-        ["z", "p", "lam", "units"],
-        ["x", *_NAMES, "scaled_gradient", "violation", "relative", "pull", "held"],
-    )
-
-
-def _build(state: dict[str, Any]) -> Compiled:
-    """A compiled program from what it was built of."""
-    return Compiled(**state)

@@ -12,33 +12,19 @@ record, say. ``Nlp.compile`` builds such a program once, to be solved for many r
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
 from casid.errors import SolveError
-from casid.estimation.nlp.criterion import (
-    SCALED_IPOPT,
-    Callback,
-    Criterion,
-    OnePass,
-    scales_at_start,
-)
+from casid.estimation.nlp.compiled import Compiled, Statement
+from casid.estimation.nlp.criterion import Criterion
 from casid.estimation.nlp.program_values import at_start, fill, inside, views
-from casid.estimation.nlp.solution import (
-    Evaluation,
-    Solution,
-    account,
-    judged,
-    not_converged,
-    not_finite,
-)
-from casid.estimation.nlp.solver import Solver, as_solver, gave_up, set_up
-
-if TYPE_CHECKING:
-    from casid.estimation.nlp.compiled import Compiled
+from casid.estimation.nlp.single_solve import CriterionProgram, SymbolicProgram, solve_once
+from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
+from casid.estimation.nlp.solver import Solver, as_solver
 
 __all__ = ["Array", "Criterion", "Evaluation", "Nlp", "Solution", "Solver"]
 
@@ -234,18 +220,25 @@ class Nlp:
                     f"{self.name}: constraint {name} compares shapes {expression.shape} and "
                     f"{limit.shape}; give columns of one length (ca.vec makes a matrix one)"
                 )
+        names = [name] if rows == 1 else [f"{name}[{i}]" for i in range(rows)]
+        self._require(names, expression, limits, is_equality=lower is upper)
+
+    def _require(
+        self, names: Sequence[str], expression: Any, limits: Sequence[Any], *, is_equality: bool
+    ) -> None:
+        """Add a constraint of several rows, limits that are expressions on its left-hand side."""
+        rows = len(names)
         low, high = (  # a row of numbers, or an expression
             limit if isinstance(limit, ca.MX) else np.broadcast_to(np.array(limit).ravel(), rows)
             for limit in limits
         )
-        names = [name] if rows == 1 else [f"{name}[{i}]" for i in range(rows)]
 
         def require(left: Any, floor: Any, ceiling: Any) -> None:
             floor, ceiling = np.broadcast_to(floor, rows), np.broadcast_to(ceiling, rows)
             for i, label in enumerate(names):
                 self._constraints.append((label, left[i], float(floor[i]), float(ceiling[i])))
 
-        if isinstance(low, ca.MX) and (lower is upper or ca.is_equal(low, limits[1], 1)):
+        if isinstance(low, ca.MX) and (is_equality or ca.is_equal(low, limits[1], 1)):
             require(expression - low, 0.0, 0.0)
         elif isinstance(low, ca.MX) or isinstance(high, ca.MX):
             for limit, sign in ((low, 1.0), (high, -1.0)):  # sign * (expression - limit) >= 0
@@ -282,8 +275,6 @@ class Nlp:
             if no variable is declared, an undeclared symbol is used, or the solver cannot be set
             up.
         """
-        from casid.estimation.nlp.compiled import Compiled
-
         self._require_complete()
         if not isinstance(self._objective, ca.MX):
             raise SolveError(
@@ -291,6 +282,21 @@ class Nlp:
                 "carries its own data; state the objective as a CasADi expression of variables and "
                 "parameters, or call solve"
             )
+        statement = Statement(
+            name=self.name,
+            names=self.names,
+            parameters=self.parameters,
+            function=self._function(),
+            start=tuple(self._start),
+            bounds=tuple(zip(self._lower, self._upper, strict=True)),
+            scale=tuple(self._scale),
+            constraints=tuple(c[0] for c in self._constraints),
+            limits=tuple((c[2], c[3]) for c in self._constraints),
+        )
+        return Compiled(statement, as_solver(solver))
+
+    def _function(self) -> Any:
+        """(x, p) -> objective and constraints; refuses symbols that were not declared."""
         own = ca.vertcat(*[c[1] for c in self._constraints]) if self._constraints else ca.MX(0, 1)
         arguments: list[Any] = [*self._symbols, *self._parameters.values()]
         try:
@@ -314,20 +320,7 @@ class Nlp:
             for symbol, first, last in zip(symbols, ends, ends[1:], strict=False)
         ]
         stated: list[Any] = list(inner(*ca.vertsplit(xs), *given))
-        function = ca.Function("program", [xs, ps], stated)
-        return Compiled(
-            name=self.name,
-            names=self.names,
-            parameters=self.parameters,
-            function=function,
-            start=tuple(self._start),
-            lower=tuple(self._lower),
-            upper=tuple(self._upper),
-            scale=tuple(self._scale),
-            constraints=tuple(c[0] for c in self._constraints),
-            limits=tuple((c[2], c[3]) for c in self._constraints),
-            solver=as_solver(solver),
-        )
+        return ca.Function("program", [xs, ps], stated)
 
     def _require_complete(self) -> None:
         if self._objective is None:
@@ -374,150 +367,26 @@ class Nlp:
         Raises
         ------
         SolveError
-            If no optimum was reached (the solver's reason and a mend); `throw=False` returns the
+            If no optimum was reached (the solver's reason and a remedy); `throw=False` returns the
             unconverged `Solution` instead. A start outside the bounds (by more than rounding), a
             parameter without a value and a failing evaluation at the start always raise.
         """
         solver = as_solver(solver)
         self._require_complete()
-        scale = np.array(self._scale)
-        lower, upper = np.array(self._lower), np.array(self._upper)
-        x0 = at_start(self.name, self.names, start, np.array(self._start))
+        lower, upper, scale = self.limits
+        x0 = at_start(self.name, self.names, start, self.start)
         x0 = inside(self.name, self.names, x0, lower, upper, scale)
-        n = len(scale)
         objective, expressions = self._given(parameters)
-
         x = ca.vertcat(*self._symbols)
-        z = ca.MX.sym("z", n)
-        physical = ca.DM(scale) * z
         own = ca.vertcat(*expressions) if expressions else ca.MX(0, 1)
-        g_user = ca.Function("g", [x], [own])
-        m_user = len(self._constraints)
-        lbg = [c[2] for c in self._constraints]
-        ubg = [c[3] for c in self._constraints]
-        options = solver.nlpsol_options()
-        keep: list[Any] = []  # callbacks must outlive the solver
-
-        if isinstance(objective, ca.MX):
-            f = ca.Function("f", [x], [objective])
-            problem = {"x": z, "f": f(physical), "g": g_user(physical)}
-            hess, grad = ca.hessian(objective, x)
-            derivatives = ca.Function("df", [x], [objective, grad, ca.densify(hess)])
-
-            def evaluate(point: Array) -> Evaluation:
-                v, gr, h = derivatives(point)
-                return Evaluation(float(v), np.array(gr).ravel(), np.array(h))
+        limits = np.array([c[2:] for c in self._constraints]).reshape(-1, 2)
+        program: SymbolicProgram | CriterionProgram
+        if self.has_criterion:
+            natural_from = x0 if natural_scales else None
+            program = CriterionProgram(objective, x, own, scale, solver, natural_from)
         else:
-            one_pass = OnePass(self._objective, 5 * solver.max_iterations)
-            unit = 1.0
-            if natural_scales:
-                scale, unit = scales_at_start(one_pass(x0), scale)
-            physical = ca.DM(scale) * z
-            if natural_scales and solver.name == "ipopt":
-                for key, value in SCALED_IPOPT.items():
-                    if key not in solver.options:
-                        options[key] = value
-                if (m_user or self._objective.n_constraints) and "ipopt.tol" not in solver.options:
-                    options["ipopt.tol"] = 1e-9  # the tolerance of the constraints as well
-            evaluate = one_pass.judged
-            problem, m_own = self._with_criterion(
-                one_pass, solver, options, keep, z, physical, scale, unit, g_user, m_user
-            )
-            lbg = [0.0] * m_own + lbg
-            ubg = [0.0] * m_own + ubg
-
-        first = evaluate(x0)
-        if not (np.isfinite(first.value) and np.all(np.isfinite(first.gradient))):
-            raise not_finite(self.name, self.names, x0)
-        nlpsol = set_up(self.name, solver, problem, options)
-        try:
-            result = nlpsol(x0=x0 / scale, lbx=lower / scale, ubx=upper / scale, lbg=lbg, ubg=ubg)
-        except RuntimeError as error:
-            raise gave_up(self.name, solver.name, error) from error
-        try:
-            stats = nlpsol.stats()
-        except RuntimeError:  # sqpmethod has no words for a QP that failed
-            stats = {"return_status": "Subproblem_Failed", "iter_count": 0}
-        solution = self._judge(solver, evaluate, g_user, result, stats, scale, lbg, ubg)
+            program = SymbolicProgram(x, objective, own, scale, solver)
+        solution = solve_once(program, self.name, self.names, x0, (lower, upper, *limits.T))
         if throw and not solution.is_converged:
             raise not_converged(self.name, solution)
         return solution
-
-    def _with_criterion(
-        self,
-        evaluate: OnePass,
-        solver: Solver,
-        options: dict[str, Any],
-        keep: list[Any],
-        z: Any,
-        physical: Any,
-        scale: Array,
-        unit: float,
-        g_user: Any,
-        m_user: int,
-    ) -> tuple[dict[str, Any], int]:
-        """State the NLP around one cached pass of the criterion; returns (nlp, m).
-
-        The objective is the criterion in units of `unit`.
-        """
-        n, m = len(scale), evaluate.criterion.n_constraints
-
-        def values(point: Array) -> list[Any]:
-            at = evaluate(point)
-            return [at.value / unit, at.constraints]
-
-        def jacobians(point: Array, *_: Array) -> list[Any]:
-            at = evaluate(point)
-            return [at.gradient.reshape(1, n) / unit, at.jacobian.reshape(m, n)]
-
-        dense = ca.Sparsity.dense
-        jac = Callback("jac_criterion", jacobians, [n, 1, m], [dense(1, n), dense(m, n)])
-        call = Callback("criterion", values, [n], [dense(1, 1), dense(m, 1)], jac)
-
-        lam = ca.MX.sym("lam", m_user)
-        xs = ca.MX.sym("x", n)
-        if m_user:
-            curvature = ca.densify(ca.hessian(ca.dot(lam, g_user(xs)), xs)[0])
-            g_hess = ca.Function("g_hess", [xs, lam], [curvature])
-
-        def hessian(point: Array, _p: Array, lam_f: Array, lam_g: Array) -> list[Any]:
-            at = evaluate(point * scale)
-            h = lam_f[0] * at.hessian / unit
-            if m_user:
-                h = h + np.array(g_hess(point * scale, lam_g[m:]))
-            h = h * np.outer(scale, scale)
-            # Ipopt takes the upper triangle of a custom Hessian, sqpmethod the full matrix.
-            return [np.triu(h)] if solver.name == "ipopt" else [h]
-
-        pattern = ca.Sparsity.upper(n) if solver.name == "ipopt" else dense(n, n)
-        options["hess_lag"] = Callback("curvature", hessian, [n, 0, 1, m + m_user], [pattern])
-        keep += [jac, call, options["hess_lag"]]
-        f, own = call(physical)
-        return {"x": z, "f": f, "g": ca.vertcat(own, g_user(physical))}, m
-
-    def _judge(
-        self,
-        solver: Solver,
-        evaluate: Any,
-        g_user: Any,
-        result: Any,
-        stats: Any,
-        scale: Array,
-        lbg: list[float],
-        ubg: list[float],
-    ) -> Solution:
-        """Measure the optimality of the point returned, apart from the solver's own verdict."""
-        lower, upper = np.array(self._lower), np.array(self._upper)
-        x = np.clip(np.array(result["x"]).ravel() * scale, lower, upper)
-        at = evaluate(x)
-        symbol = ca.MX.sym("x", len(x))
-        jac = np.array(ca.Function("j", [symbol], [ca.jacobian(g_user(symbol), symbol)])(x))
-        at = Evaluation(
-            at.value,
-            at.gradient,
-            at.hessian,
-            np.concatenate([at.constraints, np.array(g_user(x)).ravel()]),
-            np.vstack([at.jacobian.reshape(-1, len(x)), jac.reshape(-1, len(x))]),
-        )
-        box = (lower, upper, np.array(lbg), np.array(ubg))
-        return judged(self.names, x, at, scale, box, account(stats), solver.name)

@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import SolveError
-from casid.estimation.nlp.solution import Evaluation, Solution, judged
+from casid.estimation.nlp.solution import Evaluation, Solution, judged, stacked
 from casid.estimation.nlp.solver_processes import SLSQP, timed
 
 
@@ -41,7 +41,7 @@ class Program(Protocol):
 
 
 @dataclass(slots=True, eq=False)
-class CriterionProgram:
+class StackedProgram:
     """A `casid.estimation.nlp.nlp.Criterion` with the declared constraints, as a `Program`."""
 
     criterion: Any
@@ -70,14 +70,7 @@ class CriterionProgram:
         key = x.tobytes()
         if self._kept is None or self._kept[0] != key:
             at, declared = self.criterion.evaluate(x), self.constraints.evaluate(x)
-            stacked = Evaluation(
-                at.value,
-                at.gradient,
-                at.hessian,
-                np.r_[at.constraints, declared.constraints],
-                np.vstack([at.jacobian.reshape(-1, len(x)), declared.jacobian]),
-            )
-            self._kept = key, stacked
+            self._kept = key, stacked(at, declared.constraints, declared.jacobian)
         return self._kept[1]
 
     def lagrangian_hessian(self, x: Array, lam: Array) -> Array:
@@ -124,8 +117,8 @@ def run_scipy(
             **options,
         )
         x = np.minimum(np.maximum(result.x * scale, lower), upper)
-        told = (str(result.message).rstrip("."), int(result.nit), len(counts))
-        return judged(names, x, program.evaluate(x), scale, program.box, told, name)
+        ending = (str(result.message).rstrip("."), int(result.nit), len(counts))
+        return judged(names, x, program.evaluate(x), scale, program.box, ending, name)
 
     return timed(solve)
 

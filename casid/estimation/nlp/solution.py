@@ -12,7 +12,7 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.errors import SolveError
 
-_MENDS = {
+_REMEDIES = {
     "Infeasible_Problem_Detected": "the constraints contradict each other near the start: "
     "drop one, or start from values that satisfy them",
     "Maximum_Iterations_Exceeded": "raise max_iterations, or start nearer to the solution",
@@ -33,6 +33,18 @@ class Evaluation:
     hessian: Array  # (n, n), Gauss-Newton or exact, symmetric
     constraints: Array = field(default_factory=lambda: np.zeros(0))  # (m,), to be zero
     jacobian: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (m, n)
+
+
+def stacked(at: Evaluation, constraints: Array, jacobian: Array) -> Evaluation:
+    """A criterion at one point, with further constraints (m,) and their Jacobian (m, n)."""
+    n = len(at.gradient)
+    return Evaluation(
+        at.value,
+        at.gradient,
+        at.hessian,
+        np.concatenate([at.constraints, constraints]),
+        np.vstack([at.jacobian.reshape(-1, n), jacobian.reshape(-1, n)]),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +73,7 @@ class Solution:
     @property
     def mend(self) -> str:
         """What to try when it did not converge."""
-        return _MENDS.get(
+        return _REMEDIES.get(
             self.status, "try other start values (starts=...), bounds, or fix a parameter"
         )
 
@@ -138,13 +150,13 @@ def judged(
     at: Evaluation,
     scale: Array,
     box: tuple[Array, Array, Array, Array],
-    told: tuple[str, int, int],
+    ending: tuple[str, int, int],
     solver: str,
 ) -> Solution:
     """The point where a solver stopped, its optimality measured apart from the solver's verdict.
 
     `at` holds the criterion with all constraints at `x` (n,); `box` the lower and upper bounds of
-    the variables (n,) and limits of the constraints (m,); `told` the solver's status, iterations
+    the variables (n,) and limits of the constraints (m,); `ending` the solver's status, iterations
     and evaluations.
     """
     lower, upper, low, high = box
@@ -157,7 +169,7 @@ def judged(
     size = _scaled_gradient(
         at, at.jacobian, to_lower, to_upper, np.maximum(np.abs(x), scale), at_lower, at_upper
     )
-    status, iterations, evaluations = told
+    status, iterations, evaluations = ending
     return Solution(
         names=names,
         x=x,
@@ -176,7 +188,7 @@ def judged(
 
 
 def account(stats: Mapping[str, Any]) -> tuple[str, int, int]:
-    """Status in words, iterations and evaluations of the objective, as far as a solver tells."""
+    """Status in words, iterations and evaluations of the objective, as far as a solver reports."""
     status = stats.get("return_status")
     if not isinstance(status, str):  # a number, or nothing: the word that all plug-ins share
         words = {"SOLVER_RET_SUCCESS": "Solved", "SOLVER_RET_LIMITED": "Limit_Reached"}

@@ -22,9 +22,8 @@ from casid.arrays import TINY
 from casid.errors import CasidError, SolveError
 from casid.estimation.nlp.compiled import Compiled
 from casid.estimation.nlp.nlp import Array, Nlp, Solution, Solver
-from casid.estimation.nlp.null_space import null_space_least_squares
 from casid.estimation.nlp.program_values import at_start, inside
-from casid.estimation.nlp.scipy_solvers import CriterionProgram, Program, run_scipy
+from casid.estimation.nlp.scipy_solvers import Program, StackedProgram, run_scipy
 from casid.estimation.nlp.solution import judged
 from casid.estimation.nlp.solver_processes import (
     DEFAULT,
@@ -39,6 +38,7 @@ from casid.estimation.nlp.solver_processes import (
     run_here,
     timed,
 )
+from casid.linear.constrained_least_squares import null_space_least_squares
 from casid.presentation import present
 
 __all__ = ["Row", "SolverComparison", "compare_solvers", "null_space_least_squares"]
@@ -234,7 +234,7 @@ def compare_solvers(
         constraints.minimize(ca.MX(0))
         compiled = constraints.compile()
         compiled.put(parameters or {})
-        program = CriterionProgram(nlp.objective, compiled)
+        program = StackedProgram(nlp.objective, compiled)
         outcomes = [_criterion_outcome(nlp, c, program, parameters, begin) for c in entries]
     else:
         compiled = program = nlp.compile()
@@ -306,14 +306,14 @@ def _closed_form(compiled: Compiled) -> Solution:
     )
     if not inside:
         raise SolveError("closed form: a bound or inequality is active, it takes equalities alone")
-    told = ("Closed_Form", 0, 0)
-    return judged(compiled.names, x, compiled.evaluate(x), scale, compiled.box, told, NULL_SPACE)
+    ending = ("Closed_Form", 0, 0)
+    return judged(compiled.names, x, compiled.evaluate(x), scale, compiled.box, ending, NULL_SPACE)
 
 
 def _criterion_outcome(
     nlp: Nlp,
     entry: Contender,
-    program: CriterionProgram,
+    program: StackedProgram,
     parameters: Mapping[str, Any] | None,
     start: Array | None,
 ) -> Outcome:

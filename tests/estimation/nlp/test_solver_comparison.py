@@ -11,7 +11,8 @@ import pytest
 
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.nlp.nlp import Evaluation, Nlp, Solver
-from casid.estimation.nlp.solver_comparison import compare_solvers, null_space_least_squares
+from casid.estimation.nlp.solver_comparison import compare_solvers
+from casid.linear.constrained_least_squares import null_space_least_squares
 
 AT_HOME = ("ipopt", "sqpmethod/qrqp", "sqpmethod/daqp", "scipy/trust-constr", "scipy/SLSQP")
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from casid.arrays import TINY
+from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError, SolveError
-from casid.estimation.nlp.nlp import Array
 
 
 def null_space_least_squares(Phi: Array, Y: Array, B: Array, b: Array) -> Array:
     """theta that minimises ||Phi theta - Y|| subject to B theta = b, by the null space of B.
 
-    With B' = [Q1 Q2] [R; 0], theta = Q1 R^-T b + Q2 v: what is left is ordinary least squares in v,
+    With B' = [Q1 Q2] [R; 0], theta = Q1 R^-T b + Q2 v: the rest is ordinary least squares in v,
     solved by QR (Golub & Van Loan 2013, section 6.2.3). No iterations, no tolerance.
 
     Parameters
