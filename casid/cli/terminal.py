@@ -8,7 +8,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -64,12 +64,6 @@ def _plain(line: str) -> Any:
     from rich.text import Text
 
     return Text(line)  # a record's name in brackets is no markup
-
-
-def say_where(folder: Path, names: Sequence[str], quiet: bool) -> None:
-    """Say which files were written."""
-    if not quiet:
-        say("wrote " + " and ".join(str(folder / name) for name in names))
 
 
 def _folder_name(name: str) -> str:
