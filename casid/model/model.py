@@ -14,18 +14,23 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal, Protocol
 
 import casadi as ca
 import numpy as np
 
 from casid.errors import ModelError, nearest
 
-if TYPE_CHECKING:
-    from casid.model.effects.effect import Effect
-
 Expr = Any  # a CasADi SX expression, or a number where one is meant
 Hold = Literal["zoh", "foh"]
+
+
+class Extension(Protocol):
+    """What a model can be extended with: a `casid.Effect`."""
+
+    def extend(self, model: Model) -> Model:
+        """A copy of the model that holds it."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -399,7 +404,7 @@ class Model:
             self._symbols[output] = ca.SX.sym(output)
         return self._symbols[output]
 
-    def extend(self, effect: Effect) -> Model:
+    def extend(self, effect: Extension) -> Model:
         """A copy of this model with `effect` in it; the effect's parameters start at null."""
         return effect.extend(self)
 
