@@ -1,8 +1,9 @@
-"""What an estimator asks before it starts: can these experiments tell its parameters at all?
+"""Identifiability requirement of an estimator: why an estimate is refused before it is computed.
 
-The rank is exact and about almost every value of the parameters, so a refusal here does not hang on
-start values, scaling or tolerances; whether *these* records move enough is asked afterwards, of the
-sensitivities.
+The rank is exact and holds for almost every value of the parameters, so a refusal here does not
+depend on start values, scaling or tolerances. Whether *these* records excite the parameters enough,
+and a parameter gets a standard error, is decided after the fit from the sensitivities
+(`casid.estimation.local_rank`).
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ TIME_LIMIT = 20.0
 """Seconds for the rank."""
 
 FAMILIES_LIMIT = 5.0
-"""Seconds of computing that a refusal has for the closed form of what is told instead."""
+"""Seconds of computing that a refusal may spend on the identifiable combinations."""
 
 
 def require_identifiable(
@@ -45,35 +46,35 @@ def require_identifiable(
     *,
     free: Sequence[str] | None = None,
     own: Sequence[str] = (),
-    at_rest: bool = False,
+    zero_unknown_inputs: bool = False,
     problem: Problem | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> str:
-    """Refuse parameters that no data from these experiments can tell apart.
+    """Refuse parameters that are not identifiable from any data of these experiments.
 
     Parameters
     ----------
-    model : without unknown inputs, unless they are `at_rest`.
-    experiments : each with its load case; their samples play no part.
+    model : without unknown inputs, unless `zero_unknown_inputs`.
+    experiments : each with its load case; their samples are not used.
     free : the parameters that are estimated, all others known; default the model's unknown ones.
-    own : parameters that every experiment has for itself.
-    at_rest : unknown inputs are zero, the mean of the noise that they are.
-    problem : of the model; a refusal says so where it has load cases and no experiment is of one.
+    own : parameters of which every experiment has its own value.
+    zero_unknown_inputs : unknown inputs are replaced by zero, the mean of the noise they are.
+    problem : of the model; a refusal explains load cases that no experiment was named after.
     progress : called with a line of text before what may take seconds.
 
     Returns
     -------
     str
-        What was found, for the estimate's evidence: the rank, or why it was not decided.
+        The rank, or why it was not decided, as evidence of the estimate.
 
     Raises
     ------
     IdentifiabilityError
-        With the parameters, the combinations that can be told instead, and the mend.
+        With the parameters, their identifiable combinations, and the remedy.
     """
     say = progress or (lambda _: None)
     try:
-        systems = _systems(model, experiments, free, own, at_rest)
+        systems = _systems(model, experiments, free, own, zero_unknown_inputs)
         result = observability(systems, time_limit=TIME_LIMIT)
     except CasidError as error:
         return f"not decided: {error}"
@@ -83,16 +84,16 @@ def require_identifiable(
         proof = "a proof" if result.is_full else f"error below {result.error_bound:.0e}"
         return f"all parameters (rank {result.rank} of {result.unknowns}, {proof})"
     say(
-        f"rank {result.rank} of {result.unknowns}: look for what is told instead, "
+        f"rank {result.rank} of {result.unknowns}: look for identifiable combinations, "
         f"{FAMILIES_LIMIT:g} s of computing at the most"
     )
-    symbols = _systems(model, experiments, free, own, at_rest, generic=True)
+    symbols = _systems(model, experiments, free, own, zero_unknown_inputs, generic=True)
     text = _refusal(model, experiments, symbols, result)
     raise IdentifiabilityError(text + (unnamed_cases(problem, experiments) if problem else ""))
 
 
 def unnamed_cases(problem: Problem, experiments: Sequence[Experiment]) -> str:
-    """How to name a load case, where the problem has some and no experiment is of any."""
+    """How to name a load case, where the problem has some and no experiment is named after one."""
     cases = problem.load_cases
     loads = {p for known in cases.values() for p in known}
     if not cases or any(
@@ -104,15 +105,15 @@ def unnamed_cases(problem: Problem, experiments: Sequence[Experiment]) -> str:
         shlex.quote(f"{case}={letter}.csv") for case, letter in zip(cases, "abcdefgh", strict=False)
     )
     return (
-        f" The problem has load cases ({', '.join(cases)}), which say what is known of a record, "
+        f" The problem has load cases ({', '.join(cases)}), which define what is known in each, "
         "and no record was named after one: put its case in front of each file, as in casid "
         f"diagnose {file} {given}; in Python problem.read(path, case={next(iter(cases))!r}). "
-        "Signs of channels are asked as soon as the parameters can be told."
+        "Signs of channels are tested as soon as the parameters are identifiable."
     )
 
 
 def unidentifiable_families(model: Model, experiments: Sequence[Experiment]) -> tuple[Family, ...]:
-    """Curves of unknown parameters that no data from these experiments can tell apart.
+    """Families of unknown parameters that are equivalent for all data of these experiments.
 
     Returns
     -------
@@ -121,7 +122,7 @@ def unidentifiable_families(model: Model, experiments: Sequence[Experiment]) -> 
     Raises
     ------
     IdentifiabilityError
-        If the rank, or how parameters move, is not found in time.
+        If the rank or a closed form is not found in time.
     """
     result = observability(_systems(model, experiments, None, (), False), time_limit=TIME_LIMIT)
     if result.is_partial:
@@ -148,7 +149,7 @@ def _systems(
     experiments: Sequence[Experiment],
     free: Sequence[str] | None,
     own: Sequence[str],
-    at_rest: bool,
+    zero_unknown_inputs: bool,
     *,
     generic: bool = False,
 ) -> tuple[System, ...]:
@@ -156,10 +157,10 @@ def _systems(
     for p in free or ():
         chosen.parameters[p] = replace(model.parameter_named(p), value=None)
     named = [replace(e, name=word(e.name)) for e in experiments]
-    read = translated(chosen, named, generic=generic, resting=False)
+    read = translated(chosen, named, generic=generic, use_samples=False)
     systems = []
     for found, e in zip(read.systems, experiments, strict=True):
-        s = as_zero(found) if at_rest and found.unknown_inputs else found
+        s = as_zero(found) if zero_unknown_inputs and found.unknown_inputs else found
         given = [p for p in s.parameters if free is not None and p not in free]
         systems.append(s.with_known(*given).renamed({p: f"{p} of {e.name}" for p in own}))
     return tuple(systems)
@@ -192,23 +193,24 @@ def _refusal(
 
 
 def _sentence(group: tuple[str, ...], fixing: FixingSets, found: Sequence[Family]) -> str:
-    """What cannot be told of a group, what can, and the mend."""
+    """A confounded group, its identifiable combinations, and the remedy."""
     size = fixing.group_sizes[fixing.groups.index(group)]
     if len(group) == 1:
         return (
             f"{group[0]} does not move any output in these experiments: give it a known value, or "
-            "make an experiment in which it acts."
+            "record an experiment in which it acts."
         )
     inside = [f for f in found if f.free in group]
-    told, is_all = joint_invariants(inside) if len(inside) == size else ((), False)
+    kept, is_all = joint_invariants(inside) if len(inside) == size else ((), False)
     more = "" if is_all else " and more"
-    instead = f"; they tell {', '.join(map(str, told))}{more} instead" if told else ""
+    verb = "is" if len(kept) == 1 and is_all else "are"
+    instead = f", but {', '.join(map(str, kept))}{more} {verb}" if kept else ""
     named = f"{', '.join(group[:-1])} and {group[-1]}"
     many = "one of them" if size == 1 else f"{size} of them"
     example = [n for n in fixing.sets[0] if n in group] if size > 1 and fixing.sets else []
     such = f" (such as {', '.join(example[:-1])} and {example[-1]})" if len(example) > 1 else ""
     return (
-        f"{named} cannot be told apart{instead}: give {many} a known value{such}, or ask "
-        "casid.assess_identifiability for a sensor or experiment that mends it; casid.invariants "
-        "reports what is told all the same."
+        f"{named} are not separately identifiable{instead}: give {many} a known value{such}, or "
+        "let casid.assess_identifiability find a sensor or experiment that remedies it; "
+        "casid.invariants reports what is identifiable nevertheless."
     )

@@ -244,7 +244,7 @@ def minimize_prediction_error(
 def _structure(model: Model, experiments: Sequence[Experiment], own: Sequence[str]) -> str:
     """What the equations without process noise can tell; noise that drives them may tell more."""
     try:
-        return require_identifiable(model, experiments, own=own, at_rest=True)
+        return require_identifiable(model, experiments, own=own, zero_unknown_inputs=True)
     except IdentifiabilityError as refusal:
         return f"without process noise: {refusal}"
 

@@ -151,7 +151,7 @@ def test_the_nine_are_refused_with_their_family(three):
     with pytest.raises(IdentifiabilityError, match="rank 14 of 15") as refusal:
         fit(ALL, three)
     said = str(refusal.value)
-    assert "k, A_x, d, K_vdot, K_delta, z_f, K_r and m cannot be told apart" in said
+    assert "k, A_x, d, K_vdot, K_delta, z_f, K_r and m are not separately identifiable" in said
     assert "(-M*g*zbar_m_calibration + k)/d" in said
     assert "give one of them a known value" in said
 

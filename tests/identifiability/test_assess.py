@@ -494,7 +494,7 @@ def test_a_planned_record_needs_no_outputs():
     planned = casid.Record(channels, {"u": "m/s", "w": "m/s"}, Ts=TS, name="plan")
     a = casid.assess_identifiability(integrator(), planned)
     assert told(a) == {"a", "b"}
-    assert "plan: y is not recorded, and taken as measured" in " ".join(str(a).split())
+    assert "plan: y is not recorded, and assumed measured" in " ".join(str(a).split())
     assert a.practical is not None  # errors relative to each other: the noise is unknown
     assert verdict_words(a, "a") == "identifiable"
     rest = casid.Record({**channels, "w": np.zeros(200)}, planned.units, Ts=TS, name="plan")
@@ -542,7 +542,7 @@ def test_candidates_are_weighed_by_what_they_cost():
     a = structural(path, candidates=[dear, cheap])
     assert a.remedies is not None
     assert str(a.remedies.cheapest[0]) == "sensor second"
-    assert "cheapest mend: sensor second (cost 1)" in str(a)
+    assert "cheapest remedy: sensor second (cost 1)" in str(a)
     assert a.to_json()["mends"]["cheapest"]
 
 

@@ -67,7 +67,7 @@ def test_two_inertias_are_refused_by_their_sum_before_anything_is_fitted(estimat
     text = str(refusal.value)
     assert "rank 5 of 6" in text
     assert "whatever is recorded in swing" in text
-    assert "I_x and I_xm cannot be told apart; they tell I_x + I_xm instead" in text
+    assert "I_x and I_xm are not separately identifiable, but I_x + I_xm" in text
     assert "give one of them a known value" in text
     assert "casid.assess_identifiability" in text
 
@@ -104,7 +104,7 @@ def test_the_nine_parameters_of_the_ship_are_refused_with_what_does_not_change(n
     text = str(refusal.value)
     assert "rank 14 of 15" in text
     assert "nominal, calibration, loaded" in text
-    named = text[text.index("loaded. ") : text.index(" cannot be told apart")]
+    named = text[text.index("loaded. ") : text.index(" are not separately identifiable")]
     for name in ("k", "A_x", "d", "K_r", "K_vdot", "K_delta", "z_f", "m"):
         assert f" {name}" in named
     assert "zbar_m" not in named  # the height of the load is told
@@ -162,7 +162,7 @@ def test_of_a_group_with_two_freedoms_only_what_stays_in_both_is_called_told():
     records = [casid.Experiment(e.record, {}, e.name) for e in both()]
     with pytest.raises(IdentifiabilityError) as refusal:
         require_identifiable(m, records)
-    assert "p, q and r cannot be told apart; they tell p + q + r instead" in str(refusal.value)
+    assert "p, q and r are not separately identifiable, but p + q + r" in str(refusal.value)
     assert "give 2 of them a known value" in str(refusal.value)
 
 
@@ -198,7 +198,10 @@ def both() -> list[casid.Experiment]:
 
 def test_one_load_case_tells_a_ratio_and_two_tell_both_parameters():
     """The force-mass ambiguity (section 7.1), and a known load that resolves it."""
-    with pytest.raises(IdentifiabilityError, match="F and m cannot be told apart; they tell m/F"):
+    with pytest.raises(
+        IdentifiabilityError,
+        match="F and m are not separately identifiable, but m/F",
+    ):
         casid.identify(push(), both()[:1])
     estimate = casid.identify(push(), both(), settings=casid.FitSettings(starts=1))
     assert estimate.identifiability.structural == "all parameters (rank 2 of 2, a proof)"
@@ -217,7 +220,7 @@ def test_a_parameter_of_each_experiments_own_counts_once_for_each(own, named, no
     with pytest.raises(IdentifiabilityError) as refusal:
         casid.identify(push(), both(), settings=casid.FitSettings(own=[own]))
     assert "rank 2 of 3" in str(refusal.value)
-    assert f"{named} cannot be told apart" in str(refusal.value)
+    assert f"{named} are not separately identifiable" in str(refusal.value)
 
 
 def test_an_offset_of_each_experiments_own_is_told():
@@ -271,7 +274,9 @@ def test_without_time_for_a_closed_form_the_refusal_names_the_group_alone(monkey
         raise IdentifiabilityError("no closed form in time")
 
     monkeypatch.setattr(requirement, "families", slow)
-    with pytest.raises(IdentifiabilityError, match="F and m cannot be told apart: give one"):
+    with pytest.raises(
+        IdentifiabilityError, match="F and m are not separately identifiable: give one"
+    ):
         require_identifiable(push(), both()[:1])
 
 
@@ -309,7 +314,7 @@ def test_process_noise_of_known_size_tells_a_gain_and_the_estimate_says_what_it_
     found = minimize_prediction_error(driven(), lag(), noise).estimate
     structural = found.identifiability.structural
     assert structural.startswith("without process noise: ")
-    assert "b and c cannot be told apart; they tell b*c instead" in structural
+    assert "b and c are not separately identifiable, but b*c" in structural
     assert found.identifiability.rank == found.identifiability.unknowns
     for name, truth in {"a": 1.5, "b": 2.0, "c": 1.0}.items():
         assert abs(found[name] - truth) < 4 * found.parameter(name).std_error

@@ -409,7 +409,9 @@ def test_continuous_noise_that_a_sensor_feels_at_once_is_refused() -> None:
 
 def test_what_cannot_be_told_apart_is_named_before_the_solver_starts() -> None:
     model = walk_model().with_unknown("I_xm")
-    with pytest.raises(IdentifiabilityError, match="I_x and I_xm cannot be told apart.*known"):
+    with pytest.raises(
+        IdentifiabilityError, match="I_x and I_xm are not separately identifiable.*known"
+    ):
         minimize_prediction_error(
             model, simulate(duration=10.0), WALK_NOISE[:3], start={"I_xm": 0.01}
         )

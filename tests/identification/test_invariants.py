@@ -195,7 +195,7 @@ def test_where_all_is_told_nothing_is_held():
 
 
 def test_the_refusal_of_identify_names_the_way_out():
-    with pytest.raises(IdentifiabilityError, match="casid.invariants reports what is told"):
+    with pytest.raises(IdentifiabilityError, match="casid.invariants reports what is identifiable"):
         casid.identify(spring(), sprung(0))
 
 

@@ -161,7 +161,7 @@ class _Asked:
     def _rank(self, model: Model) -> Observability | None:
         """None where it is not found in time, or the equations cannot be read."""
         try:
-            systems = translated(model, self.experiments, resting=False).systems
+            systems = translated(model, self.experiments, use_samples=False).systems
             found = observability(systems, time_limit=PLANNING.rank_limit, error_bound=1e-9)
         except CasidError:
             return None
@@ -175,7 +175,7 @@ class _Asked:
         try:
             point = found.points[0]
             fixing = fixing_sets(point.information, found.parameters, point.prime, limit=20)
-            systems = translated(model, self.experiments, generic=True, resting=False).systems
+            systems = translated(model, self.experiments, generic=True, use_samples=False).systems
             curves = families(systems, fixing, time_limit=self.formulas)[0]
             told = joint_invariants([f for f in curves if f.free in group])[0]
         except CasidError:

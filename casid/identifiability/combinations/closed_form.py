@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +26,7 @@ from casid.identifiability.combinations.null_direction import (
     null_directions,
 )
 from casid.identifiability.equations.system import System
-from casid.identifiability.rank.observability import Search
+from casid.identifiability.rank.observability import RankEvaluation
 
 
 class OutOfTime(Exception):
@@ -58,37 +58,13 @@ def families(
     """
     if not fixing.size or not fixing.sets:
         return (), (), ""
-    search = Search(systems)
-    free = fixing.sets[0]
-    names = search.parameters
-    columns = [names.index(n) for n in free]
-    moving = {n for group in fixing.groups for n in group}
-    rng = np.random.default_rng(seed)
     deadline = time.process_time() + time_limit
 
     def is_over() -> bool:
         return time.process_time() > deadline
 
-    def null_at(values: Mapping[str, int], p: int) -> Array:
-        if is_over():
-            raise OutOfTime
-        point = search.at(p, rng, values=values)
-        null = null_space(point.information, p)
-        if len(null) != len(free):  # an unlucky point
-            raise ZeroDivisionError("the rank is smaller at this point")
-        return normalised(null, columns, p)
-
-    special = {n for s in systems for n in s.at}
-    variables = [
-        n
-        for n in dict.fromkeys(n for s in systems for n in (*s.parameters, *s.constants))
-        if n not in special
-    ]
-    states = tuple(search.systems[0].states) if len(search.systems) == 1 else ()
     try:
-        found = null_directions(
-            null_at, names, free, [*variables, *states], initial_states=states, seed=seed
-        )
+        found = _directions(systems, fixing.sets[0], seed, is_over)
     except OutOfTime:
         return (), (), f"no closed form of the families was found in {time_limit:g} s of computing"
     except (IdentifiabilityError, ZeroDivisionError) as error:
@@ -99,6 +75,7 @@ def families(
         if is_over():
             break
         made.append(family(d, is_over))
+    moving = {n for group in fixing.groups for n in group}
     lost = sorted({n for d in directions for n in d.not_found} & moving)
     notes = [f"no closed form was found for how {', '.join(lost)} move"] if lost else []
     late = [d.free for d in directions[len(made) :]]
@@ -107,6 +84,43 @@ def families(
             f"{time_limit:g} s of computing did not suffice for the family along {', '.join(late)}"
         )
     return tuple(made), directions, "; ".join(notes)
+
+
+def _directions(
+    systems: Sequence[System], free: Sequence[str], seed: int, is_over: Callable[[], bool]
+) -> tuple[NullDirection, ...]:
+    """The basis of the null space that is the identity on a fixing set, interpolated.
+
+    Raises
+    ------
+    OutOfTime
+        If `is_over` at one of the points.
+    """
+    evaluation = RankEvaluation(systems)
+    names = evaluation.parameters
+    columns = [names.index(n) for n in free]
+    rng = np.random.default_rng(seed)
+
+    def null_at(values: Mapping[str, int], p: int) -> Array:
+        if is_over():
+            raise OutOfTime
+        point = evaluation.at(p, rng, values=values)
+        null = null_space(point.information, p)
+        if len(null) != len(free):  # an unlucky point
+            raise ZeroDivisionError("the rank is smaller at this point")
+        return normalised(null, columns, p)
+
+    special = {n for s in systems for n in s.at}
+    variables = dict.fromkeys(n for s in systems for n in (*s.parameters, *s.constants))
+    states = tuple(systems[0].states) if len(systems) == 1 else ()
+    return null_directions(
+        null_at,
+        names,
+        free,
+        [*(n for n in variables if n not in special), *states],
+        initial_states=states,
+        seed=seed,
+    )
 
 
 @dataclass(frozen=True, slots=True)

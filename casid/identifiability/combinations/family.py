@@ -1,8 +1,8 @@
 """All parameter values that give the same outputs: the flow along a null direction, in closed form.
 
 One parameter is moved freely, the others follow by d theta_i / d free = v_i(theta). Where these
-equations are triangular and each is simple in its own unknown they are integrated; the constants of
-integration are what the outputs do tell: an invariant parameterisation.
+equations are triangular and each is simple in its own unknown they are integrated. The constants of
+integration are identifiable: an invariant parameterisation.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Expr: TypeAlias = Any  # a sympy expression
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
-    """A curve of parameter values that no output tells apart.
+    """A curve of parameter values with the same outputs.
 
     Attributes
     ----------
@@ -130,8 +130,8 @@ class Family:
             lines.append(f"{n} moves, too, without a closed form: {how}")
         if self.unchanged:
             few = len(self.unchanged) <= 8
-            told = ", ".join(self.unchanged) if few else f"the other {len(self.unchanged)}"
-            lines.append(f"unchanged: {told}")
+            names = ", ".join(self.unchanged) if few else f"the other {len(self.unchanged)}"
+            lines.append(f"unchanged: {names}")
         if self.invariants:
             lines.append(f"invariants: {', '.join(map(str, self.invariants))}")
         for n, factors in self.unchanged_where.items():
@@ -154,7 +154,7 @@ def family(direction: NullDirection, is_over: Callable[[], bool] = lambda: False
     ----------
     direction : entries as functions of parameters and of symbols that do not move; an entry with an
         unknown initial state in it is not integrated, since that state may move as well.
-    is_over : asked before every step; what is not integrated by then has no closed form.
+    is_over : checked before every step; what is not integrated by then has no closed form.
     """
     best: Family | None = None
     names = [n for n in direction.moved if n not in direction.not_found]
@@ -172,7 +172,7 @@ def family(direction: NullDirection, is_over: Callable[[], bool] = lambda: False
 
 
 def _integrated(direction: NullDirection, is_over: Callable[[], bool]) -> Family:
-    """Solve what can be solved, an equation at a time, those first that depend on solved ones."""
+    """Integrate one equation at a time, those first whose other unknowns are solved."""
     import sympy
 
     z, new = sympy.Symbol(direction.free), sympy.Symbol(direction.free + "'")
@@ -222,7 +222,7 @@ def _resolved(expression: Expr, constants: Mapping[Expr, Expr]) -> Expr:
 def _is_solution(
     direction: NullDirection, formulas: Mapping[str, Expr], constant: Expr, theta: Expr
 ) -> bool:
-    """At a random point: the formula's speed is the direction's, and the constant does not move."""
+    """At a random point: the formula has the direction's rate, and the constant is invariant."""
     import numpy as np
     import sympy
 

@@ -1,11 +1,11 @@
-"""An estimate along the family of values that its data cannot tell apart: what is left to report.
+"""An estimate and its images along the family of equivalent parameter values.
 
-Where parameters move along a curve unseen (`family`), one of them was given a value by choice. The
-estimate with any other choice is the image of this one along the family, and so is its covariance:
-if theta' = f(theta, c') is the family through theta at c', then theta_hat' = f(theta_hat, c') and
-cov theta' = F cov F', F = df/dtheta at c'. No data are needed for that. What a parameter can be,
-whatever the choice was, is the union of its intervals over the choices that the bounds admit; what
-the family does not move has its interval from the data alone.
+Where parameters can move along a curve without a change of any output (`family`), one of them is
+given a value by choice. The estimate with any other choice is the image of this one along the
+family, and so is its covariance: if theta' = f(theta, c') is the family through theta at c', then
+theta_hat' = f(theta_hat, c') and cov theta' = F cov F', F = df/dtheta at c'. No data are needed for
+that. The interval of a parameter whatever the choice is the union of its intervals over the choices
+that the bounds admit; a parameter that the family does not move has its interval from the data.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class AlongFamily:
 
     @property
     def invariant(self) -> tuple[str, ...]:
-        """Parameters that the family does not move: told by the data, whatever the choice."""
+        """Parameters that the family does not move: identifiable, whatever the choice."""
         return tuple(n for n, (low, high) in self.ranges.items() if low == high)
 
     def spread(self, name: str) -> float:
@@ -72,21 +72,21 @@ class AlongFamily:
     def __repr__(self) -> str:
         return (
             f"<AlongFamily: {self.held} from {self.lower:.4g} to {self.upper:.4g}, "
-            f"told: {', '.join(self.invariant) or 'nothing'}>"
+            f"identifiable: {', '.join(self.invariant) or 'nothing'}>"
         )
 
     def __str__(self) -> str:
         low, high = self.stopped_by
         lines = [
             f"{self.held} = {self.at:.4g} is a choice; from {self.lower:.4g} ({low} at its bound) "
-            f"to {self.upper:.4g} ({high} at its bound) all fit alike",
+            f"to {self.upper:.4g} ({high} at its bound) all fit equally",
             f"  {'':<10}{'estimate':>11}{'std. error':>12}{'per ' + self.held:>12}"
             f"{'moves from':>13}{'to':>11}{f'{100 * self.level:g} % from':>13}{'to':>11}",
         ]
         for n, v in self.values.items():
             a, b = self.ranges[n]
             c, d = self.intervals[n]
-            note = "  told whatever the choice" if n in self.invariant else ""
+            note = "  identifiable whatever the choice" if n in self.invariant else ""
             lines.append(
                 f"  {n:<10}{v:>11.5g}{self.std_errors[n]:>12.2g}{self.slopes[n]:>12.4g}"
                 f"{a:>13.5g}{b:>11.5g}{c:>13.5g}{d:>11.5g}{note}"
@@ -110,7 +110,7 @@ def along_family(
     level: float = 0.95,
     points: int = 400,
 ) -> AlongFamily:
-    """Move an estimate along the family that its data cannot see.
+    """Move an estimate along the family of equivalent parameter values.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def along_family(
     bounds : parameter -> (smallest, largest) value that is admitted; of the held one at least.
     held : the parameter of the family that was known by choice; default the one not in `names`.
     level : of the intervals, each for its own choice (normal approximation).
-    points : on each side of the estimate at which bounds are looked at.
+    points : on each side of the estimate at which bounds are checked.
 
     Raises
     ------
@@ -133,6 +133,56 @@ def along_family(
     -----
     The ends of the family are where its image of the estimate meets a bound; that the estimate is
     uncertain there as well is not counted.
+    """
+    held = _held_parameter(found, names, bounds, held)
+    curve = found if found.free == held else family(found.direction.following(held))
+    if not curve.is_closed or curve.free != held:
+        raise IdentifiabilityError(
+            f"no closed form of the family along {held}; hold {found.free} in its place"
+        )
+    image, slope = _compiled(curve, values, names)
+    at, shown = float(values[held]), [*names, held]
+    ends, stops = _ends(curve, at, image, shown, bounds, points)
+    grid = np.unique(np.concatenate([np.linspace(*ends, 2 * points + 1), [at]]))
+    images = np.array([image(float(t)) for t in grid])
+    fixed = [n not in curve.moved for n in shown]
+    images[:, fixed] = image(at)[fixed]
+    errors = np.array([_errors(slope(float(t)), covariance) for t in grid])
+    from scipy.special import ndtri
+
+    width = float(ndtri(0.5 + level / 2))
+    low, high = (images - width * errors).min(axis=0), (images + width * errors).max(axis=0)
+
+    def by_name(column: Array) -> dict[str, float]:
+        return dict(zip(shown, column.tolist(), strict=True))
+
+    def pairs(lower: Array, upper: Array) -> dict[str, tuple[float, float]]:
+        return {n: (float(a), float(b)) for n, a, b in zip(shown, lower, upper, strict=True)}
+
+    return AlongFamily(
+        held=held,
+        at=at,
+        lower=ends[0],
+        upper=ends[1],
+        stopped_by=stops,
+        values=by_name(image(at)),
+        std_errors=by_name(_errors(slope(at), covariance)),
+        slopes=by_name(slope(at, speed=True)),
+        ranges=pairs(images.min(axis=0), images.max(axis=0)),
+        intervals=pairs(low, high),
+        level=level,
+    )
+
+
+def _held_parameter(
+    found: Family, names: Sequence[str], bounds: Mapping[str, tuple[float, float]], held: str | None
+) -> str:
+    """The parameter of the family that was given a value by choice.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If there is no such parameter or more than one, or it has no finite bounds.
     """
     chosen = [n for n in found.moved if n not in names]
     if held is None and len(chosen) != 1:
@@ -152,14 +202,18 @@ def along_family(
             f"{held} has no finite bounds, so the family has no end; give them: "
             f"bounds={{{held!r}: (smallest, largest)}}"
         )
-    curve = found if found.free == held else family(found.direction.following(held))
-    if not curve.is_closed or curve.free != held:
-        raise IdentifiabilityError(
-            f"no closed form of the family along {held}; hold {found.free} in its place"
-        )
-    image, slope = _compiled(curve, values, names)
-    at = float(values[held])
-    shown = [*names, held]
+    return held
+
+
+def _ends(
+    curve: Family,
+    at: float,
+    image: Callable[[float], Array],
+    shown: Sequence[str],
+    bounds: Mapping[str, tuple[float, float]],
+    points: int,
+) -> tuple[tuple[float, float], tuple[str, str]]:
+    """Values of the held parameter at which the first parameter leaves its bounds, and which."""
 
     def outside(t: float) -> str | None:
         moved = dict(zip(shown, image(t), strict=True))
@@ -176,35 +230,8 @@ def along_family(
             f"the estimate has {first} = {dict(zip(shown, image(at), strict=True))[first]:.4g}, "
             f"outside its bounds {bounds[first]}; widen them, or estimate within them"
         )
-    ends, stops = [], []
-    for limit in bounds[held]:
-        end, stop = _end(at, float(limit), outside, points)
-        ends.append(end)
-        stops.append(stop or held)
-    grid = np.unique(np.concatenate([np.linspace(ends[0], ends[1], 2 * points + 1), [at]]))
-    images = np.array([image(float(t)) for t in grid])
-    errors = np.array([_errors(slope(float(t)), covariance) for t in grid])
-    from scipy.special import ndtri
-
-    width = float(ndtri(0.5 + level / 2))
-    still = [n not in curve.moved for n in shown]
-    images[:, still] = image(at)[still]
-    own, speeds = _errors(slope(at), covariance), slope(at, speed=True)
-    ranges = {n: (float(c.min()), float(c.max())) for n, c in zip(shown, images.T, strict=True)}
-    low, high = (images - width * errors).min(axis=0), (images + width * errors).max(axis=0)
-    return AlongFamily(
-        held=held,
-        at=at,
-        lower=float(ends[0]),
-        upper=float(ends[1]),
-        stopped_by=(stops[0], stops[1]),
-        values={n: float(v) for n, v in zip(shown, image(at), strict=True)},
-        std_errors=dict(zip(shown, own.tolist(), strict=True)),
-        slopes=dict(zip(shown, speeds.tolist(), strict=True)),
-        ranges=ranges,
-        intervals={n: (float(a), float(b)) for n, a, b in zip(shown, low, high, strict=True)},
-        level=level,
-    )
+    (lower, low), (upper, high) = (_end(at, float(b), outside, points) for b in bounds[curve.free])
+    return (lower, upper), (low or curve.free, high or curve.free)
 
 
 def _compiled(

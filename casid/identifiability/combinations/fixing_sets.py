@@ -1,7 +1,7 @@
-"""Which parameters must be known for the others to be told: the matroid of a null space.
+"""Minimal fixing sets and confounded groups: the matroid of a null space.
 
 The columns of a basis N (d, n) of the parameters' null space carry a matroid. A parameter is
-identifiable if its column is zero; a set of parameters, once known, makes all others identifiable
+identifiable if its column is zero. A set of parameters, once known, makes all others identifiable
 exactly if its columns span, so minimal fixing sets are the bases, maximal identifiable subsets
 their complements (the bases of the dual matroid, that of the information matrix), and parameters
 are confounded with each other within a connected component.
@@ -80,10 +80,10 @@ class Exclusion:
 def confounded_groups(
     information: Array, names: Sequence[str], p: int
 ) -> tuple[tuple[str, ...], ...]:
-    """Parameters that are not identifiable, grouped by with whom they can be traded.
+    """Parameters that are not identifiable, grouped by what they can be traded for.
 
-    Two parameters are in one group if a minimal set of parameters that can move together unseen
-    ties them: the connected components of the matroid.
+    Two parameters are in one group if a circuit of the matroid contains both: a minimal set of
+    parameters that can move together without a change of any output.
 
     Parameters
     ----------
@@ -169,8 +169,8 @@ def can_identify(
     """True if a subset of parameters is identifiable, all others known: a rank, columns excluded.
 
     The criterion is rank O[:, x U S] = n + len(S), with the columns of the known parameters left
-    out (thesis, section 8.3); it asks for the initial states, too. Give the information matrix with
-    `n_states` = 0 to ask for the parameters alone.
+    out (thesis, section 8.3); it includes the initial states. Give the information matrix with
+    `n_states` = 0 for the parameters alone.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def count_not_identifiable(
     ----------
     full : (r, n_states + n) rows modulo p over [initial states | parameters].
     among : the parameters the subsets are taken from (all).
-    limit : no more subsets than this are looked at.
+    limit : most subsets that are examined.
 
     Raises
     ------
@@ -217,15 +217,15 @@ def count_not_identifiable(
     if total > limit:
         raise IdentifiabilityError(
             f"there are {total} subsets of {size} among {len(chosen)} parameters, more than "
-            f"{limit}; ask for fixing_sets, narrow them with among, or raise limit"
+            f"{limit}; use fixing_sets, narrow them with among, or raise limit"
         )
     labels = [names[j] for j in chosen]
     reduced, pivots = echelon(full[:, [*range(n_states), *(n_states + j for j in chosen)]], p)
-    seen = sum(q < n_states for q in pivots)
-    if seen < n_states:  # a state stays hidden whatever is known
+    observable = sum(q < n_states for q in pivots)
+    if observable < n_states:  # a state is unobservable whatever is known
         failing = list(combinations(range(len(chosen)), size))
     else:
-        failing = list(dependent(reduced[seen:, n_states:], size, p))
+        failing = list(dependent(reduced[observable:, n_states:], size, p))
     return Exclusion(size, total, tuple(tuple(labels[j] for j in s) for s in failing))
 
 

@@ -1,4 +1,4 @@
-"""Along which direction parameters move unseen, as rational functions of the physical symbols.
+"""Directions that change no output, as rational functions of the physical symbols.
 
 A null vector of the information matrix is known at points of prime fields; its entries, normalised
 to one in a free parameter, are rational functions of parameters, constants and initial values.
@@ -33,8 +33,8 @@ class NullDirection:
     free : the parameter the others follow; its entry is 1.
     entries : parameter -> sympy expression in symbols of the physical names, 0 where it does not
         move, None where no closed form was found.
-    initial_states : symbols in the entries that may move along, too, in a way the entries do not
-        tell (initial values that are unknown).
+    initial_states : symbols in the entries that may change as well, at rates that the entries do
+        not give (unknown initial values).
     """
 
     free: str
@@ -56,12 +56,12 @@ class NullDirection:
 
     @property
     def unchanged(self) -> tuple[str, ...]:
-        """Parameters that stay."""
+        """Parameters that do not change."""
         return tuple(n for n, v in self.entries.items() if v is not None and v == 0)
 
     @property
     def not_found(self) -> tuple[str, ...]:
-        """Parameters that move in a way for which no closed form was found."""
+        """Parameters that change at a rate for which no closed form was found."""
         return tuple(n for n, v in self.entries.items() if v is None)
 
     def following(self, free: str) -> NullDirection:
@@ -70,7 +70,7 @@ class NullDirection:
         Raises
         ------
         IdentifiabilityError
-            If that parameter does not move, or in a way that was not found.
+            If that parameter does not change, or at a rate that was not found.
         """
         import sympy
 
@@ -133,7 +133,7 @@ def null_directions(
 
     Returns
     -------
-    one direction for each free parameter; each leaves the other free parameters where they are.
+    one direction for each free parameter; each leaves the other free parameters unchanged.
     Every entry is verified at fresh points modulo a prime it was not found with: the probability
     that one is wrong is about its degree / 2^30, cubed.
 

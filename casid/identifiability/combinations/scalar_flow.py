@@ -5,7 +5,7 @@ whose poles in z are rational:
 
     u = theta^s,  du/dz = a(z) u + b(z),  u = mu (C + F),  mu = exp(int a),  F = int b / mu      (1)
 
-The constant of integration C is what the motion leaves invariant.
+The constant of integration C is invariant.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class ScalarFlow:
     def moved_to(self, z_new: Expr) -> Expr:
         """The value of theta at z_new, as a function of z, theta and z_new.
 
-        Bases stand as quotients (new over old), which are positive as long as none passes a zero.
+        Bases enter as quotients (new over old), which are positive as long as none passes a zero.
         """
         import sympy
 
@@ -80,11 +80,11 @@ class ScalarFlow:
 
 
 def integrate_scalar(v: Expr, theta: Expr, z: Expr) -> ScalarFlow | None:
-    """The solution of d theta / dz = v, or None where it is none of the simple ones.
+    """The solution of d theta / dz = v, or None where it is not of the form (1).
 
     Parameters
     ----------
-    v : sympy expression in theta, z and symbols that do not move.
+    v : sympy expression in theta, z and constant symbols.
     theta, z : the unknown and the independent symbol.
     """
     import sympy

@@ -19,7 +19,7 @@ MAX_BYTES = 5_000_000  # of a file
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EquationFile:
-    """What an equation file says: one system for each data set (one where there are none)."""
+    """Content of an equation file: one system for each data set (one where there are none)."""
 
     name: str
     description: str
@@ -59,8 +59,8 @@ def _loaded(path: Path) -> Mapping[str, Any]:
         raise DataError(f"{path}: cannot be read ({error.strerror}); check its rights") from error
     if len(data) > MAX_BYTES:
         raise DataError(
-            f"{path}: larger than {MAX_BYTES / 1e6:g} MB, which no equations are; check that it is "
-            "an equation file, or give a mapping to parse_systems"
+            f"{path}: larger than {MAX_BYTES / 1e6:g} MB, too large for equations; check that it "
+            "is an equation file, or give a mapping to parse_systems"
         )
     kind = path.suffix.lower()[1:].upper()
     try:
@@ -73,12 +73,12 @@ def _loaded(path: Path) -> Mapping[str, Any]:
         raise ModelError(f"{path.name}: {error}") from None
     except json.JSONDecodeError as error:
         raise DataError(
-            f"{path}, line {error.lineno}, column {error.colno}: not JSON ({error.msg}); mend that "
-            "line: names and formulas in double quotes, a comma between entries and none at the end"
+            f"{path}, line {error.lineno}, column {error.colno}: not JSON ({error.msg}); correct "
+            "it: names and formulas in double quotes, commas between entries, none at the end"
         ) from error
     except tomllib.TOMLDecodeError as error:
         raise DataError(
-            f"{path}: not TOML ({error}); mend that line: formulas stand in quotes, a key once"
+            f"{path}: not TOML ({error}); correct that line: formulas in quotes, each key once"
         ) from error
     except (RecursionError, ValueError) as error:
         raise DataError(
@@ -96,7 +96,7 @@ def _from_json(text: str) -> Any:
         if len(seen) < len(pairs):
             keys = [k for k, _ in pairs]
             twice = next(k for k in keys if keys.count(k) > 1)
-            raise ModelError(f"{twice!r} stands twice in one mapping; remove one of them")
+            raise ModelError(f"{twice!r} occurs twice in one mapping; remove one of them")
         return seen
 
     def refuse(word: str) -> NoReturn:

@@ -1,22 +1,22 @@
 """Equations written as text, in a mapping of fields, as `System`s.
 
     states           list of names
-    params           list of names asked about (also: parameters)
+    params           list of names, the unknowns (also: parameters)
     known_inputs     list of names (also: inputs)
     unknown_inputs   list of names
     known_constants  list of names (some number each), or name -> number
-    definitions      name -> formula, in any order; may stand in every formula
+    definitions      name -> formula, in any order; may be used in every formula
     equations        state -> formula of its time derivative
     outputs          name -> formula
     known_initial    list of states (some number each), or state -> number
-    parameters_at    parameter -> number: looked at there, not at almost every point
+    parameters_at    parameter -> number: the answer holds there, not at almost every point
     units            name -> unit, for reports
-    data_sets        list of such mappings, one an experiment; each has from the mapping around it
-                     what it does not say itself; parameters of one name are one parameter
+    data_sets        list of such mappings, one an experiment; each takes the fields it lacks from
+                     the mapping around it; parameters of one name are one parameter
     name, description
 
-Formulas are read by `parse`: files come from strangers, and text never becomes
-code. Names and numbers besides a formula's are checked here; other fields are left alone.
+Formulas are read by `parse`: files may be untrusted, and text never becomes code. Names and numbers
+besides a formula's are checked here; other fields are left alone.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def parse_systems(
 
 
 def _fields(mapping: Any, where: str) -> dict[str, Any]:
-    """The fields known here, by their first names; what nearly is one is refused."""
+    """The known fields, without synonyms; a misspelt one is refused."""
     if not isinstance(mapping, Mapping):
         raise ModelError(
             f"{where}: expected a mapping of fields (states, params, equations, outputs, ...), got "
@@ -241,9 +241,9 @@ def _system(fields: Mapping[str, Any], name: str, where: str) -> System:
     special = isinstance(fields.get("known_initial"), Mapping)
     initial = _listed(fields, "known_initial", where)
     at = _numbers(fields, "parameters_at", where)
-    askable = [*listed["params"], *(c for c in listed["known_constants"] if c not in values)]
+    allowed = [*listed["params"], *(c for c in listed["known_constants"] if c not in values)]
     _refuse_unknown(initial, listed["states"], f"{where}, known_initial", "state")
-    _refuse_unknown(at, askable, f"{where}, parameters_at", "parameter")
+    _refuse_unknown(at, allowed, f"{where}, parameters_at", "parameter")
     units = _mapping(fields, "units", where, "unit")
     return System(
         name=name,
@@ -264,15 +264,15 @@ def _system(fields: Mapping[str, Any], name: str, where: str) -> System:
 
 
 def _refuse_twice(lists: Iterable[tuple[str, Sequence[str]]], where: str) -> None:
-    seen: dict[str, str] = {}
+    first: dict[str, str] = {}
     for field, declared in lists:
         for name in declared:
-            if name in seen:
+            if name in first:
                 raise ModelError(
-                    f"{where}: {name!r} is declared twice, in {seen[name]} and in {field}; remove "
+                    f"{where}: {name!r} is declared twice, in {first[name]} and in {field}; remove "
                     "or rename one of them"
                 )
-            seen[name] = field
+            first[name] = field
 
 
 def _refuse_unknown(given: Iterable[str], known: Sequence[str], where: str, kind: str) -> None:

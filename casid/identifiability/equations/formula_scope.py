@@ -1,4 +1,4 @@
-"""Formulas read in a scope of declared names, which definitions add to."""
+"""Formulas of an equation file, in a scope of declared names that definitions extend."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NAME = re.compile(r"(?<![0-9A-Za-z_.])[A-Za-z_][A-Za-z_0-9]*")
 
 
 class FormulaScope:
-    """Formulas of one data set, read in a scope that definitions add to."""
+    """The formulas of one data set."""
 
     def __init__(self, scope: dict[str, Any], outputs: frozenset[str], where: str) -> None:
         self.scope, self.outputs, self.where = scope, outputs, where
@@ -38,7 +38,7 @@ class FormulaScope:
             loop = loop[first:] + loop[:first]
             raise ModelError(
                 f"{self.where}, definitions: algebraic loop {' -> '.join([*loop, loop[0]])}; solve "
-                "it by hand, or make one of them a state"
+                "it for one of them, or make one of them a state"
             ) from None
         for name in order:
             value = self._formula(definitions[name], f"{self.where}, definitions.{name}")
@@ -50,8 +50,8 @@ class FormulaScope:
         found = {n: self._formula(texts[n], f"{self.where}, {field}.{n}") for n in order}
         together = ca.vertcat(ca.SX(0, 1), *found.values())
         if not is_finite(together):
-            guilty = next(n for n, e in found.items() if not is_finite(e))
-            raise _pole(f"{self.where}, {field}.{guilty}")
+            invalid = next(n for n, e in found.items() if not is_finite(e))
+            raise _pole(f"{self.where}, {field}.{invalid}")
         return together
 
     def _formula(self, text: Any, where: str) -> Expr:
@@ -76,7 +76,7 @@ class FormulaScope:
                     "If it is 2.718..., write exp(1)"
                 )
             if is_called or name in self.scope or name in CONSTANTS | FUNCTIONS:
-                continue  # the parser knows more of calls
+                continue  # the parser checks calls
             if name in ("t", "time"):
                 raise ModelError(
                     f"{where}: {name!r} is not declared; if it is time, make it a state with "
@@ -102,7 +102,7 @@ def _names_in(text: Any) -> Iterator[tuple[str, str]]:
 
 
 def _printed(number: float, where: str) -> str:
-    """A number that stands where a formula does, as text."""
+    """A number in the place of a formula, as text."""
     try:
         value = float(number)
     except OverflowError:
@@ -115,7 +115,7 @@ def _printed(number: float, where: str) -> str:
 def _pole(where: str) -> ModelError:
     return ModelError(
         f"{where}: division by zero, or a part without finite value, wherever it is evaluated; "
-        "mend the denominator"
+        "correct the denominator"
     )
 
 

@@ -1,7 +1,7 @@
-"""A fitted model as the equations whose identifiability is asked, for each experiment.
+"""The equations of a fitted model in each experiment, for the analysis of identifiability.
 
-The expressions are those that the estimators simulate, `Model.explicit`; what a record says of an
-experiment beyond them is its load case, and inputs that never move in it.
+The expressions are those that the estimators simulate, `Model.explicit`; a record adds its load
+case, and inputs that are zero or constant in it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Translation:
-    """Systems, one an experiment, and in words what they leave out of the model and the records."""
+    """Systems, one an experiment, and notes on what they leave out of the model and the records."""
 
     systems: tuple[System, ...]
     notes: tuple[str, ...]
@@ -42,13 +42,13 @@ def system_of(
     generic: bool = False,
     direct: bool = False,
 ) -> System:
-    """A model as the system whose identifiability is asked.
+    """A model as the system whose identifiability is assessed.
 
     Parameters
     ----------
-    model : its unknown parameters are asked about, also those that stand in no equation, and its
-        known ones are constants; measured, known and generated inputs are known, and so are outputs
-        that an unknown input was eliminated with. States with `initial` have that initial value,
+    model : its unknown parameters are the unknowns, also those in no equation, and its known ones
+        are constants; measured, known and generated inputs are known, and so are outputs
+        that replace an eliminated unknown input. States with `initial` have that initial value,
         exactly.
     known : values of parameters over those of the model, SI.
     generic : known parameters are some known numbers and not the values they have, except a value
@@ -60,8 +60,7 @@ def system_of(
     -------
     System
         Without the model's stages (delays, lags, clipping) and what its inputs do between samples,
-        which have no exact algebra here: a parameter that is in these alone is not asked about.
-        `left_out` says which.
+        which have no exact algebra here: a parameter in these alone is not assessed (`left_out`).
 
     Raises
     ------
@@ -71,7 +70,7 @@ def system_of(
     values = dict(known or {})
     for name, value in values.items():
         if not math.isfinite(value):
-            raise ModelError(f"{model.name}: {name} = {value} is known, but no number; mend it")
+            raise ModelError(f"{model.name}: {name} = {value} is known, but not finite; correct it")
     model = model.with_known(**values)
     model = model.direct() if direct else model
     e = model.explicit()
@@ -125,21 +124,21 @@ def translated(
     *,
     generic: bool = False,
     direct: bool = False,
-    resting: bool = True,
+    use_samples: bool = True,
 ) -> Translation:
-    """Each experiment's system: its load case known, inputs that rest in its record at rest.
+    """Each experiment's system: its load case known, inputs as they are in its record.
 
     Parameters
     ----------
     problem : a problem or its model.
     experiments : one or more; each system has its experiment's name.
     generic, direct : as in `system_of`.
-    resting : look at the samples for inputs that rest.
+    use_samples : find inputs that are zero or constant in all samples.
 
     Notes
     -----
-    A value that other load cases do not know, or know otherwise, is a constant of its own: ``m`` of
-    the experiment ``calibration`` is ``m_calibration``.
+    A value that is unknown or different in other load cases is a constant of its own: ``m`` of the
+    experiment ``calibration`` is ``m_calibration``.
 
     An input that is exactly 0 in all samples is replaced by 0; one that is exactly constant becomes
     a known constant of that value. Samples marked missing do not count; a generated input is
@@ -162,33 +161,35 @@ def translated(
     for experiment in experiments:
         system = system_of(acting, known=experiment.known, generic=generic)
         system = system.renamed(_own_names(model, experiment, experiments))
-        zero, constant = _at_rest(acting, system, experiment) if resting else ([], {})
-        planned = [y for y in system.outputs if y not in experiment.record.channels]
-        if resting and planned:
-            notes.append(
-                f"{experiment.name}: {', '.join(planned)} is not recorded, and taken as measured"
-            )
-        for name in zero:
-            notes.append(f"{experiment.name}: input {name} is 0 in all samples, and taken as 0")
-        for name in constant:
-            notes.append(
-                f"{experiment.name}: input {name} is the same in all samples, and taken as a known "
-                "constant"
-            )
-        system = system.substituted(dict.fromkeys(zero, 0.0)).where(name=experiment.name)
-        at_rest = system.where(
-            inputs=tuple(u for u in system.inputs if u not in constant),
-            constants=(*system.constants, *constant),
-            at={**system.at, **constant},
-        )
-        systems.append(_finite(at_rest, zero))
+        if use_samples:
+            system, found = _with_samples(acting, system, experiment)
+            notes += [f"{experiment.name}: {note}" for note in found]
+        systems.append(system.where(name=experiment.name))
     return Translation(tuple(systems), tuple(notes))
+
+
+def _with_samples(model: Model, system: System, experiment: Experiment) -> tuple[System, list[str]]:
+    """The system with inputs that are zero or constant in the record, and notes on them."""
+    zero, constant = _unexcited(model, system, experiment)
+    planned = [y for y in system.outputs if y not in experiment.record.channels]
+    notes = [f"{', '.join(planned)} is not recorded, and assumed measured"] if planned else []
+    notes += [f"input {n} is 0 in all samples, and assumed 0" for n in zero]
+    notes += [
+        f"input {n} is the same in all samples, and assumed a known constant" for n in constant
+    ]
+    system = system.substituted(dict.fromkeys(zero, 0.0)).where(name=experiment.name)
+    reduced = system.where(
+        inputs=tuple(u for u in system.inputs if u not in constant),
+        constants=(*system.constants, *constant),
+        at={**system.at, **constant},
+    )
+    return _finite(reduced, zero), notes
 
 
 def _own_names(
     model: Model, experiment: Experiment, experiments: Sequence[Experiment]
 ) -> dict[str, str]:
-    """Names of values that this load case knows, and others do not know or know otherwise."""
+    """Own names of values that are known in this load case, and not so in others."""
     own = {}
     for n, value in experiment.known.items():
         if n not in model.parameters:
@@ -199,7 +200,7 @@ def _own_names(
 
 
 def left_out(model: Model) -> tuple[str, ...]:
-    """What of a model its system leaves out, a sentence for each stage and each blend of holds."""
+    """What the system of a model leaves out, a sentence for each stage and each blend of holds."""
     gone = _in_stages_alone(model)
     parts = [(f"the {_CALLED[s.kind]} of {s.channel}", s.parameter) for s in model.stages]
     carried = {s.carrier for s in model.stages if s.is_of_input}
@@ -209,7 +210,7 @@ def left_out(model: Model) -> tuple[str, ...]:
         if entry.ramp is not None and name not in carried
     ]
     return tuple(
-        f"{what} is left out" + (f", and {name} is not asked about" if name in gone else "")
+        f"{what} is left out" + (f", and {name} is not assessed" if name in gone else "")
         for what, name in parts
     )
 
@@ -222,7 +223,7 @@ _CALLED = {
     "lag_input": "actuator's lag",
     "clip": "clipping",
 }
-"""What a stage does, in words."""
+"""Name of what a stage does."""
 
 
 # -- inside --------------------------------------------------------------------------------------
@@ -237,7 +238,7 @@ def _slopes(model: Model) -> frozenset[str]:
 
 
 def _in_stages_alone(model: Model) -> frozenset[str]:
-    """Parameters of stages and blends that stand in no equation when slopes are zero."""
+    """Parameters of stages and blends that occur in no equation when slopes are zero."""
     e = model.explicit()
     both = _without(ca.vertcat(e.f, e.h), _slopes(model), e)
     inside = {s.name() for s in ca.symvar(both)}
@@ -261,7 +262,7 @@ def _units(model: Model) -> dict[str, str]:
 
 
 def _finite(system: System, zeros: Sequence[str]) -> System:
-    """The system, unless zeros that were put in made it divide by zero."""
+    """The system, unless the zeros inserted make it divide by zero."""
     if not is_finite(ca.vertcat(system.f, system.h)):
         guilty = f" with {', '.join(zeros)} = 0" if zeros else ""
         raise ModelError(
@@ -271,7 +272,7 @@ def _finite(system: System, zeros: Sequence[str]) -> System:
     return system
 
 
-def _at_rest(
+def _unexcited(
     model: Model, system: System, experiment: Experiment
 ) -> tuple[list[str], dict[str, Fraction]]:
     """Known inputs of a system that are zero, and that are constant, in all of a record."""

@@ -1,10 +1,10 @@
-"""The equations whose identifiability is asked: one experiment, in CasADi expressions.
+"""The equations of one experiment, in CasADi expressions.
 
     dx/dt = f(x, theta, c, u, w),   y = h(x, theta, c, u, w)                                    (1)
 
-with unknown constants theta (asked about), known constants c, known inputs u and unknown inputs w.
-A `Model` says the same of a system that is fitted; here nothing has a start, a bound or a unit that
-matters, and a known constant may be a number or "some number" (generic).
+with unknown constants theta (the parameters), known constants c, known inputs u and unknown inputs
+w. Unlike in a `Model`, start values, bounds and units have no meaning here, and a known constant
+may be a number or "some number" (generic).
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class System:
 
     Attributes
     ----------
-    states, parameters, constants, inputs, unknown_inputs, outputs : names. `parameters` are asked
-        about; `constants` are known numbers whose value plays no part (drawn at random).
+    states, parameters, constants, inputs, unknown_inputs, outputs : names. `parameters` are
+        unknown; `constants` are known numbers whose value does not matter (drawn at random).
     symbols : name -> (1, 1) SX symbol of every state, parameter, constant, input and unknown input,
         and of every name in `input_derivatives`.
     f : (nx, 1) right-hand sides in the order of `states`.
@@ -38,8 +38,8 @@ class System:
         derivative of the input.
     known_initial : states whose initial value is known, some generic number.
     initial_values : states whose initial value is known and is this number, which may be special.
-    at : parameters (and constants) that are looked at where they have this value: the verdict is
-        about that point and not about almost every point.
+    at : parameters (and constants) with this value: the verdict holds at that point and not at
+        almost every point.
     """
 
     name: str
@@ -85,7 +85,7 @@ class System:
         stray = sorted(inside - set(declared))
         if stray:
             raise ModelError(
-                f"{self.name}: {stray[0]!r} stands in the equations but is neither state, "
+                f"{self.name}: {stray[0]!r} occurs in the equations but is neither state, "
                 f"parameter, constant nor input{nearest(stray[0], declared)}"
             )
 
@@ -103,9 +103,9 @@ class System:
 
     @property
     def is_generic(self) -> bool:
-        """True if no initial value or parameter is looked at where it is special.
+        """True if no initial value or parameter has a special value.
 
-        The value of a known constant is no point of the unknowns: it belongs to the equations.
+        The value of a known constant belongs to the equations: it restricts no unknown.
         """
         return not self.initial_values and not any(p in self.at for p in self.parameters)
 
@@ -122,17 +122,17 @@ class System:
         new = [ca.SX(float(v)) if isinstance(v, Fraction) else ca.SX(v) for v in values.values()]
         f, h = ca.substitute([self.f, self.h], old, new) if old else (self.f, self.h)
 
-        def rest(names: Sequence[str]) -> tuple[str, ...]:
+        def kept(names: Sequence[str]) -> tuple[str, ...]:
             return tuple(n for n in names if n not in values)
 
         return replace(
             self,
             f=f,
             h=h,
-            parameters=rest(self.parameters),
-            constants=rest(self.constants),
-            inputs=rest(self.inputs),
-            unknown_inputs=rest(self.unknown_inputs),
+            parameters=kept(self.parameters),
+            constants=kept(self.constants),
+            inputs=kept(self.inputs),
+            unknown_inputs=kept(self.unknown_inputs),
             input_derivatives={k: v for k, v in self.input_derivatives.items() if k not in values},
             at={k: v for k, v in self.at.items() if k not in values},
             symbols={k: v for k, v in self.symbols.items() if k not in values},

@@ -7,8 +7,8 @@ Outputs are differentiated along the field until an unknown input appears,
 Then v = y_i^(r) is a known signal, w_j = (v - a - ...) / b is put into all equations, and the
 others follow in the same way: the structure algorithm (`structure_algorithm`), and for r = 0 the
 indirect model of Linder (2017, ch. 4). Each step maps the trajectories (x, w, y) one to one to
-(x, v, y), and v is as arbitrary as w_j was. So the new system tells of x(0) and theta exactly what
-the old one tells, and for known inputs the observability rank has a proved stopping rule.
+(x, v, y), and v is as arbitrary as w_j was. So the new system determines the same
+functions of x(0) and theta, and for known inputs the observability rank has a proved stopping rule.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from casid.identifiability.inputs.structure_algorithm import StructureAlgorithm,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Elimination:
-    """A system without unknown inputs, and how it came about.
+    """A system without unknown inputs, and how it was derived.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class Elimination:
         it is, in the symbols of `system`.
     prolonged : unknown inputs that enter nonlinearly; they are states now, with unknown initial
         value, and what was eliminated is their derivative.
-    unreached : unknown inputs that no output feels once the others are eliminated; they are zero in
-        `system`, which changes no output.
-    notes : all this in words.
+    unreached : unknown inputs that act on no output once the others are eliminated; they are zero
+        in `system`, which changes no output.
+    notes : all this in sentences.
     """
 
     original: System
@@ -81,7 +81,7 @@ def eliminate_unknown_inputs(
     Raises
     ------
     IdentifiabilityError
-        If an output named in `using` never feels its unknown input; if the elimination divides by
+        If an unknown input never acts on its output in `using`; if the elimination divides by
         what is zero at an initial value that was given; or if the derivatives grow beyond
         `structure_algorithm.MAX_NODES`.
     ModelError

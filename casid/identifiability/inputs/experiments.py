@@ -2,8 +2,8 @@
 
 A sequence of systems is a set of experiments: parameters and constants are shared by name, initial
 states and inputs are each experiment's own. Two ships in two seas do not share a wave; two sensor
-boxes on one ship do. Experiments that share a signal are merged into one system, in which the
-signal stands once.
+boxes on one ship do. Experiments that share a signal are merged into one system with one such
+signal.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ def replicas(system: System, n: int) -> tuple[System, ...]:
         If n < 1.
     """
     if n < 1:
-        raise ModelError(f"{system.name}: {n} replicas; an experiment is made once or more often")
+        raise ModelError(f"{system.name}: {n} replicas; an experiment is done once or more often")
     return (system,) * n  # one object: its equations are read once
 
 
 def merge(systems: Sequence[System], *, shared: Sequence[str] = (), name: str = "") -> System:
-    """Several experiments as one system in which the named inputs stand once.
+    """Several experiments as one system, in which each named input occurs once.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def merge(systems: Sequence[System], *, shared: Sequence[str] = (), name: str = 
     ------
     ModelError
         If a shared name is not an input of the same kind in two experiments at least; if a name is
-        a parameter here and a known constant there, or is looked at in different points.
+        a parameter in one and a known constant in another, or has different points.
     """
     systems = tuple(systems)
     if not systems:
@@ -91,7 +91,7 @@ def systems_by_class(
     shared: Sequence[str] = (),
     degrees: Sequence[int] = (0, 1, 2),
 ) -> dict[str, tuple[System, ...]]:
-    """The experiments for each class of unknown inputs, ready for their ranks side by side.
+    """The experiments for each class of unknown inputs, to compare their ranks.
 
     Parameters
     ----------
@@ -145,14 +145,14 @@ def _check_kinds(systems: Sequence[System]) -> None:
         for p in s.parameters:
             if p in constants:
                 raise ModelError(
-                    f"{p!r} is asked about in {s.name} and known in {constants[p]}, but parameters "
+                    f"{p!r} is unknown in {s.name} and known in {constants[p]}, but parameters "
                     "are shared by name; use with_known in both, or rename one"
                 )
         for p, value in s.at.items():
             if points.setdefault(p, value) != value:
                 raise ModelError(
-                    f"{p!r} is looked at where it is {points[p]} and where it is {value}; one "
-                    "value for all experiments, or two names"
+                    f"{p!r} has the point {points[p]} in one experiment and {value} in another; "
+                    "give one value for all, or two names"
                 )
 
 

@@ -1,9 +1,9 @@
 """Classes of inputs: arbitrary, polynomial, harmonic, of an exosystem, zero.
 
-The class of an unknown input decides what is identifiable, so it is said, not assumed. A class of
+The class of an unknown input decides what is identifiable, so it is always stated. A class of
 smooth signals is a system of its own whose output is the input (an exosystem): it is appended to
-the states, with unknown initial values where nobody knows the signal, and with known ones where the
-signal is a known input of that kind. Arbitrary signals: `elimination`.
+the states, with unknown initial values for an unknown input, and with known ones for a known input
+of that kind. Arbitrary signals: `elimination`.
 
     polynomial of degree k      w_0' = w_1, ..., w_k' = 0,                 w = w_0
     harmonic                    w_0' = w_1, w_1' = -w_omega^2 w_0,         w = w_0
@@ -35,7 +35,7 @@ MAX_DEGREE = 50
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exosystem:
-    """Where inputs come from: dz/dt = s(z, ...), inputs = q(z, ...).
+    """A source of inputs: dz/dt = s(z, ...), inputs = q(z, ...).
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Exosystem:
 def as_exosystem(system: System, exosystem: Exosystem) -> System:
     """The system with the exosystem's states appended, driven by them.
 
-    Inputs may be unknown or known ones; derivatives of a known input that stand in the equations
+    Inputs may be unknown or known ones; derivatives of a known input that occur in the equations
     become the derivatives of its formula.
 
     Raises
@@ -117,7 +117,7 @@ def _with_derivatives(system: System, inputs: Mapping[str, Any]) -> dict[str, tu
 
 
 def _derivatives(system: System, values: Mapping[str, Expr]) -> tuple[System, dict[str, Expr]]:
-    """What the derivatives of the replaced inputs are that stand in the equations."""
+    """Expressions for the derivatives of the replaced inputs that occur in the equations."""
     replaced = _with_derivatives(system, values)
     slopes: dict[str, Expr] = {}
     for name, (source, order) in replaced.items():
@@ -153,7 +153,7 @@ def as_harmonic(
     """Unknown inputs are sinusoids of unknown amplitude and phase, each with its own frequency.
 
     The frequency is the state ``<input>_omega`` with the derivative zero, so it counts among the
-    unknowns but not among the parameters that are asked about.
+    unknowns but not among the parameters.
     """
     for w in _named(system, inputs):
         known = (2,) if is_frequency_known else ()
@@ -162,17 +162,17 @@ def as_harmonic(
 
 
 def as_zero(system: System, inputs: Sequence[str] | None = None) -> System:
-    """Unknown inputs are absent."""
+    """Unknown inputs are zero."""
     return system.substituted(dict.fromkeys(_named(system, inputs), 0.0))
 
 
 def with_input_class(system: System, classes: Mapping[str, InputClass]) -> System:
-    """Known inputs are what the experiment really has: a constant, a ramp, a sinusoid, nothing.
+    """Known inputs of a class: a constant, a ramp, a sinusoid, zero.
 
     Parameters
     ----------
-    classes : known input -> its class (`InputClass`). ``"generic"`` leaves it as it is: a signal
-        with as many independent derivatives as are needed. Numbers in a class (level, slope,
+    classes : known input -> its class (`InputClass`). ``"generic"`` leaves it unchanged: a
+        signal with as many independent derivatives as are needed. Numbers in a class (level, slope,
         amplitude, frequency) are generic, and each experiment has its own.
 
     Raises
@@ -182,12 +182,12 @@ def with_input_class(system: System, classes: Mapping[str, InputClass]) -> Syste
     """
     for u, kind in classes.items():
         if u not in system.inputs:
-            mend = (
+            hint = (
                 "; it is an unknown input, use as_polynomial, as_harmonic, as_exosystem or as_zero"
                 if u in system.unknown_inputs
                 else nearest(u, system.inputs)
             )
-            raise ModelError(f"{system.name} has no known input {u!r}{mend}")
+            raise ModelError(f"{system.name} has no known input {u!r}{hint}")
         system = _of_class(system, u, kind)
     return system
 
@@ -242,10 +242,10 @@ def _named(system: System, inputs: Sequence[str] | None) -> tuple[str, ...]:
         return system.unknown_inputs
     for w in inputs:
         if w not in system.unknown_inputs:
-            mend = (
+            hint = (
                 "; it is a known input, use with_input_class"
                 if w in system.inputs
                 else nearest(w, system.unknown_inputs)
             )
-            raise ModelError(f"{system.name} has no unknown input {w!r}{mend}")
+            raise ModelError(f"{system.name} has no unknown input {w!r}{hint}")
     return tuple(inputs)

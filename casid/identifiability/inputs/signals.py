@@ -1,4 +1,4 @@
-"""Signals in a system: free names, time derivatives along the field, which input reaches what."""
+"""Signals of a system: free names, time derivatives, and what unknown inputs act on."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def free_name(system: System, wanted: str, *more: str) -> str:
 
 
 def derivative_name(signal: str, order: int) -> str:
-    """How the derivative of a signal is called: ``u``, ``du``, ``d2u``, ..."""
+    """Name of the derivative of a signal: ``u``, ``du``, ``d2u``, ..."""
     return signal if order == 0 else f"d{'' if order == 1 else order}{signal}"
 
 
@@ -71,7 +71,7 @@ def _input_derivative(
 
 
 def reached_by_unknown_inputs(system: System) -> set[str]:
-    """Unknown inputs, and states that a chain of equations connects with one."""
+    """Unknown inputs, and the states that they act on through a chain of equations."""
     enters = [{s.name() for s in ca.symvar(system.f[i])} for i in range(len(system.states))]
     reached = set(system.unknown_inputs)
     while True:

@@ -1,9 +1,9 @@
-"""How likely a random point is to show too small a rank.
+"""Probability that the rank at a random point is too small.
 
 A minor of the observability matrix is a polynomial P in the random numbers (parameters, initial
 states, coefficients of inputs and what transcendental functions start from). A point shows too
 small a rank only where a minor that is not identically zero vanishes there: because the prime
-divides all its coefficients, or because the point is a root of what is left,
+divides all its coefficients, or because the point is a root of the polynomial modulo the prime,
 
     probability <= (log2 |L P|_1 / 30) / (number of primes drawn from) + deg P / 2^30           (1)
 
@@ -61,7 +61,7 @@ def failure_probability(
     rank : that was found; a minor with one row more would have to vanish.
     order : highest derivative.
     columns : of the matrix.
-    copies : experiments of this system whose rows stand in the matrix.
+    copies : experiments of this system with rows in the matrix.
     """
     return failure_probabilities(program, rank, order, columns=columns, copies=copies)[-1]
 
@@ -83,7 +83,7 @@ def failure_probabilities(
 
 
 def minor_sizes(program: Program, rows: int, order: int, *, copies: int = 1) -> list[Size]:
-    """Of a minor as a polynomial in what is drawn at random, for derivatives up to 0 .. `order`.
+    """Of a minor as a polynomial in the random numbers, for derivatives up to 0 .. `order`.
 
     At most one row of each output is of the highest order, one of the next lower, and so on.
     """
@@ -174,15 +174,15 @@ def _divisor(program: Program, node: int) -> int:
 
 
 def _primitives_in(program: Program, node: int) -> set[int]:
-    """Primitives that stand in a node's polynomial."""
+    """Primitives that occur in a node's polynomial."""
     found: set[int] = set()
-    seen: set[int] = set()
+    visited: set[int] = set()
     stack = [node]
     while stack:
         n = stack.pop()
-        if n in seen or n == ONE:
+        if n in visited or n == ONE:
             continue
-        seen.add(n)
+        visited.add(n)
         if n in program.primitives:
             found.add(n)
         elif n in program.sums:

@@ -13,7 +13,7 @@ from casid.identifiability.rank.terms import UNIT, added, scaled
 
 
 class Reader(Protocol):
-    """What the functions below are made with: combinations of nodes in, a combination out."""
+    """Operations on linear combinations of nodes, of which the functions below are made."""
 
     def exp(self, a: Terms) -> Terms:
         """exp(a)."""
@@ -95,7 +95,7 @@ def _atan2(r: Reader, a: Terms, b: Terms) -> Terms:
 
 
 def _erf(r: Reader, a: Terms) -> Terms:
-    # 2/sqrt(pi) is a factor that no rank sees.
+    # The factor 2/sqrt(pi) changes no rank.
     return r.integral("erf", a, r.exp(scaled(_square(r, a), -1)))
 
 
@@ -123,4 +123,4 @@ SPECIAL: Mapping[int, Callable[..., Terms]] = {
     ca.OP_SIGN: lambda r, a: r.sign(a),
     ca.OP_FABS: lambda r, a: r.times(r.sign(a), a),
 }
-"""CasADi operation -> what it is, given a reader and the arguments."""
+"""CasADi operation -> its immersion, given a reader and the arguments."""

@@ -1,10 +1,11 @@
 """The observability rank of one or several experiments, exactly, with an error bound.
 
 Each experiment's series of sensitivities is reduced order by order until an order adds nothing:
-then no later one does, at almost every point (Sedoglavic 2002; Linder 2017, section 2.7). What an
-experiment tells of the parameters is what is left when its initial states are eliminated; what
-several tell is the sum. Full rank at one point modulo one prime is a proof. A deficiency is
-repeated at points and primes of their own until its error probability is below the bound.
+then no later one does, at almost every point (Sedoglavic 2002; Linder 2017, section 2.7). The
+information of an experiment on the parameters is the span of its rows after elimination of its
+initial states; that of several experiments is the sum. Full rank at one point modulo one prime is a
+proof. A deficiency is repeated at points and primes of their own until its error probability is
+below the bound.
 """
 
 from __future__ import annotations
@@ -30,14 +31,13 @@ ATTEMPTS = 40
 """Points tried modulo one prime (a square root exists at every second one)."""
 
 PRIMES = 20
-"""Primes tried before a model is said to have no point."""
-
+"""Primes tried before a model is refused as defined at no point."""
 
 PATIENCE = 16
-"""At special values the series goes on for so many orders that add nothing (or n + 1)."""
+"""At special values the series ends after so many orders that add nothing (or n + 1)."""
 
 MAX_KINKS = 4
-"""Of so many kinks (abs, sign) in one experiment, every choice of sides is looked at."""
+"""Up to so many kinks (abs, sign) in one experiment, every choice of sides is evaluated."""
 
 
 def observability(
@@ -57,7 +57,7 @@ def observability(
     seed : of the random points and primes.
     error_bound : largest error probability of a deficiency.
     time_limit : seconds after which what is proven so far is returned.
-    max_order : highest derivative; by default as many as tell anything.
+    max_order : highest derivative; by default as many as raise the rank.
     primes : instead of random ones; there is one point for each.
 
     Raises
@@ -65,7 +65,7 @@ def observability(
     ModelError
         If a system has unknown inputs left, or is defined at no point.
     """
-    search = Search(systems)
+    search = RankEvaluation(systems)
     deadline = math.inf if time_limit is None else time.monotonic() + time_limit
     rng = np.random.default_rng(seed)
     points: list[PointRank] = []
@@ -89,7 +89,7 @@ def observability(
 
 
 def _somewhere(
-    search: Search,
+    search: RankEvaluation,
     rng: np.random.Generator,
     primes: Sequence[int] | None,
     deadline: float,
@@ -114,11 +114,11 @@ def rank_at(
     rng: np.random.Generator,
 ) -> PointRank:
     """The rank at one point: `values` where they name a parameter or constant, random elsewhere."""
-    return Search(systems).at(prime, rng, values=values)
+    return RankEvaluation(systems).at(prime, rng, values=values)
 
 
-class Search:
-    """Experiments laid out for evaluation at as many points as wanted.
+class RankEvaluation:
+    """The rank of several experiments, prepared for evaluation at any number of points.
 
     Raises
     ------
@@ -134,7 +134,7 @@ class Search:
             if s.unknown_inputs:
                 raise ModelError(
                     f"{s.name}: {', '.join(s.unknown_inputs)} is an unknown input; eliminate it, "
-                    "or say which class of signals it belongs to"
+                    "or choose a class of signals for it"
                 )
         made: dict[int, Schedule] = {}
         self.schedules = [made.setdefault(id(s), Schedule(s)) for s in self.systems]
@@ -196,15 +196,15 @@ class Search:
     def verdict(
         self, points: Sequence[PointRank], failure: float, *, deadline: float = math.inf
     ) -> Observability:
-        """What the points of largest rank say together."""
+        """The verdicts on which all points of largest rank agree."""
         rank = max(p.rank for p in points)
         best = tuple(p for p in points if p.rank == rank)
-        told = np.all([p.identifiable() for p in best], axis=0)
-        identifiable = dict(zip(self.parameters, told.tolist(), strict=True))
+        verdicts = np.all([p.identifiable() for p in best], axis=0)
+        identifiable = dict(zip(self.parameters, verdicts.tolist(), strict=True))
         observable = []
         for i, system in enumerate(self.systems):
-            seen = np.all([p.observable()[i] for p in best], axis=0)
-            verdict = dict(zip(best[0].states[i], np.atleast_1d(seen).tolist(), strict=True))
+            of_states = np.all([p.observable()[i] for p in best], axis=0)
+            verdict = dict(zip(best[0].states[i], np.atleast_1d(of_states).tolist(), strict=True))
             observable.append({x: bool(verdict.get(x, True)) for x in system.states})
         partial = any(p.is_partial for p in points) and rank < self.unknowns
         is_full = rank == self.unknowns
@@ -227,7 +227,10 @@ class Search:
         )
 
     def _is_certified(self, rank: int, deadline: float) -> bool:
-        """The stopping rule holds at almost every point; elsewhere its rank bounds this one."""
+        """True if no later derivative can raise the rank.
+
+        The stopping rule holds at almost every point; elsewhere the rank there is a bound.
+        """
         if any(len(s.program.kinks) > MAX_KINKS for s in self.schedules):
             return False
         if all(s.is_generic for s in self.systems):
@@ -279,11 +282,12 @@ class Search:
             orders.append(order)
             reduced.append(_spread(rows, system, index, p))
         states = tuple(_free_states(s) for s in self.systems)
-        told = [
+        reduced_rows = [
             full[leading(full, len(x)) :, len(x) :] for full, x in zip(reduced, states, strict=True)
         ]
-        information = echelon(np.vstack(told), p)[0] if len(told) > 1 else told[0]
-        if len(told) > 1:
+        several = len(reduced_rows) > 1
+        information = echelon(np.vstack(reduced_rows), p)[0] if several else reduced_rows[0]
+        if several:
             reduced = [
                 echelon(np.vstack([full, padded(information, len(x))]), p)[0]
                 for full, x in zip(reduced, states, strict=True)
@@ -335,14 +339,14 @@ def _spread(parts: Sequence[Array], system: System, index: Mapping[str, int], p:
         joined.append(echelon(wide, p)[0])
     if len(joined) == 1:
         return joined[0]
-    # Each side of a kink is met with states of its own: what it tells of the parameters adds.
-    told = [m[leading(m, len(free)) :] for m in joined]
+    # Each side of a kink has states of its own: its information on the parameters adds.
+    information = [m[leading(m, len(free)) :] for m in joined]
     best = max(joined, key=len)
-    return echelon(np.vstack([best, *told]), p)[0]
+    return echelon(np.vstack([best, *information]), p)[0]
 
 
 def _branches(kinks: int, rng: np.random.Generator) -> list[list[int]]:
-    """Signs of the kinks to look at: all choices, or a sample where they are many."""
+    """Signs of the kinks: all choices, or a sample where they are many."""
     if kinks <= MAX_KINKS:
         return [list(c) for c in itertools.product((1, -1), repeat=kinks)]
     sample = [[int(v) for v in rng.choice([-1, 1], kinks)] for _ in range(2**MAX_KINKS - 2)]

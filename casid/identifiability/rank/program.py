@@ -81,7 +81,7 @@ class Program:
 
 
 def drop_unused(program: Program) -> None:
-    """Forget nodes that nothing needs, and number the others without gaps."""
+    """Remove nodes that are not needed, and number the others without gaps."""
     needed: set[int] = set()
     stack = [*program.f, *program.h]
     while stack:

@@ -1,6 +1,6 @@
 """Reads the expressions of a system into a program, instruction by instruction.
 
-What is the same is read as the same: exp(2 a) is the square of exp(a), log(a b) the sum of log(a)
+Equal functions are read as equal: exp(2 a) is the square of exp(a), log(a b) the sum of log(a)
 and log(b), so that identities between functions stay identities in the program.
 """
 
@@ -256,7 +256,7 @@ class _Reader:
         return total
 
     def _argument_of(self, name: str, n: int) -> Terms | None:
-        """What stands inside, if a node is that function."""
+        """The argument of a node, if it is that function."""
         q = self.program.primitives.get(n)
         if q is None or self._known.get((name, q.argument)) != n:
             return None
@@ -269,17 +269,16 @@ class _Reader:
         ((n, c),) = a.items()
         if n == ONE:
             return None
-        rest: list[tuple[Terms, int]] = []
         if n in self.program.products:
             left, right = self.program.products[n]
-            rest = [({left: Fraction(1)}, 1), ({right: Fraction(1)}, 1)]
+            factors = [({left: Fraction(1)}, 1), ({right: Fraction(1)}, 1)]
         elif n in self.program.primitives and self.program.primitives[n].start == "inverse":
-            rest = [({self.program.primitives[n].argument: Fraction(1)}, -1)]
+            factors = [({self.program.primitives[n].argument: Fraction(1)}, -1)]
         elif c == 1:
             return None
         else:
-            rest = [({n: Fraction(1)}, 1)]
-        return rest if c == 1 else [({ONE: c}, 1), *rest]
+            factors = [({n: Fraction(1)}, 1)]
+        return factors if c == 1 else [({ONE: c}, 1), *factors]
 
     def sine(self, a: Terms) -> tuple[Terms, Terms]:
         """sin(a) and cos(a), which are each other's slope."""
@@ -367,10 +366,10 @@ class _Reader:
 
 
 def _nearest(value: float, name: str) -> Fraction:
-    """The decimal that reads back as this float; thirds and the like as what they are."""
+    """The decimal that reads back as this float; simple fractions such as 1/3 exactly."""
     decimal = exact(value) if value == value else None
     if decimal is None:
-        raise ModelError(f"{name}: a number in the equations is {value}; mend it")
+        raise ModelError(f"{name}: a number in the equations is {value}; correct it")
     simple = Fraction(value).limit_denominator(1000)
     return simple if float(simple) == value else decimal
 

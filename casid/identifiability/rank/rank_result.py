@@ -1,4 +1,4 @@
-"""What a rank says: at one point, and from all points together."""
+"""Rank and verdicts at one point, and from all points together."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from casid.identifiability.equations.system import System
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointRank:
-    """What the outputs tell at one point: row echelon forms modulo `prime`.
+    """Row echelon forms of the sensitivities at one point, modulo `prime`.
 
     Attributes
     ----------
     values : parameters and constants at the point.
-    information : (r, n_parameters), what all experiments together tell of the parameters.
+    information : (r, n_parameters), of all experiments, initial states eliminated.
     full : by experiment, over [initial states that are not known | parameters].
-    states : by experiment, the states whose columns stand in `full`.
+    states : by experiment, the states of the columns of `full`.
     orders : by experiment, the highest derivative that was needed.
     is_partial : time ran out, or the highest order allowed was reached.
     """
@@ -36,10 +36,10 @@ class PointRank:
     @property
     def rank(self) -> int:
         """Rank of the joint observability matrix."""
-        seen = sum(
+        of_states = sum(
             leading(full, len(states)) for full, states in zip(self.full, self.states, strict=True)
         )
-        return seen + len(self.information)
+        return of_states + len(self.information)
 
     def identifiable(self) -> list[bool]:
         """Per parameter: its unit vector lies in the span of the rows."""
@@ -63,10 +63,10 @@ class Observability:
     error_bound : 0 where the rank is full, which is a proof; otherwise the probability that a
         verdict is wrong is at most this; nan where `is_partial`.
     is_certified : False where initial values or parameters are special and the rank stayed below
-        that of almost every point: then later derivatives might still tell more. False too where
-        there are more than `MAX_KINKS` kinks, whose sides are not all looked at.
+        that of almost every point: then later derivatives might raise it. False too where there
+        are more than `MAX_KINKS` kinks, whose sides are not all evaluated.
     points : of largest rank.
-    deficiency : dimension of what the parameters can do unseen.
+    deficiency : dimension of the unidentifiable directions of the parameters.
     bytes : memory of the largest series.
     """
 
@@ -88,7 +88,7 @@ class Observability:
 
     @property
     def is_full(self) -> bool:
-        """True if every parameter and every initial state is told: a proof."""
+        """True if every parameter is identifiable and every initial state observable: a proof."""
         return self.rank == self.unknowns
 
     def __repr__(self) -> str:

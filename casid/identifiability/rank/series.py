@@ -1,10 +1,8 @@
 """Power series of the outputs and of their sensitivities, at a random point of a prime field.
 
-With y(t) = sum_k y_k t^k along the solution from x(0), the rows d y_k / d(x(0), theta) span what
-the first derivatives of the outputs tell (the extended observability matrix (2.64) of Linder
-(2017), rows divided by k!). They are computed order by order: in the newest coefficient every
-operation of
-a `Program` is linear,
+With y(t) = sum_k y_k t^k along the solution from x(0), the rows d y_k / d(x(0), theta) are
+those of the extended observability matrix (2.64) of Linder (2017), divided by k!. They are computed
+order by order: in the newest coefficient every operation of a `Program` is linear,
 
     sum         s_k = sum c_i a_i,k
     product     s_k = b_0 a_k + a_0 b_k + (sum over 0 < j < k of a_j b_{k-j})
@@ -33,7 +31,7 @@ class SpecialPoint(Exception):
 
     Attributes
     ----------
-    function : what has no value.
+    function : the operation that has no value.
     """
 
     def __init__(self, function: str) -> None:
@@ -43,7 +41,7 @@ class SpecialPoint(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """Operations whose arguments stand on lower levels."""
+    """Operations whose arguments are on lower levels."""
 
     sums: Array  # nodes
     terms: Array  # arguments of all sums, one after the other
@@ -64,7 +62,7 @@ class Schedule:
         program = self.program
         nx, np_ = len(system.states), len(system.parameters)
         self.n_columns = nx + np_  # of the tangents: initial states, then parameters
-        self.width = 1 + self.n_columns  # the value stands in front
+        self.width = 1 + self.n_columns  # the value comes first
         self._levels(program)
         self.moving = self._moving(program, system)
         self._history()
@@ -147,7 +145,7 @@ class Schedule:
         return moving
 
     def _history(self) -> None:
-        """Pairs of which both move, and the nodes whose past they need."""
+        """Pairs of which both change with time, and the nodes whose past they need."""
         both = self.moving[self.left] & self.moving[self.right]
         self.folded = np.flatnonzero(both)  # among the pairs
         needed = np.unique(np.concatenate([self.left[both], self.right[both]]))
@@ -172,7 +170,7 @@ class Series:
     inputs : draws the next coefficient of a known input.
     p : the prime.
     branches : for each kink, +1 or -1.
-    rng : draws what a transcendental function starts from.
+    rng : draws the initial values of transcendental functions.
 
     Raises
     ------
@@ -245,12 +243,11 @@ class Series:
         for i in range(len(system.parameters)):
             now[len(system.states) + i, 1 + len(system.states) + i] = 1
         self._slopes(now[:, 0].copy())
-        # Tangents of order zero: the same linear maps, without what is remembered.
+        # Tangents of order zero: the same linear maps, without earlier coefficients.
         kept = now[:, 0].copy()
         now[:, 0] = 0
         nothing = np.zeros((len(s.pair_nodes), s.width), dtype=np.int64)
-        still = np.zeros((program.n_nodes, s.width), dtype=np.int64)
-        self._pass(nothing, still)
+        self._pass(nothing, np.zeros((program.n_nodes, s.width), dtype=np.int64))
         self._first = now.copy()  # tangents of order zero, values left out
         now[:, 0] = kept
         self._remember(0)

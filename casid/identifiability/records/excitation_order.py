@@ -1,12 +1,12 @@
-"""Excitation orders: how many coefficients a recorded signal can tell apart.
+"""Excitation orders: how many coefficients a recorded signal can distinguish.
 
 A signal is persistently exciting of order n if the covariance of n of its lags
 
     R_n = mean over t of phi phi',   phi(t) = (u(t), u(t-1), ..., u(t-n+1))                  (1)
 
 is nonsingular (Ljung 1999, definition 13.1): a constant has order 1, a sinusoid 2, k sinusoids 2 k,
-white noise every order. In a record the order is the rank of M lags, M the largest order asked;
-directions that noise of the stated size fills as well do not count.
+white noise every order. In a record the order is the rank of M lags, M the largest order requested;
+directions in which noise of the stated size is as large do not count.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class Order:
     Attributes
     ----------
     order : number of independent lags; at `limit` the true order may be higher.
-    limit : most lags that were looked at.
+    limit : most lags that were examined.
     rms : root mean square of the signal, its unit.
-    noise : standard deviation of white noise in it that was reckoned with, 0 for none.
+    noise : standard deviation of the white noise allowed for, 0 for none.
     """
 
     name: str
@@ -139,7 +139,7 @@ def excitation_orders(
     Parameters
     ----------
     channels : names; default all of the record. Samples marked missing are left out.
-    max_order : lags M that are looked at.
+    max_order : lags M that are examined.
     spacing : samples from one lag to the next. Lags of an oversampled noisy signal look alike
         unless M spacing Ts is of the order of its periods; see `decorrelation`.
     noise : channel -> standard deviation of its white noise [SI]. Without one every recorded
@@ -148,7 +148,7 @@ def excitation_orders(
     Raises
     ------
     DataError
-        A channel that is not there, no lag asked for, or a negative noise.
+        A channel that is not there, no lag requested, or a negative noise.
     """
     names = list(channels) if channels is not None else list(record.names)
     sd = dict(noise or {})
@@ -188,7 +188,7 @@ def excitation_orders(
 
 
 def order_text(order: int, limit: int) -> str:
-    """An order in words: ">= n" at the limit of what was looked at."""
+    """An order as text: ">= n" at the limit of what was examined."""
     return f"order >= {order}" if order >= limit else f"order {order}"
 
 
@@ -273,7 +273,7 @@ def _joint(
     max_order: int,
     spacing: int,
 ) -> tuple[int, int]:
-    """Largest n whose n lags of every signal are independent, and how far that was looked for."""
+    """Largest n whose n lags of every signal are independent, and the largest n examined."""
     k = len(values)
     limit = longest_window(used, k, max_order, spacing)
     if k == 1:

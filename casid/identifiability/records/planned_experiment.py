@@ -1,8 +1,8 @@
 """The user's experiments at stated values under a stated noise, measured or only planned.
 
-What a record will tell depends on its inputs, on the values of the parameters and on the noise; the
-measured outputs play no part. Here they are taken together as the simulation-error criterion that
-the estimators minimise, in units of the noise, so that its Gauss-Newton matrix is the information.
+The information of a record depends on its inputs, on the values of the parameters and on the noise,
+not on the measured outputs. Here these form the simulation-error criterion that the estimators
+minimise, in units of the noise, so that its Gauss-Newton matrix is the information.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Noise:
     Attributes
     ----------
     sd : output -> standard deviation, the output's SI unit.
-    source : output -> a few words.
+    source : output -> origin of its level, as text.
     is_absolute : False where a level is unknown: all outputs then have noise of one unit, and only
         ratios of errors mean anything.
     """
@@ -46,13 +46,13 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Planned:
-    """A criterion in units of the noise, the point it is looked at, and that noise.
+    """A criterion in units of the noise, the point where it is evaluated, and that noise.
 
     Attributes
     ----------
     x : (n,) values of `criterion.names`, SI units.
-    size : (n,) what an error is judged against: |x|, for an initial state at least the rms of the
-        state over its records (a start at rest is no small number); 0 where there is no such size.
+    size : (n,) reference of relative errors: |x|, for an initial state at least the rms of the
+        state over its records (an initial state of zero is not small); 0 where there is none.
     """
 
     problem: Problem
@@ -84,7 +84,7 @@ class Planned:
         return model.parameters[source].unit
 
     def root(self) -> Array:
-        """(n, n) triangular R with R'R the information; never squared, so small directions live."""
+        """(n, n) triangular R with R'R the information; not squared, to keep small directions."""
         n = len(self.x)
         r: Array = np.zeros((0, n))
         for e in range(len(self.criterion.data)):
@@ -110,9 +110,9 @@ def plan(
     at : values by name of parameters ("k"), initial states ("phi(0)") and, with several
         experiments, "phi(0)@name"; what is not named has its start, or its known value.
     noise : output -> standard deviation of its white noise [SI]; else that of the problem, else
-        what a measured output shows, else one unit for all.
-    own : parameters that every record has for itself.
-    substeps : Runge-Kutta steps a sample; None doubles them until the information stays.
+        estimated from a measured output, else one unit for all.
+    own : parameters of which every record has its own value.
+    substeps : Runge-Kutta steps a sample; None doubles them until the information converges.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def values_of(at: Mapping[str, float] | Estimate | None) -> dict[str, float]:
 def _unmeasured_starts(
     model: Model, experiments: Sequence[Experiment], absent: Sequence[Sequence[str]]
 ) -> dict[str, float]:
-    """Initial states of planned experiments: no measurement can guess them."""
+    """Initial states of planned experiments: there is no measurement to start from."""
     start: dict[str, float] = {}
     for e, lacking in zip(experiments, absent, strict=True):
         label = f"@{e.name}" if len(experiments) > 1 else ""
@@ -180,7 +180,7 @@ def _resolved(
     substeps: int | None,
     start: Mapping[str, float],
 ) -> SimulationError:
-    """The criterion with so many substeps that twice as many leave the information alone."""
+    """The criterion with so many substeps that twice as many do not change the information."""
 
     def at(steps: int) -> tuple[SimulationError, Array]:
         criterion = SimulationError(model, experiments, own=own, substeps=steps, start=start)
@@ -235,7 +235,7 @@ def _noise(
     *,
     at_estimate: bool,
 ) -> Noise:
-    """Explicit before stated in the problem before seen in the record before unknown."""
+    """The level given, else that of the problem, else estimated from the record, else unknown."""
     _refuse_noise(criterion, given or {})
     sd: dict[str, float] = {}
     source: dict[str, str] = {}
@@ -246,7 +246,7 @@ def _noise(
         elif problem.noise.get(name, 0.0) > 0:
             sd[name], source[name] = float(problem.noise[name]), "as the problem states"
         elif measured:
-            found, source[name] = _seen(criterion, x, measured, i, at_estimate)
+            found, source[name] = _estimated_noise(criterion, x, measured, i, at_estimate)
             sd[name] = found
             if not found > 0:
                 del sd[name]
@@ -259,7 +259,7 @@ def _noise(
     )
 
 
-def _seen(
+def _estimated_noise(
     criterion: SimulationError, x: Array, measured: Sequence[int], column: int, at_estimate: bool
 ) -> tuple[float, str]:
     """The noise of a measured output: its residual at an estimate, else its quietest spectrum."""

@@ -1,4 +1,4 @@
-"""Practical identifiability: what these records will tell under their noise, before any fit.
+"""Practical identifiability: errors to expect from these records under their noise.
 
 With S the sensitivities of the outputs to the unknown parameters and initial states along the
 user's excitation and sigma the standard deviation of white noise, the Fisher information is
@@ -6,8 +6,8 @@ user's excitation and sigma the standard deviation of white noise, the Fisher in
     F = sum_k S_k' diag(1 / sigma^2) S_k                                                     (1)
 
 and F^-1 bounds the covariance of every unbiased estimate (Cramer and Rao; Ljung 1999, (7.88)).
-A parameter that no data will ever tell has no information here either; one that structure lets be
-told may still be told badly by this record. The structural verdict is another question.
+A structurally unidentifiable parameter has no information here either; an identifiable one may
+still be poorly determined by this record. No fit is needed.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from casid.estimation.local_rank import LocalRank, describe_null, local_rank
 from casid.identifiability.records.planned_experiment import Experiments, Noise, Planned, plan
 from casid.identifiability.records.practical_result import (
     POOR,
-    SEEN,
-    UNSEEN,
+    UNDETERMINED,
+    UNJUDGED,
     WELL,
     Direction,
     Practical,
@@ -49,7 +49,7 @@ def practical_identifiability(
     largest_relative: float = 0.3,
     largest_correlation: float = 0.99,
 ) -> Practical:
-    """What these experiments will tell of each unknown parameter, under their noise (1).
+    """The error to expect of each unknown parameter from these experiments and their noise (1).
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def practical_identifiability(
     at : values of parameters and initial states, or an estimate; default the starts.
     noise : output -> standard deviation of its white noise; default that of the problem, else what
         the measured outputs show, else one unit (a relative statement).
-    own : parameters that every record has for itself.
+    own : parameters of which every record has its own value.
     substeps : Runge-Kutta steps a sample; None takes as many as matter.
     largest_relative : a parameter is "poorly determined" if its relative standard error is larger.
     largest_correlation : where there is no such error to judge (noise unknown, value zero), it is
@@ -81,7 +81,7 @@ def practical_identifiability(
     if not names:
         raise IdentifiabilityError(
             f"{p.problem.name}: no parameter and no initial state is unknown, so there is nothing "
-            "to tell; free one with model.with_unknown(name)"
+            "to determine; free one with model.with_unknown(name)"
         )
     root = p.root()
     information = root.T @ root
@@ -117,7 +117,7 @@ def practical_identifiability(
 
 
 def _covariance(root: Array, rank: LocalRank, names: Sequence[str]) -> Array:
-    """Inverse information; inf at what is not seen, the rest as if that had any known value."""
+    """Inverse information; inf where there is none, the rest as if that had a known value."""
     n = root.shape[1]
     length = np.linalg.norm(root, axis=0)
     lost = np.array([any(name in d for d in rank.null) for name in names], dtype=bool)
@@ -215,8 +215,8 @@ def _judged(
         if name in direction:
             others = [n for n in direction if n != name]
             if others:
-                return UNSEEN, f"only in combination with {', '.join(others)}"
-            return UNSEEN, "moves no output"
+                return UNDETERMINED, f"only in combination with {', '.join(others)}"
+            return UNDETERMINED, "moves no output"
     close = ""
     if closest[0] is not None and abs(closest[0]) > limits[1]:
         close = f"correlated {closest[0]:+.4f} with {closest[1]}"
@@ -224,10 +224,10 @@ def _judged(
         # The standard error has the correlation in it: judged by that alone.
         if relative <= limits[0]:
             return WELL, close
-        said = f"error {100 * relative:.3g} % of its size"
-        return POOR, f"{said}; {close}" if close else said
+        large = f"error {100 * relative:.3g} % of its size"
+        return POOR, f"{large}; {close}" if close else large
     if close:
         return POOR, close
     if not noise.is_absolute:
-        return SEEN, "the noise is unknown"
-    return SEEN, "its value is zero, so no error is relative to it"
+        return UNJUDGED, "the noise is unknown"
+    return UNJUDGED, "its value is zero, so no error is relative to it"

@@ -1,4 +1,4 @@
-"""What records will tell of every parameter: expected errors, correlations, weakest directions."""
+"""Expected errors of every parameter, correlations, and the weakest directions."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ Verdict = Literal[
 ]
 WELL: Verdict = "well determined"
 POOR: Verdict = "poorly determined"
-UNSEEN: Verdict = "not seen by this record"
-SEEN: Verdict = "seen, not judged"
+UNDETERMINED: Verdict = "not seen by this record"
+UNJUDGED: Verdict = "seen, not judged"
 
 ASSUMES = (
     "white Gaussian noise of the stated standard deviation on each output, exact inputs, the model "
@@ -32,14 +32,14 @@ SOURCES = (
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What the records will tell of one parameter or initial state, SI units.
+    """Expected error and verdict of one parameter or initial state, SI units.
 
     Attributes
     ----------
-    std_error : expected standard error, inf where not seen; for noise of one unit on every output
-        where the noise is unknown.
-    relative : std_error / |value|, None where the value is zero; of an initial state, against the
-        rms of the state over the records where that is more.
+    std_error : expected standard error, inf without information; for noise of one unit on every
+        output where the noise is unknown.
+    relative : std_error / |value|, None where the value is zero; of an initial state, relative to
+        the rms of the state over the records where that is more.
     correlation, partner : the largest correlation with a parameter, and which; None without one.
     note : why, and which other parameter it is confused with.
     """
@@ -73,7 +73,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Direction:
-    """A combination of the parameters and how well it is told, initial states eliminated.
+    """A combination of the parameters and its error, initial states eliminated.
 
     Attributes
     ----------
@@ -136,12 +136,12 @@ class Practical:
 
     def __repr__(self) -> str:
         poor = [r.name for r in self.parameters if r.verdict == POOR]
-        lost = [r.name for r in self.parameters if r.verdict == UNSEEN]
-        said = [f"poorly determined: {', '.join(poor)}"] if poor else []
-        said += [f"not seen: {', '.join(lost)}"] if lost else []
+        lost = [r.name for r in self.parameters if r.verdict == UNDETERMINED]
+        parts = [f"poorly determined: {', '.join(poor)}"] if poor else []
+        parts += [f"not seen: {', '.join(lost)}"] if lost else []
         return (
             f"<Practical {self.problem}: rank {self.rank} of {self.unknowns}"
-            f"{'; ' if said else ''}{'; '.join(said)}>"
+            f"{'; ' if parts else ''}{'; '.join(parts)}>"
         )
 
     def __getitem__(self, name: str) -> Row:
@@ -224,7 +224,7 @@ def _cells(row: Row) -> tuple[str, ...]:
 
     close = "--" if row.correlation is None else f"{row.correlation:+.3f} {row.partner}"
     error = f"{row.std_error:.3g}" if math.isfinite(row.std_error) else "--"
-    is_long = row.verdict == UNSEEN and row.note.count(",") > 1
+    is_long = row.verdict == UNDETERMINED and row.note.count(",") > 1
     note = "only in combination, see below" if is_long else row.note
     verdict = f"{row.verdict}: {note}" if note else row.verdict
     return row.name, row.unit, f"{row.value:.5g}", error, percent(row.relative), close, verdict

@@ -1,4 +1,4 @@
-"""Profile likelihood: which values of a parameter the records cannot reject, however curved.
+"""Profile likelihood: which values of a parameter the records do not reject.
 
     PL(c) = min over everything else of -2 log L(theta, x0),  theta_i = c                    (1)
 
@@ -69,17 +69,8 @@ def profile_likelihood(
     """
     if isinstance(problem, Model):
         problem = Problem(problem.name, problem)
-    if points < 3 or not 0 < confidence < 1:
-        raise DataError(
-            f"points = {points}, confidence = {confidence}; give at least 3 points a side and a "
-            "confidence between 0 and 1, as 0.95"
-        )
     settings = settings or FitSettings(starts=problem.starts)
-    if settings.constraints or settings.segments != 1:
-        raise DataError(
-            f"profile of {problem.name}: the fit has constraints or several segments, which a "
-            "profile does not know; put the constraints into the model and use segments=1"
-        )
+    _check_settings(problem, settings, points, confidence)
     chosen = experiments_of(problem, experiments)
     fit = fit_model(
         problem.model, chosen, settings, start=values_of(at), check_rank=False, throw=False
@@ -114,6 +105,21 @@ def profile_likelihood(
     )
 
 
+def _check_settings(
+    problem: Problem, settings: FitSettings, points: int, confidence: float
+) -> None:
+    if points < 3 or not 0 < confidence < 1:
+        raise DataError(
+            f"points = {points}, confidence = {confidence}; give at least 3 points a side and a "
+            "confidence between 0 and 1, as 0.95"
+        )
+    if settings.constraints or settings.segments != 1:
+        raise DataError(
+            f"profile of {problem.name}: the fit has constraints or several segments, which a "
+            "profile does not know; put the constraints into the model and use segments=1"
+        )
+
+
 def _chi_squared(confidence: float) -> float:
     from scipy.stats import chi2
 
@@ -132,14 +138,14 @@ class _Held:
     def n_constraints(self) -> int:
         return self.criterion.n_constraints
 
-    def full(self, rest: Array) -> Array:
-        return np.insert(np.asarray(rest, dtype=float), self.place, self.value)
+    def full(self, others: Array) -> Array:
+        return np.insert(np.asarray(others, dtype=float), self.place, self.value)
 
-    def evaluate(self, rest: Array) -> Evaluation:
-        at = self.criterion.evaluate(self.full(rest))
-        others = np.arange(len(rest) + 1) != self.place
+    def evaluate(self, others: Array) -> Evaluation:
+        at = self.criterion.evaluate(self.full(others))
+        kept = np.arange(len(others) + 1) != self.place
         return Evaluation(
-            at.value, at.gradient[others], at.hessian[np.ix_(others, others)], at.constraints
+            at.value, at.gradient[kept], at.hessian[np.ix_(kept, kept)], at.constraints
         )
 
 
@@ -258,7 +264,7 @@ class _Profiled:
         for k in range(points):
             if at == last:
                 break
-            # Open sides are followed to the end with the points that are left.
+            # Open sides are followed to the end with the remaining points.
             step = max(step, abs(last - at) / 2 ** (points - k - 1)) if k >= points // 2 else step
             to = at + side * step
             to = min(to, last) if side > 0 else max(to, last)
@@ -280,7 +286,7 @@ class _Profiled:
         return at, f"{name} open {'above' if side > 0 else 'below'}, followed to {at:.4g}, {why}"
 
     def _size(self, place: int) -> float:
-        """What a large move is measured in: the value, or the declared start where that is more."""
+        """Reference of a large move: the value, or the declared start where that is larger."""
         v, value = self.criterion.variables[place], abs(float(self.best[place]))
         declared = self.planned.problem.model.parameters.get(v.source)
         if declared is not None:
@@ -305,7 +311,7 @@ class _Profiled:
     def _refine(
         self, place: int, threshold: float, side: int, tried: dict[float, tuple[Array, float]]
     ) -> None:
-        """Values at the crossing, until the end point does not hang on the grid."""
+        """Values at the crossing, until the end point does not depend on the grid."""
         for _ in range(10):
             grid = np.array(sorted(tried))
             total = np.array([tried[v][1] for v in grid.tolist()])

@@ -1,4 +1,4 @@
-"""Profiles of parameters: intervals, figure, and which of them are open or flat."""
+"""Profiles of parameters: intervals, and which of them are open or flat."""
 
 from __future__ import annotations
 

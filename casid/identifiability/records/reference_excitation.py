@@ -1,13 +1,13 @@
-"""Whether the reference excites, or only the sensor that it was eliminated with.
+"""Excitation by an eliminated unknown input, as distinct from that of the sensor replacing it.
 
 An indirect model has a measured output a_s in the place of an unknown input a_y (Linder 2017,
-(7.24)). The a_s of a free decay is as rich as the motion and tells nothing: with a_y = 0 it is a
-function of the states, and the rank falls from 5 to 4 (sections 7.1 and 7.3.1). Along the simulated
-solution the direct model splits the sensor's signal,
+(7.24)). The a_s of a free decay is as rich as the motion and has no information: with a_y = 0 it is
+a function of the states, and the rank falls from 5 to 4 (sections 7.1 and 7.3.1). Along the
+simulated solution the direct model splits the sensor's signal,
 
     a_s = h(x, 0) + c,    c = h(x, a_y) - h(x, 0)                                            (1)
 
-and what counts is the excitation order of c, what the unknown input adds.
+and the excitation order of c counts, the contribution of the unknown input.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ _MARGIN = 1.25
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What an eliminated input adds to the channel it was eliminated with.
+    """The contribution of an eliminated input to the channel that replaces it.
 
     Attributes
     ----------
     unknown, channel : the eliminated input and the measured channel in its place.
     channel_order : excitation order of the channel as recorded.
-    order : excitation order of the unknown input's part c of (1), above what noise, estimation
-        errors and the way between samples can make of it; `limit` the most that was looked for.
+    order : excitation order of the unknown input's part c of (1), above the effect of noise,
+        estimation errors and interpolation between samples; `limit` the largest order examined.
     share : mean square of c over that of the channel about its mean; it may exceed 1 where c and
         the states' part cancel.
     rms : of the unknown input reconstructed along the simulated solution, SI `unit`.
@@ -110,7 +110,7 @@ class RecordExcitation:
     signals : orders of the model's inputs and of channels recorded beside them (references).
     references : one an eliminated input; empty for a model without any.
     recorded : names in `signals` that were recorded beside the model's, a reference among them.
-    note : what the reconstruction hangs on, where no values were given for it.
+    note : what the reconstruction depends on, where no values were given for it.
     """
 
     record: str
@@ -124,8 +124,8 @@ class RecordExcitation:
         return f"<RecordExcitation {self.record}: {'; '.join(map(str, self.references))}>"
 
     def __str__(self) -> str:
-        said = [*map(str, self.references), *([self.note] if self.note else [])]
-        return "\n".join([str(self.signals), *(f"  {line}" for line in said)])
+        more = [*map(str, self.references), *([self.note] if self.note else [])]
+        return "\n".join([str(self.signals), *(f"  {line}" for line in more)])
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -155,11 +155,11 @@ def record_excitation(
 
     Parameters
     ----------
-    at : values along which the unknown input is reconstructed. Wrong ones leave a rest that looks
-        like an input: give an estimate, whose covariance is then reckoned with.
+    at : values along which the unknown input is reconstructed. Errors in them look like an input:
+        give an estimate, whose covariance is then allowed for.
     noise : channel -> standard deviation of its white noise [SI], over the problem's.
-    max_order, spacing : most lags looked at, and the samples between them; by default as many as
-        it takes the measured channel to forget half of itself, so that the lags see its motion.
+    max_order, spacing : most lags examined, and the samples between them; by default the lag at
+        which the autocorrelation of the measured channel falls below one half.
     draws : simulated errors (noise, estimation) that the unknown input has to exceed, each of them.
     seed : of those.
 
@@ -198,8 +198,8 @@ def record_excitation(
         if split is not None and at is None and p.criterion.names:
             unknown = " and ".join(split.unknown)
             note = (
-                f"{unknown} was reconstructed at the start values, and what they have wrong looks "
-                "like an input: give an estimate, at=casid.identify(...)"
+                f"{unknown} was reconstructed at the start values, and their errors look like an "
+                "input: give an estimate, at=casid.identify(...)"
             )
         if split is not None:
             rng = np.random.default_rng((seed, e))
@@ -220,7 +220,7 @@ class _Split:
         self.channels = [n for n in direct.outputs if n not in model.outputs]
         rows = ca.vertcat(*[e.h[e.outputs.index(c)] for c in self.channels])
         symbols = ca.vertcat(*[direct.symbol(w) for w in self.unknown])
-        self.felt = np.array(ca.DM(ca.jacobian(rows, symbols).sparsity(), 1)) > 0
+        self.acts_on = np.array(ca.DM(ca.jacobian(rows, symbols).sparsity(), 1)) > 0
         w = ca.SX.sym("w", len(self.unknown))
         rows = ca.substitute(rows, symbols, w)
         arguments = [indirect.x, indirect.u, indirect.p]
@@ -259,10 +259,10 @@ class _Split:
         draws: int,
         rng: np.random.Generator,
     ) -> tuple[Reference, ...]:
-        """One for every pair of an unknown input and a channel that feels it."""
+        """One for every pair of an unknown input and a channel it acts on."""
         d, x = self.criterion.data[e], self.planned.x
         w, adds = self.parts(x, e, d.u)
-        # Half the samples: what straight lines between samples leave out, several times over.
+        # With half the samples: several times the error of straight lines between samples.
         errors = [self._between_samples(x, e)]
         errors += [
             self.parts(self._drawn(at, rng), e, self._noisy(e, sd, rng))[1] - adds
@@ -271,7 +271,7 @@ class _Split:
         used, apart = np.ones(d.N, dtype=bool), signals.spacing
         limit = longest_window([used], 1, max_order, apart)
         out = []
-        for i, j in np.argwhere(self.felt).tolist():
+        for i, j in np.argwhere(self.acts_on).tolist():
             measured = d.u[:, list(self.criterion.model.inputs).index(self.channels[i])]
             sizes = [_size(error[:, i, j], used, limit, apart) for error in errors]
             edge = _MARGIN * (sizes[0] + max(sizes[1:], default=0.0))
@@ -295,7 +295,7 @@ class _Split:
     def _between_samples(self, x: Array, e: int) -> Array:
         """Change of the parts if every second sample of the inputs were a mean of its neighbours.
 
-        The states feel the difference, the sensors' own samples stay.
+        The states follow the difference, the sensors' own samples are unchanged.
         """
         d = self.criterion.data[e]
         held = d.u.copy()

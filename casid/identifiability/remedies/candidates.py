@@ -1,4 +1,4 @@
-"""What could be added to experiments: a sensor, another experiment, a known value."""
+"""Candidates to be added to experiments: a sensor, another experiment, a known value."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Kind = Literal["sensor", "experiment", "known parameter", "known initial state"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One thing that could be added, and what it costs; made by the functions of this module.
+    """One possible addition and its cost; made by the functions of this module.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Candidate:
     formula : of a sensor, as text or as an SX expression of symbols named as the system's.
     systems : of an experiment, the equations of each of its records; empty for a replica.
     experiments : names of those that get the sensor or the known initial state, or are repeated;
-        none stands for all.
+        none means all.
     """
 
     kind: Kind
@@ -47,7 +47,7 @@ class Candidate:
         return f"{self.kind} {self.label}"
 
     def concerns(self, system: System) -> bool:
-        """True if this candidate is about an experiment of that name."""
+        """True if this candidate applies to that experiment."""
         return not self.experiments or system.name in self.experiments
 
 
@@ -78,7 +78,7 @@ def replica(*experiments: str, cost: float = 1.0) -> Candidate:
 
 
 def known_parameter(name: str, cost: float = 1.0) -> Candidate:
-    """The parameter is measured by other means: a known constant in all experiments."""
+    """The parameter is measured otherwise: a known constant in all experiments."""
     return Candidate("known parameter", name, cost)
 
 

@@ -1,4 +1,4 @@
-"""What would mend a deficiency at the least cost: sensors, experiments, replicas, known values.
+"""The cheapest remedies of a deficiency: sensors, experiments, replicas, known values.
 
 Candidate sets are compared at one random point (`screening`); the set that is chosen is then
 decided by `observability`, with its error bound.
@@ -33,21 +33,21 @@ from casid.identifiability.remedies.sensor_subsets import sensor_subsets as sens
 
 @dataclass(frozen=True, slots=True)
 class Remedies:
-    """What each candidate does alone, and the cheapest set that reaches the goal.
+    """The effect of each candidate alone, and the cheapest set that reaches the goal.
 
     Attributes
     ----------
     goal : parameters that are to be identifiable.
     before : with nothing added.
-    singles : each candidate alone; what mends first, the cheapest of them first, then by what is
-        missing still.
-    together : with all candidates. What they do not mend, none of their subsets does.
-    cheapest : the cheapest sets that mend, smaller ones first, as seen at one random point; the
-        first is the one that `verdict` is about. Empty if there is none.
+    singles : each candidate alone; remedies first, by cost, then the others by the number of
+        parameters still missing.
+    together : with all candidates. If they do not reach the goal, none of their subsets does.
+    cheapest : the cheapest remedies, smaller sets first, as found at one random point; `verdict`
+        decides the first. Empty if there is none.
     verdict : the decision about the first of `cheapest`, with its error bound.
-    looked_at : number of candidate sets.
-    is_cut : sets that were not looked at might mend at less cost.
-    has_more : other sets might mend at the same cost.
+    looked_at : number of candidate sets that were compared.
+    is_cut : sets that were not compared might be remedies of less cost.
+    has_more : other sets might be remedies of the same cost.
     """
 
     goal: tuple[str, ...]
@@ -62,7 +62,7 @@ class Remedies:
 
     def __str__(self) -> str:
         if self.before.is_remedy:
-            return f"nothing needs mending: {', '.join(self.goal)}: identifiable"
+            return f"no remedy is needed: {', '.join(self.goal)}: identifiable"
         lines = [
             f"not identifiable: {', '.join(self.before.missing)} (deficiency "
             f"{self.before.deficiency})",
@@ -83,13 +83,13 @@ class Remedies:
 
     @property
     def conclusion(self) -> list[str]:
-        """The cheapest mend and how sure it is, or why there is none; lines."""
+        """The cheapest remedy and how certain it is, or why there is none; lines."""
         if not self.together.is_remedy:
             missing = ", ".join(self.together.missing)
-            return [f"all candidates together do not mend it: {missing} stay unidentifiable"]
+            return [f"all candidates together are no remedy: {missing} remain unidentifiable"]
         if not self.cheapest or self.verdict is None:
-            return ["the point looked at was special, and no set was confirmed; try another seed"]
-        lines = [f"cheapest mend: {self.cheapest[0]} (cost {self.cheapest[0].cost:g})"]
+            return ["the random point was special, and no set was confirmed; try another seed"]
+        lines = [f"cheapest remedy: {self.cheapest[0]} (cost {self.cheapest[0].cost:g})"]
         if self.verdict.is_full:
             lines.append("  full rank: a proof")
         else:
@@ -97,10 +97,10 @@ class Remedies:
             lines.append(f"  probability that this is wrong: below {bound:.1e}")
         lines += [f"  as cheap: {e}" for e in self.cheapest[1:]]
         if self.is_cut:
-            lines.append("  others might be cheaper: raise max_size or limit to look at more sets")
+            lines.append("  others might be cheaper: raise max_size or limit to compare more sets")
         elif self.has_more:
-            lines.append("  others might be as cheap: raise max_size or limit to look at more sets")
-        return [*lines, "  all other rows are as seen at one random point"]
+            lines.append("  others might be as cheap: raise max_size or limit to compare more sets")
+        return [*lines, "  all other rows were found at one random point"]
 
     def to_json(self) -> dict[str, Any]:
         """Plain lists and numbers."""
@@ -132,22 +132,22 @@ def cheapest_remedies(
 
     Parameters
     ----------
-    systems : the experiments there are; with unknown inputs, if `prepare` takes them out.
+    systems : the given experiments; with unknown inputs, if `prepare` eliminates them.
     candidates : made by `sensor`, `experiment`, `replica`, `known_parameter` and
         `known_initial_state`. A sensor is mounted in the added experiments, too.
     goal : parameters that are to be identifiable (all); one that becomes known counts.
-    max_size : of the sets that are compared. A larger set is returned where no such set mends: all
-        candidates without those that can be spared, the dearest spared first.
+    max_size : of the sets that are compared. A larger set is returned where no such set is a
+        remedy: all candidates without those that can be spared, the dearest spared first.
     prepare : is applied to each system once its sensors are there, such as the elimination of
         unknown inputs.
     seed : of the random points and primes.
     error_bound : largest error probability of the verdict.
-    limit : no more sets than this are looked at, the cheapest first.
+    limit : most sets that are compared, the cheapest first.
 
     Raises
     ------
     IdentifiabilityError
-        If the goal or a candidate names what is not there.
+        If the goal or a candidate has an unknown name.
     ModelError
         If a sensor's formula cannot be read, or unknown inputs are left.
 
@@ -158,8 +158,8 @@ def cheapest_remedies(
     >>> nominal = System("nominal", ("v",), ("F", "m"), ("a",), symbols, F / m, F / m)
     >>> loaded = System("loaded", ("v",), ("F", "m"), ("a",), {**symbols, "dm": dm},
     ...                 F / (m + dm), F / (m + dm), constants=("dm",))
-    >>> mends = cheapest_remedies(nominal, [sensor("force", "F", 3.0), experiment("load", loaded)])
-    >>> str(mends.cheapest[0])
+    >>> found = cheapest_remedies(nominal, [sensor("force", "F", 3.0), experiment("load", loaded)])
+    >>> str(found.cheapest[0])
     'experiment load'
     """
     screening = Screening(systems, candidates, prepare, goal, np.random.default_rng(seed))
@@ -187,7 +187,7 @@ def cheapest_remedies(
 
 
 class _Search:
-    """The cheapest sets so far, of one cost, the first of them decided."""
+    """The cheapest remedies so far, of one cost, the first of them decided."""
 
     def __init__(self, screening: Screening, seed: int, error_bound: float) -> None:
         self.screening = screening
@@ -199,7 +199,7 @@ class _Search:
         self.is_cut = self.has_more = False
 
     def spare(self, chosen: tuple[int, ...]) -> None:
-        """All candidates that cannot be spared: a first mend, and a bound on the cost.
+        """All candidates that cannot be spared: a first remedy, and a bound on the cost.
 
         Where all candidates are known parameters it is the cheapest: the greedy set of a matroid.
         """
@@ -210,7 +210,7 @@ class _Search:
         self._take(chosen)
 
     def compare(self, max_size: int, limit: int) -> None:
-        """Sets up to a size, the cheapest first, until they cost more than what was found."""
+        """Sets up to a size, the cheapest first, until they cost more than the remedy found."""
         for chosen in self._by_cost(max_size):
             cost = self._cost(chosen)
             if self.found and cost > self.found[0].cost:
@@ -248,7 +248,7 @@ class _Search:
         return math.fsum(self.costs[i] for i in chosen)
 
     def _take(self, chosen: tuple[int, ...]) -> None:
-        """Keep a set that mends at the point: the first of a cost only if that is decided."""
+        """Keep a remedy found at the point: the first of a cost only if that is decided."""
         effect = self.screening.effect(chosen)
         members = {*effect.candidates}
         if any({*e.candidates} <= members for e in self.found):

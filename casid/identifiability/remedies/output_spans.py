@@ -1,4 +1,4 @@
-"""What each output tells by itself, at one point: the rows of all its derivatives.
+"""The span of each output's sensitivities at one point: the rows of all its derivatives.
 
 The rows of several outputs' derivatives span the sum of what each output's span. So one series, at
 one point, serves every subset of the outputs: each output's span is reduced on its own, until one
@@ -16,7 +16,7 @@ from casid.algebra.row_basis import Basis
 from casid.arrays import Array
 from casid.errors import ModelError
 from casid.identifiability.equations.system import System
-from casid.identifiability.rank.observability import ATTEMPTS, Search
+from casid.identifiability.rank.observability import ATTEMPTS, RankEvaluation
 from casid.identifiability.rank.series import Series, SpecialPoint
 
 
@@ -28,7 +28,7 @@ class Spans:
     ----------
     rows : by output, (r_i, n_states + n_parameters) over [states of unknown initial value |
         parameters], linearly independent before the columns of known states were left out.
-    orders : by output, the first derivative that told nothing, or completed the rank.
+    orders : by output, the first derivative that added nothing, or completed the rank.
     """
 
     prime: int
@@ -38,7 +38,7 @@ class Spans:
 
 
 class OutputSpans:
-    """A system laid out for the spans of its outputs at as many points as wanted.
+    """The spans of a system's outputs, prepared for evaluation at any number of points.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class OutputSpans:
     """
 
     def __init__(self, system: System) -> None:
-        self._search = Search(system)
+        self._search = RankEvaluation(system)
         self.system, self.unknowns = system, self._search.unknowns
         self.schedule = self._search.schedules[0]
         known = {*system.known_initial}
@@ -85,7 +85,7 @@ class OutputSpans:
         """Bound on the probability that a subset's rank or a verdict is wrong at a point.
 
         As in a search for that subset, but each output has a series of its own, whose derivatives
-        might have been left too early.
+        might have ended too early.
 
         Parameters
         ----------
@@ -105,5 +105,5 @@ class OutputSpans:
                     active.remove(i)
             if not active:
                 break
-        told = tuple(basis.rows[:, self._columns] for basis in bases)
-        return Spans(prime, self.n_states, told, tuple(orders))
+        rows_of = tuple(basis.rows[:, self._columns] for basis in bases)
+        return Spans(prime, self.n_states, rows_of, tuple(orders))

@@ -1,4 +1,4 @@
-"""What sets of candidates do, at one point of the parameters that all experiments share.
+"""Effects of sets of candidates, at one point of the parameters that all experiments share.
 
 Each experiment's rows are computed once for every set of sensors. A known value leaves out its
 column; an experiment or a replica adds its rows. So candidate sets are compared by linear algebra.
@@ -18,7 +18,7 @@ from casid.algebra.row_basis import unit_vectors
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, nearest
 from casid.identifiability.equations.system import System
-from casid.identifiability.rank.observability import Search
+from casid.identifiability.rank.observability import RankEvaluation
 from casid.identifiability.rank.rank_result import PointRank
 from casid.identifiability.remedies.candidates import Candidate, can_mount, check, with_sensor
 
@@ -28,14 +28,14 @@ Origin = tuple[int, int]  # candidate (-1: there already), number among its expe
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """What some candidates do together.
+    """The effect of some candidates together.
 
     Attributes
     ----------
     candidates, cost : what is added.
     gained : parameters that become identifiable, or are known then.
-    missing : those of the goal that are not identifiable still.
-    deficiency : dimension of what the parameters can still do unseen.
+    missing : those of the goal that remain unidentifiable.
+    deficiency : dimension of the remaining unidentifiable directions of the parameters.
     """
 
     candidates: tuple[Candidate, ...]
@@ -91,19 +91,19 @@ class Screening:
         # A point where everything is defined: the largest problem says which.
         self.prime = random_prime(rng)
         every = [s for _, s in self._experiments(range(len(self.candidates)))]
-        self.values = Search(every).at(self.prime, rng).values
-        self._before = self._told(())
+        self.values = RankEvaluation(every).at(self.prime, rng).values
+        self._before = self._identified(())
 
     def effect(self, chosen: Sequence[int]) -> Effect:
-        """What these candidates do together, at the point."""
-        told, deficiency = self._told(chosen)
+        """The effect of these candidates together, at the point."""
+        found, deficiency = self._identified(chosen)
         before = self._before[0]
         own = tuple(self.candidates[i] for i in chosen)
         return Effect(
             own,
             math.fsum(c.cost for c in own),
-            tuple(q for q in self.parameters if q in told and q not in before),
-            tuple(q for q in self.goal if q not in told),
+            tuple(q for q in self.parameters if q in found and q not in before),
+            tuple(q for q in self.goal if q not in found),
             deficiency,
         )
 
@@ -122,7 +122,7 @@ class Screening:
     # -- inside -------------------------------------------------------------------------------
 
     def _experiments(self, chosen: Sequence[int]) -> list[tuple[tuple[System, Origin], System]]:
-        """(the experiment as it was given, whence it came), and its equations with sensors."""
+        """(the experiment as given, its origin), and its equations with sensors."""
         originals = [(s, (-1, k)) for k, s in enumerate(self.base)]
         for i in chosen:
             c = self.candidates[i]
@@ -144,7 +144,7 @@ class Screening:
     def _known_states(self, own: Sequence[Candidate], original: System) -> list[str]:
         return [c.label for c in own if c.kind == "known initial state" and c.concerns(original)]
 
-    def _told(self, chosen: Sequence[int]) -> tuple[frozenset[str], int]:
+    def _identified(self, chosen: Sequence[int]) -> tuple[frozenset[str], int]:
         """Parameters that are identifiable or known, and the deficiency of the others."""
         own = [self.candidates[i] for i in chosen]
         known = {c.label for c in own if c.kind == "known parameter"}
@@ -155,20 +155,20 @@ class Screening:
             present |= {q for q in point.parameters if q in index}
             parts.append(self._information(point, self._known_states(own, original), index))
         joint = echelon(np.vstack(parts), self.prime)[0]
-        told = {q for q, yes in zip(index, unit_vectors(joint), strict=True) if yes}
-        return frozenset(told | known), len(present) - len(joint)
+        found = {q for q, yes in zip(index, unit_vectors(joint), strict=True) if yes}
+        return frozenset(found | known), len(present) - len(joint)
 
     def _point(self, system: System, origin: Origin) -> PointRank:
         key = (id(system), origin)
         if key not in self._points:
-            search = Search(system)
+            search = RankEvaluation(system)
             self._points[key] = search.at(self.prime, self._rng, values=self.values)
         return self._points[key]
 
     def _information(
         self, point: PointRank, known_states: Sequence[str], index: dict[str, int]
     ) -> Array:
-        """What an experiment tells of the unknown parameters, over all of them."""
+        """The information of an experiment on the unknown parameters, over all of them."""
         (full,), (states,) = point.full, point.states
         free = [i for i, x in enumerate(states) if x not in known_states]
         ahead = len(free)

@@ -1,4 +1,4 @@
-"""Which outputs are enough: rank and verdicts of every subset of a system's outputs."""
+"""Which outputs suffice: rank and verdicts of every subset of a system's outputs."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ MAX_POINTS = 50
 
 @dataclass(frozen=True, slots=True)
 class SensorSubset:
-    """What some of the outputs tell.
+    """Rank and identifiable parameters with some of the outputs.
 
     Attributes
     ----------
     rank : of the parameters and all initial states that are not known.
-    deficiency : dimension of what the parameters can do unseen.
+    deficiency : dimension of the unidentifiable directions of the parameters.
     identifiable : parameters.
     """
 
@@ -49,13 +49,13 @@ class SensorSubsets:
     ----------
     subsets : in the order of cost, then of size.
     unknowns : parameters and initial states that are not known.
-    minimal : subsets that tell as much of the parameters as all outputs do, none of whose own
-        subsets does.
+    minimal : subsets with the same information on the parameters as all outputs, none of whose own
+        subsets has it.
     cheapest : those of the least cost among them.
     error_bound : probability that any verdict of the table is wrong; 0 where each rank is full.
     is_certified : False where initial values or parameters are special and a rank stayed below that
         of almost every point.
-    points : random points looked at (the most, where subsets needed a search of their own).
+    points : random points evaluated (the most, where subsets needed a search of their own).
     """
 
     name: str
@@ -74,14 +74,14 @@ class SensorSubsets:
         Raises
         ------
         IdentifiabilityError
-            If one of them is not among the outputs asked about.
+            If one of them is not among the outputs of the table.
         """
-        asked = set(outputs)
+        wanted = set(outputs)
         for s in self.subsets:
-            if set(s.outputs) == asked:
+            if set(s.outputs) == wanted:
                 return s
         known = {y for s in self.subsets for y in s.outputs}
-        stray = next(iter(sorted(asked - known)), "")
+        stray = next(iter(sorted(wanted - known)), "")
         raise IdentifiabilityError(f"{self.name} has no output {stray!r}{nearest(stray, known)}")
 
     def __str__(self) -> str:
@@ -97,11 +97,11 @@ class SensorSubsets:
                 f"{mark} {s.cost:6g}  {s.rank:4d}  {s.deficiency:10d}  "
                 f"{len(s.identifiable):6d} of {n:<3d}  {', '.join(s.outputs)}"
             )
-        lines.append("* the cheapest that tell as much as all outputs, + other minimal ones")
+        lines.append("* the cheapest as informative as all outputs, + other minimal ones")
         if self.error_bound:
             lines.append(f"probability that any row is wrong: below {self.error_bound:.1e}")
         if not self.is_certified:
-            lines.append("special values: where a rank is short, later derivatives might add to it")
+            lines.append("special values: later derivatives might raise a deficient rank")
         return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
@@ -129,11 +129,11 @@ class SensorSubsets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Told:
-    """What a subset of the outputs tells, at one point or at several."""
+class _Rank:
+    """Rank with a subset of the outputs, at one point or at several."""
 
     rank: int
-    information: int  # its rank
+    information: int  # rank on the parameters, initial states eliminated
     identifiable: tuple[bool, ...]
 
 
@@ -155,7 +155,7 @@ def sensor_subsets(
     costs : of the outputs, 1 each by default.
     seed : of the random points and primes.
     error_bound : wanted, of the probability that any row of the table is wrong.
-    limit : no more subsets than this are looked at.
+    limit : most subsets that are examined.
 
     Raises
     ------
@@ -170,16 +170,16 @@ def sensor_subsets(
     if not names or 2 ** len(names) - 1 > limit:
         raise IdentifiabilityError(
             f"{system.name}: {len(names)} outputs have {2 ** len(names) - 1} non-empty subsets, "
-            f"and 1 to {limit} are looked at; name fewer in outputs, or raise limit"
+            f"and 1 to {limit} are examined; name fewer in outputs, or raise limit"
         )
     chosen = _measured(system, names)
     spans = OutputSpans(chosen)
     if spans.is_possible:
-        told, bound, points = _all_points(spans, seed, error_bound)
+        ranks, bound, points = _all_points(spans, seed, error_bound)
         certified = True
     else:
-        told, bound, points, certified = _one_by_one(chosen, seed, error_bound)
-    rows = [_row(chosen, s, t, prices) for s, t in told.items()]
+        ranks, bound, points, certified = _one_by_one(chosen, seed, error_bound)
+    rows = [_row(chosen, s, t, prices) for s, t in ranks.items()]
     order = {y: i for i, y in enumerate(names)}
     rows.sort(key=lambda r: (r.cost, len(r.outputs), [order[y] for y in r.outputs]))
     minimal = _minimal(rows)
@@ -215,19 +215,19 @@ def _measured(system: System, names: Sequence[str]) -> System:
     return system.where(outputs=tuple(names), h=system.h[positions])
 
 
-def _row(system: System, subset: Subset, told: _Told, prices: Mapping[str, float]) -> SensorSubset:
+def _row(system: System, subset: Subset, found: _Rank, prices: Mapping[str, float]) -> SensorSubset:
     outputs = tuple(system.outputs[i] for i in subset)
     return SensorSubset(
         outputs,
         math.fsum(prices[y] for y in outputs),
-        told.rank,
-        len(system.parameters) - told.information,
-        tuple(q for q, yes in zip(system.parameters, told.identifiable, strict=True) if yes),
+        found.rank,
+        len(system.parameters) - found.information,
+        tuple(q for q, yes in zip(system.parameters, found.identifiable, strict=True) if yes),
     )
 
 
 def _minimal(rows: Sequence[SensorSubset]) -> tuple[SensorSubset, ...]:
-    """Subsets that tell as much as all: their information is part of that of all, so ranks do."""
+    """Subsets as informative as all: their span is part of that of all, so ranks decide."""
     best = min(r.deficiency for r in rows)
     enough = [r for r in rows if r.deficiency == best]
     sets = [set(r.outputs) for r in enough]
@@ -239,14 +239,14 @@ def _minimal(rows: Sequence[SensorSubset]) -> tuple[SensorSubset, ...]:
 
 def _all_points(
     spans: OutputSpans, seed: int, error_bound: float
-) -> tuple[dict[Subset, _Told], float, int]:
+) -> tuple[dict[Subset, _Rank], float, int]:
     rng = np.random.default_rng(seed)
-    best: dict[Subset, _Told] = {}
+    best: dict[Subset, _Rank] = {}
     failures: list[float] = []
     while True:
         here = spans.at(random_prime(rng), rng)
-        for subset, told in _sums(here):
-            best[subset] = _joined(best.get(subset), told)
+        for subset, found in _sums(here):
+            best[subset] = _joined(best.get(subset), found)
         short = [t for t in best.values() if t.rank < spans.unknowns]
         failures.append(spans.failure(here, max((t.rank for t in short), default=0)))
         bound = min(1.0, len(short) * math.prod(failures))
@@ -254,40 +254,40 @@ def _all_points(
             return best, bound, len(failures)
 
 
-def _joined(before: _Told | None, now: _Told) -> _Told:
-    """Points of largest rank decide, together."""
+def _joined(before: _Rank | None, now: _Rank) -> _Rank:
+    """The verdicts on which the points of largest rank agree."""
     if before is None or now.rank > before.rank:
         return now
     if now.rank < before.rank:
         return before
     both = tuple(a and b for a, b in zip(before.identifiable, now.identifiable, strict=True))
-    return _Told(now.rank, before.information, both)
+    return _Rank(now.rank, before.information, both)
 
 
-def _sums(spans: Spans) -> Iterator[tuple[Subset, _Told]]:
+def _sums(spans: Spans) -> Iterator[tuple[Subset, _Rank]]:
     """Every subset of the outputs, each from the one without its last member."""
     columns = spans.rows[0].shape[1]
     everything = Basis(columns, spans.prime)
     for rows in spans.rows:
         everything.add(rows)
 
-    def extend(subset: Subset, basis: Basis, told: _Told | None) -> Iterator[tuple[Subset, _Told]]:
+    def extend(subset: Subset, basis: Basis, found: _Rank | None) -> Iterator[tuple[Subset, _Rank]]:
         for i in range(subset[-1] + 1 if subset else 0, len(spans.rows)):
             larger = Basis(columns, spans.prime)
             larger.rows, larger.pivots = basis.rows, [*basis.pivots]
             gained = basis.rank < everything.rank and larger.add(spans.rows[i])
-            here = told if told is not None and not gained else _told(larger, spans.n_states)
+            here = found if found is not None and not gained else _rank(larger, spans.n_states)
             yield (*subset, i), here
             yield from extend((*subset, i), larger, here)
 
     return extend((), Basis(columns, spans.prime), None)
 
 
-def _told(basis: Basis, n_states: int) -> _Told:
-    """Rows that begin among the parameters: what is left when initial states are eliminated."""
+def _rank(basis: Basis, n_states: int) -> _Rank:
+    """Rows that begin among the parameters are the information, initial states eliminated."""
     free = [i for i, pivot in enumerate(basis.pivots) if pivot >= n_states]
     information = basis.rows[free, n_states:]
-    return _Told(basis.rank, len(free), tuple(unit_vectors(information)))
+    return _Rank(basis.rank, len(free), tuple(unit_vectors(information)))
 
 
 # -- special points and kinks: a search for each subset -------------------------------------------
@@ -295,17 +295,17 @@ def _told(basis: Basis, n_states: int) -> _Told:
 
 def _one_by_one(
     system: System, seed: int, error_bound: float
-) -> tuple[dict[Subset, _Told], float, int, bool]:
+) -> tuple[dict[Subset, _Rank], float, int, bool]:
     k = len(system.outputs)
     subsets = [s for size in range(1, k + 1) for s in combinations(range(k), size)]
-    told: dict[Subset, _Told] = {}
+    ranks: dict[Subset, _Rank] = {}
     total, points, certified = 0.0, 0, True
     for subset in subsets:
         measured = _measured(system, [system.outputs[i] for i in subset])
         found = observability(measured, seed=seed, error_bound=error_bound / len(subsets))
         information = len(system.parameters) - found.deficiency
-        told[subset] = _Told(found.rank, information, tuple(found.identifiable.values()))
+        ranks[subset] = _Rank(found.rank, information, tuple(found.identifiable.values()))
         total += found.error_bound
         points = max(points, len(found.points))
         certified = certified and found.is_certified
-    return told, total, points, certified
+    return ranks, total, points, certified

@@ -5,7 +5,7 @@ are free numbers:
 
     y^(k) = L^k h,   L = sum_i f_i d/dx_i + sum_j u^(j+1) d/du^(j)                              (1)
 
-For models small enough to be looked at; `casid.assess_identifiability` has no such limit.
+For models small enough to be read; `casid.assess_identifiability` has no such limit.
 Source: Linder (2017), section 2.7, (2.62)-(2.63).
 """
 
@@ -25,7 +25,7 @@ Expr = Any  # a sympy expression
 Matrix = Any  # a sympy matrix
 
 MOST_OPERATIONS = 30_000
-"""An output derivative with more operations than this is nothing to read, and is refused."""
+"""An output derivative with more operations than this is not readable, and is refused."""
 
 
 def lie_derivatives(
@@ -54,7 +54,7 @@ def lie_derivatives(
 
 
 class Budget:
-    """What a system may cost before it is refused."""
+    """Time limit of a derivation."""
 
     def __init__(self, system: str, seconds: float) -> None:
         self.system, self.seconds = system, seconds
@@ -66,7 +66,7 @@ class Budget:
             self.refuse(f"{stage} took it past limit_seconds = {self.seconds:g}")
 
     def refuse(self, why: str) -> NoReturn:
-        """Say that the system is too large to be read."""
+        """Refuse the system as too large."""
         raise ModelError(
             f"{self.system}: too large for symbolic Lie derivatives: {why}; "
             "casid.assess_identifiability has the exact rank and the verdicts without them"
@@ -131,5 +131,5 @@ def _refuse_corners(system: str, *matrices: Matrix) -> None:
         if found:
             raise ModelError(
                 f"{system}: {found[0]} has no derivative everywhere, so there are no Lie "
-                "derivatives; write the branch that is looked at, x for abs(x) where x > 0"
+                "derivatives; write the branch of interest, x for abs(x) where x > 0"
             )

@@ -8,12 +8,18 @@ from typing import Any
 import numpy as np
 
 from casid.identifiability.assessment import Assessment
-from casid.identifiability.records.practical_result import POOR, SEEN, UNSEEN, WELL, Practical
+from casid.identifiability.records.practical_result import (
+    POOR,
+    UNDETERMINED,
+    UNJUDGED,
+    WELL,
+    Practical,
+)
 from casid.identifiability.records.profile_likelihood import Profiles
 from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text, visible_text
 from casid.report.figures.panels import Panels
 
-_COLOURS = {WELL: FLOOR, POOR: BEFORE, UNSEEN: "#5f6073", SEEN: MEASURED}
+_COLOURS = {WELL: FLOOR, POOR: BEFORE, UNDETERMINED: "#5f6073", UNJUDGED: MEASURED}
 
 
 def figures(assessment: Assessment) -> dict[str, Any]:

@@ -158,7 +158,7 @@ def test_known_values_that_divide_by_zero_are_named():
 
 
 def test_known_values_are_finite_and_of_parameters():
-    with pytest.raises(ModelError, match="m = nan is known, but no number; mend it"):
+    with pytest.raises(ModelError, match="m = nan is known, but not finite; correct it"):
         system_of(spring(), known={"m": float("nan")})
     with pytest.raises(ModelError, match="has no parameter 'lod'.*did you mean 'load'"):
         system_of(spring(), known={"lod": 1.0})
@@ -175,8 +175,8 @@ def test_delays_and_clipping_are_left_out_and_said_to_be():
     assert system.parameters == ("d", "k", "unused")
     assert not {"delay_position", "limit_position"} & set(system.symbols)
     assert left_out(clipped) == (
-        "the delay of position is left out, and delay_position is not asked about",
-        "the clipping of position is left out, and limit_position is not asked about",
+        "the delay of position is left out, and delay_position is not assessed",
+        "the clipping of position is left out, and limit_position is not assessed",
     )
     assert left_out(model) == ()
 
@@ -201,10 +201,10 @@ def test_lags_and_blends_of_inputs_are_left_out_and_said_to_be():
     assert system.parameters == ("k",)
     assert system.inputs == ("force",)
     assert left_out(blended) == (
-        "the sensor's lag of position is left out, and lag_position is not asked about",
-        "the sensor's lag of force is left out, and lag_force is not asked about",
-        "the actuator's lag of force is left out, and tau_force is not asked about",
-        "what force does between its samples is left out, and ramp_force is not asked about",
+        "the sensor's lag of position is left out, and lag_position is not assessed",
+        "the sensor's lag of force is left out, and lag_force is not assessed",
+        "the actuator's lag of force is left out, and tau_force is not assessed",
+        "what force does between its samples is left out, and ramp_force is not assessed",
     )
 
 
@@ -215,7 +215,7 @@ def test_a_delayed_input_leaves_the_model_without_the_delay():
     assert (system.parameters, system.inputs) == (plain.parameters, plain.inputs)
     at = {"x": 0.1, "v": 0.2, "F": 0.3, "d": 0.4, "k": 0.5, "unused": 0.6}
     np.testing.assert_array_equal(system_values(system, at), system_values(plain, at))
-    assert left_out(late) == ("the delay of F is left out, and delay_F is not asked about",)
+    assert left_out(late) == ("the delay of F is left out, and delay_F is not assessed",)
     assert system_of(late, known={"delay_F": 0.1}).parameters == plain.parameters
 
 
@@ -279,8 +279,8 @@ def test_an_input_that_rests_is_taken_at_rest():
     assert (hanging.inputs, hanging.constants[-1]) == ((), "F")
     assert hanging.at["F"] == 2.5
     assert translation.notes == (
-        "free: input F is 0 in all samples, and taken as 0",
-        "hanging: input F is the same in all samples, and taken as a known constant",
+        "free: input F is 0 in all samples, and assumed 0",
+        "hanging: input F is the same in all samples, and assumed a known constant",
     )
 
 
