@@ -42,7 +42,7 @@ def main() -> int:
     import numpy as np
     from scipy.signal import lfilter
 
-    from analysis.pendulum_records import Study, low_pass
+    from analysis.pendulum_study.records import PendulumRecords, low_pass
     from casid.estimation.moments.instruments import Instruments, Loop, reference_signals
     from casid.estimation.moments.moment_settings import MomentSettings
     from casid.estimation.moments.parts import parts_of
@@ -50,7 +50,7 @@ def main() -> int:
     from casid.estimation.moments.stage import Stage
     from problems.pendulum import indirect_model
 
-    experiments = Study(0.3).experiments(0)[:1]
+    experiments = PendulumRecords(0.3).experiments(0)[:1]
     model = indirect_model().with_known(m=0.0, k=10.39).with_unknown(d=0.1, I_x=0.15)
     (part,) = parts_of(model, experiments)
     instruments = Instruments("ref", ReferenceFilter.lag(0.1))

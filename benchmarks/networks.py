@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.targets import at_most, conclude
+from analysis.common.targets import at_most, report
 from casid.algebra.rational import Rational
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import NodeEquations, node_equations
@@ -151,12 +151,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         at_most("200 nodes, 512 frequencies, immersed and eliminated", total, LIMIT, "s"),
         at_most("largest error against a dense solve", max(r.error for r in runs), 1e-9, ""),
     ]
-    for target in targets:
-        print(target)
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)
         figure(runs, options.out / "networks.html")
-    return conclude(targets, options.out / "targets.json" if options.out else None)
+    return report(targets, options.out / "targets.json" if options.out else None)
 
 
 if __name__ == "__main__":

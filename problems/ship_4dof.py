@@ -25,15 +25,15 @@ Conventions beyond the thesis:
 Printed terms that are repaired: the rudder's drag is C1 |delta|, N_phi|uv| stands once, and the
 yaw damping is N_|u|r |u| r. Terms of f are added, so a coefficient that damps is negative.
 
-The parts: what the ship is, `ship_hull` and `ship_arm`; her equations, `ship_equations`; whether
-she stands upright, `ship_stability`; what the rudder does, `ship_rudder`; the simulation,
-`ship_motion`; linear models, `ship_linear`. All their names are here too.
+The parts lie in `ship_simulator/`: the ship in `hull` and `arm`; her equations in `equations`;
+whether she is stable upright in `stability`; the rudder in `rudder`; the simulation in `motion`;
+linear models in `linear`. All their names are here too.
 
 `problem` is the same ship to be identified, from three records of an inertial unit and a log: the
-model, in `ship_manoeuvring`, is written by itself, and has every term of (A.36). Sixteen of its
-coefficients are sought. The others are taken as known, since records of rudder steps tell them
-badly or not at all: heels of 2 deg say nothing of what is cubic in phi or multiplies phi, and
-the propeller is taken to be known from a bollard pull.
+model, in `ship_simulator/manoeuvring`, is written by itself, and has every term of (A.36). Sixteen
+of its coefficients are sought. The others are taken as known, since records of rudder steps
+determine them badly or not at all: heels of 2 deg do not excite terms that are cubic in phi or
+multiply phi, and the propeller is taken to be known from a bollard pull.
 
     casid identify problems/ship_4dof.py
     casid identifiability problems/ship_4dof.py
@@ -51,25 +51,25 @@ import numpy as np
 import casid
 
 if TYPE_CHECKING or __package__:
-    from problems.ship_arm import PolynomialArm, TabulatedArm
-    from problems.ship_equations import dynamics, hydrodynamics, rotation, sample_step
-    from problems.ship_hull import LOAD_CASES, Actuator, Coefficients, Load, Ship
-    from problems.ship_linear import Linear, linearised, tangent
-    from problems.ship_manoeuvring import manoeuvring_model
-    from problems.ship_motion import STATES, Motion, Start, by_heading, simulate
-    from problems.ship_rudder import HeadingAutopilot, random_steps, stuck_rudder, zigzag
-    from problems.ship_sensors import InertialUnit, measure
-    from problems.ship_stability import Stability, require_stable, stability
+    from problems.ship_simulator.arm import PolynomialArm, TabulatedArm
+    from problems.ship_simulator.equations import dynamics, hydrodynamics, rotation, sample_step
+    from problems.ship_simulator.hull import LOAD_CASES, Actuator, Coefficients, Load, Ship
+    from problems.ship_simulator.linear import Linear, linearised, tangent
+    from problems.ship_simulator.manoeuvring import manoeuvring_model
+    from problems.ship_simulator.motion import STATES, Motion, Start, by_heading, simulate
+    from problems.ship_simulator.rudder import HeadingAutopilot, random_steps, stuck_rudder, zigzag
+    from problems.ship_simulator.sensors import InertialUnit, measure
+    from problems.ship_simulator.stability import Stability, require_stable, stability
 else:  # loaded by its path
-    from ship_arm import PolynomialArm, TabulatedArm
-    from ship_equations import dynamics, hydrodynamics, rotation, sample_step
-    from ship_hull import LOAD_CASES, Actuator, Coefficients, Load, Ship
-    from ship_linear import Linear, linearised, tangent
-    from ship_manoeuvring import manoeuvring_model
-    from ship_motion import STATES, Motion, Start, by_heading, simulate
-    from ship_rudder import HeadingAutopilot, random_steps, stuck_rudder, zigzag
-    from ship_sensors import InertialUnit, measure
-    from ship_stability import Stability, require_stable, stability
+    from ship_simulator.arm import PolynomialArm, TabulatedArm
+    from ship_simulator.equations import dynamics, hydrodynamics, rotation, sample_step
+    from ship_simulator.hull import LOAD_CASES, Actuator, Coefficients, Load, Ship
+    from ship_simulator.linear import Linear, linearised, tangent
+    from ship_simulator.manoeuvring import manoeuvring_model
+    from ship_simulator.motion import STATES, Motion, Start, by_heading, simulate
+    from ship_simulator.rudder import HeadingAutopilot, random_steps, stuck_rudder, zigzag
+    from ship_simulator.sensors import InertialUnit, measure
+    from ship_simulator.stability import Stability, require_stable, stability
 
 __all__ = [
     "Actuator",

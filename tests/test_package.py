@@ -51,14 +51,19 @@ __main__: cli
 GROUND = {"arrays", "deprecation", "errors", "presentation", "versions"}
 
 
-def imports_of(path: Path) -> Iterator[tuple[str, bool]]:
-    """Every absolute import of a file: module, and whether it happens at import time."""
+def imports_of(path: Path, *, in_folder: bool = False) -> Iterator[tuple[str, bool]]:
+    """Every absolute import of a file: module, and whether it happens at import time.
+
+    Relative imports are refused; with `in_folder` those of files of the same folder are left out.
+    """
 
     def walk(node: ast.AST, now: bool) -> Iterator[tuple[str, bool]]:
         for child in ast.iter_child_nodes(node):
             if isinstance(child, ast.Import):
                 yield from ((name.name, now) for name in child.names)
             elif isinstance(child, ast.ImportFrom):
+                if in_folder and child.level == 1:
+                    continue
                 assert child.level == 0, f"{path.name}: relative import"
                 assert child.module is not None
                 yield child.module, now
@@ -119,16 +124,20 @@ def test_problems_import_casid_and_files_beside_them_alone() -> None:
     """A problem file is what a user writes: the library's own problems have no more means.
 
     That they are a package as well is for studies and the type checker: an import from it stands
-    beside one by bare name, which is what a file loaded by its path runs.
+    beside one by bare name, which is what a file loaded by its path runs. Files of a folder beside
+    a problem import each other by relative imports, which are the same in both.
     """
     allowed = {"casid", "numpy", "casadi", "__future__", *sys.stdlib_module_names}
+    for path in (ROOT / "problems").glob("*/*.py"):
+        roots = {module.partition(".")[0] for module, _ in imports_of(path, in_folder=True)}
+        assert roots <= allowed, f"{path.name}: {roots - allowed}"
     for path in (ROOT / "problems").glob("*.py"):
-        beside = {p.stem for p in path.parent.glob("*.py")}
+        beside = {p.stem for p in path.parent.iterdir()}
         imports = [(*module.partition(".")[::2], now) for module, now in imports_of(path)]
         packaged = {part for root, part, now in imports if root == "problems" and not now}
         roots = {root for root, part, _ in imports if part not in packaged}
         assert roots <= allowed | beside, f"{path.name}: {roots - allowed - beside}"
-        assert packaged <= {root for root, _, _ in imports}, f"{path.name}: by one name alone"
+        assert packaged <= {name for name, _ in imports_of(path)}, f"{path.name}: by one name alone"
 
 
 def modules_after(statement: str) -> set[str]:

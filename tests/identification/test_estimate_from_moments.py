@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casid
-from analysis.pendulum_records import Study
+from analysis.pendulum_study.records import PendulumRecords
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.moments import Moments, moments, of_record
 from casid.identification.estimate_from_moments import estimate_from_moments
@@ -19,7 +19,7 @@ INSTRUMENTS = lagged("ref", range(0, 60, 4))
 
 @pytest.fixture(scope="module")
 def records() -> list[casid.Experiment]:
-    return Study(0.5, N=30_000, seed=4).experiments(0)
+    return PendulumRecords(0.5, N=30_000, seed=4).experiments(0)
 
 
 def model() -> casid.Model:

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom
 
 import casid
-from analysis.ship_algorithm import ALL, along
+from analysis.ship_algorithm.study import ALL, along
 from casid.errors import IdentifiabilityError
 from casid.identifiability.requirement import unidentifiable_families
 from casid.identification.invariants import Invariants

@@ -1,7 +1,7 @@
 """Joint and multi-stage instrumental variables on the pendulum of Table 7.2.
 
-The data come from analysis/pendulum_records.py, whose sampled motion is an exact matrix exponential
-and shares no code with the estimators.
+The data come from analysis/pendulum_study/records.py, whose sampled motion is an exact matrix
+exponential and shares no code with the estimators.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import casid
-from analysis.pendulum_records import Study
+from analysis.pendulum_study.records import PendulumRecords
 from casid.estimation.moments.instruments import Instruments
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.prior import Prior
@@ -44,12 +44,12 @@ def model(**known: float) -> casid.Model:
 
 
 @pytest.fixture(scope="module")
-def study() -> Study:
-    return Study(0.5, N=40_000, seed=2)
+def study() -> PendulumRecords:
+    return PendulumRecords(0.5, N=40_000, seed=2)
 
 
 @pytest.fixture(scope="module")
-def records(study: Study) -> list[casid.Experiment]:
+def records(study: PendulumRecords) -> list[casid.Experiment]:
     return study.experiments(0)
 
 
@@ -65,7 +65,7 @@ def joint(records):
 
 def test_without_noise_the_parameters_come_back_but_for_the_bilinear_map() -> None:
     """Trap T-6: a relative offset of (w T)^2/12 = 4e-4 at 6.7 rad/s and 0.01 s, twice allowed."""
-    clean = Study(0.5, N=40_000, noise=0.0, seed=2).experiments(0)
+    clean = PendulumRecords(0.5, N=40_000, noise=0.0, seed=2).experiments(0)
     e = instrumental_variables(model(), clean, TRUE_LAG)
     assert e["I_x"] == pytest.approx(TABLE_7_2["I_x"], rel=2 * 4e-4 * 2)
     assert e["d"] == pytest.approx(TABLE_7_2["d"], rel=2e-3)
@@ -147,7 +147,7 @@ def test_covariance_bootstrap_and_profile_tell_the_same_where_the_map_is_mild(st
     assert p.lower < staged["m"] < p.upper
 
 
-def test_intervals_cover_over_many_runs(study: Study) -> None:
+def test_intervals_cover_over_many_runs(study: PendulumRecords) -> None:
     """80 runs of m and of z_m. Binomial at 95 %: mean 76, sd 1.95; four of them allowed. I_x and d
     carry the bilinear offset and are compared in analysis/pendulum_study."""
     estimator = Reusable(
@@ -161,7 +161,7 @@ def test_intervals_cover_over_many_runs(study: Study) -> None:
     assert all(68 <= count for count in inside.values()), inside
 
 
-def test_a_reusable_estimator_gives_what_a_fresh_one_gives(study: Study) -> None:
+def test_a_reusable_estimator_gives_what_a_fresh_one_gives(study: PendulumRecords) -> None:
     estimator = Reusable(model(), STAGES, WRONG_LAG, settings=MomentSettings(form="linear"))
     estimator(study.experiments(4))
     again = estimator(study.experiments(5))
@@ -198,7 +198,7 @@ def test_a_wrong_load_case_is_contradicted_by_the_moments(records) -> None:
     assert e.propagated.p_value < 1e-6
 
 
-def test_records_of_different_sample_times_share_their_parameters(study: Study) -> None:
+def test_records_of_different_sample_times_share_their_parameters(study: PendulumRecords) -> None:
     """Each its own discretisation."""
     nominal, loaded = study.experiments(1)
     slower = casid.Experiment(casid.decimate(loaded.record, 2), loaded.known, "loaded")
@@ -318,7 +318,7 @@ def test_the_estimate_reads_as_a_page_and_is_written_as_json(staged, tmp_path) -
 
 def test_simulation_from_the_reference_meets_data_that_were_not_fitted(study, staged) -> None:
     """(7.55) with the sign of E-14: the simulated signals are not upside down. The true F_delta."""
-    fresh = Study(0.5, N=20_000, seed=9).experiments(0)
+    fresh = PendulumRecords(0.5, N=20_000, seed=9).experiments(0)
     check = validate(model(), staged.values, fresh[1:], TRUE_LAG)
     gyro, accel = check["loaded", "gyro"], check["loaded", "accel"]
     assert gyro.fit > 90

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import casid
-from analysis import kvlcc2_zigzag as study
+from analysis.kvlcc2_zigzag import study
 from casid.data.derived import propagated_noise
 from casid.data.local_polynomial import LocalPolynomial
 from casid.estimation.equation_error import equation_error

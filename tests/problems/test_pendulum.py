@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 import casid
-from analysis.pendulum_records import BlockFilter, Study, low_pass, sampled_exactly
+from analysis.pendulum_study.records import BlockFilter, PendulumRecords, low_pass, sampled_exactly
 from casid.model.dimensions import check_units
 from problems import pendulum
 from problems.pendulum import TABLE_7_2
@@ -184,7 +184,7 @@ def test_the_nonlinear_truth_departs_from_the_linear_one_with_the_cube_of_the_am
     departure = []
     for amplitude in (0.05, 0.1):
         runs = [
-            Study(amplitude, N=3000, noise=0.0, truth=truth).clean["loaded"]
+            PendulumRecords(amplitude, N=3000, noise=0.0, truth=truth).clean["loaded"]
             for truth in ("linear", "nonlinear")
         ]
         departure.append(np.abs(runs[0]["gyro"] - runs[1]["gyro"]).max())
@@ -218,7 +218,7 @@ def test_a_run_is_the_clean_signals_and_white_noise_behind_the_filter():
     A covariance over N = 60 000 samples has standard deviation below sigma^2 sum(h^2) (60/N)^(1/2)
     (the noise decorrelates within 30 samples): 3 % of its value at lag 0; four are allowed.
     """
-    study = Study(0.3, N=60_000, seed=3)
+    study = PendulumRecords(0.3, N=60_000, seed=3)
     drawn = study.draw(study.generator(0))
     h = study.low_pass.taps
     expected = 0.01**2 * np.correlate(h, h, mode="full")[h.size - 1 :]
@@ -234,7 +234,7 @@ def test_a_run_is_the_clean_signals_and_white_noise_behind_the_filter():
 
 
 def test_a_run_is_the_same_whoever_draws_it_and_when():
-    study = Study(0.3, N=500, seed=4)
+    study = PendulumRecords(0.3, N=500, seed=4)
     other = pickle.loads(pickle.dumps(study))
     first = {c: drawn["gyro"].copy() for c, drawn in study.draw(study.generator(7)).items()}
     study.draw(study.generator(8))
@@ -251,7 +251,7 @@ def test_a_run_is_the_same_whoever_draws_it_and_when():
 
 def test_an_unknown_truth_is_refused():
     with pytest.raises(casid.DataError, match="use 'linear' or 'nonlinear'"):
-        Study(truth="cubic")
+        PendulumRecords(truth="cubic")
 
 
 def test_constrained_least_squares_is_biased_as_published():
@@ -277,7 +277,7 @@ def test_constrained_least_squares_is_biased_as_published():
         scale = 1 - a1 + a2
         return 4 / T * (1 - a2) / scale, 8 / T * b0 / scale
 
-    study, found = Study(0.3), []
+    study, found = PendulumRecords(0.3), []
     for run in range(5):
         drawn = study.draw(study.generator(run))
         theta = along(drawn["nominal"], np.array([-S / k, -S / k, -2 * T]), S / k)  # (7.41)

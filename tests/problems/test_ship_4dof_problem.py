@@ -29,8 +29,8 @@ from problems.ship_4dof import (
     simulate,
     true_values,
 )
-from problems.ship_manoeuvring import BODY, COEFFICIENTS, manoeuvring_model
-from problems.ship_sensors import InertialUnit, measure
+from problems.ship_simulator.manoeuvring import BODY, COEFFICIENTS, manoeuvring_model
+from problems.ship_simulator.sensors import InertialUnit, measure
 from tests.support.shared import ROOT
 
 

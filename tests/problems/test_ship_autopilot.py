@@ -9,7 +9,7 @@ import pytest
 
 from casid.errors import DataError
 from problems.ship_4dof import HeadingAutopilot, Load, Ship, Start, by_heading, linearised, simulate
-from problems.ship_waves import Jonswap, Wind, sample_sea
+from problems.ship_simulator.waves import Jonswap, Wind, sample_sea
 
 
 def test_a_course_is_held_against_a_yaw_torque_with_the_error_of_theory():

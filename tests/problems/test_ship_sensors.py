@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from casid.errors import DataError
 from problems import ship
 from problems.ship_4dof import LOAD_CASES, Motion, Ship, rotation, simulate, zigzag
-from problems.ship_sensors import (
+from problems.ship_simulator.sensors import (
     UNITS,
     Channel,
     InertialUnit,

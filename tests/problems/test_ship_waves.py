@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from casid.errors import DataError, SolveError
 from problems.ship_4dof import Ship, simulate
-from problems.ship_waves import (
+from problems.ship_simulator.waves import (
     Current,
     Encounter,
     G,

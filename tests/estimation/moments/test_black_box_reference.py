@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casid
-from analysis.ship_algorithm_records import NONE, linear_experiments, low_passed
+from analysis.ship_algorithm.records import NONE, linear_experiments, low_passed
 from casid.errors import DataError, ModelError
 from casid.estimation.moments.black_box_reference import (
     black_box_instruments,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.ship_basin_records import basin, experiments_of
-from analysis.ship_basin_runs import LOAD, How, estimated
+from analysis.ship_basin.records import basin, experiments_of
+from analysis.ship_basin.runs import LOAD, How, estimated
 from casid.estimation.moments.long_run_covariance import LONGEST_SEGMENT, segments
 from casid.estimation.moments.moment_covariance import (
     are_short,

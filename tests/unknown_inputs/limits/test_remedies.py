@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from analysis.static_examples_formulas import variance_boundary
+from analysis.static_examples.formulas import variance_boundary
 from casid.errors import ModelError
 from casid.estimation.prediction_error.polynomial_orders import Orders
 from casid.unknown_inputs.limits.comparison import Comparison

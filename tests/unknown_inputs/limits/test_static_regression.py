@@ -15,7 +15,7 @@ import pytest
 import sympy as sp
 from numpy.typing import NDArray
 
-from analysis.static_examples_formulas import (
+from analysis.static_examples.formulas import (
     FORMS,
     ClosedForm,
     a1,

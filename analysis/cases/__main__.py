@@ -1,0 +1,7 @@
+"""`python -m analysis.cases`."""
+
+import sys
+
+from analysis.cases.study import STUDY
+
+sys.exit(STUDY.main())

@@ -1,0 +1,1 @@
+"""What the studies share: the runner, targets, tables and figures."""

@@ -1,0 +1,54 @@
+"""Where the tables and figures of a study go."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass
+class Output:
+    """Where tables and figures go, made where it is not there; nothing is written without one."""
+
+    folder: Path | None
+
+    def __post_init__(self) -> None:
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+
+    def table(self, name: str, rows: Sequence[Any]) -> None:
+        """Write rows, mappings or dataclasses, as CSV."""
+        if self.folder is None:
+            return
+        plain = [dict(r) if isinstance(r, Mapping) else asdict(r) for r in rows]
+        with (self.folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, list(plain[0]))
+            writer.writeheader()
+            writer.writerows(plain)
+
+    def figure(self, name: str, figure: Any) -> None:
+        """Write a Plotly figure as a page."""
+        if self.folder is not None:
+            figure.write_html(self.folder / f"{name}.html", include_plotlyjs="directory")
+
+    def json(self, name: str, content: Any) -> None:
+        """Write plain data as JSON."""
+        if self.folder is not None:
+            text = json.dumps(content, indent=1) + "\n"
+            (self.folder / f"{name}.json").write_text(text, encoding="utf-8")
+
+
+def titled(figure: Any, title: str, height: int) -> Any:
+    """A Plotly figure with its title, which is its caption too, `height` pixels high."""
+    figure.update_layout(
+        title={"text": title, "font": {"size": 15}},
+        height=height,
+        width=1100,
+        template="plotly_white",
+        meta={"caption": title},
+    )
+    return figure

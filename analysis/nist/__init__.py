@@ -1,0 +1,1 @@
+"""NIST StRD nonlinear regression: certified parameters and standard errors of 27 sets."""

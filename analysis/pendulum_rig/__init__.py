@@ -1,0 +1,1 @@
+"""The laboratory pendulum, made synthetically: stages, joint, noise models, validation, limits."""

@@ -1,0 +1,1 @@
+"""Measured records: what the diagnosis names, and how much of the error goes away."""

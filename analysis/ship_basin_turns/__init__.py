@@ -1,0 +1,1 @@
+"""Turns of the nonlinear ship: what the roll model leaves over there, and why."""

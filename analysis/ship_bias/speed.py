@@ -1,0 +1,124 @@
+"""The roll coefficients against speed, and m against the sea state."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from analysis.ship_bias.records import SHIP, TS, Answers, Imperfection, Rudder, answers, respond
+from analysis.ship_bias.records import load as load_of
+from analysis.ship_bias.table import LAGS, TRUE, Estimator, model_at_truth
+from casid.arrays import Array
+from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
+from casid.identification.moment_estimators import instrumental_variables
+from problems.ship_simulator.waves import Jonswap, sample_sea
+
+SENSORS = Imperfection(gyro=0.0005, accel=0.005, r=0.0005)
+SCALE = 24.0
+FASTER = replace(SHIP, coefficients=replace(SHIP.coefficients, K_phiuu=0.5))
+"""The ship with a stiffness that falls with the speed squared; 0.5 kg is chosen."""
+
+
+@dataclass(frozen=True, slots=True)
+class AtSpeed:
+    """Estimates of one coefficient at a speed: name, U [m/s], estimate, standard error, truth."""
+
+    name: str
+    U: float
+    estimate: float
+    std_error: float
+    true: float
+    at_one: float  # true value at 1 m/s
+
+    @property
+    def z(self) -> float:
+        """Error in standard errors."""
+        return (self.estimate - self.true) / self.std_error
+
+    def __str__(self) -> str:
+        off = 100 * (self.at_one / self.true - 1)
+        return (
+            f"U = {self.U:.1f} m/s  {self.name:<4}{self.estimate:>10.4f} +- {self.std_error:<8.4f}"
+            f"true {self.true:>9.4f}  constant U = 1 m/s would be off by {off:+.1f} %"
+        )
+
+
+def against_speed(U: float, *, seconds: float, seed: int) -> list[AtSpeed]:
+    """k, d and K_r at a constant speed [m/s], by instruments, and what they are."""
+    model = model_at_truth().with_known(U=U)
+    made = answers(seed, Rudder(), seconds=seconds, ship=FASTER, U=U)
+    black = black_box_references(
+        [a.experiment(SENSORS) for a in made], "delta", ["gyro", "accel", "r"]
+    )
+    chosen = black_box_instruments(model, black, n_y=LAGS, n_u=LAGS)
+    found = instrumental_variables(model, black.experiments, chosen)
+    true, at_one = FASTER.roll_coefficients(U), FASTER.roll_coefficients(1.0)
+    return [
+        AtSpeed(n, U, found[n], found.std_error(n), true[n], at_one[n]) for n in ("k", "d", "K_r")
+    ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AtSea:
+    """Errors of m and zbar_m over draws of the sea (draws, 2), at a full-scale wave height [m]."""
+
+    Hs: float
+    by_squares: Array
+    by_instruments: Array
+    roll_torque: float  # rms [N m]
+
+    def rows(self) -> list[dict[str, str | float]]:
+        """A row for each method and draw."""
+        methods = {"LS": self.by_squares, "IV": self.by_instruments}
+        return [
+            {"Hs": self.Hs, "method": method, "error of m": float(m), "error of zbar_m": float(z)}
+            for method, errors in methods.items()
+            for m, z in errors
+        ]
+
+    def __str__(self) -> str:
+        text = f"Hs = {self.Hs:.2f} m ({self.roll_torque:.4f} N m rms)"
+        for method, errors in (("LS", self.by_squares), ("IV", self.by_instruments)):
+            kept = errors[np.isfinite(errors).all(axis=1)]
+            text += f"   {method}: "
+            if len(kept) < 2:
+                text += f"no estimate in {len(errors)} draws"
+                continue
+            b, s = kept.mean(axis=0), kept.std(axis=0, ddof=1)
+            text += f"m {b[0]:+.4f} std {s[0]:.4f}, zbar_m {b[1]:+.4f} std {s[1]:.4f}"
+            text += f" ({len(errors) - len(kept)} refused)" if len(kept) < len(errors) else ""
+        return text
+
+
+def at_sea(Hs: float, draws: int, *, seconds: float, period: float = 8.0) -> AtSea:
+    """m and zbar_m in beam seas of a full-scale significant height [m] and peak period [s]."""
+    estimator, squares, instruments, torque = Estimator.make(), [], [], 0.0
+    w0 = 2 * math.pi / period * math.sqrt(SCALE)
+    for seed in range(draws):
+        records = []
+        for i, made in enumerate(answers(seed, Rudder(), seconds=seconds)):
+            if Hs > 0.0:
+                sea = sample_sea(
+                    Jonswap(Hs / SCALE, w0),
+                    (0.5 * w0, 4.0 * w0),
+                    seed=1000 * seed + i,
+                    U=1.0,
+                    beta=math.pi / 2,
+                )
+                N = len(made.delta)
+                forces = sea.forces(TS * np.arange(N + 1000, dtype=np.float64))
+                moved = respond(
+                    np.column_stack([np.zeros(N + 1000), forces[:, 1:]]), load_of(made.case)
+                )
+                torque = float(forces[:, 2].std())
+                made = _with(made, moved[1000:])
+            records.append(made.experiment(SENSORS))
+        squares.append(estimator.least_squares(records) - TRUE)
+        instruments.append(estimator.instruments(records)[0] - TRUE)
+    return AtSea(Hs, np.array(squares), np.array(instruments), torque)
+
+
+def _with(made: Answers, waves: Array) -> Answers:
+    return replace(made, rudder=made.rudder + waves)

@@ -1,0 +1,1 @@
+"""What the ship's signals depend on (section 8.2), from the simulator's own linear model."""
