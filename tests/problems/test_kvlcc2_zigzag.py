@@ -162,7 +162,7 @@ def test_without_inputs_the_diagnosis_says_that_they_are_missing(measured, name)
 
 def test_the_quick_study_meets_its_targets(tmp_path, capsys):
     shared(FILES)
-    assert study.main(["--quick", "--out", str(tmp_path)]) == 0
+    assert study.STUDY.main(["--quick", "--out", str(tmp_path)]) == 0
     targets = json.loads((tmp_path / "targets.json").read_text())
     assert all(t["is_met"] for t in targets)
     text = capsys.readouterr().out
