@@ -2,8 +2,8 @@
 
 (A) the input is known, or measured with noise; (B) it is a state, a random walk, with or without a
 measurement of its integral (a speed for an acceleration), or noise of an estimated spectrum; (C) it
-is eliminated with an output that feels it, which leaves the indirect model. One call fits a direct
-model in each of these ways.
+is eliminated with an output that it acts on: the indirect model. One call fits a direct model in
+each of these ways.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from casid.data.problem import Problem
 from casid.data.record import Experiment, Record
 from casid.errors import CasidError, DataError, ModelError
 from casid.estimation.estimate import Estimate
+from casid.estimation.estimate_builder import INCOMPLETE
 from casid.estimation.nlp.nlp import Solver
 from casid.estimation.prediction_error.input_models import (
     as_known,
@@ -134,7 +135,7 @@ def compare_unknown_input_options(
     model : direct, with one unknown input (`unknown`, where it has several); other inputs recorded.
     experiments : records with the model's outputs, and the channels named below.
     using : the output to eliminate the unknown input with, options (C); default the last that
-        feels it. A model without such an output can be compared without these options.
+        it acts on. A model without such an output can be compared without these options.
     exact : channel that holds the unknown input without error (a simulation's), for "known".
     measured : channel that holds it with noise; default the one of its own name, where there is.
     integral : channel that holds its integral with noise (a speed where it is an acceleration).
@@ -153,11 +154,11 @@ def compare_unknown_input_options(
     ------
     ModelError
         If the model has no unknown input, or several and none is named; if an option (C) is to be
-        fitted and no output feels the unknown input.
+        fitted and the unknown input acts on no output.
     DataError
         If a channel named here is missing, in `noise` too, or a requested option lacks its own.
     """
-    say = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     given = [experiments] if isinstance(experiments, Experiment | Record) else list(experiments)
     chosen = [Experiment(e, {}, e.name) if isinstance(e, Record) else e for e in given]
     unknown = _the_unknown(model, unknown)
@@ -174,7 +175,7 @@ def compare_unknown_input_options(
     names = tuple(n for n in names if not all(n in e.known for e in chosen))
     rows = []
     for option in wanted:
-        say(option)
+        report(option)
         rows.append(_row(job, option, names, truth or {}))
     return UnknownInputComparison(
         model=model.name,
@@ -300,16 +301,16 @@ def _eliminated_with(model: Model, unknown: str, using: str | None, wanted: Sequ
             f"{', '.join(model.outputs)}"
         )
     e = model.explicit()
-    felt = [
+    direct = [
         name for i, name in enumerate(e.outputs) if ca.depends_on(e.h[i], model.symbol(unknown))
     ]
     without = [o for o in wanted if o not in (SIMULATION, PREDICTION)]
-    if using is None and not felt and len(without) < len(wanted):
+    if using is None and not direct and len(without) < len(wanted):
         raise ModelError(
-            f"{model.name}: no output feels {unknown} at once, so it cannot be eliminated; leave "
+            f"{model.name}: {unknown} acts on no output at once, so it cannot be eliminated; leave "
             f"the options (C) out, options={without or [WALK, SHAPED]}, or add a sensor that does"
         )
-    return using or [*e.outputs, *felt][-1]
+    return using or [*e.outputs, *direct][-1]
 
 
 def _row(job: _Job, option: str, names: tuple[str, ...], truth: Mapping[str, float]) -> OptionRow:
@@ -326,7 +327,7 @@ def _row(job: _Job, option: str, names: tuple[str, ...], truth: Mapping[str, flo
     for output in next(iter(estimate.rmse.values())):
         sizes = [by_output[output] for by_output in estimate.rmse.values()]
         rms[output] = float(np.sqrt(np.mean(np.square(sizes))))
-    coloured = [name for name, test in estimate.whiteness.items() if "coloured" in test]
+    coloured = [name for name, test in estimate.whiteness.items() if INCOMPLETE in test]
     if consistent and coloured:
         verb = "leaves" if len(coloured) == 1 else "leave"
         remark += f". Here {', '.join(coloured)} {verb} coloured residuals: the condition fails"

@@ -375,7 +375,7 @@ def test_a_model_whose_outputs_do_not_feel_the_input_is_compared_without_elimina
         y[t + 1] = np.exp(-2.0 * Ts) * y[t] + (1 - np.exp(-2.0 * Ts)) / 2.0 * w[t]
     record = casid.Record({"y": y + 0.01 * rng.standard_normal(2000)}, {"y": "m"}, Ts=Ts)
     mend = r"leave the options \(C\) out, options=\['random walk', 'shaped noise'\]"
-    with pytest.raises(ModelError, match=f"no output feels w at once.*{mend}"):
+    with pytest.raises(ModelError, match=f"w acts on no output at once.*{mend}"):
         compare_unknown_input_options(blind, record)
     with pytest.raises(ModelError, match=mend):
         compare_unknown_input_options(blind, record, options=PREDICTION)

@@ -45,7 +45,7 @@ class ApproximateInverse:
     f : (n, m) the filter to run forward in time; of "noncausal" the inverse itself, for
         `run_noncausally`.
     B : the scalar filter left.
-    band : (low, high) [rad/s] of `error`, [rad/sample] where Ts is not told.
+    band : (low, high) [rad/s] of `error`, [rad/sample] where Ts is not known.
     error : the largest |B - 1| over the band.
     """
 

@@ -55,7 +55,7 @@ def frequency_grid(matrices: Sequence[RationalMatrix], points: int = 400) -> Arr
     """(F,) frequencies [rad/s] that show a transfer matrix.
 
     In discrete time evenly up to half the sampling frequency; in continuous time geometrically,
-    two decades to either side of the poles and zeros. [rad/sample] where Ts is not told.
+    two decades to either side of the poles and zeros. [rad/sample] where Ts is not known.
     """
     entries = [g for m in matrices for row in m.rows for g in row if not g.is_zero]
     Ts = next((g.Ts for g in entries if g.Ts), None) or 1.0

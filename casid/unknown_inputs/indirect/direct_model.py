@@ -190,15 +190,15 @@ def _time_of(blocks: Mapping[str, RationalMatrix]) -> tuple[str, float | None]:
         if not variable:
             continue
         if first is not None:
-            other, seen = first[0], first[1].time
-            if seen[0] != variable:
+            other, own_time = first[0], first[1].time
+            if own_time[0] != variable:
                 raise ModelError(
-                    f"{other} is in {seen[0]}, {name} in {variable}; bring both to discrete or "
-                    "both to continuous time first (control.c2d)"
+                    f"{other} is in {own_time[0]}, {name} in {variable}; convert both to discrete "
+                    "or both to continuous time first (control.c2d)"
                 )
-            if None not in (seen[1], Ts) and seen[1] != Ts:
+            if None not in (own_time[1], Ts) and own_time[1] != Ts:
                 raise ModelError(
-                    f"{other} has the sample time {seen[1]:g} s, {name} {Ts:g} s; resample one"
+                    f"{other} has the sample time {own_time[1]:g} s, {name} {Ts:g} s; resample one"
                 )
         if first is None or first[1].time[1] is None:
             first = (name, block)

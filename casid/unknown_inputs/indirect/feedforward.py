@@ -5,7 +5,7 @@
 makes y_O = Gt_OK u* + Ht_O tau (6.23): the unknown inputs are gone. The same filters with
 Gt_KO = Gt_OK^-1 are the inverse model (6.24), u_K from y_O and the measurements. They can be
 realisable although Gt_OK^-1 is not, where the delay or the zero is in Gt_OX too. Where they are
-not, B Gt_KX with a scalar filter B leaves (1 - B) of what the measurements tell.
+not, B Gt_KX with a scalar filter B leaves (1 - B) of the effect of the measurements.
 
 u_K acts on y_I as well, and y_I on u_K: that loop is no part of (6.23), but it has to be stable. As
 I - Gt_KI G_IK = Gt_OK^-1 G_OK, its poles are the zeros of y_O / u_K in the direct model.
@@ -60,24 +60,24 @@ class Feedforward:
     @property
     def obstacles(self) -> tuple[str, ...]:
         """What keeps (6.22) from being run, with the zero and its frequency; none if it can."""
-        said = [
+        reasons = [
             f"{to} / {name} looks {_steps(-g.relative_degree, g.variable)} ahead"
             for to, name, g in improper_entries(self.matrix)
         ]
         bad = unstable_poles(self.matrix)
         if bad:
-            said.append(
+            reasons.append(
                 "unstable, from the zero " + "; ".join(str(r) for r in bad) + " of y_O / u_K"
             )
-        if said:
-            return tuple(said)
+        if reasons:
+            return tuple(reasons)
         loop = self.unstable_loop
         if loop:
-            said.append(
+            reasons.append(
                 "the loop from u_K to y_I and back is unstable at "
                 + "; ".join(str(r) for r in loop)
             )
-        return tuple(said)
+        return tuple(reasons)
 
     @property
     def unstable_loop(self) -> tuple[Root, ...]:
@@ -114,12 +114,12 @@ class Feedforward:
         ModelError
             With the zero, its frequency, and the approximations that there are.
         """
-        said = self.obstacles
-        if not said:
+        reasons = self.obstacles
+        if not reasons:
             return self
         offers = "; ".join(str(a) for a in self.approximations())
         raise ModelError(
-            f"feedforward to {', '.join(self.G_KO.outputs)}: {'; '.join(said)}. Choose another "
+            f"feedforward to {', '.join(self.G_KO.outputs)}: {'; '.join(reasons)}. Choose another "
             "actuator or measurement, or estimate a realisable inverse model directly, (6.24)"
             + (f"; or use an approximate inverse: {offers}" if offers else "")
         )
@@ -127,7 +127,7 @@ class Feedforward:
     def approximations(
         self, band: tuple[float, float] | None = None
     ) -> tuple[ApproximateInverse, ...]:
-        """Filters B Gt_OK^-1 to use instead, each with how much is left over a band [rad/s].
+        """Filters B Gt_OK^-1 to use instead, each with the residual over a band [rad/s].
 
         The part |1 - B| of the effect of the measured signals stays in y_O.
         """
@@ -151,7 +151,7 @@ class Feedforward:
     def left_over(self, omega: Array) -> Array:
         """(F, n_O, n) response from [y_I; y_D; u_A] to y_O that feedforward leaves; 0 where exact.
 
-        `omega` [rad/s]; [rad/sample] where Ts is not told.
+        `omega` [rad/s]; [rad/sample] where Ts is not known.
         """
         m = self.model
         rest = beside(m.G_OI, m.G_OD, m.G_OA)
@@ -161,8 +161,8 @@ class Feedforward:
         )
 
     def __repr__(self) -> str:
-        said = "; ".join(self.obstacles) or "realisable"
-        return f"<Feedforward to {', '.join(self.G_KO.outputs)}: {said}>"
+        reasons = "; ".join(self.obstacles) or "realisable"
+        return f"<Feedforward to {', '.join(self.G_KO.outputs)}: {reasons}>"
 
     def __str__(self) -> str:
         lines = [repr(self)]

@@ -102,15 +102,15 @@ class IndirectModel:
     @property
     def obstacles(self) -> tuple[str, ...]:
         """What keeps (4.11) from being simulated forward in time; none where it can be."""
-        said = [
+        reasons = [
             f"{output} / {name} is improper (relative degree {g.relative_degree})"
             for output, name, g in improper_entries(self.matrix)
         ]
         if not self.matrix.parameters:
             bad = self.unstable_poles
             if bad:
-                said.append("unstable at " + "; ".join(str(r) for r in bad))
-        return tuple(said)
+                reasons.append("unstable at " + "; ".join(str(r) for r in bad))
+        return tuple(reasons)
 
     def require_usable(self) -> IndirectModel:
         """Itself, refused where it cannot be simulated forward in time.
@@ -120,8 +120,8 @@ class IndirectModel:
         ModelError
             With the zero, its frequency, and the approximations that there are.
         """
-        said = self.obstacles
-        if not said:
+        reasons = self.obstacles
+        if not reasons:
             return self
         offers = [
             str(a)
@@ -130,19 +130,19 @@ class IndirectModel:
             for a in inverse.approximations()
         ]
         raise ModelError(
-            f"the indirect model of {', '.join(self.direct.outputs)}: {'; '.join(said)}. Estimate "
-            "it from its regression all the same (no stability is needed), choose another output "
-            "(casid.unknown_inputs.indirect.output_choice)"
+            f"the indirect model of {', '.join(self.direct.outputs)}: {'; '.join(reasons)}. "
+            "Estimate it from its regression all the same (no stability is needed), choose another "
+            "output (casid.unknown_inputs.indirect.output_choice)"
             + (f", or use an approximate inverse: {'; '.join(offers)}" if offers else "")
         )
 
     def __repr__(self) -> str:
-        said = "; ".join(self.obstacles) or "proper and stable"
+        reasons = "; ".join(self.obstacles) or "proper and stable"
         if self.matrix.parameters and not self.obstacles:
-            said = "proper"
+            reasons = "proper"
         return (
             f"<IndirectModel of {', '.join(self.direct.outputs)} from {', '.join(self.inputs)}: "
-            f"{said}>"
+            f"{reasons}>"
         )
 
     def __str__(self) -> str:

@@ -73,16 +73,16 @@ class LeftInverse:
     @property
     def obstacles(self) -> tuple[str, ...]:
         """What keeps f from being run forward in time, in words; none where it can be."""
-        said = []
+        reasons = []
         if not self.is_proper:
             plural = "" if self.excess == 1 else "s"
             step = f"derivative{plural}" if self.f.time[0] == "s" else f"sample{plural} ahead"
             where = " (a zero at infinity)"
-            said.append(f"f is improper: it needs {self.excess} {step}{where}")
+            reasons.append(f"f is improper: it needs {self.excess} {step}{where}")
         if not self.f.parameters and not self.is_stable:
             bad = self.unstable_zeros or unstable_poles(self.f)
-            said.append("f is unstable, from the zero " + "; ".join(str(r) for r in bad))
-        return tuple(said)
+            reasons.append("f is unstable, from the zero " + "; ".join(str(r) for r in bad))
+        return tuple(reasons)
 
     def approximations(
         self, band: tuple[float, float] | None = None
@@ -197,12 +197,12 @@ def lost_inputs(G: RationalMatrix) -> tuple[str, ...]:
 
 
 def _grade_of(
-    judged: Callable[[RationalMatrix], RationalMatrix],
+    of: Callable[[RationalMatrix], RationalMatrix],
 ) -> Callable[[RationalMatrix], tuple[int, int, float]]:
     """Orders candidates: usable, proper, least improper; then the quieter."""
 
     def grade(f: RationalMatrix) -> tuple[int, int, float]:
-        M = judged(f)
+        M = of(f)
         ahead, stable = excess(M), is_stable(M)
         kind = 0 if not ahead and stable else 1 if stable or not ahead else 2
         return kind, ahead, loudness(M) if kind == 0 else 0.0

@@ -28,7 +28,7 @@ def direct_model_of(
     using : outputs that are to stand for the unknown inputs, y_I.
     unknown : unknown inputs, u_I; by default those that the model declares so.
     outputs : y_O; by default all outputs but those of `using`.
-    values : numbers for parameters; the others stay letters (`known` ones have their value).
+    values : numbers for parameters; the others stay symbols (`known` ones have their value).
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Which measurement is the output, and which the input: section 4.4 of Linder (2017).
 
-Of measurements y = G_K u_K + G_I u_I + H tau with n unknown inputs, any n that feel these may stand
-for them, and the others are outputs. For two measurements and one unknown input:
+Of measurements y = G_K u_K + G_I u_I + H tau with n unknown inputs, any n that these act on may
+replace them, and the others are outputs. For two measurements and one unknown input:
 
     y1 = (G1K - G1I/G2I G2K) u_K + (G1I/G2I) y2                                             (4.53)
     y2 = (G2K - G2I/G1I G1K) u_K + (G2I/G1I) y1                                             (4.54)
@@ -42,18 +42,18 @@ class Form:
     def is_usable(self) -> bool:
         """Whether the model can be simulated forward in time: proper and stable.
 
-        False where letters leave that open.
+        False where symbols leave that open.
         """
         return not self.model.obstacles and not self.model.matrix.parameters
 
     def __repr__(self) -> str:
-        letters = ", ".join(self.model.matrix.parameters)
-        said = "; ".join(self.model.obstacles) or (
-            f"proper; whether it is stable depends on {letters}"
-            if letters
+        symbols = ", ".join(self.model.matrix.parameters)
+        text = "; ".join(self.model.obstacles) or (
+            f"proper; whether it is stable depends on {symbols}"
+            if symbols
             else f"proper and stable, noise times {self.amplification:.3g}"
         )
-        return f"<Form {', '.join(self.outputs)} from {', '.join(self.inputs)}: {said}>"
+        return f"<Form {', '.join(self.outputs)} from {', '.join(self.inputs)}: {text}>"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,11 +212,11 @@ def _reason(forms: Sequence[Form]) -> str:
     if not others:
         return "it is the only form"
     if not usable:
-        said = "; ".join(
+        text = "; ".join(
             f"{', '.join(f.outputs)} from {', '.join(f.inputs)}: {' and '.join(f.model.obstacles)}"
             for f in others
         )
-        return f"it alone is proper and stable; {said}"
+        return f"it alone is proper and stable; {text}"
     return (
         f"of {1 + len(usable)} proper and stable forms its equation error is the smallest beside "
         f"the output's own noise: {best.amplification:.3g} times, the next "

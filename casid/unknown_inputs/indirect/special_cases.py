@@ -73,7 +73,7 @@ def special_case(direct: DirectModel, *, feedback: bool = False) -> SpecialCase:
         return SpecialCase(
             "sensor to sensor (S2SID), closed loop" if feedback else "sensor to sensor (S2SID)",
             "every input is had from other sensors: dynamics that they share, and the inputs "
-            "themselves, cancel; what is left is a transmissibility",
+            "themselves, cancel; the remainder is a transmissibility",
         )
     parts = [
         f"{count} {word}"
@@ -88,7 +88,7 @@ def special_case(direct: DirectModel, *, feedback: bool = False) -> SpecialCase:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedLoop:
-    """(4.57): what noise and reference make of the known inputs.
+    """(4.57): the known inputs as functions of noise and reference.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class ClosedLoop:
 
     @property
     def is_stable(self) -> bool:
-        """Whether the loop is stable, as seen from tau and delta."""
+        """Whether the loop is stable from tau and delta."""
         return is_stable(self.from_noise) and is_stable(self.from_reference)
 
 

@@ -1,4 +1,4 @@
-"""Limit, covariance and mean square error of an estimator, and what they say at N samples."""
+"""Limit, covariance and mean square error of an estimator, and its errors at N samples."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Asymptotics(Presented):
     """Where an estimator goes and how it varies: Linder (2017), (2.52)-(2.60).
 
     theta_hat -> limit, N Cov(theta_hat) -> covariance. Numbers, or sympy expressions (objects)
-    where the system has letters. Gaussian externals are assumed unless the system says otherwise.
+    where the system has symbols. Externals without an excess kurtosis are taken as Gaussian.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Asymptotics(Presented):
 
     @property
     def is_symbolic(self) -> bool:
-        """Whether letters are in it."""
+        """Whether it is symbolic."""
         values = [*self.limit, *self.covariance.ravel(), *self.truth.values()]
         return any(getattr(v, "free_symbols", None) for v in values)
 
@@ -51,7 +51,7 @@ class Asymptotics(Presented):
         return _plain(self.limit[self._place(name)])
 
     def bias(self, name: str) -> Any:
-        """Limit minus truth; 0 exactly where letters cancel."""
+        """Limit minus truth; 0 exactly where symbols cancel."""
         if name not in self.truth:
             raise ModelError(
                 f"{self.method}: no true value of {name}, so no bias; give truth={{{name!r}: ..}}"
@@ -83,7 +83,7 @@ class Asymptotics(Presented):
         Raises
         ------
         ModelError
-            If the accuracy is not above zero, or letters are left.
+            If the accuracy is not above zero, or symbols remain.
         """
         if not accuracy > 0:
             raise ModelError(f"accuracy of {name} = {accuracy}; give a value above 0")
@@ -91,7 +91,7 @@ class Asymptotics(Presented):
         return self._number(self.variance(name)) / room if room > 0 else math.inf
 
     def at(self, values: Mapping[Any, float]) -> Asymptotics:
-        """Numbers in place of letters (all of them, or some).
+        """Numbers in place of symbols (all of them, or some).
 
         Raises
         ------
@@ -136,15 +136,15 @@ class Asymptotics(Presented):
 
     def _number(self, value: Any) -> float:
         if getattr(value, "free_symbols", None):
-            letters = ", ".join(sorted(map(str, value.free_symbols)))
+            names = ", ".join(sorted(map(str, value.free_symbols)))
             raise ModelError(
-                f"{self.method}: the letters {letters} have no values; use .at({{'..': ..}}) first"
+                f"{self.method}: the symbols {names} have no values; use .at({{'..': ..}}) first"
             )
         return float(value)
 
     def __repr__(self) -> str:
         if self.is_symbolic:
-            return f"<Asymptotics {self.method}: {', '.join(self.names)}, in letters>"
+            return f"<Asymptotics {self.method}: {', '.join(self.names)}, symbolic>"
         shown = ", ".join(f"{n} -> {v:.4g}" for n, v in zip(self.names, self.limit, strict=True))
         return f"<Asymptotics {self.method}: {shown}>"
 

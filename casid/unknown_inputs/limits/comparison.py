@@ -13,7 +13,7 @@ from casid.unknown_inputs.limits.asymptotics import Asymptotics
 
 NO_BIAS = 1e-7
 """Of the standard deviation of one sample and of the value itself: a bias below is rounding, or the
-truncation of a response, and would be seen after 1e14 samples."""
+truncation of a response, and would show only after 1e14 samples."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +22,7 @@ class RemedyRow:
 
     Attributes
     ----------
-    remark : where its bias comes from, what it models; empty where there is nothing to tell.
+    remark : where its bias comes from, what it models; empty where there is nothing to add.
     """
 
     name: str
@@ -32,7 +32,7 @@ class RemedyRow:
     remark: str = ""
 
     def estimates(self, parameter: str) -> bool:
-        """Whether it says something about this coefficient's true value."""
+        """Whether it estimates this coefficient's true value."""
         return self.result is not None and parameter in self.result.truth
 
     def bias(self, parameter: str) -> float:
@@ -71,7 +71,7 @@ class Comparison(Presented):
     rows : one a remedy; the first knows all inputs, for reference.
     parameters : coefficients of the true relation.
     unknown : the inputs that are not available.
-    N : samples that standard errors are told at.
+    N : samples that standard errors are given at.
     accuracy : coefficient -> root mean square error wanted.
     """
 
@@ -100,11 +100,11 @@ class Comparison(Presented):
 
     @property
     def is_symbolic(self) -> bool:
-        """Whether letters are in it; `at` puts numbers in their place."""
+        """Whether it is symbolic; `at` puts numbers in the place of symbols."""
         return any(r.result is not None and r.result.is_symbolic for r in self.rows)
 
     def at(self, values: Mapping[str, float], N: float | None = None) -> Comparison:
-        """The comparison with numbers in place of letters.
+        """The comparison with numbers in place of symbols.
 
         A remedy that has no limit at these numbers has the reason in place of its result.
         """
@@ -117,11 +117,11 @@ class Comparison(Presented):
         Raises
         ------
         ModelError
-            If letters are left.
+            If symbols remain.
         """
         if self.is_symbolic:
             raise ModelError(
-                "a comparison in letters has no order; give numbers, comparison.at({'alpha': 0.7, "
+                "a symbolic comparison has no order; give numbers, comparison.at({'alpha': 0.7, "
                 "..})"
             )
         rows = [r for r in self.rows if r.estimates(parameter) and r.kind != "known"]
@@ -135,7 +135,7 @@ class Comparison(Presented):
         Raises
         ------
         ModelError
-            If letters are left.
+            If symbols remain.
         """
         rows = self.candidates(parameter)
         if not rows:
@@ -162,8 +162,8 @@ class Comparison(Presented):
             own = other.rmse(parameter, self.N)
             cause = "bias" if abs(other.bias(parameter)) > own / math.sqrt(2) else "variance"
             equal = own < 1.0005 * best.rmse(parameter, self.N)
-            told = "does as well" if equal else f"has {own:.3g}, most of it {cause}"
-            parts.append(f"{other.name} {told}")
+            compared = "does as well" if equal else f"has {own:.3g}, most of it {cause}"
+            parts.append(f"{other.name} {compared}")
         biased = [
             r
             for r in others
@@ -187,7 +187,7 @@ class Comparison(Presented):
         Raises
         ------
         ModelError
-            If letters are left.
+            If symbols remain.
         """
         rows = self.candidates(parameter)
         what = ", ".join(self.unknown)

@@ -1,4 +1,4 @@
-"""Where in a plane of two letters one estimator beats another, in variance and in total error.
+"""Where in a plane of two symbols one estimator beats another, in variance and in total error.
 
 Linder (2017), Figure 3.5, for any two estimators of one coefficient that have formulas.
 """
@@ -26,7 +26,7 @@ class DecisionMap:
 
     Attributes
     ----------
-    x, y : letters on the axes; x_values (nx,), y_values (ny,).
+    x, y : symbols on the axes; x_values (nx,), y_values (ny,).
     variance, amse : (ny, nx) of one sample and of N samples, coefficient unit squared.
     """
 
@@ -70,16 +70,16 @@ def decision_map(
 
     Parameters
     ----------
-    first, second : from `regression_limit` of a system in letters, with truth.
+    first, second : from `regression_limit` of a symbolic system, with truth.
     parameter : the coefficient.
-    x, y : letter and its values, (nx,) and (ny,).
-    values : numbers of all other letters.
+    x, y : symbol and its values, (nx,) and (ny,).
+    values : numbers of all other symbols.
     N : samples of the mean square error; 1 as in the thesis, (2.60).
 
     Raises
     ------
     ModelError
-        If a letter is left without a value, or an axis is no letter of the estimators.
+        If a symbol has no value, or an axis is no symbol of the estimators.
     """
     import sympy
 
@@ -93,13 +93,13 @@ def decision_map(
     absent = [str(a) for a in axes if a not in letters]
     if absent:
         raise ModelError(
-            f"{', '.join(absent)} is no letter of these estimators of {parameter}; they have "
+            f"{', '.join(absent)} is no symbol of these estimators of {parameter}; they have "
             f"{', '.join(sorted(map(str, letters)))}"
         )
     left = letters - set(axes) - set(swap)
     if left:
         raise ModelError(
-            f"no value of {', '.join(sorted(map(str, left)))}; give values={{..}} for every letter "
+            f"no value of {', '.join(sorted(map(str, left)))}; give values={{..}} for every symbol "
             "that is not on an axis"
         )
     X, Y = np.meshgrid(np.asarray(x[1], dtype=float), np.asarray(y[1], dtype=float))

@@ -39,7 +39,7 @@ class InputMeasurement:
             If M has another shape.
         IdentifiabilityError
             If M has not full column rank; the message names the inputs that cannot be recovered
-            and the combination of them that no sensor sees (Assumption 4.1).
+            and the combination of them that no sensor detects (Assumption 4.1).
         """
         M = np.asarray(self.gain, dtype=float)
         if M.shape != (len(self.sensors), len(self.inputs)):
@@ -53,9 +53,9 @@ class InputMeasurement:
         _, s, vt = np.linalg.svd(scaled)
         rank = int(np.sum(s > _RANK * max(s.max(initial=0.0), TINY)))
         if rank < M.shape[1]:
-            unseen = vt[rank:] / np.where(size > 0, size, 1.0)
-            lost = [n for n, c in zip(self.inputs, unseen.T, strict=True) if np.any(abs(c) > 1e-9)]
-            direction = unseen[0] / np.max(np.abs(unseen[0]))
+            null = vt[rank:] / np.where(size > 0, size, 1.0)
+            lost = [n for n, c in zip(self.inputs, null.T, strict=True) if np.any(abs(c) > 1e-9)]
+            direction = null[0] / np.max(np.abs(null[0]))
             moves = ", ".join(
                 f"{n} by {c:.4g}"
                 for n, c in zip(self.inputs, direction, strict=True)
@@ -64,8 +64,8 @@ class InputMeasurement:
             raise IdentifiabilityError(
                 f"the sensors {', '.join(self.sensors)} have rank {rank} for the "
                 f"{len(self.inputs)} inputs {', '.join(self.inputs)}: {', '.join(lost)} cannot be "
-                f"recovered, since no sensor sees a change of {moves}. Add a sensor that does, or "
-                "neglect one of these inputs"
+                f"recovered, since no sensor detects a change of {moves}. Add a sensor that does, "
+                "or neglect one of these inputs"
             )
         inverse = np.linalg.pinv(M)
         names = {n: f"{n} recovered" for n in self.inputs}

@@ -14,12 +14,12 @@ Expression = Any  # a sympy expression, or a float
 
 
 def is_symbolic(value: Any) -> bool:
-    """Whether it is a sympy expression with letters in it."""
+    """Whether it is a symbolic sympy expression."""
     return bool(getattr(value, "free_symbols", None))
 
 
 def as_expression(value: Any, where: str) -> Expression:
-    """A number as float, text or sympy with letters as a sympy expression.
+    """A number as float; text or sympy with symbols as a sympy expression.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def as_expression(value: Any, where: str) -> Expression:
 
 
 def plain(expression: Expression) -> Expression:
-    """The expression in letters without assumptions: a letter is known by its name alone."""
+    """The expression in symbols without assumptions: a symbol is known by its name alone."""
     import sympy
 
     return expression.xreplace({s: sympy.Symbol(s.name) for s in expression.free_symbols})
@@ -50,7 +50,7 @@ def linear_terms(value: Any, known: Sequence[str], where: str) -> dict[str, Expr
 
     Parameters
     ----------
-    value : text or sympy expression; its letters that are in `known` are signals, all others
+    value : text or sympy expression; its symbols that are in `known` are signals, all others
         are parameters.
 
     Raises

@@ -27,7 +27,7 @@ Definition = Any  # a formula, or source -> filter
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearSignals:
-    """Signals (1), static in letters or numbers, or dynamic in numbers.
+    """Signals (1), static with symbols or numbers, or dynamic with numbers.
 
     Made by `of`, `of_state_space` or `of_response`. Every external is a signal of its own name.
 
@@ -186,7 +186,7 @@ class LinearSignals:
         ----------
         signals : as in `of`.
         noncausal : whether filters may be improper: an input recovered by 1/G from a sensor that
-            feels it a sample late. From a record such a signal can be made, and moments need no
+            it reaches a sample late. From a record such a signal can be made, and moments need no
             causality. Poles have to be inside the unit circle all the same.
         """
         defined, Ts = dict(self._defined), self.Ts
@@ -209,25 +209,25 @@ class LinearSignals:
             made = replace(made, Ts=1.0)
         if made.symbols and not made.is_static:
             raise ModelError(
-                f"a dynamic system with the letters {', '.join(map(str, made.symbols))}: letters "
+                f"a dynamic system with the symbols {', '.join(map(str, made.symbols))}: symbols "
                 "are for static systems; put numbers in their place"
             )
         return made
 
     def at(self, values: Mapping[Any, float]) -> LinearSignals:
-        """The system with numbers in place of letters; all of them or some.
+        """The system with numbers in place of symbols; all of them or some.
 
         Raises
         ------
         ModelError
-            If a name is no letter of the system, or a variance becomes negative.
+            If a name is no symbol of the system, or a variance becomes negative.
         """
         import sympy
 
-        letters = {str(s): s for s in self.symbols}
+        symbols_by_name = {str(s): s for s in self.symbols}
         for name in values:
-            _require_known(str(name), letters, "at")
-        swap = {letters[str(n)]: sympy.sympify(v) for n, v in values.items()}
+            _require_known(str(name), symbols_by_name, "at")
+        swap = {symbols_by_name[str(n)]: sympy.sympify(v) for n, v in values.items()}
 
         def put(value: Any) -> Any:
             value = value.subs(swap) if isinstance(value, sympy.Basic) else value
@@ -243,7 +243,7 @@ class LinearSignals:
             ),
         )
 
-    # -- asking ------------------------------------------------------------------------------
+    # -- properties and responses ------------------------------------------------------------
 
     @property
     def externals(self) -> tuple[str, ...]:
@@ -263,7 +263,7 @@ class LinearSignals:
 
     @property
     def symbols(self) -> tuple[Any, ...]:
-        """The letters (sympy symbols) in gains and variances, by name."""
+        """The sympy symbols in gains and variances, by name."""
         entries = [v for row in self._defined.values() for v in row.values()]
         found = {s for v in (*entries, *self.variances.values()) for s in _free(v)}
         return tuple(sorted(found, key=str))
@@ -289,7 +289,7 @@ class LinearSignals:
             If the system is dynamic, or a signal is not there.
         """
         if not self.is_static:
-            raise ModelError("a dynamic system has filters, not gains; ask `response`")
+            raise ModelError("a dynamic system has filters, not gains; use `response`")
         rows = self._rows(names, np.eye(len(self.externals), dtype=object), None)
         return np.array(rows, dtype=object if self.symbols else float).reshape(len(names), -1)
 
@@ -301,7 +301,7 @@ class LinearSignals:
 
     def _rows(self, names: Sequence[str], unit: Array, z: Array | None) -> list[Array]:
         for name in names:
-            _require_known(name, [*self.externals, *self.names], "a signal asked for")
+            _require_known(name, [*self.externals, *self.names], "a requested signal")
         there: dict[str, Array] = dict(zip(self.externals, unit, strict=True))
         if self._response is not None and z is not None:
             own = np.asarray(self._response(z))
@@ -315,10 +315,12 @@ class LinearSignals:
         return [there[name] for name in names]
 
     def __repr__(self) -> str:
-        letters = f", in {', '.join(map(str, self.symbols))}" if self.symbols else ""
+        symbols_by_name = f", in {', '.join(map(str, self.symbols))}" if self.symbols else ""
         kind = "static" if self.is_static else f"Ts = {self.Ts:g} s"
         signals = ", ".join(self.names) or "none"
-        return f"<LinearSignals {signals} from {', '.join(self.externals)}: {kind}{letters}>"
+        return (
+            f"<LinearSignals {signals} from {', '.join(self.externals)}: {kind}{symbols_by_name}>"
+        )
 
 
 def _times(value: Any, row: Array, z: Array | None) -> Array:

@@ -34,7 +34,7 @@ from casid.unknown_inputs.networks.prediction.row_predictor import row_predictor
 from casid.unknown_inputs.networks.random_equations import random_equations
 
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47)
-TRUE = "true relation"  # all inputs as their sensors say
+TRUE = "true relation"  # all inputs as their sensors read
 KINDS = {ALL_INPUTS: "known", NEGLECT: "neglect", IMMERSED: "immerse", IMMERSED_ALL: "immerse",
          INDIRECT: "eliminate"}  # fmt: skip
 
@@ -164,7 +164,7 @@ def network_relations(
         if name == IMMERSED_ALL and any(
             r.name == IMMERSED and set(r.nodes.values()) == set(predictor.inputs) for r in found
         ):
-            continue  # the other sensors tell nothing
+            continue  # the other sensors add nothing
         if sets.sU or name != ALL_INPUTS or any(network.sensor_noise.get(k) for k in sets.K):
             found.append(_relation(network, module, sets, predictor, name, KINDS[name]))
         if not sets.sU and name == ALL_INPUTS:
@@ -183,37 +183,39 @@ def _relation(
     for n, g in p.excitations.items():
         if not (n == j and takes_own):
             modules[f"delta {node_label(n)}"] = g * network.excitations[n].model
-    told = _told(network, module, sets, p, kind)
-    return Relation(name, kind, modules, nodes, takes_own, "; ".join(told))
+    parts = _remarks(network, module, sets, p, kind)
+    return Relation(name, kind, modules, nodes, takes_own, "; ".join(parts))
 
 
-def _told(network: Network, module: Edge, sets: NodeSets, p: NodePredictor, kind: str) -> list[str]:
+def _remarks(
+    network: Network, module: Edge, sets: NodeSets, p: NodePredictor, kind: str
+) -> list[str]:
     """What becomes of the module, and what confounds."""
     j, i = module
-    told = []
+    parts = []
     if kind == "neglect":
-        told.append(f"what {labels(sets.sU)} sends is in the error")
+        parts.append(f"what {labels(sets.sU)} sends is in the error")
     elif not p.inputs[i].equals(network.module(j, i)):
         way, inputs = ("indirect", ()) if kind == "eliminate" else ("immersion", tuple(p.inputs))
         becomes = module_equation(network, module, inputs, way).becomes  # type: ignore[arg-type]
-        told.append(f"{edge_label(module)} becomes {becomes or 'another module'}")
+        parts.append(f"{edge_label(module)} becomes {becomes or 'another module'}")
     elif kind in ("immerse", "eliminate"):
-        told.append(f"{edge_label(module)} is kept")
-    told += [str(c) for c in _confounders(network, sets, p.inputs, kind)]
+        parts.append(f"{edge_label(module)} is kept")
+    parts += [str(c) for c in _confounders(network, sets, p.inputs, kind)]
     past = [f"delta_{n}" for n in network.excitations if f"delta_{n}" in p.error]
     if past:
-        told.append(f"{', '.join(past)} is in the error and no instrument")
+        parts.append(f"{', '.join(past)} is in the error and no instrument")
     noisy = [k for k in p.inputs if kind != "known" and network.sensor_noise.get(k, 0.0) > 0]
     if noisy:
-        told.append(f"noisy sensors on {labels(noisy)} (errors in variables)")
-    return told
+        parts.append(f"noisy sensors on {labels(noisy)} (errors in variables)")
+    return parts
 
 
 def _confounders(
     network: Network, sets: NodeSets, inputs: Iterable[Node], kind: str
 ) -> tuple[Confounder, ...]:
     if kind != "eliminate":
-        seen = network.with_sensors(network.nodes) if kind == "known" else network
-        return confounders(seen, sets.target, inputs)
+        measured_network = network.with_sensors(network.nodes) if kind == "known" else network
+        return confounders(measured_network, sets.target, inputs)
     equations = indirect_equations(random_equations(network, 31), sets)
     return confounders_in(network, equations, sets.target, inputs)

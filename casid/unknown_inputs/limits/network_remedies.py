@@ -73,7 +73,7 @@ def network_remedies(
     ways : of `WAYS`.
     known : modules whose transfer function is known, for direct measurements.
     lags : of the predictions from the excitations; by default until responses have died out.
-    N, accuracy : samples that standard errors are told at; root mean square error wanted.
+    N, accuracy : samples that standard errors are given at; root mean square error wanted.
     random_starts : of the PEM and two-stage minima, beside zero and the true coefficients where the
         orders hold them. Few references and many coefficients leave several minima: raise it. A
         network of eight nodes takes one to two minutes with all ways, seconds without these two.
@@ -81,12 +81,12 @@ def network_remedies(
     Returns
     -------
     Comparison; its coefficients are the static gain, and the real and imaginary parts, of G_ji.
-    A remark tells what becomes of G_ji in each relation, and names the confounders.
+    A remark describes what becomes of G_ji in each relation, and names the confounders.
 
     Raises
     ------
     ModelError
-        If there is no such module, its output has no sensor, or the network has letters, is
+        If there is no such module, its output has no sensor, or the network has symbols, is
         continuous or unstable.
     """
     strange = [w for w in ways if w not in WAYS]
@@ -180,14 +180,14 @@ class _Task:
         return made
 
     def _signal(self, relation: Relation, channel: str) -> str:
-        """What the sensor says of a channel."""
+        """The reading of a channel's sensor."""
         node = relation.nodes.get(channel)
         noisy = self.network.sensor_noise.get(node, 0.0) > 0
         is_read = channel in relation.nodes and noisy and relation.kind != "known"
         return f"measured {channel}" if is_read else channel
 
     def _output(self, relation: Relation) -> tuple[LinearSignals, str]:
-        """The output's sensor, less its own excitation, delayed by what the relation sees ahead."""
+        """The output's reading less its own excitation, delayed by the relation's lead."""
         j = self.module[0]
         label = node_label(j)
         own = f"measured {label}" if self.network.sensor_noise.get(j, 0.0) > 0 else label

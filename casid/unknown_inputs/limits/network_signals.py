@@ -1,4 +1,4 @@
-"""The signals of a dynamic network: nodes, what enters them, and what their sensors say."""
+"""The signals of a dynamic network: nodes, external signals, and sensor readings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.complex128]
 def network_signals(network: Network) -> LinearSignals:
     """The nodes of a network as signals of its externals.
 
-    Signals are the nodes by their labels (w1, w2, ..), and what a noisy sensor says of one,
+    Signals are the nodes by their labels (w1, w2, ..), and the reading of a noisy sensor,
     "measured w2". Externals are "delta w2", "tau w2" and "noise w2": white, each with its
     variance, ahead of its own noise model.
 

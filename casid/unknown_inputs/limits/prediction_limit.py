@@ -64,12 +64,12 @@ def prediction_error_limit(
 
     Returns
     -------
-    Asymptotics; several starts are tried, and a note tells where some ended in a higher minimum.
+    Asymptotics; several starts are tried, and a note says where some ended in a higher minimum.
 
     Raises
     ------
     ModelError
-        If a signal or coefficient is not there, or the system has letters.
+        If a signal or coefficient is not there, or the system has symbols.
     SolveError
         If no start leads to a minimum with C and F inside the stable region.
     IdentifiabilityError

@@ -1,4 +1,4 @@
-"""Linear regressions to be judged: what is regressed on what, with which instruments.
+"""Linear regressions: what is regressed on what, with which instruments.
 
 Linder (2017), (2.39)-(2.43): least squares and instrumental variables, prefiltered or not, and in
 two stages where a regressor is itself predicted from a measurement (Example 3.8).

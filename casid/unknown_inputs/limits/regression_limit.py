@@ -48,7 +48,7 @@ def regression_limit(
 
     Parameters
     ----------
-    system : static with letters gives formulas, cancelled; with numbers, or dynamic, numbers.
+    system : static with symbols gives formulas, cancelled; with numbers, or dynamic, numbers.
     truth : coefficient -> true value (number, text, sympy), for bias and mean square error.
     method : its name in tables; made up where not given.
 
@@ -58,7 +58,7 @@ def regression_limit(
         If a signal is not there.
     IdentifiabilityError
         If regressors or instruments are linearly dependent; the message names the combination
-        that cannot be told.
+        that is not identifiable.
     """
     true = {n: as_expression(v, f"truth of {n}") for n, v in (truth or {}).items()}
     for name in true:
@@ -175,9 +175,9 @@ class _Equations:
         second = self.moments.second
         normal = known @ second @ known.T
         right = (known @ second @ measured)[:, None]
-        mend = "Leave one of them out"
+        remedy = "Leave one of them out"
         gamma = solve(
-            normal, right, labels, f"first stage of {name}: its signals are dependent", mend
+            normal, right, labels, f"first stage of {name}: its signals are dependent", remedy
         )[:, 0]
         residual = measured - gamma @ known
         self.stages[name] = _Stage(self.n_gamma, known, residual, normal, stage.is_known)
@@ -197,29 +197,31 @@ class _Equations:
         names = [f"{c} ({t})" for c, t in zip(r.regressors, labels, strict=True)]
         if r.instruments is None:
             what = f"the regressors {', '.join(labels)} depend on each other, and the combination"
-            what += " of coefficients along it cannot be told"
-            mend, shown = "Leave one out, or excite the system further", labels
+            what += " of coefficients along it is not identifiable"
+            remedy, shown = "Leave one out, or excite the system further", labels
         else:
             shown = [f"d {name}" for name in names]
             what = "the instruments do not move the regressors apart; this change of the "
-            what += "coefficients cannot be told"
-            mend = "Give instruments that reach every regressor, such as further references or lags"
+            what += "coefficients is not identifiable"
+            remedy = (
+                "Give instruments that reach every regressor, such as further references or lags"
+            )
         left = Zeta @ second @ Phi.T
         if r.instruments is not None:
-            self._require_moved(left, shown, what, mend)
-        theta = solve(left, (Zeta @ second @ y)[:, None], shown, what, mend)[:, 0]
+            self._require_moved(left, shown, what, remedy)
+        theta = solve(left, (Zeta @ second @ y)[:, None], shown, what, remedy)[:, 0]
         residual = y - theta @ Phi
         A, B, W = self._influence(phi, zeta, Phi, Zeta, residual, theta, left)
         Q = self.moments.product_covariance(A, B)
         return theta, W @ Q @ W.T, self.moments.variance(residual)
 
-    def _require_moved(self, left: Array, shown: list[str], what: str, mend: str) -> None:
+    def _require_moved(self, left: Array, shown: list[str], what: str, remedy: str) -> None:
         """Refuse instruments with which the equations are singular: the null direction of them."""
         direction = null_vector(left)
         if direction is not None:
             moves = zip(direction, shown, strict=True)
             text = ", ".join(f"{name} = {_rounded(v)}" for v, name in moves if v != 0)
-            raise IdentifiabilityError(f"{what}: {text}. {mend}")
+            raise IdentifiabilityError(f"{what}: {text}. {remedy}")
 
     def _instruments(self, phi: list[_Form]) -> list[_Form]:
         terms = list(self.regression.instruments or ())

@@ -2,7 +2,7 @@
 
 Neglect it, approximate it or its contribution by known signals, predict it from a measurement
 (two stages), use the measurement as it is (errors in variables), with instruments, or eliminate it
-with a sensor that feels it. One call gives each remedy's limit, covariance and mean square error.
+with a sensor that it acts on. One call gives each remedy's limit, covariance and mean square error.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def compare_remedies(
     explain : lists of known signals that are added as regressors in the input's place; default
         all of `known` in one.
     measured : unknown input -> its measurement, or an `InputMeasurement` of several.
-    eliminated : unknown input -> what a sensor that feels it says of it, such as "y_I - u_K"
-        defined as a signal of the system (Example 4.2).
+    eliminated : unknown input -> its value computed from a sensor that it acts on, such as
+        "y_I - u_K" defined as a signal of the system (Example 4.2).
     prefilter : of all regressions.
     extra : further remedies.
     N : samples of the standard errors.
@@ -95,7 +95,7 @@ def compare_remedies(
     ModelError
         If a signal, truth or unknown input is missing.
     IdentifiabilityError
-        If the input measurement cannot recover the inputs (which ones is told).
+        If the input measurement cannot recover the inputs (they are named).
     """
     absent = [unknown] if isinstance(unknown, str) else list(unknown)
     _require_sound(regressors, absent, truth)

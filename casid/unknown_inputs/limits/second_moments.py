@@ -8,7 +8,7 @@ f_k = a_k(t) b_k(t) has covariance Q / N with
 over all lags tau (Isserlis 1918, for Gaussian externals); each external with excess kurtosis
 kappa adds kappa lambda^2 m_k m_l, m_k = sum_t h_a(t) h_b(t) with the impulse responses from it.
 In frequency, sum_tau r_1 r_2 is the mean of S_1 conj(S_2) over the circle. On M points
-it errs by what is left of the responses after M samples, about the square of what is left after
+its error is the remainder of the responses after M samples, about the square of that after
 M/2: rounding, once they have died out to 1e-8 there.
 """
 
@@ -32,7 +32,7 @@ Atom = tuple[str, int, bool]
 FIRST_POINTS = 64
 MOST_POINTS = 2**18
 _DIED_OUT = 1e-8  # of the largest value of a signal's impulse responses, within half the grid
-_ROUNDING = 1e-15  # of the largest value of all: where terms cancel, this is left
+_ROUNDING = 1e-15  # of the largest value of all: where terms cancel, this remains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +45,7 @@ class SecondMoments:
         numbers or field elements.
     variances : (ne,) of the externals, kurtosis : (ne,) excess.
     second : (n, n) E x x'.
-    field : of the elements, where letters are in them.
+    field : of the elements, where they are symbolic.
     """
 
     atoms: tuple[Atom, ...]
@@ -129,7 +129,7 @@ def second_moments(
         return SecondMoments(tuple(atoms), G[None], weights, extra, second, field)
     if system.symbols:
         raise ModelError(
-            f"lags or a prefilter on a system with the letters "
+            f"lags or a prefilter on a system with the symbols "
             f"{', '.join(map(str, system.symbols))}: put numbers in their place with system.at"
         )
     G = settled_response(system, atoms, names, prefilter)
@@ -175,7 +175,7 @@ def settled_response(
     ModelError
         If `MOST_POINTS` are not enough: some filter hardly forgets, or is not stable.
     """
-    # A delay beyond the grid would be folded into it unseen: begin with more points than that.
+    # A delay beyond the grid would be aliased into it: begin with more points than that.
     reach = system.reach + max((k for _, k, _ in atoms), default=0)
     reach += prefilter.reach if prefilter is not None else 0
     while points < 4 * (reach + 1):

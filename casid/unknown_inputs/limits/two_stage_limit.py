@@ -1,4 +1,4 @@
-"""Two stages: inputs replaced by what references make of them, then a prediction-error estimate.
+"""Two stages: inputs predicted from references, then a prediction-error estimate.
 
 The first stage regresses each input on L lags of every reference, u = sum h_m r(t-m) + rest; the
 second is a prediction-error estimate with sum h_m r(t-m) as its input (Linder 2017, section 3.5 and
@@ -65,7 +65,7 @@ def two_stage_limit(
     Raises
     ------
     ModelError
-        If a reference is no external, or the system has letters.
+        If a reference is no external, or the system has symbols.
     IdentifiabilityError
         If no reference reaches an input, or the second stage has no unique minimum.
     """
@@ -105,8 +105,8 @@ class PredictedInputs:
     ) -> None:
         wrong = [n for n in references if n not in system.externals]
         if wrong or not references:
-            told = f"reference {wrong[0]} is no external" if wrong else "no reference is given"
-            raise ModelError(f"{told}; choose among {', '.join(system.externals)}")
+            problem = f"reference {wrong[0]} is no external" if wrong else "no reference is given"
+            raise ModelError(f"{problem}; choose among {', '.join(system.externals)}")
         self.references = [system.externals.index(n) for n in references]
         self.names = list(inputs)
         chosen = list(inputs) if predicted is None else list(predicted)

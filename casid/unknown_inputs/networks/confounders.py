@@ -79,7 +79,7 @@ def confounders(network: Network, output: Node, inputs: Iterable[Node]) -> tuple
     """The confounders of an output and its predictor inputs, all other nodes immersed.
 
     Whether a signal arrives is decided exactly (`random_equations`), so that what cancels is
-    not counted; how it arrives is told as paths past the kept nodes.
+    not counted; how it arrives is given as paths past the kept nodes.
 
     Raises
     ------

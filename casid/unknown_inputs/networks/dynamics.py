@@ -67,7 +67,7 @@ def is_stable(network: Network) -> bool:
 
 
 def stability_text(network: Network) -> str:
-    """What is to be told of the stability of (I - G)^-1, in one line."""
+    """The stability of (I - G)^-1 in one line."""
     poles = network_states(network).poles()
     if not poles:
         return "(I - G)^-1 is static"
@@ -86,7 +86,7 @@ def refuse_unstable(network: Network) -> None:
     Raises
     ------
     ModelError
-        Which tells the pole, and the unstable modules.
+        With the pole, and the unstable modules.
     """
     bad = [r for r in network_states(network).poles() if not r.is_stable]
     if bad:

@@ -23,7 +23,7 @@ from casid.unknown_inputs.networks.nodes import Node, as_nodes, labels
 
 
 def immerse(network: Network | NodeEquations, keep: Iterable[Node], **field: Any) -> NodeEquations:
-    """The network that the nodes in `keep` see of themselves, all others immersed.
+    """The network of the nodes in `keep`, all others immersed.
 
     Parameters
     ----------
@@ -38,9 +38,9 @@ def immerse(network: Network | NodeEquations, keep: Iterable[Node], **field: Any
 
     Notes
     -----
-    Rational functions of many letters grow fast: a network of six nodes with a letter for a module
-    between every two takes 10 to 20 s to immerse, and no word is said meanwhile. Give numbers for
-    letters (`values`), or decide what is asked at a point (`at`) or at frequencies (`omega`).
+    Rational functions of many symbols grow fast: a network of six nodes with a symbol for a module
+    between every two takes 10 to 20 s to immerse. Give numbers for symbols (`values`), or evaluate
+    at a point (`at`) or at frequencies (`omega`).
     """
     equations = node_equations(network, **field) if isinstance(network, Network) else network
     kept = set(as_nodes(keep))

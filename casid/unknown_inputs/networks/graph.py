@@ -49,7 +49,7 @@ def path_past(
 
     Parameters
     ----------
-    start, goal : the same node asks for a loop.
+    start, goal : the same node for a loop.
     blocked : nodes the path may not pass between its ends.
     without : modules (to, from) it may not use.
     """

@@ -3,7 +3,7 @@
 An unknown node u is written as sum_m f_um (w_m - sum_k G_mk w_k - e_m) over measured nodes m, with
 a left inverse f of the modules from unknown to measured nodes (4.22). That is put in the equations
 of the other nodes; the measured nodes m themselves keep their own equations, in which u is
-eliminated by its own: (4.20)-(4.21), (4.23), (4.32)-(4.34). What is left unobserved is then
+eliminated by its own: (4.20)-(4.21), (4.23), (4.32)-(4.34). Remaining unobserved nodes are then
 immersed: (4.39)-(4.43).
 """
 
@@ -86,11 +86,11 @@ def fully_eliminated(
 def indirect_equations(
     network: Network | NodeEquations, sets: NodeSets, **options: Any
 ) -> NodeEquations:
-    """(4.24), (4.41)-(4.43): sU eliminated by D and I, what is left unobserved immersed.
+    """(4.24), (4.41)-(4.43): sU eliminated by D and I, remaining unobserved nodes immersed.
 
     Its row of the target is the indirect model; with no sU it is the immersed network (3.38). Of
     more observations than unknown inputs the first that suffice are used; which of them leave the
-    least error tells `casid.unknown_inputs.networks.prediction.observation_choice`.
+    least error: see `casid.unknown_inputs.networks.prediction.observation_choice`.
     `options` as for `eliminate_by_measurement`.
     """
     partial = partially_eliminated(network, sets, **options)

@@ -48,7 +48,7 @@ class Network(Presented):
     disturbances : node -> tau_j, unknown and independent of each other.
     measured : nodes with a sensor, in the order of `nodes`.
     sensor_noise : measured node -> variance of its white sensor noise; absent is none.
-    Ts : sample time [s]; None where no module tells one, 0 in continuous time.
+    Ts : sample time [s]; None where no module has one, 0 in continuous time.
     name : for pictures and messages.
     """
 
@@ -165,7 +165,7 @@ def dynamic_network(
     disturbances : nodes with tau_j, or node -> variance or `Signal`; by default every node has one
         of unit variance, as in (2.2). () is none.
     measured : nodes with a sensor; by default all. Here as everywhere a text stands for the one
-        node of that name, not for its letters.
+        node of that name, not for its characters.
     sensor_noise : measured node -> variance of white sensor noise.
     Ts : sample time [s] of modules that do not carry their own.
     values : numbers for parameters of the modules.

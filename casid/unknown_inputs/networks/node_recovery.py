@@ -47,7 +47,7 @@ def _undetermined(
     rows: list[list[Element]],
     pivots: dict[Node, Node],
 ) -> list[Node]:
-    """Unknown nodes of which no combination of measured ones tells the value by itself."""
+    """Unknown nodes whose value no combination of measured ones determines."""
     lost = {u: k for k, u in enumerate(unknown) if u not in pivots}
     mixed = {
         u
@@ -60,7 +60,7 @@ def _undetermined(
 def recoverable(
     equations: NodeEquations, unknown: Sequence[Node], measured: Sequence[Node]
 ) -> tuple[tuple[Node, ...], tuple[Node, ...]]:
-    """The first unknown nodes that measured ones tell apart, and the measured nodes that do."""
+    """The first unknown nodes that measured ones determine, and the measured nodes that do."""
     _, pivots = _reduced(equations, unknown, measured)
     return tuple(pivots), tuple(m for m in measured if m in pivots.values())
 

@@ -35,7 +35,7 @@ class NodeSets:
     sU: tuple[Node, ...]
     Ut: tuple[Node, ...]
     D: tuple[Node, ...]
-    I: tuple[Node, ...]  # noqa: E741 - the thesis's letter
+    I: tuple[Node, ...]  # noqa: E741 - the thesis's symbol
     O: tuple[Node, ...]  # noqa: E741
     upstream: dict[Node, tuple[Node, ...]]
     downstream: dict[Node, tuple[Node, ...]]
@@ -96,24 +96,25 @@ def node_sets(
     sU = tuple(n for n in U if n in N)
     refused = {n: _not_direct(network, n, sU, known) for n in A}
     qualified = tuple(n for n in A if not refused[n])
-    told_direct = qualified if direct is None else as_nodes(direct)
+    named_direct = qualified if direct is None else as_nodes(direct)
     claimed = as_nodes(indirect) if indirect is not None else None
-    _refuse_both(told_direct if direct is not None else (), claimed or ())
-    for n in told_direct:
+    _refuse_both(named_direct if direct is not None else (), claimed or ())
+    for n in named_direct:
         if n not in A or refused[n]:
             raise ModelError(
                 f"{node_label(n)} is no direct observation of {labels(sU)}: "
                 f"{refused[n] if n in A else f'it is not among the additional nodes {labels(A)}'}"
             )
-    D = tuple(n for n in A if n in told_direct and n not in (claimed or ()))
-    seen = tuple(n for n in A if n not in D and any((n, k) in network.modules for k in sU))
+    D = tuple(n for n in A if n in named_direct and n not in (claimed or ()))
+    reached = tuple(n for n in A if n not in D and any((n, k) in network.modules for k in sU))
     for n in claimed or ():
-        if n not in seen:
+        if n not in reached:
             raise ModelError(
                 f"{node_label(n)} is no indirect observation: none of {labels(sU)} has a module "
-                f"into it, or it is not observable and additional. Those that are: {labels(seen)}"
+                f"into it, or it is not observable and additional. Those that are: "
+                f"{labels(reached)}"
             )
-    indirect_nodes = seen if claimed is None else tuple(n for n in seen if n in claimed)
+    indirect_nodes = reached if claimed is None else tuple(n for n in reached if n in claimed)
     return NodeSets(
         target=target,
         N=N,
@@ -185,15 +186,15 @@ def signal_table(network: Network, sets: NodeSets) -> tuple[SignalMapping, ...]:
     def names(nodes: Iterable[Node]) -> tuple[str, ...]:
         return tuple(node_label(n) for n in nodes)
 
-    seen = tuple(k for k in sets.sU if any((n, k) in network.modules for n in sets.D))
-    rest = tuple(k for k in sets.sU if k not in seen)
+    reached = tuple(k for k in sets.sU if any((n, k) in network.modules for n in sets.D))
+    rest = tuple(k for k in sets.sU if k not in reached)
     return (
         SignalMapping("y_O", "output", names([sets.target])),
         SignalMapping("y_I", "indirect input measurements", names(sets.I)),
         SignalMapping("y_D", "direct input measurements", names(sets.D) + deltas(sets.D)),
         SignalMapping("u_K", "known inputs", names(sets.K) + deltas((sets.target,))),
         SignalMapping("u_I", "inputs measured indirectly", names(rest)),
-        SignalMapping("u_D", "inputs measured directly", names(seen)),
+        SignalMapping("u_D", "inputs measured directly", names(reached)),
         SignalMapping(
             "u_A", "additional known signals", names(sets.O) + deltas(sets.Ut) + deltas(sets.I)
         ),
@@ -229,6 +230,6 @@ def _not_direct(network: Network, n: Node, sU: tuple[Node, ...], known: Collecti
     if not inside:
         return "no unknown predictor input has a module into it"
     if outside:
-        return f"{edge_label((n, outside[0]))} brings in {node_label(outside[0])} as well"
+        return f"{edge_label((n, outside[0]))} adds {node_label(outside[0])} as well"
     unknown = [edge_label((n, k)) for k in inside if (n, k) not in known]
     return f"{', '.join(unknown)} is not known; name it in known= if it is" if unknown else ""

@@ -10,7 +10,7 @@ Edge: TypeAlias = tuple[Node, Node]  # (to, from), as the subscripts of G_jk
 
 
 def as_nodes(chosen: Any) -> tuple[Node, ...]:
-    """Nodes given one by one, or a single one: a text is one node, not its letters."""
+    """Nodes given one by one, or a single one: a text is one node, not its characters."""
     if isinstance(chosen, str) or not isinstance(chosen, Iterable):
         return (chosen,)
     return tuple(chosen)

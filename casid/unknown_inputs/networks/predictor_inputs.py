@@ -2,7 +2,7 @@
 
 A set of inputs keeps G_ji by immersion when it holds i, blocks every other path from i to j, and
 every loop through j (Dankers, Van den Hof, Bombois & Heuberger 2016, Proposition 3). The smallest
-sets are found by branching on what is violated: a set that leaves a path open can only be mended by
+sets are found by branching on what is violated: a set that leaves a path open needs
 a measured node on that path, so every minimal set is met. Sets that may become the smallest come
 first, by the number of open paths that share no measured node.
 """
@@ -13,6 +13,7 @@ import heapq
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from casid.deprecation import renamed
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.confounders import Confounder, confounders
 from casid.unknown_inputs.networks.graph import network_readers
@@ -50,10 +51,10 @@ class InputSet:
         return not self.confounders
 
     def __str__(self) -> str:
-        told = "; ".join(map(str, self.confounders)) or "no confounder"
+        text = "; ".join(map(str, self.confounders)) or "no confounder"
         if self.noisy:
-            told += f"; noisy sensors on {labels(self.noisy)}"
-        return f"{labels(self.inputs)}: {told}"
+            text += f"; noisy sensors on {labels(self.noisy)}"
+        return f"{labels(self.inputs)}: {text}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +65,14 @@ class RefusedSet:
     ----------
     inputs : the set.
     reason : the path, loop or confounder that is left.
-    mends : measured nodes that would block it; empty where no sensor lies on it.
+    remedies : measured nodes that would block it; empty where no sensor lies on it.
     """
 
     inputs: tuple[Node, ...]
     reason: str
-    mends: tuple[Node, ...]
+    remedies: tuple[Node, ...]
+
+    mends = renamed("mends", "remedies")
 
     def __str__(self) -> str:
         return f"{labels(self.inputs)}: {self.reason}"
@@ -117,7 +120,7 @@ def predictor_inputs(
     ----------
     target, source : j and i; both have to be measured.
     sensors : nodes to choose from, by default the measured ones.
-    without_confounders : whether sets with a confounder are refused, and mended by more inputs.
+    without_confounders : whether sets with a confounder are refused, and extended by more inputs.
     most, tries : after how many sets, found or tried, the search stops.
 
     Raises
@@ -125,14 +128,14 @@ def predictor_inputs(
     ModelError
         If there is no such module, or one of its ends has no sensor.
     """
-    eyes = network.measured if sensors is None else network.with_sensors(sensors).measured
-    _refuse(network, target, source, eyes)
-    blind = _past_all_sensors(network, target, source, eyes)
+    sensors_used = network.measured if sensors is None else network.with_sensors(sensors).measured
+    _refuse(network, target, source, sensors_used)
+    blind = _past_all_sensors(network, target, source, sensors_used)
     if blind is not None:
         return InputSearch((target, source), (), (blind,), True)
     place = {n: i for i, n in enumerate(network.nodes)}
     readers = network_readers(network)
-    others = frozenset(eyes) - {target, source}
+    others = frozenset(sensors_used) - {target, source}
 
     def least(chosen: tuple[int, ...]) -> float:
         """The size that a set which holds `chosen` and suffices has at least."""
@@ -149,12 +152,12 @@ def predictor_inputs(
         inputs = tuple(network.nodes[i] for i in chosen)
         if any(set(f.inputs) <= set(inputs) for f in found):
             continue
-        verdict = _judged(network, target, source, inputs, eyes, without_confounders)
+        verdict = _assessed(network, target, source, inputs, sensors_used, without_confounders)
         if isinstance(verdict, InputSet):
             found.append(verdict)
             continue
         refused.append(verdict)
-        for n in verdict.mends:
+        for n in verdict.remedies:
             grown = tuple(sorted((*chosen, place[n])))
             if grown not in seen:
                 seen.add(grown)
@@ -164,57 +167,59 @@ def predictor_inputs(
 
 
 def _past_all_sensors(
-    network: Network, target: Node, source: Node, eyes: tuple[Node, ...]
+    network: Network, target: Node, source: Node, sensors_used: tuple[Node, ...]
 ) -> RefusedSet | None:
     """All sensors as inputs, where even they leave a path or loop open."""
-    every = tuple(n for n in eyes if n != target)
-    verdict = _judged(network, target, source, every, eyes, False)
+    every = tuple(n for n in sensors_used if n != target)
+    verdict = _assessed(network, target, source, every, sensors_used, False)
     return verdict if isinstance(verdict, RefusedSet) else None
 
 
-def _judged(
+def _assessed(
     network: Network,
     target: Node,
     source: Node,
     inputs: tuple[Node, ...],
-    eyes: tuple[Node, ...],
+    sensors_used: tuple[Node, ...],
     without_confounders: bool,
 ) -> InputSet | RefusedSet:
     path, loop = open_path(network, target, source, inputs)
     for what, trail in (("path", path), ("loop", loop)):
         if trail:
-            return _refused(inputs, f"the {what} {path_text(trail)} is open", trail[1:-1], eyes)
+            return _refused(
+                inputs, f"the {what} {path_text(trail)} is open", trail[1:-1], sensors_used
+            )
     common = confounders(network, target, inputs)
     if common and without_confounders:
         c = common[0]
         trail = (*c.to_output[:-1], *(n for p in c.to_inputs[:1] for n in p[:-1]))
-        return _refused(inputs, str(c), trail, eyes)
+        return _refused(inputs, str(c), trail, sensors_used)
     noisy = tuple(n for n in inputs if network.sensor_noise.get(n, 0.0) > 0)
     return InputSet(inputs, common, noisy)
 
 
 def _refused(
-    inputs: tuple[Node, ...], reason: str, trail: tuple[Node, ...], eyes: tuple[Node, ...]
+    inputs: tuple[Node, ...], reason: str, trail: tuple[Node, ...], sensors_used: tuple[Node, ...]
 ) -> RefusedSet:
     inside = tuple(dict.fromkeys(n for n in trail if n not in inputs))
-    mends = tuple(n for n in inside if n in eyes)
-    if not mends:
+    remedies = tuple(n for n in inside if n in sensors_used)
+    if not remedies:
         reason += (
             f" and no sensor can block it; one on {' or '.join(map(node_label, inside))} would"
             if inside
             else " and nothing lies on it that could block it"
         )
-    return RefusedSet(inputs, reason, mends)
+    return RefusedSet(inputs, reason, remedies)
 
 
-def _refuse(network: Network, target: Node, source: Node, eyes: tuple[Node, ...]) -> None:
+def _refuse(network: Network, target: Node, source: Node, sensors_used: tuple[Node, ...]) -> None:
     if (target, source) not in network.modules:
         raise ModelError(
             f"{network.name} has no module {edge_label((target, source))}; into "
             f"{node_label(target)} lead those from {labels(network.sources(target))}"
         )
     for n in (target, source):
-        if n not in eyes:
+        if n not in sensors_used:
             raise ModelError(
                 f"{node_label(n)} has no sensor, so {edge_label((target, source))} cannot be found "
                 f"by immersion; measure it, or eliminate it by what it acts on (node_sets)"

@@ -37,7 +37,7 @@ class Condition:
 
     Attributes
     ----------
-    letter, text : as in the proposition.
+    letter, text : name (a), (b), .. and wording in the proposition.
     violated_by : the path, loop or module that violates it; empty where it holds.
     """
 
@@ -86,10 +86,10 @@ class Verdict:
         end = {
             True: "is unchanged",
             False: "is CHANGED by the elimination",
-            None: "cannot be told: there is nothing to eliminate with",
+            None: "cannot be decided: there is nothing to eliminate with",
         }[self.conclusion]
         return "\n".join(
-            [f"{self.proposition} for {edge_label(self.module)}: {_told(self.holds)}"]
+            [f"{self.proposition} for {edge_label(self.module)}: {_outcome(self.holds)}"]
             + [f"  {c}" for c in self.conditions]
             + [f"  {edge_label(self.module)} {end} (exact, at random q)"]
         )
@@ -241,5 +241,5 @@ def _unrecovered(network: Network, sets: NodeSets) -> str:
     return ""
 
 
-def _told(holds: bool) -> str:
+def _outcome(holds: bool) -> str:
     return "its conditions hold" if holds else "its conditions fail"

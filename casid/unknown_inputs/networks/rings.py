@@ -1,6 +1,6 @@
 """Recursive elimination: unknown nodes ring by ring, until the target's equation holds none.
 
-Eliminating an unknown node by a measurement brings in whatever else acts on the measured node.
+Eliminating an unknown node by a measurement adds whatever else acts on the measured node.
 Those of them that nobody observes are the next ring, to be eliminated by measurements further out
 (Linder 2017, section 4.3.1 and Figure 4.2); with every ring the model grows.
 """
@@ -77,8 +77,8 @@ class RecursiveElimination:
             )
         if self.immersed:
             lines.append(
-                f"  {labels(self.immersed)}: no measurement is left that tells them; a sensor on a "
-                "node that they act on would"
+                f"  {labels(self.immersed)}: no remaining measurement determines them; a sensor on "
+                "a node that they act on would"
             )
         return "\n".join(lines)
 
@@ -86,7 +86,7 @@ class RecursiveElimination:
 def eliminate_recursively(
     network: Network, target: Node, *, sensors: Iterable[Node] | None = None
 ) -> RecursiveElimination:
-    """Eliminate unknown nodes by measurements, ring by ring, and immerse what is left at the end.
+    """Eliminate unknown nodes by measurements, ring by ring, and immerse the rest at the end.
 
     Every additional observable node is used once. The field is that of rational functions.
 

@@ -16,7 +16,7 @@ def disjoint_open_paths(
     target: Node,
     source: Node,
     inputs: Collection[Node],
-    eyes: Collection[Node],
+    sensors: Collection[Node],
 ) -> float:
     """The greatest number of open paths and loops that share no measured node.
 
@@ -26,15 +26,15 @@ def disjoint_open_paths(
     ----------
     readers : node -> nodes it acts on.
     inputs : nodes that block, `source` among them; the module source -> target is no open path.
-    eyes : nodes that may become inputs; paths past all of them are told as infinity.
+    eyes : nodes that may become inputs; infinity where a path passes none of them.
     """
     flow: dict[tuple[Port, Port], int] = {}
     count = 0
     while True:
-        trail = _augmenting(readers, target, source, inputs, eyes, flow)
+        trail = _augmenting(readers, target, source, inputs, sensors, flow)
         if not trail:
             return count
-        if count == len(eyes):  # more paths than nodes to part them
+        if count == len(sensors):  # more paths than nodes to part them
             return math.inf
         ports = [(trail[k], trail[k + 1]) for k in range(len(trail) - 1)]
         for a, b in ports:
@@ -50,7 +50,7 @@ def _augmenting(
     target: Node,
     source: Node,
     inputs: Collection[Node],
-    eyes: Collection[Node],
+    sensors: Collection[Node],
     flow: Mapping[tuple[Port, Port], int],
 ) -> list[Port]:
     """A path from the exits of source and target to the entry of target that has room left."""
@@ -68,7 +68,7 @@ def _augmenting(
             if side == 1:
                 onward = [(r, 0) for r in readers[node] if (node, r) != (source, target)]
             else:
-                is_full = node in inputs or (node in eyes and flow.get((port, (node, 1)), 0) > 0)
+                is_full = node in inputs or (node in sensors and flow.get((port, (node, 1)), 0) > 0)
                 onward = [] if is_full else [(node, 1)]
             for step in (*onward, *back.get(port, ())):
                 if step == (target, 0):

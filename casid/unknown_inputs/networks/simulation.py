@@ -135,7 +135,7 @@ def refuse_continuous(network: Network, what: str) -> None:
     Raises
     ------
     ModelError
-        Which says how to mend it.
+        With the remedy.
     """
     if network.variable == "s":
         raise ModelError(
@@ -146,9 +146,9 @@ def refuse_continuous(network: Network, what: str) -> None:
 
 def _samples(given: Any, what: str, least: int) -> int:
     if isinstance(given, bool) or not isinstance(given, Integral) or given < least:
-        told = f"a {type(given).__name__}" if isinstance(given, Mapping) else repr(given)
+        shown = f"a {type(given).__name__}" if isinstance(given, Mapping) else repr(given)
         raise DataError(
-            f"{what} is {told}; give a number of samples >= {least}"
+            f"{what} is {shown}; give a number of samples >= {least}"
             + (", and signals of one's own as excitations={node: (N,) array}" * (what == "N"))
         )
     return int(given)

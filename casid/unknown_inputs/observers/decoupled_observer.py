@@ -1,4 +1,4 @@
-"""Observers whose error does not see the unknown input: (3.72) of Linder (2017), simulated.
+"""Observers whose error is decoupled from the unknown input: (3.72) of Linder (2017), simulated.
 
 With z = x - G2 y - B2 u_K no derivative of y or u_K is needed:
 
@@ -92,8 +92,8 @@ class DecoupledObserver:
         x0 : state -> estimate at the first sample; 0 for what is not given.
         hold : what the outputs do between samples, for a continuous-time observer, whose equation
             is sampled exactly: "foh" straight lines, "zoh" held. Real signals do neither: the
-            error then sees their curvature, of the order Ts^2. A discrete-time observer has no
-            such error (`UnknownInputSystem.sampled`) where the unknown input is held.
+            error then has a part of the order Ts^2. A discrete-time observer has no such error
+            (`UnknownInputSystem.sampled`) where the unknown input is held.
 
         Raises
         ------
@@ -178,7 +178,7 @@ def decoupled_observer(
     values: Mapping[str, float] | None = None,
     tolerance: float = TOLERANCE,
 ) -> DecoupledObserver:
-    """An observer whose error does not see the unknown input.
+    """An observer whose error is decoupled from the unknown input.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def decoupled_observer(
     ------
     ModelError
         If there is no such observer: with the transmission zero that forbids it, or the input that
-        no output feels soon enough. For both or neither of poles and noise, poles of a wrong
+        acts on no output soon enough. For both or neither of poles and noise, poles of a wrong
         number, not closed under conjugation or not stable, or noise in continuous time.
     """
     s = unknown_input_system(system, unknown, values=values)
@@ -215,8 +215,8 @@ def _placed(found: Existence, poles: Array) -> Array:
 
     m, s = found.model, found.model.system
     V = found.hidden
-    seen = row_space(np.eye(s.nx) - V @ V.T, 0.5).T  # the orthogonal complement
-    m_poles = seen.shape[1]
+    observed = row_space(np.eye(s.nx) - V @ V.T, 0.5).T  # the orthogonal complement
+    m_poles = observed.shape[1]
     if len(poles) != m_poles:
         fixed = ", ".join(pole_text(p, s) for p in found.fixed_poles)
         raise ModelError(
@@ -231,9 +231,9 @@ def _placed(found: Existence, poles: Array) -> Array:
         )
     if m_poles == 0:
         return np.zeros((s.nx, s.ny))
-    A = seen.T @ m.A @ seen
+    A = observed.T @ m.A @ observed
     U = row_space(m.C.T, TOLERANCE * size(m.C))  # what ybar spans: Cbar is rank-deficient
-    C = U @ m.C @ seen
+    C = U @ m.C @ observed
     real = poles.real if not np.any(poles.imag) else poles
     try:
         gain = place_poles(A.T, C.T, real).gain_matrix.T
@@ -242,7 +242,7 @@ def _placed(found: Existence, poles: Array) -> Array:
             f"{s.name}: the poles cannot be placed ({error}); give complex ones in conjugate "
             f"pairs, and no pole more than {len(C)} times"
         ) from error
-    return np.asarray(seen @ gain @ U)
+    return np.asarray(observed @ gain @ U)
 
 
 def _least_variance(
@@ -251,7 +251,7 @@ def _least_variance(
     """The gain of least variance: noise v of y enters (1) through G1, G2 and K.
 
     z - zhat obeys e[t+1] = (Abar - K Cbar) e + (I - G2 C) w - Gz v - K (Py - Cbar G2) v with
-    Gz = G1 + Abar G2; the part of ybar that made G2 tells nothing more, and is left out.
+    Gz = G1 + Abar G2; the part of ybar that made G2 holds nothing more, and is left out.
     """
     m, s = found.model, found.model.system
     if not s.is_discrete:

@@ -112,7 +112,7 @@ def equivalent_model(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Existence:
-    """Whether an observer exists that does not see the unknown input.
+    """Whether an observer exists that is decoupled from the unknown input.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class Existence:
     zeros : invariant zeros from the unknown input to the outputs.
     unstable : (k,) of those, the ones outside the open stability region.
     hidden : (nx, j) basis of the states that (Abar, Cbar) does not observe.
-    reason : why there is none, and what would mend it; empty where there is one.
+    reason : why there is none, and the remedy; empty where there is one.
     """
 
     model: EquivalentModel
@@ -136,7 +136,7 @@ class Existence:
 
     @property
     def fixed_poles(self) -> Array:
-        """Poles that no gain moves: the eigenvalues of Abar on what (Abar, Cbar) does not see."""
+        """Poles that no gain moves: eigenvalues of Abar where (Abar, Cbar) is unobservable."""
         V = self.hidden
         return np.asarray(np.linalg.eigvals(V.T @ self.model.A @ V))
 
@@ -145,7 +145,7 @@ class Existence:
         lines = [repr(s), f"  left of the unknown input: {self.model.leftover_size:.1e} of E"]
         zeros = ", ".join(pole_text(z, s) for z in self.zeros.values) or "none"
         lines.append(f"  zeros from {', '.join(s.unknown)}: {zeros}")
-        verdict = "an observer that does not see the unknown input exists"
+        verdict = "an observer decoupled from the unknown input exists"
         return "\n".join([*lines, f"  {self.reason or verdict}"])
 
 
@@ -254,17 +254,17 @@ def direction_text(vector: Array, names: Sequence[str]) -> str:
 
 def _unstable_zero(s: UnknownInputSystem, zeros: Zeros) -> str:
     worst = [i for i, z in enumerate(zeros.values) if s.is_unstable(z)]
-    said = "; ".join(
+    worst_zeros = "; ".join(
         f"{pole_text(zeros.values[i], s)}, along {direction_text(zeros.states[:, i], s.states)}"
         for i in worst
         if zeros.values[i].imag >= -1e-12
     )
     where = "on or outside the unit circle" if s.is_discrete else "not in the left half-plane"
     return (
-        f"no observer is free of {', '.join(s.unknown)}: transmission zero {said}, {where}. There "
-        f"an input exists that moves these states and that no output of {', '.join(s.outputs)} "
-        "sees. Add an output that sees them, or estimate the input from the whole record with "
-        "noncausal_inverse or reconstruct_input"
+        f"no observer is free of {', '.join(s.unknown)}: transmission zero {worst_zeros}, {where}. "
+        "There an input exists that moves these states and that no output of "
+        f"{', '.join(s.outputs)} sees. Add an output that sees them, or estimate the input from "
+        "the whole record with noncausal_inverse or reconstruct_input"
     )
 
 
@@ -287,7 +287,7 @@ def _not_felt(model: EquivalentModel, also_unstable: bool) -> str:
 def _too_many(s: UnknownInputSystem, directions: Array) -> str:
     lost = unrecoverable_inputs(s) or (direction_text(directions[:, 0], s.unknown),)
     return (
-        f"{', '.join(lost)} cannot be told from each other by {', '.join(s.outputs)}: from "
+        f"{', '.join(lost)} cannot be distinguished by {', '.join(s.outputs)}: from "
         f"{s.nu} unknown inputs the outputs' transfer matrix has too low a rank at every "
         f"{'z' if s.is_discrete else 's'}. Add an output that feels them in another way, or leave "
         "one of them out"

@@ -41,7 +41,7 @@ ON_CIRCLE = 1e-6
 """Zeros this near to the unit circle count as lying on it."""
 
 STANDS_OUT = 2.0
-"""The estimate's spectrum over the noise's where it is said to stand out (a choice)."""
+"""Ratio of the spectra of estimate and noise from which on the band is usable (a choice)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -52,30 +52,34 @@ def _block_toeplitz(column: Sequence[Array]) -> Array:
 
 
 def observer_gain(
-    s: UnknownInputSystem, A: Array, seen_by: Array, E_K: Array, N: Array, sd: Array
+    s: UnknownInputSystem, A: Array, window: Array, E_K: Array, N: Array, sd: Array
 ) -> Array:
-    """H that makes what N sees stable, of least variance if windows did not overlap.
+    """H that stabilises the states observed by N, of least variance if windows did not overlap.
 
-    seen_by ((L+1) ny, nx) is O, E_K (nx, (L+1) ny) what the noise of a window does to the states.
+    window ((L+1) ny, nx) is O, E_K (nx, (L+1) ny) what the noise of a window does to the states.
     """
-    V = unobservable_subspace(A, N @ seen_by, 1e-8)
-    seen = row_space(np.eye(s.nx) - V @ V.T, 0.5).T
-    U = row_space((N @ seen_by @ seen).T, TOLERANCE * max(size(s.C), TINY)) if len(N) else N[:0, :0]
-    if seen.shape[1] == 0 or len(U) == 0:
+    V = unobservable_subspace(A, N @ window, 1e-8)
+    observed = row_space(np.eye(s.nx) - V @ V.T, 0.5).T
+    U = (
+        row_space((N @ window @ observed).T, TOLERANCE * max(size(s.C), TINY))
+        if len(N)
+        else N[:0, :0]
+    )
+    if observed.shape[1] == 0 or len(U) == 0:
         return np.zeros((s.nx, len(N)))
     NU = U @ N
     R = np.diag(sd**2)
-    into = seen.T @ E_K
+    into = observed.T @ E_K
     Q = into @ R @ into.T
     Q = Q + 1e-6 * max(float(np.trace(Q)) / len(Q), TINY) * np.eye(len(Q))
     noisy = NoisySystem(
-        seen.T @ A @ seen,
-        np.zeros((seen.shape[1], 0)),
-        NU @ seen_by @ seen,
+        observed.T @ A @ observed,
+        np.zeros((observed.shape[1], 0)),
+        NU @ window @ observed,
         np.zeros((len(NU), 0)),
         Q,
         NU @ R @ NU.T,
         -into @ R @ NU.T,
         s.Ts,
     )
-    return np.asarray(seen @ steady_state(noisy).K @ U)
+    return np.asarray(observed @ steady_state(noisy).K @ U)

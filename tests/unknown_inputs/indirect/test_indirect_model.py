@@ -442,7 +442,7 @@ def test_a_filter_that_is_no_left_inverse_is_refused() -> None:
             {"G_OK": control.tf([1], [1, 0.5], 0.1), "H_O": control.tf([1], [1, 0.5], 0.2)},
             "G_OK has the sample time 0.1 s, H_O 0.2 s; resample one",
         ),
-        ({"G_OK": 1 / (q - 3), "H_O": 1 / (s + 1)}, "G_OK is in q, H_O in s; bring both"),
+        ({"G_OK": 1 / (q - 3), "H_O": 1 / (s + 1)}, "G_OK is in q, H_O in s; convert both"),
     ],
 )
 def test_blocks_that_do_not_fit_are_refused(blocks: dict[str, Any], said: str) -> None:

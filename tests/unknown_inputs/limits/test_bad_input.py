@@ -70,7 +70,7 @@ def test_sample_times_that_differ_are_refused() -> None:
         regression_limit(system, Regression("y", {"a": ("y", 1)}, prefilter=two))
 
 
-def test_dependent_regressors_name_the_combination_in_letters_and_in_numbers() -> None:
+def test_dependent_regressors_name_the_combination_symbolically_and_in_numbers() -> None:
     system = LinearSignals.of({"u1": "w + e", "u2": "k*w + k*e", "y": "u1"}, WHITE)
     regression = Regression("y", {"b1": "u1", "b2": "u2"})
     with pytest.raises(
@@ -87,7 +87,7 @@ def test_weak_instruments_name_the_change_that_they_do_not_see() -> None:
     regression = Regression("y_O", {"bK": "u_K", "bU": "u_U"}, ["delta1", "twice"])
     with pytest.raises(
         IdentifiabilityError,
-        match=r"cannot be told: d bK \(u_K\) = 1, d bU \(u_U\) = -1/alpha\. Give instruments",
+        match=r"is not identifiable: d bK \(u_K\) = 1, d bU \(u_U\) = -1/alpha\. Give instruments",
     ):
         regression_limit(system, regression)
 
@@ -105,7 +105,7 @@ def test_a_deficient_input_measurement_names_what_it_loses() -> None:
     with pytest.raises(
         IdentifiabilityError,
         match=r"rank 2 for the 3 inputs u1, u2, u3: u1, u2 cannot be recovered, since no sensor "
-        r"sees a change of u1 by -?1, u2 by -?1\. Add a sensor",
+        r"detects a change of u1 by -?1, u2 by -?1\. Add a sensor",
     ):
         compare_remedies(
             system, "y", {"b1": "u1", "b2": "u2", "b3": "u3"}, ["u1", "u2", "u3"],
@@ -169,12 +169,12 @@ def test_variances_and_kurtoses_have_their_limits() -> None:
         LinearSignals.of({"y": "w"}, {})
 
 
-def test_letters_are_for_static_systems() -> None:
+def test_symbols_are_for_static_systems() -> None:
     b = sp.Symbol("b", positive=True)
-    with pytest.raises(ModelError, match="dynamic system with the letters b: letters are for stat"):
+    with pytest.raises(ModelError, match="dynamic system with the symbols b: symbols are for stat"):
         LinearSignals.of({"u": {"w": ([1], [1, -0.5])}, "y": {"u": b}}, WHITE)
     system = LinearSignals.of({"y": {"w": b, "e": 1}}, WHITE)
-    with pytest.raises(ModelError, match="lags or a prefilter on a system with the letters b"):
+    with pytest.raises(ModelError, match="lags or a prefilter on a system with the symbols b"):
         regression_limit(system, Regression("y", {"a": ("y", 1)}))
     assert [str(s) for s in system.symbols] == ["b"]
     with pytest.raises(ModelError, match="at: 'c' is not known there; known are b"):

@@ -49,7 +49,9 @@ def test_one_call_has_every_remedy_of_the_thesis_in_letters(benchmark: Compariso
                    "predict from y_U, two-stage", "predict from y_U, first stage known",
                    "measure y_U, LS", "measure y_U, IV", "eliminate with u_I, LS"):  # fmt: skip
         assert remedy in text
-    with pytest.raises(ModelError, match=r"in letters has no order; give numbers, comparison\.at"):
+    with pytest.raises(
+        ModelError, match=r"symbolic comparison has no order; give numbers, comparison\.at"
+    ):
         benchmark.best("bK")
 
 
@@ -309,5 +311,5 @@ def test_a_map_without_all_numbers_says_which_are_missing() -> None:
     grid = np.linspace(0.1, 1, 3)
     with pytest.raises(ModelError, match=r"no value of alpha, .*; give values=\{\.\.\}"):
         decision_map(one, two, "bK", ("l2", grid), ("lO", grid), {"l1": 1})
-    with pytest.raises(ModelError, match="le is no letter of these estimators of bK"):
+    with pytest.raises(ModelError, match="le is no symbol of these estimators of bK"):
         decision_map(one, two, "bK", ("l2", grid), ("le", grid))

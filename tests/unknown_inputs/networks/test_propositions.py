@@ -97,7 +97,7 @@ def test_a_node_named_direct_and_indirect_is_refused_with_the_mend():
 
 
 def test_a_claim_that_the_modules_contradict_is_refused_with_the_module():
-    with pytest.raises(ModelError, match="w4 is no direct observation of w5: G41 brings in w1"):
+    with pytest.raises(ModelError, match="w4 is no direct observation of w5: G41 adds w1"):
         node_sets(SYMBOLIC, 2, direct=[4])
     with pytest.raises(ModelError, match="w7 is no indirect observation.*Those that are: w4"):
         node_sets(SYMBOLIC, 2, indirect=[7])

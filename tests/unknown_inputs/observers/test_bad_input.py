@@ -120,7 +120,7 @@ def test_reports_say_what_was_found() -> None:
     assert "unknown u1" in repr(s)
     observer = decoupled_observer(s, poles=[0.1, 0.2])
     assert "free of u1, slowest pole z = 0.2" in repr(observer)
-    assert "an observer that does not see the unknown input exists" in str(observer.found)
+    assert "an observer decoupled from the unknown input exists" in str(observer.found)
     inverse = noncausal_inverse(system(C=[[-1.2, 1.0]], D=[[0.0]], F=[[0.0]]))
     assert "runs forward" in str(inverse)
     text = str(estimate())

@@ -224,7 +224,7 @@ def test_inputs_that_no_output_tells_apart_are_named() -> None:
         np.zeros((2, 0)),
         s.F[:2],
     )
-    with pytest.raises(ModelError, match="u1, u2, u3 cannot be told from each other") as refusal:
+    with pytest.raises(ModelError, match="u1, u2, u3 cannot be distinguished") as refusal:
         decoupled_observer(few, poles=[-1, -2, -3])
     assert "Add an output" in str(refusal.value)
 

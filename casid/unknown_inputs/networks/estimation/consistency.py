@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from casid.deprecation import renamed
 from casid.errors import ModelError
 from casid.estimation.prediction_error.polynomial_orders import Layout
 from casid.unknown_inputs.networks.estimation.module_equation import ModuleEquation
@@ -23,22 +24,24 @@ SEARCHED_MOST = 60  # nodes of a network that is searched for other inputs and s
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """What the structure says of a method on an equation.
+    """Whether a method is consistent on an equation, by the structure of the network.
 
     Attributes
     ----------
     method : "ls", "iv", "two_stage" or "joint".
-    doubts : why the estimate goes elsewhere, or nowhere; empty where it is consistent.
-    mends : what would help.
+    doubts : why the estimate is biased or does not exist; empty where it is consistent.
+    remedies : what would help.
     provided : what consistency rests on beside the structure.
     has_references : whether references reach every input, for the methods that need them.
     """
 
     method: str
     doubts: tuple[str, ...]
-    mends: tuple[str, ...]
+    remedies: tuple[str, ...]
     provided: tuple[str, ...]
     has_references: bool = True
+
+    mends = renamed("mends", "remedies")
 
     @property
     def is_consistent(self) -> bool:
@@ -50,7 +53,7 @@ class Consistency:
             return f"{self.method} is consistent here, provided {'; '.join(self.provided)}"
         return (
             f"{self.method} is not consistent here: {'; '.join(self.doubts)}. "
-            f"What would help: {'; or '.join(self.mends) or 'nothing that was found'}"
+            f"What would help: {'; or '.join(self.remedies) or 'nothing that was found'}"
         )
 
 
@@ -63,25 +66,25 @@ def consistency(equation: ModuleEquation, method: str, layout: Layout) -> Consis
     """
     doubts = list(_improper(equation, layout))
     provided = ["the orders hold the true modules"]
-    mends: list[str] = []
+    remedies: list[str] = []
     if doubts:
-        mends.append(
+        remedies.append(
             "a smaller nk; or, where it is improper, the inverse relation as an estimate of its own"
         )
     if method == "ls":
         biases = [*_common_noise(equation), *_algebraic_loop(equation, layout)]
         if biases:
-            mends += [*_by_references(equation), *_by_other_inputs(equation)]
+            remedies += [*_by_references(equation), *_by_other_inputs(equation)]
         doubts += biases
         provided += _noise_model(equation, layout)
     else:
         lacking, how = _references(equation, method, layout)
         doubts += lacking
         if lacking:
-            mends += [*_by_more_references(equation), *_by_least_squares(equation)]
+            remedies += [*_by_more_references(equation), *_by_least_squares(equation)]
         provided += how
     reached = method == "ls" or _are_reached(equation)
-    return Consistency(method, tuple(doubts), tuple(mends), tuple(provided), reached)
+    return Consistency(method, tuple(doubts), tuple(remedies), tuple(provided), reached)
 
 
 # -- the direct method -----------------------------------------------------------------------------
@@ -119,15 +122,15 @@ def _algebraic_loop(e: ModuleEquation, layout: Layout) -> list[str]:
     slow = {
         edge for edge, g in e.network.modules.items() if not g.parameters and g.is_strictly_proper
     }
-    said = []
+    reasons = []
     for k in at_once:
         path = path_past(e.network, e.output, k, without=slow)
         if path:
-            said.append(
+            reasons.append(
                 f"{node_label(k)} is used without delay, and {node_label(e.output)} acts on it "
                 f"without delay ({path_text(path)}): an algebraic loop"
             )
-    return said
+    return reasons
 
 
 def _noise_model(e: ModuleEquation, layout: Layout) -> list[str]:
@@ -177,11 +180,11 @@ def _references(e: ModuleEquation, method: str, layout: Layout) -> tuple[list[st
     if not e.references:
         return [f"there is no reference that acts through the inputs alone{aside}"], provided
     most, lost = independent_references(e.equations, e.inputs, e.references)
-    told = ", ".join(f"delta_{n}" for n in e.references)
+    acting = ", ".join(f"delta_{n}" for n in e.references)
     if lost:
-        return [f"{labels(lost)} is not reached by {told}{aside}"], provided
+        return [f"{labels(lost)} is not reached by {acting}{aside}"], provided
     few = (
-        f"{told} move {labels(e.inputs)} in {most} of {len(e.inputs)} independent ways at a "
+        f"{acting} move {labels(e.inputs)} in {most} of {len(e.inputs)} independent ways at a "
         "frequency"
     )
     if method == "joint" and most < len(e.inputs):
@@ -202,7 +205,7 @@ def _are_reached(e: ModuleEquation) -> bool:
 
 
 def _by_more_references(e: ModuleEquation) -> list[str]:
-    """One more excited node that adds a direction to what the inputs see."""
+    """One more excited node that adds a direction to the motion of the inputs."""
     net, own = e.network, e.equations.F[e.output]
     candidates = [
         n
@@ -233,16 +236,16 @@ def _by_least_squares(e: ModuleEquation) -> list[str]:
 
 def _improper(e: ModuleEquation, layout: Layout) -> list[str]:
     """Entries of the true equation that polynomials with these delays cannot hold."""
-    said = []
+    reasons = []
     for name, nk in zip(e.names, layout.nk, strict=True):
         delay = e.delays.get(name)
         if delay is None or delay >= nk:
             continue
         what = f"the transfer function from {name} to {node_label(e.output)} in this equation"
         if delay < 0:
-            said.append(f"{what} is improper: it needs {name} {-delay} samples ahead")
+            reasons.append(f"{what} is improper: it needs {name} {-delay} samples ahead")
         else:
-            said.append(
+            reasons.append(
                 f"{what} has a delay of {delay} samples, and nk = {nk} leaves its beginning out"
             )
-    return said
+    return reasons

@@ -27,7 +27,7 @@ from casid.unknown_inputs.networks.random_equations import random_point
 
 Elimination = Literal["immersion", "indirect"]
 FAR = 1e4, 1e5  # q at which the leading powers alone are left, to four digits
-LETTERS_MOST = 14  # nodes of a network whose elimination is written out in letters
+SYMBOLIC_MOST = 14  # nodes of a network whose elimination is written out symbolically
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class ModuleEquation:
     is_kept : whether Gt_ji = G_ji, decided exactly at random rational q.
     equations : of j and its inputs, exact, at the random q.
     delays : channel of `names` -> delay [samples] of Gt_jk or Ft_jn, negative where improper; empty
-        where some module is a mere letter.
+        where some module is a mere symbol.
     confounders : disturbances in the error and in an input alike.
     sets : of an indirect model, with the observations that are used.
     """
@@ -62,10 +62,10 @@ class ModuleEquation:
 
     @cached_property
     def becomes(self) -> str:
-        """Gt_ji in the letters of the modules; empty for networks too large to write out."""
+        """Gt_ji in the symbols of the modules; empty for networks too large to write out."""
         if self.is_kept:
             return edge_label(self.module)
-        return _in_letters(self.network, self.module, self.inputs, self.sets)
+        return _symbolic(self.network, self.module, self.inputs, self.sets)
 
     @property
     def output(self) -> Node:
@@ -84,9 +84,9 @@ class ModuleEquation:
 
     def __str__(self) -> str:
         what = edge_label(self.module)
-        told = "is kept" if self.is_kept else f"becomes {self.becomes or 'another module'}"
+        outcome = "is kept" if self.is_kept else f"becomes {self.becomes or 'another module'}"
         known = f" + delta_{self.output}" if self.subtracted else ""
-        return f"{node_label(self.output)} from {', '.join(self.names)}{known}: {what} {told}"
+        return f"{node_label(self.output)} from {', '.join(self.names)}{known}: {what} {outcome}"
 
 
 def module_equation(
@@ -204,19 +204,19 @@ def _delays(
     }
 
 
-def _in_letters(
+def _symbolic(
     network: Network, module: Edge, chosen: tuple[Node, ...], sets: NodeSets | None
 ) -> str:
-    if len(network.nodes) > LETTERS_MOST:
+    if len(network.nodes) > SYMBOLIC_MOST:
         return ""
     import sympy
 
-    lettered = dynamic_network(
+    symbolic = dynamic_network(
         {e: sympy.Symbol(edge_label(e)) for e in network.modules},
         nodes=network.nodes,
         measured=network.measured,
         excitations=(),
     )
     j, i = module
-    found = _reduced(lettered, j, chosen, sets).module(j, i)
+    found = _reduced(symbolic, j, chosen, sets).module(j, i)
     return str(sympy.factor(found.expression())) if hasattr(found, "expression") else str(found)

@@ -55,7 +55,7 @@ class ModuleEstimate:
     ----------
     method : "ls", "iv", "two_stage" or "joint".
     equation : inputs, references, and whether G_ji is kept in it.
-    consistency : what the structure says of the method here.
+    consistency : of the method here, by the structure of the network.
     fit : coefficients and their covariance.
     """
 
@@ -154,7 +154,7 @@ class ModuleEstimate:
     # -- validation --------------------------------------------------------------------------
 
     def simulate(self, data: ModuleData | None = None) -> Array:
-        """(N,) what the measured inputs make of the output, from rest; no past output is used.
+        """(N,) the output simulated from the measured inputs, from rest; no past output is used.
 
         Raises
         ------
@@ -222,10 +222,10 @@ class ModuleEstimate:
         rows.append(("errors assume", self.fit.assumes))
         rows += list(self.fit.evidence.items())
         rows.append(("simulated fit", f"{self.simulated_fit():.1f} % from the measured inputs"))
-        seen = self.reference_correlation()
-        if seen:
-            told = ", ".join(f"{k}: {v} of 21 lags" for k, v in seen.items())
-            rows.append(("residual", f"correlates with {told} outside 95 %"))
+        correlated = self.reference_correlation()
+        if correlated:
+            text = ", ".join(f"{k}: {v} of 21 lags" for k, v in correlated.items())
+            rows.append(("residual", f"correlates with {text} outside 95 %"))
         rows += [("NOTE", n) for n in self.fit.notes]
         width = max(len(label) for label, _ in rows)
         head = f"Module {edge_label(self.module)} by {self.method} from {self.data.name}"

@@ -59,7 +59,7 @@ def estimate_module(
 
     Parameters
     ----------
-    network : the structure; modules may be mere letters. With numbers, delays are checked too.
+    network : the structure; modules may be mere symbols. With numbers, delays are checked too.
     module : (to, from) = (j, i).
     record : channels w1, w2 .. (or the nodes' own names) and delta_n; means are taken off.
     orders : of the polynomials of the equation's inputs, named "w1" .. and "delta_n" where a
@@ -73,7 +73,7 @@ def estimate_module(
         disturbances.
     elimination : "immersion", or "indirect" where unknown inputs are eliminated by what is
         measured of them.
-    lags : of the first stage's impulse responses, by default as many as these are seen to need; for
+    lags : of the first stage's impulse responses, by default as many as these need; for
         "iv", lags of the references as instruments in place of signals simulated from them.
     prefilter_order : of the noise model that whitens the equation error for "iv"; 0 for none.
     accept_bias : estimate although the structure says that the method is not consistent.
@@ -84,7 +84,7 @@ def estimate_module(
         If there is no such module, its ends or inputs have no sensor, no inputs keep it, or the
         method is not consistent here (confounder and path, and what would help).
     IdentifiabilityError
-        If the references do not move the inputs (which), or the data cannot tell the coefficients.
+        If the references do not move the inputs (which), or coefficients are not identifiable.
     DataError
         If channels are missing, or the record is too short for the orders.
     SolveError
@@ -164,7 +164,7 @@ def _equation(
     j, i = module
     search = predictor_inputs(network, j, i)
     if not search.sets:
-        why = "; ".join(str(r) for r in search.refused if not r.mends)
+        why = "; ".join(str(r) for r in search.refused if not r.remedies)
         raise ModelError(
             f"no measured inputs keep {edge_label(module)}: {why}. Add that sensor, give inputs= "
             "to estimate what it becomes, or elimination='indirect'"

@@ -1,4 +1,4 @@
-"""Instrumental variables: moments with what the references make, solved for modules by an NLP.
+"""Instrumental variables: moments with signals of the references, solved for modules by an NLP.
 
 Extended instruments (2.42)-(2.43) of Linder (2017) on the regression of `module_regression`, with
 instruments and prefilters as in Algorithm 2.1. The references are in no equation error, so that
@@ -53,7 +53,7 @@ def by_instruments(
     prefilter_order: int = 10,
     solver: Solver | None = None,
 ) -> ModuleFit:
-    """Estimate from moments with what the references make of the regressors.
+    """Estimate from moments with instruments made of the references.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def by_instruments(
     DataError
         If the record is too short for the lags.
     IdentifiabilityError
-        If the moments cannot tell a combination of coefficients.
+        If a combination of coefficients is not identifiable from the moments.
     SolveError
         If no start leads to an optimum.
     """
@@ -99,15 +99,15 @@ def by_instruments(
         best = again
         if np.max(moved) < SETTLED:
             break
-    told = program.evidence(moments, best.x)
+    evidence = program.evidence(moments, best.x)
     if (strength := program.strength(moments, best.x)) < WEAK:
         remarks.append(
             f"weak instruments (F = {strength:.3g} < {WEAK:g}): the estimate leans to least "
             "squares and its errors are too small; excite more, or lower the orders"
         )
-    told["instruments"] = f"{what}; weakest combination has F = {strength:.3g}"
-    told["prefilter"] = f"AR({prefilter_order}), {rounds} rounds" if prefilter_order else "none"
-    return ModuleFit(layout, best.x, covariance, ASSUMES, tuple(remarks), told)
+    evidence["instruments"] = f"{what}; weakest combination has F = {strength:.3g}"
+    evidence["prefilter"] = f"AR({prefilter_order}), {rounds} rounds" if prefilter_order else "none"
+    return ModuleFit(layout, best.x, covariance, ASSUMES, tuple(remarks), evidence)
 
 
 def _from_all(
@@ -166,7 +166,7 @@ class _Program:
         rank = local_rank(slope.T @ slope, x, names, np.ones(len(x)))
         if not rank.is_full:
             raise IdentifiabilityError(
-                f"the references tell {rank.rank} of {rank.unknowns} coefficients apart: "
+                f"the references identify {rank.rank} of {rank.unknowns} coefficients: "
                 f"{'; '.join(', '.join(d) for d in rank.null)} move together. Lower the orders, or "
                 "excite another node"
             )
@@ -175,12 +175,12 @@ class _Program:
         return np.asarray(M @ S @ M.T)
 
     def strength(self, moments: MomentEquations, x: Array) -> float:
-        """F statistic of the combination of regressors that the instruments see least."""
+        """F statistic of the combination of regressors least correlated with the instruments."""
         J = np.asarray(self._equation.jacobian(x)[1])
         w = moments.whitener()
         own = np.linalg.cholesky(J.T @ moments.second[1:, 1:] @ J)
-        seen = np.linalg.svd(w @ moments.Phi @ J @ np.linalg.inv(own).T, compute_uv=False)
-        share = float(min(seen[-1] ** 2, 1 - 1e-12))
+        canonical = np.linalg.svd(w @ moments.Phi @ J @ np.linalg.inv(own).T, compute_uv=False)
+        share = float(min(canonical[-1] ** 2, 1 - 1e-12))
         return moments.N * share / (1 - share) / len(w)
 
     def evidence(self, moments: MomentEquations, x: Array) -> dict[str, str]:

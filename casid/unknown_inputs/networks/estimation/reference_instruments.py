@@ -1,4 +1,4 @@
-"""Instruments of a module's regression: lags of what a model makes of the references alone.
+"""Instruments of a module's regression: lags of signals simulated from the references alone.
 
 The noise-free regressors are the best instruments, (2.48) of Linder (2017). They are approximated
 as (2.49)-(2.50) do: output and inputs are simulated from the references, here with an ARX model of
@@ -48,15 +48,17 @@ def reference_instruments(
         else:
             simulated = _made_of_references(measured, data)
             if simulated is None:
-                told = f"{few} lags of each reference, as no stable model of {channel} was found"
-                return from_reference(data.references, few), told
+                description = (
+                    f"{few} lags of each reference, as no stable model of {channel} was found"
+                )
+                return from_reference(data.references, few), description
             signals[made], order = simulated
             orders.append(str(order))
         last = max(used) + SURPLUS
         columns += [Column(f"{made}[t-{m}]", ((made, m, 1.0),)) for m in range(min(used), last + 1)]
     settle = min(data.N // 10, 100)
-    told = f"signals that ARX models of orders {', '.join(orders)} make of the references"
-    return Simulated(signals, tuple(columns), settle), told
+    description = f"signals that ARX models of orders {', '.join(orders)} make of the references"
+    return Simulated(signals, tuple(columns), settle), description
 
 
 def _made_of_references(measured: Array, data: ModuleData) -> tuple[Array, int] | None:

@@ -1,4 +1,4 @@
-"""First stage: what the references alone make of signals, by long impulse responses.
+"""First stage: the part of signals that the references cause, by long impulse responses.
 
     x_t = sum_r sum_{l < lags} h_rl delta_r,t-l + r_t                                          (1)
 
@@ -71,7 +71,7 @@ def default_lags(N: int, references: int) -> int:
 def settled_responses(
     signals: Mapping[str, Array], references: Mapping[str, Array], lags: int | None, name: str
 ) -> ReferenceResponses:
-    """(1) with lags as given, or one and a half times as many as the responses are seen to need.
+    """(1) with lags as given, or one and a half times as many as the responses need.
 
     Lags are doubled from 20 on until the last fifth of every response is within its errors, up to
     `default_lags`. Every lag takes up noise, which is left in what is used as free of it: 1/N of
@@ -117,7 +117,7 @@ def reference_responses(
     require_excitation(
         [(next(iter(signals.values())), references)],
         {r: (0, lags) for r in references},
-        "the impulse responses ask for",
+        "the impulse responses need",
     )
     blocks = [
         np.lib.stride_tricks.sliding_window_view(delta, lags)[:, ::-1]

@@ -1,6 +1,6 @@
-"""Two stages: inputs replaced by what the references make of them, then prediction error.
+"""Two stages: inputs predicted from the references, then prediction error.
 
-Linder (2017), section 3.5 and Example 3.8; Van den Hof & Schrama (1993). What is left of the
+Linder (2017), section 3.5 and Example 3.8; Van den Hof & Schrama (1993). The rest of the
 inputs, and the output's own disturbance, are independent of the references and so of the second
 stage's regressors.
 """
@@ -35,7 +35,7 @@ def two_stage(
 
     Parameters
     ----------
-    orders : na = 0; C and D model what is left.
+    orders : na = 0; C and D model the remaining noise.
     lags : of the first stage's impulse responses, as `settled_responses`.
 
     Raises
@@ -58,14 +58,14 @@ def two_stage(
             "samples, which biases the second stage: raise lags="
         )
     shares = {n: float(np.var(first.made_of(n)) / np.var(x[lags - 1 :])) for n, x in nodes.items()}
-    told = ", ".join(f"{100 * s:.0f} % of {n}" for n, s in shares.items())
+    text = ", ".join(f"{100 * s:.0f} % of {n}" for n, s in shares.items())
     return ModuleFit(
         layout,
         model.theta,
         covariance,
         ASSUMES,
         tuple(notes),
-        {"references make": f"{told} (responses of {lags} lags)"},
+        {"references make": f"{text} (responses of {lags} lags)"},
     )
 
 

@@ -1,13 +1,13 @@
 """The errors-in-variables Kalman filter of an indirect model: (6.13)-(6.21) of Linder (2017).
 
-The nodes that stand for an unmeasured input bring their own disturbances along, so the inputs of an
+The nodes that stand for an unmeasured input add their own disturbances, so the inputs of an
 indirect model are noisy. Where G_II = G_ID = G_IUt = 0,
 
     w_j = G_jK w_K + G_jO w_O + G_jI (w_I - delta_I - tau_I) + G_jD (w_D - delta_D - tau_D)
           + F_jj (delta_j + tau_j),
 
-the same disturbances drive the state and the output, and a Kalman filter tells them apart from
-what is new: it predicts w_j, and estimates w_j, w_I and w_D without their disturbances.
+the same disturbances drive the state and the output, and a Kalman filter separates them
+from the innovation: it predicts w_j, and estimates w_j, w_I and w_D without their disturbances.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from casid.unknown_inputs.networks.simulation import refuse_continuous, signal_o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EivFiltered:
-    """What the filter makes of a record.
+    """The result of the filter on a record.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class EivFilter:
         return signal
 
     def _gain(self, P: Array, F: Array) -> tuple[Array, Array]:
-        """(m, 1) gain of tau on the innovation, and the covariance that is left."""
+        """(m, 1) gain of tau on the innovation, and the residual covariance."""
         M, N = self.tau
         with_new = M @ P @ self.system.C.T + N @ self.white @ self.direct.T
         gain = with_new / F[0, 0]
@@ -179,7 +179,7 @@ def eiv_filter(
     choices = observation_choices(network, sets, accept=lambda s: not _module_between(network, s))
     _refuse_other_modules(network, choices.best.sets)
     # What is unstable is steadied by the filter's gain; what is improper has no state.
-    chosen = next((c for c in choices.judged if c.is_proper), None) or choices.require_usable()
+    chosen = next((c for c in choices.evaluated if c.is_proper), None) or choices.require_usable()
     row, sets = chosen.equations, chosen.sets
     noisy = (target, *(n for n in (*sets.I, *sets.D) if n in row.G[target]))
     _refuse_quiet(network, target)
@@ -244,7 +244,7 @@ def _diagonal(models: list[Rational]) -> RationalMatrix:
 
 
 def _module_between(network: Network, sets: NodeSets) -> Edge | None:
-    """A module that (6.13) does not allow: from I, D or what is left unobserved into I."""
+    """A module that (6.13) does not allow: from I, D or the remaining unobserved nodes into I."""
     for to in sets.I:
         for source in (*sets.I, *sets.D, *sets.Ut):
             if (to, source) in network.modules:

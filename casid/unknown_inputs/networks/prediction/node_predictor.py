@@ -74,7 +74,7 @@ class NodePredictor:
 
     @property
     def whitened_variance(self) -> float:
-        """Variance that is left when the noise model is used as well, (6.6) with Hc^-1."""
+        """Residual variance when the noise model is used as well, (6.6) with Hc^-1."""
         if self.variance == 0 or not np.isfinite(self.variance):
             return self.variance
         return float(self.whitening.F[0, 0])

@@ -2,7 +2,7 @@
 
 As many as there are unknown inputs make a left inverse (4.22). Which are taken is free, and it
 decides what the indirect model's error is: that of a weak or late observation is loud, or the model
-cannot be run at all. Every choice is judged by the exact variance of the error of its predictor as
+cannot be run at all. Every choice is ranked by the exact variance of the error of its predictor as
 it is run, without a noise model; infinite where a filter is improper or unstable. Of equal ones
 that with the smaller variance beside its noise model is kept, and then the first in node order.
 """
@@ -18,6 +18,7 @@ from math import comb
 import numpy as np
 
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.deprecation import renamed
 from casid.errors import ModelError
 from casid.unknown_inputs.indirect.left_inverse import LeftInverse, left_inverse
 from casid.unknown_inputs.networks.equations import NodeEquations, node_equations
@@ -28,7 +29,7 @@ from casid.unknown_inputs.networks.nodes import Node, labels, node_label
 from casid.unknown_inputs.networks.prediction.node_predictor import NodePredictor
 from casid.unknown_inputs.networks.prediction.row_predictor import row_predictor
 
-MOST = 60  # choices that are judged
+MOST = 60  # choices that are evaluated
 INDIRECT = "indirect"
 
 
@@ -82,8 +83,10 @@ class ObservationChoice:
         return float(f"{self.variance:.9g}"), float(f"{whitened:.9g}")
 
     def __str__(self) -> str:
-        worth = f"{self.variance:.4g}" if self.is_usable else self.predictor.obstacle or "infinite"
-        return f"{labels(self.observations)}: {worth}"
+        quality = (
+            f"{self.variance:.4g}" if self.is_usable else self.predictor.obstacle or "infinite"
+        )
+        return f"{labels(self.observations)}: {quality}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,19 +96,21 @@ class ObservationChoices:
     Attributes
     ----------
     network, sets : of which they are.
-    judged : at least one; unusable ones at the end, in node order.
-    possible : how many choices there are, judged or not.
+    evaluated : at least one; unusable ones at the end, in node order.
+    possible : how many choices there are, evaluated or not.
     """
 
     network: Network
     sets: NodeSets
-    judged: tuple[ObservationChoice, ...]
+    evaluated: tuple[ObservationChoice, ...]
     possible: int
+
+    judged = renamed("judged", "evaluated")
 
     @property
     def best(self) -> ObservationChoice:
         """The choice of least error variance."""
-        return self.judged[0]
+        return self.evaluated[0]
 
     def require_usable(self) -> ObservationChoice:
         """The best choice, refused where it cannot be run.
@@ -124,13 +129,13 @@ class ObservationChoices:
         if self.best.is_usable:
             return ""
         target, sU = node_label(self.sets.target), labels(self.sets.sU)
-        seen = labels((*self.sets.D, *self.sets.I))
-        tried = "; ".join(f"from {c}" for c in self.judged[:4])
-        more = f" and {len(self.judged) - 4} more" * (len(self.judged) > 4)
+        observed = labels((*self.sets.D, *self.sets.I))
+        tried = "; ".join(f"from {c}" for c in self.evaluated[:4])
+        more = f" and {len(self.evaluated) - 4} more" * (len(self.evaluated) > 4)
         return (
-            f"the indirect predictor of {target} cannot be run forward in time: {sU} from {seen} "
-            f"leaves no proper and stable filter ({tried}{more}). {self._zeros()}Measure another "
-            f"node that {sU} acts on with less delay, or leave {sU} to immersion"
+            f"the indirect predictor of {target} cannot be run forward in time: {sU} from "
+            f"{observed} leaves no proper and stable filter ({tried}{more}). {self._zeros()}"
+            f"Measure another node that {sU} acts on with less delay, or leave {sU} to immersion"
         )
 
     def _zeros(self) -> str:
@@ -156,15 +161,15 @@ class ObservationChoices:
             )
         if self.possible <= 1 or not self.best.is_usable:
             return ""
-        others = "; ".join(map(str, self.judged[1:6])) or "the others do not tell them apart"
-        more = "; ..." * (len(self.judged) > 6)
+        others = "; ".join(map(str, self.evaluated[1:6])) or "the others do not determine them"
+        more = "; ..." * (len(self.evaluated) > 6)
         text = (
             f"{labels(self.sets.sU)} by {self.best}, the least error variance of "
-            f"{len(self.judged)} choices ({others}{more})"
+            f"{len(self.evaluated)} choices ({others}{more})"
         )
         if self.possible > MOST:
             text += (
-                f"; only the first {MOST} of {self.possible} were judged: name better ones with "
+                f"; only the first {MOST} of {self.possible} were evaluated: name better ones with "
                 "sets=node_sets(network, target, direct=, indirect=)"
             )
         return text
@@ -177,32 +182,32 @@ def observation_choices(
     use_excitations: bool = True,
     accept: Callable[[NodeSets], bool] = lambda sets: True,
 ) -> ObservationChoices:
-    """Judge the choices of as many observations as there are unknown inputs.
+    """Evaluate the choices of as many observations as there are unknown inputs.
 
     Parameters
     ----------
     sets : of the target; D and I are chosen from.
     use_excitations : False: known delta count as disturbances.
-    accept : False for sets that are not to be judged.
+    accept : False for sets that are not to be evaluated.
 
     Returns
     -------
     ObservationChoices
         Of at most 60 choices, the first in node order; each costs an elimination and a norm, some
-        tenths of a second for a dozen nodes with numbers. A network with letters, or in s, has no
+        tenths of a second for a dozen nodes with numbers. A network with symbols, or in s, has no
         such variances: its first choice stands for all. Where no choice can be run, a combination
         of all observations is tried (`casid.unknown_inputs.indirect.left_inverse`).
 
     Raises
     ------
     ModelError
-        If the observations do not tell the unknown inputs apart; they are named.
+        If the observations do not determine the unknown inputs; these are named.
     """
     equations = node_equations(network)
-    seen = tuple(n for n in sets.A if n in (*sets.D, *sets.I))
+    observed = tuple(n for n in sets.A if n in (*sets.D, *sets.I))
     n = len(sets.sU)
-    is_free = len(seen) > n and not network.parameters and network.variable != "s"
-    chosen = combinations(seen, n) if is_free else iter([seen])
+    is_free = len(observed) > n and not network.parameters and network.variable != "s"
+    chosen = combinations(observed, n) if is_free else iter([observed])
     found: list[ObservationChoice] = []
     for nodes in islice(chosen, MOST):
         now = with_observations(sets, nodes)
@@ -213,14 +218,14 @@ def observation_choices(
         except ModelError:
             if not is_free:
                 raise
-    if not found:  # tells which unknown inputs are lost
+    if not found:  # the error names the unknown inputs that are lost
         found.append(_choice(network, sets, equations, use_excitations))
     if network.parameters or network.variable == "s":
         return ObservationChoices(network, sets, (found[0],), 1)
     found.sort(key=lambda c: c.rank)
     if is_free and not found[0].is_usable and accept(sets):
         found = [*_combined(network, sets, equations, use_excitations), *found]
-    return ObservationChoices(network, sets, tuple(found), comb(len(seen), n) if is_free else 1)
+    return ObservationChoices(network, sets, tuple(found), comb(len(observed), n) if is_free else 1)
 
 
 def chosen_sets(network: Network, sets: NodeSets, inputs: Collection[Node] = ()) -> NodeSets:
@@ -232,7 +237,7 @@ def chosen_sets(network: Network, sets: NodeSets, inputs: Collection[Node] = ())
     """
     if len(sets.D) + len(sets.I) <= len(sets.sU):
         return sets
-    square = [c for c in observation_choices(network, sets).judged if not c.how]
+    square = [c for c in observation_choices(network, sets).evaluated if not c.how]
     wanted = [c for c in square if inputs and set(c.equations.G[sets.target]) == set(inputs)]
     return (wanted or square)[0].sets
 
@@ -242,11 +247,11 @@ def inverse_of_observations(network: Network, sets: NodeSets) -> LeftInverse | N
 
     `left_inverse`, given which modules of the target it is seen through.
     """
-    seen = tuple(n for n in sets.A if n in (*sets.D, *sets.I))
+    observed = tuple(n for n in sets.A if n in (*sets.D, *sets.I))
     names = tuple(map(node_label, sets.sU))
     G = RationalMatrix(
-        tuple(tuple(network.module(m, u) for u in sets.sU) for m in seen),
-        tuple(map(node_label, seen)),
+        tuple(tuple(network.module(m, u) for u in sets.sU) for m in observed),
+        tuple(map(node_label, observed)),
         names,
     )
     through = RationalMatrix(
@@ -292,11 +297,11 @@ def _combined(
     inverse = inverse_of_observations(network, sets)
     if inverse is None:
         return []
-    seen = tuple(n for n in sets.A if n in (*sets.D, *sets.I))
+    observed = tuple(n for n in sets.A if n in (*sets.D, *sets.I))
     filters: dict[tuple[Node, Node], object] = {
         (u, m): inverse.f[i, k]
         for i, u in enumerate(sets.sU)
-        for k, m in enumerate(seen)
+        for k, m in enumerate(observed)
         if not inverse.f[i, k].is_zero
     }
     try:

@@ -75,7 +75,7 @@ def immersed(
 
 
 def indirect(network: Network, sets: NodeSets, *, use_excitations: bool = True) -> NodePredictor:
-    """(4.24) and (6.11) corrected: unmeasured inputs eliminated by nodes that feel them.
+    """(4.24) and (6.11) corrected: unmeasured inputs eliminated by nodes that they act on.
 
     Of more observations than unknown inputs those of least error variance:
     `casid.unknown_inputs.networks.prediction.observation_choice`.
@@ -120,8 +120,8 @@ class PredictorTable:
             )
         lines += [f"  {kind:<24}does not exist: {why}" for kind, why in self.refused]
         if self.observations is not None:
-            told = (str(self.observations), self.observations.obstacle())
-            lines += [f"  {INDIRECT}: {note}" for note in told if note]
+            texts = (str(self.observations), self.observations.obstacle())
+            lines += [f"  {INDIRECT}: {note}" for note in texts if note]
         return "\n".join(lines)
 
 

@@ -37,7 +37,7 @@ def test_of_a_weak_and_a_strong_observation_the_strong_one_is_taken():
     assert found[INDIRECT].variance == pytest.approx(1 + norm / 4**2, rel=1e-9)
     alone = compare_predictors(net, "a", sensors=["a", "m2"])
     assert found[INDIRECT].variance == alone[INDIRECT].variance
-    assert found.observations.judged[1].variance == pytest.approx(1 + norm / 0.1**2, rel=1e-9)
+    assert found.observations.evaluated[1].variance == pytest.approx(1 + norm / 0.1**2, rel=1e-9)
     assert "u by m2: 1.07, the least error variance of 2 choices (m1: 113)" in str(found)
 
 
@@ -130,11 +130,11 @@ def test_the_filter_takes_the_choice_to_which_it_applies():
         eiv_filter(net, "a", sets=node_sets(net, "a", indirect=("m1", "m2")))
 
 
-def test_too_many_choices_are_judged_in_part_and_it_is_told():
+def test_too_many_choices_are_evaluated_in_part_which_is_stated():
     """1 of 70 sensors: as many choices as sensors."""
     net = observed(**{f"m{k:02d}": (1 + k) / (Q - 0.2) for k in range(MOST + 10)})
     text = str(compare_predictors(net, "a"))
-    assert f"only the first {MOST} of {MOST + 10} were judged" in text
+    assert f"only the first {MOST} of {MOST + 10} were evaluated" in text
     assert "sets=node_sets(network, target, direct=, indirect=)" in text
     named = node_sets(net, "a", indirect="m69")
     assert set(compare_predictors(net, "a", sets=named)[INDIRECT].inputs) == {"m69"}
