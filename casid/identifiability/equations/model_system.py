@@ -67,18 +67,14 @@ def system_of(
     ModelError
         If `known` names no parameter or is not finite, or known values make a denominator zero.
     """
-    values = dict(known or {})
-    for name, value in values.items():
+    for name, value in (known or {}).items():
         if not math.isfinite(value):
             raise ModelError(f"{model.name}: {name} = {value} is known, but not finite; correct it")
-    model = model.with_known(**values)
+    model = model.with_known(**(known or {}))
     model = model.direct() if direct else model
     e = model.explicit()
-    symbols = {
-        name: column[i]
-        for names, column in ((e.states, e.x), (e.inputs, e.u), (e.parameters, e.p))
-        for i, name in enumerate(names)
-    }
+    columns = ((e.states, e.x), (e.inputs, e.u), (e.parameters, e.p))
+    symbols = {n: column[i] for names, column in columns for i, n in enumerate(names)}
     slopes, dropped = _slopes(model), _in_stages_alone(model)
     fixed = {
         p.name: p.value

@@ -1,9 +1,10 @@
 """The structure algorithm: unknown inputs eliminated one by one with derivatives of outputs.
 
 Rows are outputs. One without an unknown input in it is differentiated; one with an unknown input
-whose coefficient does not vanish eliminates it. Where two rows feel the same combination of unknown
-inputs, the first takes it, the second is free of it then and is differentiated on: derivatives of
-the first appear in it. `elimination` says why that changes no verdict.
+whose coefficient does not vanish eliminates it. Where two rows depend on the same combination of
+unknown inputs, the first eliminates it, the second is free of it then and is differentiated
+further: derivatives of the first appear in it. `elimination` has the reason why that changes no
+verdict.
 
 Sources: R. M. Hirschorn, IEEE Trans. Automatic Control 24 (1979) 855-865; S. N. Singh, ibid. 26
 (1981) 595-598.
@@ -34,7 +35,7 @@ MAX_NODES = 20_000
 
 
 def written(output: str, order: int) -> str:
-    """The derivative of an output as it is said: ``y1``, ``d y1/dt``, ``d^2 y1/dt^2``."""
+    """The derivative of an output as text: ``y1``, ``d y1/dt``, ``d^2 y1/dt^2``."""
     if order == 0:
         return output
     return f"d {output}/dt" if order == 1 else f"d^{order} {output}/dt^{order}"
@@ -42,7 +43,7 @@ def written(output: str, order: int) -> str:
 
 @dataclass(slots=True)
 class Row:
-    """A derivative of an output, as long as it contains no unknown input; and the first that does.
+    """The first derivative of an output that contains an unknown input, or the last computed.
 
     `contains` : unknown input -> its coefficient, for those whose coefficient does not vanish;
     None until it is known.
@@ -75,7 +76,7 @@ class StructureAlgorithm:
         return self.system.unknown_inputs
 
     def run(self) -> tuple[str, ...]:
-        """Eliminate all that outputs feel; returns the unknown inputs that none feels."""
+        """Eliminate all that act on outputs; returns the unknown inputs that act on none."""
         self.prolong()
         while self.remaining and self.rows:
             self.drop_rows_out_of_reach()
@@ -87,7 +88,7 @@ class StructureAlgorithm:
         return self.finish()
 
     def prolong(self) -> None:
-        """Make a state of an unknown input until all that are left enter linearly."""
+        """Make a state of an unknown input until all others enter linearly."""
         while (w := _most_nonlinear(self.system)) is not None:
             self.system, rate = _prolonged(self.system, w)
             self.names[rate] = self.names.pop(w)
@@ -98,7 +99,7 @@ class StructureAlgorithm:
             )
 
     def drop_rows_out_of_reach(self) -> None:
-        """Forget outputs that no chain of equations connects with a remaining unknown input."""
+        """Drop outputs that no chain of equations connects with a remaining unknown input."""
         reached = reached_by_unknown_inputs(self.system)
         self.rows = [r for r in self.rows if reached & {s.name() for s in ca.symvar(r.expression)}]
 
@@ -106,7 +107,7 @@ class StructureAlgorithm:
         """The simplest derivative with an unknown input in it, and which: lowest order first."""
         candidates = []
         for place, row in enumerate(self.rows):
-            self._look(row)
+            self._find_inputs(row)
             for w, b in (row.contains or {}).items():
                 if self._is_allowed(row.output, w):
                     simple = 0 if b.is_constant() else ca.n_nodes(b)
@@ -127,7 +128,7 @@ class StructureAlgorithm:
             "a class, as_polynomial(system, degree)"
         )
 
-    def _look(self, row: Row) -> None:
+    def _find_inputs(self, row: Row) -> None:
         """Find the unknown inputs in a row; strike out those whose coefficient vanishes."""
         if row.contains is not None:
             return
@@ -159,13 +160,13 @@ class StructureAlgorithm:
             return False
 
     def differentiate(self) -> bool:
-        """One more derivative of the least differentiated outputs; False if that leads nowhere.
+        """One more derivative of the least differentiated outputs; False if no output can gain.
 
-        An output whose derivatives of order 0 ... n hold no unknown input, with n states, never
-        feels one. Its coefficient in the derivative k + 1 is the gradient of the derivative k times
-        the column with which the input enters, and the gradients 0 ... n - 1 span all later ones:
-        once one of them depends on those before, over the functions of states, parameters and known
-        signals, so do all that follow.
+        An output whose derivatives of order 0 ... n contain no unknown input, with n states, is
+        affected by none. Its coefficient in the derivative k + 1 is the gradient of the derivative
+        k times the column with which the input enters, and the gradients 0 ... n - 1 span all later
+        ones: once one of them depends on those before, over the functions of states, parameters and
+        known signals, so do all that follow.
         """
         n = len(self.system.states)
         free = [r for r in self.rows if not r.contains and r.order < n]
@@ -186,7 +187,7 @@ class StructureAlgorithm:
                 f"{self.system.name}: {written(row.output, row.order)} has more than {MAX_NODES} "
                 f"operations and {', '.join(self.names.values())} are not eliminated yet; use "
                 "observability_by_jets, which writes no derivatives down, or add an output that "
-                "feels the unknown input sooner"
+                "the unknown input affects in a lower derivative"
             )
 
     def eliminate(self, row: Row, w: str) -> None:
@@ -225,16 +226,16 @@ class StructureAlgorithm:
         )
 
     def finish(self) -> tuple[str, ...]:
-        """Leave out the unknown inputs that reach no output; returns their names.
+        """Set the unknown inputs that reach no output to zero; returns their names.
 
-        Refuses where it is the user's choice of outputs that leaves them over.
+        Refuses where the user's choice of outputs is the reason.
         """
         self._refuse_deadlock()
         unreached = self.remaining
         for w in unreached:
             beyond = " beyond what eliminates the others" if self.used else ""
             self.notes.append(
-                f"{w} reaches no output{beyond}: it is left out (zero), nothing can be learnt of it"
+                f"{w} reaches no output{beyond}: it is set to zero, and not identifiable"
             )
         if unreached:
             symbols = ca.vertcat(*[self.system.symbols[w] for w in unreached])
@@ -252,7 +253,7 @@ class StructureAlgorithm:
             if name in self.using:
                 raise IdentifiabilityError(
                     f"{self.system.name}: {name} cannot be eliminated with {self.using[name]}, "
-                    "which feels it not at all, or another unknown input before it; name another "
+                    "which it does not affect, or another unknown input does first; name another "
                     "output, or leave the choice open"
                 )
 
@@ -269,7 +270,7 @@ def _put(vector: Expr, symbol: Expr, solution: Expr, v: Expr) -> Expr:
 
 
 def _most_nonlinear(system: System) -> str | None:
-    """The unknown input that most often stands in a coefficient of an unknown input, or None."""
+    """The unknown input that most coefficients of unknown inputs depend on, or None."""
     if not system.unknown_inputs:
         return None
     w = ca.vertcat(*[system.symbols[n] for n in system.unknown_inputs])

@@ -28,9 +28,12 @@ from casid.identifiability.records.practical_result import (
     UNDETERMINED,
     UNJUDGED,
     WELL,
+    Conditioning,
     Direction,
+    Matrices,
     Practical,
     Row,
+    Setup,
     Verdict,
 )
 from casid.model.model import Model
@@ -84,35 +87,33 @@ def practical_identifiability(
             "to determine; free one with model.with_unknown(name)"
         )
     root = p.root()
-    information = root.T @ root
-    rank = local_rank(information, p.x, names, p.scale)
+    rank = local_rank(root.T @ root, p.x, names, p.scale)
+    matrices = _matrices(root, rank, names)
+    limits = (largest_relative, largest_correlation)
+    rows = [_row(p, i, rank, matrices, limits) for i in range(len(names))]
+    return Practical(
+        problem=p.problem.name,
+        rows=tuple(sorted(rows, key=lambda r: r.is_state)),
+        setup=Setup(
+            tuple(d.name for d in p.criterion.data), p.criterion.n_samples, p.noise, *limits
+        ),
+        matrices=matrices,
+        conditioning=_conditioning(p, root, rank),
+    )
+
+
+def _matrices(root: Array, rank: LocalRank, names: tuple[str, ...]) -> Matrices:
     covariance = _covariance(root, rank, names)
     with np.errstate(all="ignore"):
         sd = np.sqrt(np.diag(covariance))
         correlation = covariance / np.outer(sd, sd)
+    return Matrices(names, root.T @ root, covariance, correlation)
+
+
+def _conditioning(p: Planned, root: Array, rank: LocalRank) -> Conditioning:
     values, weakest = _directions(p, root, rank)
-    rows = [
-        _row(p, i, rank, sd, correlation, (largest_relative, largest_correlation))
-        for i in range(len(names))
-    ]
-    return Practical(
-        problem=p.problem.name,
-        records=tuple(d.name for d in p.criterion.data),
-        rows=tuple(sorted(rows, key=lambda r: r.is_state)),
-        names=names,
-        fisher_information=information,
-        covariance=covariance,
-        correlation=correlation,
-        singular_values=values,
-        condition=_condition(weakest),
-        weakest=weakest,
-        rank=rank.rank,
-        unknowns=rank.unknowns,
-        unseen=describe_null(rank),
-        noise=p.noise,
-        samples=p.criterion.n_samples,
-        largest_relative=largest_relative,
-        largest_correlation=largest_correlation,
+    return Conditioning(
+        rank.rank, rank.unknowns, values, _condition(weakest), weakest, describe_null(rank)
     )
 
 
@@ -174,12 +175,11 @@ def _row(
     p: Planned,
     i: int,
     rank: LocalRank,
-    sd: Array,
-    correlation: Array,
+    matrices: Matrices,
     limits: tuple[float, float],
 ) -> Row:
-    names, value = p.criterion.names, float(p.x[i])
-    error = float(sd[i])
+    names, value, correlation = p.criterion.names, float(p.x[i]), matrices.correlation
+    error = float(np.sqrt(matrices.covariance[i, i]))
     relative = error / float(p.size[i]) if p.size[i] else None
     partner, strength = None, None
     others = [j for j in np.flatnonzero(~p.is_state).tolist() if j != i]

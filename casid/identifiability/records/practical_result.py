@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from casid.arrays import Array
+from casid.deprecation import Grouped, renamed
 from casid.identifiability.records.planned_experiment import Noise
 
 Verdict = Literal[
@@ -96,43 +97,98 @@ class Direction:
         return {"error": _finite(self.error), "moves": dict(self.moves)}
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Practical:
-    """Expected errors, correlations and weakest directions for stated records, values and noise.
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup:
+    """What the errors are computed for: records, noise, and the limits of the verdicts."""
 
-    Attributes
-    ----------
-    rows : every parameter asked about, then every initial state.
-    names : (n,) variables of the matrices, in order.
-    fisher_information, covariance, correlation : (n, n), SI units; covariance is inf and
-        correlation NaN at what is not seen.
-    singular_values : of the parameters' sensitivities relative to their values, in units of the
-        noise, initial states eliminated: one over the relative standard error along `weakest`.
-    condition : their largest over their smallest; inf where a direction is not seen.
-    weakest : directions, the worst first.
-    rank, unknowns : numerical rank of all sensitivities, and how many there are.
-    unseen : what the records cannot tell and what they tell instead, empty where all is seen.
-    """
-
-    problem: str
     records: tuple[str, ...]
-    rows: tuple[Row, ...]
-    names: tuple[str, ...]
-    fisher_information: Array
-    covariance: Array
-    correlation: Array
-    singular_values: Array
-    condition: float
-    weakest: tuple[Direction, ...]
-    rank: int
-    unknowns: int
-    unseen: str
-    noise: Noise
     samples: int
+    noise: Noise
     largest_relative: float
     largest_correlation: float
     assumes: str = ASSUMES
     sources: tuple[str, ...] = SOURCES
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matrices:
+    """Information and errors, SI units.
+
+    Attributes
+    ----------
+    names : (n,) variables, in order.
+    fisher_information, covariance, correlation : (n, n); covariance is inf and correlation NaN
+        where there is no information.
+    """
+
+    names: tuple[str, ...]
+    fisher_information: Array
+    covariance: Array
+    correlation: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conditioning:
+    """Numerical rank and weakest directions of the sensitivities.
+
+    Attributes
+    ----------
+    rank, unknowns : numerical rank of all sensitivities, and how many there are.
+    singular_values : of the parameters' sensitivities relative to their values, in units of the
+        noise, initial states eliminated: one over the relative standard error along `weakest`.
+    condition : their largest over their smallest; inf where a direction has no information.
+    weakest : directions, the worst first.
+    undetermined : what the records do not determine and the combinations they determine instead;
+        empty where everything is determined.
+    """
+
+    rank: int
+    unknowns: int
+    singular_values: Array
+    condition: float
+    weakest: tuple[Direction, ...]
+    undetermined: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Practical:
+    """Expected errors, correlations and weakest directions for stated records, values and noise.
+
+    Fields are grouped by question; the attributes of all groups can be read here as well.
+
+    Attributes
+    ----------
+    rows : every unknown parameter, then every initial state.
+    setup : records, noise and limits (`Setup`).
+    matrices : information, covariance and correlation (`Matrices`).
+    conditioning : numerical rank and weakest directions (`Conditioning`).
+    """
+
+    problem: str
+    rows: tuple[Row, ...]
+    setup: Setup
+    matrices: Matrices
+    conditioning: Conditioning
+
+    records: ClassVar[Grouped[tuple[str, ...]]] = Grouped("setup")
+    samples: ClassVar[Grouped[int]] = Grouped("setup")
+    noise: ClassVar[Grouped[Noise]] = Grouped("setup")
+    largest_relative: ClassVar[Grouped[float]] = Grouped("setup")
+    largest_correlation: ClassVar[Grouped[float]] = Grouped("setup")
+    assumes: ClassVar[Grouped[str]] = Grouped("setup")
+    sources: ClassVar[Grouped[tuple[str, ...]]] = Grouped("setup")
+    names: ClassVar[Grouped[tuple[str, ...]]] = Grouped("matrices")
+    fisher_information: ClassVar[Grouped[Array]] = Grouped("matrices")
+    covariance: ClassVar[Grouped[Array]] = Grouped("matrices")
+    correlation: ClassVar[Grouped[Array]] = Grouped("matrices")
+    rank: ClassVar[Grouped[int]] = Grouped("conditioning")
+    unknowns: ClassVar[Grouped[int]] = Grouped("conditioning")
+    singular_values: ClassVar[Grouped[Array]] = Grouped("conditioning")
+    condition: ClassVar[Grouped[float]] = Grouped("conditioning")
+    weakest: ClassVar[Grouped[tuple[Direction, ...]]] = Grouped("conditioning")
+    undetermined: ClassVar[Grouped[str]] = Grouped("conditioning")
+
+    unseen = renamed("unseen", "undetermined")
 
     def __repr__(self) -> str:
         poor = [r.name for r in self.parameters if r.verdict == POOR]
@@ -170,8 +226,8 @@ class Practical:
             f"  sensitivities  rank {self.rank} of {self.unknowns}, condition {self.condition:.3g}",
             *(f"  weakest        {d}" for d in self.weakest[:2]),
         ]
-        if self.unseen:
-            lines.append(f"  not seen       {self.unseen}")
+        if self.undetermined:
+            lines.append(f"  not seen       {self.undetermined}")
         lines += [f"  noise          {text}" for text in self._noise_lines()]
         lines.append(f"  What the error bar assumes: {self.assumes}")
         return "\n".join(lines)
@@ -205,7 +261,7 @@ class Practical:
             "weakest": [d.to_json() for d in self.weakest],
             "rank": self.rank,
             "unknowns": self.unknowns,
-            "unseen": self.unseen,
+            "unseen": self.undetermined,
             "noise": dict(self.noise.sd),
             "noise_source": dict(self.noise.source),
             "noise_is_absolute": self.noise.is_absolute,

@@ -84,14 +84,7 @@ def profile_likelihood(
         substeps=fit.criterion.substeps,
     )
     profiled = _Profiled(planned, settings.solver)
-    shared = [n for n, s in zip(planned.criterion.names, planned.is_state, strict=True) if not s]
-    wanted = list(parameters) if parameters is not None else shared
-    for name in wanted:
-        if name not in planned.criterion.names:
-            raise ModelError(
-                f"profile of {name!r}: {problem.name} has no such unknown; unknown are "
-                f"{', '.join(planned.criterion.names)}{nearest(name, planned.criterion.names)}"
-            )
+    wanted = _requested(planned, parameters)
     threshold = _chi_squared(confidence)
     found = tuple(profiled.profile(name, threshold, points, reach) for name in wanted)
     return Profiles(
@@ -118,6 +111,19 @@ def _check_settings(
             f"profile of {problem.name}: the fit has constraints or several segments, which a "
             "profile does not know; put the constraints into the model and use segments=1"
         )
+
+
+def _requested(planned: Planned, parameters: Sequence[str] | None) -> list[str]:
+    """The parameters to profile: those named, or every unknown parameter."""
+    shared = [n for n, s in zip(planned.criterion.names, planned.is_state, strict=True) if not s]
+    wanted = list(parameters) if parameters is not None else shared
+    for name in wanted:
+        if name not in planned.criterion.names:
+            raise ModelError(
+                f"profile of {name!r}: {planned.problem.name} has no such unknown; unknown are "
+                f"{', '.join(planned.criterion.names)}{nearest(name, planned.criterion.names)}"
+            )
+    return wanted
 
 
 def _chi_squared(confidence: float) -> float:

@@ -181,8 +181,14 @@ def record_excitation(
                 f"noise of {name!r}: {problem.name} has no such channel; it has "
                 f"{', '.join(there)}{nearest(name, there)}"
             )
-    out = []
     split = _Split(p) if p.criterion.model.eliminated_units else None
+    note = ""
+    if split is not None and at is None and p.criterion.names:
+        note = (
+            f"{' and '.join(split.unknown)} was reconstructed at the start values, and their "
+            "errors look like an input: give an estimate, at=casid.identify(...)"
+        )
+    out = []
     for e, experiment in enumerate(p.criterion.experiments):
         record = experiment.record
         inputs = [n for n in p.criterion.model.inputs if n in record.channels]
@@ -194,13 +200,6 @@ def record_excitation(
         )
         signals = excitation_orders(record, chosen, max_order=max_order, noise=known, spacing=apart)
         references: tuple[Reference, ...] = ()
-        note = ""
-        if split is not None and at is None and p.criterion.names:
-            unknown = " and ".join(split.unknown)
-            note = (
-                f"{unknown} was reconstructed at the start values, and their errors look like an "
-                "input: give an estimate, at=casid.identify(...)"
-            )
         if split is not None:
             rng = np.random.default_rng((seed, e))
             references = split.references(e, signals, known, at, max_order, draws, rng)

@@ -40,7 +40,7 @@ def observability_matrix(
     """The extended observability matrix (2) of a system.
 
     States with known initial value have no column. Where values are special (`initial_values`,
-    `at`), they are put in after differentiation, and `orders` must be given: no number of
+    `at`), they are inserted after differentiation, and `orders` must be given: no number of
     derivatives is known to be enough there.
 
     Parameters
@@ -48,17 +48,17 @@ def observability_matrix(
     orders : highest time derivative K of every output. By default as many as add to the rank, at
         most nx + n_theta - 1: where one more adds nothing, none ever will, because the span of the
         rows is then closed under (1). (Inputs must be free: this holds at almost every point.)
-    limit_seconds : time after which the system is refused as too large; looked at between steps.
+    limit_seconds : time after which the system is refused as too large; checked between steps.
 
     Raises
     ------
     ModelError
         If the system is too large, has unknown inputs or functions without a derivative, or is
-        looked at where values are special without `orders`.
+        has special values without `orders`.
     """
     import sympy
 
-    _refuse_what_has_no_matrix(system, orders)
+    _check_system(system, orders)
     budget = Budget(system.name, limit_seconds)
     columns = [*system.states, *system.parameters]
     known = {*system.known_initial, *system.initial_values}
@@ -167,7 +167,7 @@ class ObservabilityMatrix:
         return self._reduced
 
     def null_directions(self) -> tuple[Mapping[str, Expr], ...]:
-        """What can move unseen: directions v with O v = 0, name -> component where not zero.
+        """Unobservable directions v, O v = 0: name -> component where not zero.
 
         Without common denominators and factors, in the system's symbols; as many as the rank
         lacks. {"I_x": 1, "I_xm": -1} says that one inertia may grow as the other shrinks.
@@ -236,19 +236,19 @@ class ObservabilityMatrix:
         return j in there.pivots and int(there.support[there.pivots.index(j)].sum()) == 1
 
 
-def _refuse_what_has_no_matrix(system: System, orders: int | None) -> None:
+def _check_system(system: System, orders: int | None) -> None:
     if orders is not None and orders < 0:
         raise ModelError(f"{system.name}: orders = {orders}; give 0 or more, or None")
     if not system.states and not system.parameters:
         raise ModelError(
-            f"{system.name} has neither states nor parameters, so nothing can be asked; "
-            "name the parameters asked about in `parameters`"
+            f"{system.name} has neither states nor parameters, so nothing can be assessed; "
+            "name the unknown parameters in `parameters`"
         )
     if system.unknown_inputs:
         raise ModelError(
             f"{system.name}: {system.unknown_inputs[0]!r} is an unknown input, and this matrix "
             "takes known ones; eliminate it with an output (Model.eliminate), or ask "
-            "casid.assess_identifiability, which tells the classes of unknown inputs apart"
+            "casid.assess_identifiability, which distinguishes the classes of unknown inputs"
         )
     if not system.is_generic and orders is None:
         raise ModelError(

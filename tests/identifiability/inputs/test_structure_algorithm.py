@@ -415,7 +415,7 @@ def test_an_output_that_never_feels_the_input_is_refused():
 def test_an_output_that_feels_another_unknown_input_first_is_refused():
     """z is w1, and so is all its derivatives tell; w2 can only be had from y."""
     system = system_of({"q": "w2"}, {"y": "q", "z": "w1"}, unknown=["w1", "w2"], params=[])
-    with pytest.raises(IdentifiabilityError, match="another unknown input before it"):
+    with pytest.raises(IdentifiabilityError, match="another unknown input does first"):
         eliminate_unknown_inputs(system, using={"w2": "z"})
 
 

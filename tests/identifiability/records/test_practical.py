@@ -113,7 +113,7 @@ def test_what_no_data_will_tell_is_not_seen_and_the_combination_is_named():
     assert r.condition == np.inf
     assert r.weakest[0].error == np.inf
     assert r.weakest[0].moves["g1"] == pytest.approx(-r.weakest[0].moves["g2"], rel=1e-6)
-    assert "g1 g2" in r.unseen
+    assert "g1 g2" in r.undetermined
     # the rest is as if one of the two were known
     known = practical_identifiability(model.with_known(g2=2.0), record, noise={"y": 1e-6})
     assert r["p"].std_error == pytest.approx(known["p"].std_error, rel=1e-6)
@@ -138,7 +138,7 @@ def test_a_parameter_of_an_input_at_rest_moves_no_output():
     assert r["b"].verdict == "not seen by this record"
     assert r["b"].note == "moves no output"
     assert r["a"].verdict == "well determined"
-    assert "record an experiment that excites it" in r.unseen
+    assert "record an experiment that excites it" in r.undetermined
 
 
 def test_singular_values_are_one_over_relative_errors_with_initial_states_eliminated():
