@@ -8,7 +8,7 @@ instruments are lags too, once their signal has been streamed along as a channel
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -20,9 +20,9 @@ from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.moments import Moments
 from casid.estimation.moments.parts import Part
 from casid.estimation.moments.prior import Prior
-from casid.estimation.moments.propagation import propagate
 from casid.estimation.moments.stage import Stage
-from casid.identification.moment_estimators import as_estimate
+from casid.estimation.moments.stage_estimate import moment_estimate
+from casid.estimation.moments.staged_estimation import with_prior
 from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column
 from casid.model.model import Model
@@ -69,7 +69,6 @@ def estimate_from_moments(
             "noise models and robust estimates look at samples, sums have none left; drop "
             "noise_model= and alpha=, or estimate from records"
         )
-    model = problem.model if isinstance(problem, Problem) else problem
     cases = dict(known or {})
     foreign = [name for name in cases if name not in sums]
     if foreign:
@@ -78,37 +77,49 @@ def estimate_from_moments(
         )
     if not sums:
         raise DataError("no sums given; name at least one load case")
-    if prior is not None:
-        model = model.with_known(**{k: float(v) for k, v in prior.values.items()})
+    model = with_prior(problem, prior)
     names = tuple(free or (p.name for p in model.parameters.values() if not p.is_known))
-    parts, equations = [], []
-    for case, total in sums.items():
-        step = float(Ts[case]) if isinstance(Ts, Mapping) else float(Ts)
-        values = {
-            p.name: p.value if p.value is not None else p.start for p in model.parameters.values()
-        }
-        for name in cases.get(case, {}):
-            model.parameter_named(name)
-        values.update(cases.get(case, {}))
-        for output in settings.outputs or tuple(model.outputs):
-            equation = difference_equation(model, output, step, method=settings.method)
-            columns = (equation.left, *equation.columns, *(instruments or ()))
-            _require(case, total, columns)
-            parts.append(Part(case, equation, values, frozenset(cases.get(case, {})), {}, {}, step))
-            equations.append(
-                MomentEquations.from_moments(equation, total, instruments, name=f"{case}/{output}")
-            )
+    pairs = [
+        pair
+        for case, total in sums.items()
+        for pair in _equations(
+            model,
+            (case, total, float(Ts[case]) if isinstance(Ts, Mapping) else float(Ts)),
+            cases.get(case, {}),
+            instruments,
+            settings,
+        )
+    ]
+    parts = [part for part, _ in pairs]
     stage = Stage(model, parts, names, settings, name="from sums")
-    fit = stage.fit_equations(equations, parts, [p.values for p in parts])
-    propagated = propagate(
-        [fit],
-        tuple(prior.values) if prior else (),
-        prior.matrix() if prior else None,
-        how="white",
-    )
+    fit = stage.fit_equations([e for _, e in pairs], parts, [p.values for p in parts])
     provenance = [f"{case}: sums of {total.N} samples" for case, total in sums.items()]
-    estimate = as_estimate(problem.name, model, provenance, [fit], propagated, settings)
-    return MomentEstimate(model, estimate, propagated, (fit,), prior)
+    return moment_estimate(
+        model, [fit], settings, prior, how="white", origin=(problem.name, provenance)
+    )
+
+
+def _equations(
+    model: Model,
+    sums: tuple[str, Moments, float],
+    known: Mapping[str, float],
+    instruments: Sequence[Column] | None,
+    settings: MomentSettings,
+) -> Iterator[tuple[Part, MomentEquations]]:
+    """The equations of each output from the sums of a load case: its name, moments and Ts [s]."""
+    case, total, Ts = sums
+    values = {
+        p.name: p.value if p.value is not None else p.start for p in model.parameters.values()
+    }
+    for name in known:
+        model.parameter_named(name)
+    values |= known
+    for output in settings.outputs or tuple(model.outputs):
+        equation = difference_equation(model, output, Ts, method=settings.method)
+        _require(case, total, (equation.left, *equation.columns, *(instruments or ())))
+        part = Part(case, equation, values, frozenset(known), {}, {}, Ts)
+        name = f"{case}/{output}"
+        yield part, MomentEquations.from_moments(equation, total, instruments, name=name)
 
 
 def _require(case: str, total: Moments, columns: Sequence[Column]) -> None:
