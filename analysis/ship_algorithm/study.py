@@ -46,7 +46,12 @@ from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.nlp.nlp import Solver
 from casid.identifiability.combinations.family import Family
 from casid.identifiability.combinations.family_estimate import AlongFamily, along_family
-from casid.identification.iterative_joint import IterativeJoint, family_values, iterative_joint
+from casid.identification.iterative_joint import (
+    BlackBoxSettings,
+    IterativeJoint,
+    family_values,
+    iterative_joint,
+)
 from casid.identification.moment_estimators import least_squares
 from casid.identification.profile_interval import profile
 from casid.model.model import Model
@@ -81,9 +86,7 @@ def fit(
         model,
         experiments,
         "delta",
-        n_y=lags,
-        n_u=lags,
-        n_delta=min(lags, 2),
+        black_boxes=BlackBoxSettings(n_y=lags, n_u=lags, n_delta=min(lags, 2)),
         settings=settings,
         truth={n: TRUTH[n] for n in LOAD},
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -28,10 +28,10 @@ from casid.estimation.estimate_builder import (
 from casid.estimation.local_rank import describe_null, local_rank
 from casid.estimation.nlp.nlp import Nlp, Solution, Solver
 from casid.estimation.nlp.solver import as_solver
-from casid.estimation.prediction_error.likelihood import PredictionError
+from casid.estimation.prediction_error.likelihood import CriterionOptions, PredictionError
 from casid.identifiability.requirement import require_identifiable
 from casid.linear.kalman import Predictor
-from casid.linear.noisy_model import White, noise_sources
+from casid.linear.noisy_model import White
 from casid.model.model import Model
 
 SOURCES = (
@@ -131,12 +131,9 @@ def minimize_prediction_error(
     experiments: Sequence[Experiment | Record] | Experiment | Record,
     noise: Sequence[White] | White,
     *,
-    own: Sequence[str] = (),
-    initial: Mapping[str, float] | None = None,
-    start: Mapping[str, float] | None = None,
-    rest: Mapping[str, Any] | None = None,
     solver: Solver | str | None = None,
     throw: bool = True,
+    **options: Unpack[CriterionOptions],
 ) -> Prediction:
     """Estimate a linear or linearised model by its one-step prediction errors.
 
@@ -147,13 +144,8 @@ def minimize_prediction_error(
         times may differ.
     noise : the noise of every output, and the process noise, in a list; unknown sizes are
         estimated.
-    own : parameters that every experiment has for itself.
-    initial : standard deviations of the initial states, for the time-varying predictor; default
-        estimates the initial states with the steady-state gain.
-    start : start values by variable name, over the model's own.
-    rest : state or input -> its value where a nonlinear model rests, a number or an SX expression
-        of its parameters; 0 for what is not given. The records stay near it.
     solver : or its name; default ``Solver("ipopt")``.
+    options : own, initial, start, rest, as `PredictionError`. The records stay near the rest.
 
     Raises
     ------
@@ -163,7 +155,7 @@ def minimize_prediction_error(
     DataError
         For channels that are missing or incomplete, or a record too short.
     IdentifiabilityError
-        For parameters or noise that these records cannot tell apart.
+        For parameters or noise that are not identifiable from these records.
     SolveError
         If no optimum was found.
 
@@ -173,55 +165,20 @@ def minimize_prediction_error(
     noise, or feedback through a direct term, it is not (Linder 2017, sections 3.5 and 7.3.2).
     The Hessian is the Fisher information: its steps are those of scoring. Where no size of noise is
     known nor in `start`, the search begins from the sizes given times one common factor, which the
-    data tell; the page says so.
+    data determine; the page says so.
     """
     if isinstance(model, Problem):
         model = model.model
-    sources = noise_sources(noise)
     given = [experiments] if isinstance(experiments, Experiment | Record) else list(experiments)
     chosen = [Experiment(e, {}, e.name) if isinstance(e, Record) else e for e in given]
-
-    def stated(sources: Sequence[White]) -> PredictionError:
-        return PredictionError(
-            model, chosen, sources, own=own, initial=initial, start=start, rest=rest
-        )
-
-    criterion = stated(sources)
+    criterion = PredictionError(model, chosen, noise, **options)
     wanted = criterion.start  # as the user has it; the search may begin elsewhere
-    for e in range(len(criterion.data)):
-        criterion.predictor(criterion.start, e)  # refuses with the reason where there is none
-    x0 = criterion.start
-    if criterion.n_samples <= len(x0):
-        raise DataError(
-            f"{criterion.data[0].name}: {criterion.n_samples} samples cannot pay for {len(x0)} "
-            "unknowns (parameters, noise and initial states); widen the window or give known values"
-        )
-    given_noise = {criterion.noisy.noise_name(w) for w in sources} & set(start or {})
-    if not any(w.is_known for w in sources) and not given_noise:
-        # The gain does not change with a common factor on all variances: its optimum is known.
-        ratio = _quadratic(criterion, x0) / criterion.n_samples
-        if np.isfinite(ratio) and ratio > 0:
-            criterion = stated([replace(w, sd=w.sd * float(np.sqrt(ratio))) for w in sources])
-            x0 = criterion.start
-    first = criterion.evaluate(x0)
-    if not np.isfinite(first.value):
-        raise SolveError(
-            f"{model.name}: the prediction error is not finite at the start; change the start "
-            "values or tighten the bounds"
-        )
-    scale = np.array([v.scale for v in criterion.variables])
-    rank = local_rank(first.hessian, x0, criterion.names, scale)
-    if not rank.is_full:
-        raise IdentifiabilityError(
-            f"{model.name}: rank {rank.rank} of {rank.unknowns} unknowns in "
-            f"{', '.join(d.name for d in criterion.data)}; {describe_null(rank)}"
-        )
-    # The curvature in a variance changes by orders of magnitude on the way: once more from there.
-    solution = _solve(criterion, x0, solver, _ROUGHLY)
-    for _ in range(4):
-        solution = _solve(criterion, solution.x, solver, _PRECISELY)
-        if solution.is_converged:
-            break
+    _refuse_no_predictor(criterion)
+    sources = _scaled_noise(criterion, options.get("start") or {})
+    if sources is not None:
+        criterion = PredictionError(model, chosen, sources, **options)
+    _refuse_undetermined(criterion)
+    solution = _minimum(criterion, solver)
     if throw and not solution.is_converged:
         raise SolveError(
             f"{model.name}: {solution.solver} stopped with {solution.status} after "
@@ -229,20 +186,73 @@ def minimize_prediction_error(
             f"{solution.mend}"
         )
     estimate = _estimate(criterion, solution, wanted)
-    structural = _structure(model, chosen, own)
+    structural = _structure(model, chosen, options.get("own", ()))
     estimate = replace(
         estimate, identifiability=replace(estimate.identifiability, structural=structural)
     )
-    return Prediction(
-        estimate,
-        criterion,
-        solution,
-        criterion.log_likelihood(solution.x),
-    )
+    return Prediction(estimate, criterion, solution, criterion.log_likelihood(solution.x))
+
+
+def _refuse_no_predictor(criterion: PredictionError) -> None:
+    """Refuse a model without a predictor at the start, and records too short for the unknowns."""
+    x0 = criterion.start
+    for e in range(len(criterion.data)):
+        criterion.predictor(x0, e)  # refuses with the reason where there is none
+    if criterion.n_samples <= len(x0):
+        raise DataError(
+            f"{criterion.data[0].name}: {criterion.n_samples} samples cannot pay for {len(x0)} "
+            "unknowns (parameters, noise and initial states); widen the window or give known values"
+        )
+
+
+def _scaled_noise(criterion: PredictionError, start: Mapping[str, float]) -> list[White] | None:
+    """The noise sources with the best common factor, where no size is known nor in `start`.
+
+    The gain does not change with a common factor on all variances: its optimum is known.
+    """
+    sources = criterion.noise
+    given = {criterion.noisy.noise_name(w) for w in sources} & set(start)
+    if given or any(w.is_known for w in sources):
+        return None
+    ratio = _quadratic(criterion, criterion.start) / criterion.n_samples
+    if not (np.isfinite(ratio) and ratio > 0):
+        return None
+    return [replace(w, sd=w.sd * float(np.sqrt(ratio))) for w in sources]
+
+
+def _refuse_undetermined(criterion: PredictionError) -> None:
+    """Refuse unknowns without information at the start."""
+    x0, name = criterion.start, criterion.model.name
+    first = criterion.evaluate(x0)
+    if not np.isfinite(first.value):
+        raise SolveError(
+            f"{name}: the prediction error is not finite at the start; change the start "
+            "values or tighten the bounds"
+        )
+    scale = np.array([v.scale for v in criterion.variables])
+    rank = local_rank(first.hessian, x0, criterion.names, scale)
+    if not rank.is_full:
+        raise IdentifiabilityError(
+            f"{name}: rank {rank.rank} of {rank.unknowns} unknowns in "
+            f"{', '.join(d.name for d in criterion.data)}; {describe_null(rank)}"
+        )
+
+
+def _minimum(criterion: PredictionError, solver: Solver | str | None) -> Solution:
+    """The optimum, roughly first, then precisely from there.
+
+    The curvature in a variance changes by orders of magnitude on the way.
+    """
+    solution = _solve(criterion, criterion.start, solver, _ROUGHLY)
+    for _ in range(4):
+        solution = _solve(criterion, solution.x, solver, _PRECISELY)
+        if solution.is_converged:
+            break
+    return solution
 
 
 def _structure(model: Model, experiments: Sequence[Experiment], own: Sequence[str]) -> str:
-    """What the equations without process noise can tell; noise that drives them may tell more."""
+    """Identifiability without process noise; noise that drives the equations may add to it."""
     try:
         return require_identifiable(model, experiments, own=own, zero_unknown_inputs=True)
     except IdentifiabilityError as refusal:

@@ -1,10 +1,10 @@
-"""Algorithm 8.1 of Linder (2017): iterative joint instruments from one external reference.
+"""Algorithm 8.1 (Linder 2017): iterative joint instruments from one external reference.
 
 Step A: black-box models from the reference to every recorded channel give the first instruments.
 Step B, repeated: estimate all records jointly within bounds, fit an ARMA model to each record's
 equation error, prefilter with its inverse, simulate the loop with the new estimate from the
 reference and the black-box inputs, (8.85)-(8.86), for new instruments. Step C stops it, (8.93).
-The pieces are those of `estimators`, `stage` and `black_box_reference`.
+Step A is `black_box_reference`, steps B and C are `casid.estimation.moments.stage`.
 """
 
 from __future__ import annotations
@@ -30,9 +30,33 @@ from casid.identification.moment_estimators import instrumental_variables
 from casid.model.model import Model
 
 
+@dataclass(frozen=True, slots=True)
+class BlackBoxSettings:
+    """Step A: black-box models from the reference, and the instruments made of them.
+
+    Attributes
+    ----------
+    channels : that get a black box; None: all inputs and outputs of the model but the reference.
+    structure, na, nb, nk : of the black boxes, see `black_box_references`.
+    n_y, n_u, n_delta : lags, see `black_box_instruments`. Fewer make a sharper test of the
+        instruments' relevance, and less bias, where excitation is poor.
+    known : eliminated input -> filter from the reference; None: nothing, G_dv = 0.
+    """
+
+    channels: Sequence[str] | None = None
+    structure: Literal["arx", "oe"] = "arx"
+    na: int = 4
+    nb: int = 5
+    nk: int = 0
+    n_y: int = 16
+    n_u: int = 16
+    n_delta: int = 2
+    known: Mapping[str, Filter] | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class IterativeJoint:
-    """What Algorithm 8.1 found, and how it got there.
+    """The estimate of Algorithm 8.1, and its iterations.
 
     Attributes
     ----------
@@ -72,15 +96,7 @@ def iterative_joint(
     experiments: Sequence[Experiment] | Experiment,
     reference: str,
     *,
-    channels: Sequence[str] | None = None,
-    structure: Literal["arx", "oe"] = "arx",
-    na: int = 4,
-    nb: int = 5,
-    nk: int = 0,
-    n_y: int = 16,
-    n_u: int = 16,
-    n_delta: int = 2,
-    known: Mapping[str, Filter] | None = None,
+    black_boxes: BlackBoxSettings | None = None,
     prior: Prior | None = None,
     settings: MomentSettings | None = None,
     truth: Mapping[str, float] | None = None,
@@ -92,12 +108,7 @@ def iterative_joint(
     problem : whose model has its unknown inputs eliminated (`Model.eliminate`).
     experiments : nominal, calibrated, loaded, ..., each with its load case.
     reference : recorded channel that nothing else in the experiment reaches.
-    channels : that get a black box; default all inputs and outputs of the model but the reference.
-    structure, na, nb, nk : of the black boxes, see `black_box_references`.
-    n_y, n_u, n_delta : lags, see `black_box_instruments`; those of Linder (2017), section 9.5.
-        Fewer make a sharper test of what the instruments see, and less bias, where excitation is
-        poor.
-    known : eliminated input -> filter from the reference; default nothing, G_dv = 0.
+    black_boxes : orders and lags of step A; default those of Linder (2017), section 9.5.
     settings : default ``MomentSettings(form="lifted", iterations=15, stopping="norm")``, prefilter
         1, as in section 9.5; ``noise_model=(na, nc)`` for step B (b). Lifted, the program is sound
         where coefficients are nearly dependent.
@@ -106,18 +117,25 @@ def iterative_joint(
     Raises
     ------
     IdentifiabilityError
-        If no data of these experiments tell the parameters (the family is named), or the reference
-        does not excite a direction.
+        If the parameters are not identifiable from these experiments (the family is named), or the
+        reference does not excite a direction.
     DataError, ModelError, SolveError
         As `black_box_references` and `instrumental_variables`.
     """
     model = problem.model if isinstance(problem, Problem) else problem
     wanted = [c for c in (*model.outputs, *model.inputs) if c != reference]
+    s = black_boxes or BlackBoxSettings()
     boxes = black_box_references(
-        experiments, reference, channels or wanted, structure=structure, na=na, nb=nb, nk=nk
+        experiments,
+        reference,
+        s.channels or wanted,
+        structure=s.structure,
+        na=s.na,
+        nb=s.nb,
+        nk=s.nk,
     )
     instruments = black_box_instruments(
-        model, boxes, n_y=n_y, n_u=n_u, n_delta=n_delta, known=known
+        model, boxes, n_y=s.n_y, n_u=s.n_u, n_delta=s.n_delta, known=s.known
     )
     chosen = settings or MomentSettings(form="lifted", iterations=15, stopping="norm")
     estimate = instrumental_variables(

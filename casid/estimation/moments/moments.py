@@ -1,6 +1,6 @@
 """Cross moments: sums over time of products of lagged samples.
 
-A criterion that is linear in its parameters sees a record through these sums alone. They are
+A criterion that is linear in its parameters depends on a record through these sums alone. They are
 computed where the data lie, in any number of pieces, and added.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,15 @@ if TYPE_CHECKING:
 __all__ = ["CONSTANT", "Accumulator", "Moments", "moments", "of_file", "of_record", "weighted"]
 
 Rational = tuple[ArrayLike, ArrayLike]
+
+
+class Options(TypedDict, total=False):
+    """Filters of the samples, and whether offsets are wanted; see `Accumulator`."""
+
+    prefilter: FirFilter | None
+    rational: Rational | None
+    settle: int
+    constant: bool
 
 
 def moments(
@@ -162,7 +171,7 @@ def _write(column: Column, rows: Mapping[str, Array], start: int, row: Array, pa
 
 
 class Accumulator:
-    """Cross moments of data that arrive in chunks; memory does not grow with their number.
+    """Cross moments of data in chunks; memory does not grow with their number.
 
     The result does not depend on where the chunks are cut, to the last bit: blocks are counted
     from the start of a stretch. A sample that is not finite in any channel ends a stretch, as
@@ -227,7 +236,7 @@ class Accumulator:
         self._state: Array = np.zeros((len(self.channels), order))
 
     def add(self, chunk: Mapping[str, ArrayLike]) -> None:
-        """Take the next samples; channels that are not asked for are left alone.
+        """Take the next samples; other channels are ignored.
 
         Parameters
         ----------
@@ -347,18 +356,14 @@ def of_record(
     record: Record,
     lags: int,
     channels: Sequence[str] | None = None,
-    *,
-    prefilter: FirFilter | None = None,
-    rational: Rational | None = None,
-    settle: int = 0,
-    constant: bool = False,
+    **options: Unpack[Options],
 ) -> Moments:
     """Compute the cross moments of a record; missing samples are gaps.
 
     Parameters
     ----------
     channels : names; all of the record's where not given
-    lags, prefilter, rational, settle, constant
+    lags, options
         As `Accumulator`.
 
     Raises
@@ -368,10 +373,8 @@ def of_record(
         is long enough.
     """
     names = record.names if channels is None else tuple(channels)
-    total = Accumulator(
-        names, lags, prefilter=prefilter, rational=rational, settle=settle, constant=constant
-    )
-    _check_sample_time(record.name, prefilter, record.Ts)
+    total = Accumulator(names, lags, **options)
+    _check_sample_time(record.name, total.prefilter, record.Ts)
     for start in range(0, record.N, BLOCK):
         cut = slice(start, start + BLOCK)
         rows = []
@@ -389,11 +392,8 @@ def of_file(
     lags: int,
     *,
     time: str | ColumnSpec | Sequence[str | None] | None = None,
-    prefilter: FirFilter | None = None,
-    rational: Rational | None = None,
-    settle: int = 0,
-    constant: bool = False,
     chunk: int = 100_000,
+    **options: Unpack[Options],
 ) -> Moments:
     """Compute the cross moments of a CSV or Parquet file, `chunk` rows at a time.
 
@@ -404,7 +404,7 @@ def of_file(
     columns : mapping of channel to column of the file, as `casid.data.reading.chunks.iter_chunks`
         With units converted to SI.
     time : the column of the time stamps, as `casid.data.reading.chunks.iter_chunks`
-    lags, prefilter, rational, settle, constant
+    lags, options
         As `Accumulator`.
 
     Raises
@@ -415,17 +415,10 @@ def of_file(
     from casid.data.reading.chunks import iter_chunks
 
     path = Path(path)
-    total = Accumulator(
-        tuple(columns),
-        lags,
-        prefilter=prefilter,
-        rational=rational,
-        settle=settle,
-        constant=constant,
-    )
+    total = Accumulator(tuple(columns), lags, **options)
     for index, part in enumerate(iter_chunks(path, columns, chunk, time=time, gaps=True)):
         if index == 0 and "t" in part and "t" not in columns and part["t"].size > 1:
-            _check_sample_time(path.name, prefilter, float(np.nanmedian(np.diff(part["t"]))))
+            _check_sample_time(path.name, total.prefilter, float(np.nanmedian(np.diff(part["t"]))))
         total.add(part)
     return _filled(total.moments, path.name)
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -49,6 +49,15 @@ class Predicted:
     jacobian: Array  # (N, ny, nv), d innovation / d local variables
     covariance: Array  # (N or 1, ny, ny)
     covariance_tangent: Array  # (N or 1, nv, ny, ny)
+
+
+class CriterionOptions(TypedDict, total=False):
+    """What of a `PredictionError` may be left out."""
+
+    own: Sequence[str]
+    initial: Mapping[str, float] | None
+    start: Mapping[str, float] | None
+    rest: Mapping[str, Any] | None
 
 
 class PredictionError:
@@ -249,7 +258,7 @@ class PredictionError:
         first = 0
         if self.initial is not None:
             P = np.diag([self.initial.get(n, 0.0) ** 2 for n in self.model.states])
-            part, z, dz = self._transient(at, limit, gain.P, y, d.u, z, dz, P, d_y)
+            part, (z, dz) = self._transient(at, limit, gain.P, (y, d_y), d.u, (z, dz), P)
             parts.append(part)
             first = len(part.innovations)
         if first < len(y):
@@ -283,14 +292,23 @@ class PredictionError:
         at: Sampled,
         limit: Predictor,
         limit_dP: Array,
-        y: Array,
+        outputs: tuple[Array, Array],
         u: Array,
-        z: Array,
-        dz: Array,
+        state: tuple[Array, Array],
         P: Array,
-        d_y: Array,
-    ) -> tuple[Predicted, Array, Array]:
-        """The time-varying predictor until its gain and their derivatives have settled."""
+    ) -> tuple[Predicted, tuple[Array, Array]]:
+        """The time-varying predictor until its gain and their derivatives have settled.
+
+        Parameters
+        ----------
+        outputs, state : y (N, ny) and the state (nx,), each with its derivatives.
+        P : (nx, nx) covariance of the initial state.
+
+        Returns
+        -------
+        The innovations so far, and the next state with its derivatives.
+        """
+        (y, d_y), (z, dz) = outputs, state
         s, tangent = at.system, at.tangent
         m, nx = len(tangent.A), s.nx
         dP: Array = np.zeros((m, nx, nx))
@@ -325,7 +343,7 @@ class PredictionError:
             np.array(F_all).reshape(*shape, s.ny),
             np.array(dF_all).reshape(len(eps), m + nx, s.ny, s.ny),
         )
-        return part, z, dz
+        return part, (z, dz)
 
     def innovations(self, x: Array, e: int) -> Array:
         """(N, ny) one-step prediction errors of one experiment."""

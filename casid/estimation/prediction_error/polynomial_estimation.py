@@ -8,7 +8,7 @@ divides by C and F: the search stays where both are stable.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -22,7 +22,7 @@ from casid.estimation.nlp.solver import as_solver
 from casid.estimation.prediction_error.persistent_excitation import require_excitation, unseen
 from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
 from casid.estimation.prediction_error.polynomial_data import records_of
-from casid.estimation.prediction_error.polynomial_model import PolynomialModel
+from casid.estimation.prediction_error.polynomial_model import Misfit, PolynomialModel, Search
 from casid.estimation.prediction_error.polynomial_orders import (
     Layout,
     Orders,
@@ -49,6 +49,38 @@ ASSUMES = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PolynomialSettings:
+    """How a polynomial model is estimated.
+
+    Attributes
+    ----------
+    Ts : sample time [s], for spectra and `to_control`.
+    discard : first residuals of each record that do not count, at most N - 1
+        The filters start from rest, which is wrong for a record cut out of a longer one; so by
+        default the longest lag and the time in which 1/(C F) settles to 1 % at the start values
+        (at most a fifth of the record) do not count. 0 takes signals as zero before the record
+        and counts every residual (conditional least squares).
+    errors : "white" for the classical covariance, "robust" for the sandwich
+    solver : or its name; default ``Solver("ipopt")``, closed-form least squares for C = D = F = 1.
+    start : a model of the same orders to start from; its own start values otherwise.
+    throw : raise if no optimum is reached; else return it with `is_converged` False.
+    """
+
+    Ts: float = 1.0
+    discard: int | None = None
+    errors: Errors = "white"
+    solver: Solver | str | None = None
+    start: PolynomialModel | None = None
+    throw: bool = True
+
+    def __post_init__(self) -> None:
+        if self.errors not in ASSUMES:
+            raise ModelError(f"errors = {self.errors!r}; choose 'white' or 'robust'")
+        if not is_number(self.Ts) or self.Ts <= 0:
+            raise DataError(f"sample time Ts = {self.Ts!r}; give a number of seconds above 0")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Units:
     """What the data were divided by before solving."""
 
@@ -60,13 +92,8 @@ def prediction_error(
     y: ArrayLike | Sequence[ArrayLike],
     u: Any,
     orders: Orders,
-    *,
-    Ts: float = 1.0,
-    discard: int | None = None,
-    errors: Errors = "white",
-    solver: Solver | str | None = None,
-    start: PolynomialModel | None = None,
-    throw: bool = True,
+    settings: PolynomialSettings | None = None,
+    **options: Any,
 ) -> PolynomialModel:
     """Estimate a polynomial model by minimising the one-step prediction error.
 
@@ -78,16 +105,7 @@ def prediction_error(
     u : None, (N,) array, (N, nu) array, or mapping from input to (N,); a list of these for a list
         of records. Inputs without a name are called "u", or "u1", "u2", ...
     orders : Orders
-    Ts : sample time [s], for spectra and `to_control`.
-    discard : first residuals of each record that do not count, at most N - 1
-        The filters start from rest, which is wrong for a record cut out of a longer one; so by
-        default the longest lag and the time in which 1/(C F) settles to 1 % at the start values
-        (at most a fifth of the record) do not count. 0 takes signals as zero before the record
-        and counts every residual (conditional least squares).
-    errors : "white" for the classical covariance, "robust" for the sandwich
-    solver : or its name; default ``Solver("ipopt")``, closed-form least squares for C = D = F = 1.
-    start : a model of the same orders to start from; its own start values otherwise.
-    throw : raise if no optimum is reached; else return it with `is_converged` False.
+    settings, options : fields of `PolynomialSettings`, together or by name.
 
     Raises
     ------
@@ -96,7 +114,7 @@ def prediction_error(
     ModelError
         If an order is negative or does not fit the inputs.
     IdentifiabilityError
-        If the inputs do not excite what is asked: names the direction.
+        If the inputs do not excite all coefficients: names the direction.
     SolveError
         If no optimum is reached, or it lies where the predictor is not stable.
 
@@ -115,39 +133,35 @@ def prediction_error(
     >>> model.structure, round(model["f1[u]"], 1), round(model["b1[u]"], 1)
     ('OE', -0.8, 0.5)
     """
+    s = replace(settings or PolynomialSettings(), **options)
     raw, inputs = records_of(y, u)
     layout = Layout.of(orders, inputs)
     if layout.n == 0:
         raise ModelError("every order is 0: nothing to estimate; give at least one above 0")
-    if errors not in ASSUMES:
-        raise ModelError(f"errors = {errors!r}; choose 'white' or 'robust'")
-    solver = None if solver is None else as_solver(solver)
-    if not is_number(Ts) or Ts <= 0:
-        raise DataError(f"sample time Ts = {Ts!r}; give a number of seconds above 0")
-    _refuse_short(raw, layout, discard)
+    solver = None if s.solver is None else as_solver(s.solver)
+    _refuse_short(raw, layout, s.discard)
     data, units = _near_one(raw, layout)
     counts = [nb + nf for nb, nf in zip(layout.nb, layout.nf, strict=True)]
     require_excitation(
         raw,
         {i: (k, c) for i, k, c in zip(inputs, layout.nk, counts, strict=True)},
-        "B and F ask for" if any(layout.nf) else "B asks for",
+        "B and F need" if any(layout.nf) else "B needs",
     )
     if layout.is_linear and solver is None:
         criterion = PredictionErrors(
-            layout, data, _discards(data, layout, np.zeros(layout.n), discard)
+            layout, data, _discards(data, layout, np.zeros(layout.n), s.discard)
         )
-        notes = _offsets(raw)
         best = _closed_form(criterion)
-        return _model(criterion, data, best, units, Ts, errors, "none needed", notes)
-    points = candidates(data, layout) if start is None else [_given(start, layout, units)]
-    criterion = PredictionErrors(layout, data, _discards(data, layout, points[0][1], discard))
+        return _model(criterion, data, best, units, s, "none needed", _offsets(raw))
+    points = candidates(data, layout) if s.start is None else [_given(s.start, layout, units)]
+    criterion = PredictionErrors(layout, data, _discards(data, layout, points[0][1], s.discard))
     best, label, notes = _best(criterion, points, solver)
-    if throw and not best.is_converged:
+    if s.throw and not best.is_converged:
         raise SolveError(_failure(layout, best))
     notes = (*notes, *_offsets(raw))
-    if discard is None:
+    if s.discard is None:
         notes = (*notes, *_long_transients(layout, best.x, raw, criterion.discard))
-    return _model(criterion, data, best, units, Ts, errors, label, notes)
+    return _model(criterion, data, best, units, s, label, notes)
 
 
 def arx(
@@ -413,37 +427,20 @@ def _model(
     data: Data,
     solution: Solution,
     units: Units,
-    Ts: float,
-    errors: Errors,
+    settings: PolynomialSettings,
     label: str,
     notes: tuple[str, ...],
 ) -> PolynomialModel:
     """The estimate in the data's own units, with its covariance."""
-    layout, N, n = criterion.layout, criterion.N, criterion.layout.n
-    power = units.y**2
-    variance = 2 * solution.value / max(N - n, 1)
-    values, vectors, root = _information(solution)
-    smallest = float(values[0])
-    if errors == "white":
-        # A direction that the data do not see gets a huge error, not the none of a pseudo-inverse.
-        q = vectors / np.sqrt(np.maximum(values, 1e-16))
-        covariance = variance * (q @ q.T) / np.outer(root, root)
-    else:
-        scores = criterion.scores(solution.x)
-        covariance, _ = sandwich(solution.hessian, scores, np.ones(n, dtype=bool))
+    layout = criterion.layout
+    misfit = _misfit(criterion, data, solution, units)
+    variance = 2 * solution.value / max(criterion.N - layout.n, 1)
+    covariance, smallest = _covariance(criterion, solution, settings.errors, variance)
     theta = np.array(solution.x) * units.factors
     p = layout.split(theta)
-    residuals = tuple(r * units.y for r in criterion.residuals(solution.x))
-    counting = [r[d:] for r, d in zip(residuals, criterion.discard, strict=True)]
-    correlation = {
-        i: residual_input_correlation(
-            counting, [u[i][d:] for (_, u), d in zip(data, criterion.discard, strict=True)]
-        )
-        for i in layout.inputs
-    }
-    for array in (theta, covariance, *residuals):
+    for array in (theta, covariance, *misfit.residuals):
         array.flags.writeable = False
-    no_noise = 2 * solution.value < NO_NOISE * N
+    no_noise = 2 * solution.value < NO_NOISE * criterion.N
     return PolynomialModel(
         structure=layout.structure,
         A=p.A,
@@ -455,21 +452,51 @@ def _model(
         names=layout.names,
         theta=theta,
         covariance=covariance * np.outer(units.factors, units.factors),
-        assumes=ASSUMES[errors],
-        noise_variance=variance * power,
+        assumes=ASSUMES[settings.errors],
+        Ts=float(settings.Ts),
+        misfit=misfit,
+        search=Search(
+            solution.status,
+            solution.is_converged,
+            solution.iterations,
+            solution.scaled_gradient,
+            label,
+        ),
+        notes=(*notes, *_doubts(layout, p, smallest, no_noise)),
+    )
+
+
+def _covariance(
+    criterion: PredictionErrors, solution: Solution, errors: Errors, variance: float
+) -> tuple[Array, float]:
+    """Covariance (n, n) of the scaled coefficients, and the information's smallest eigenvalue."""
+    values, vectors, root = _information(solution)
+    if errors == "white":
+        # A direction that is not excited gets a huge error, not the none of a pseudo-inverse.
+        q = vectors / np.sqrt(np.maximum(values, 1e-16))
+        return variance * (q @ q.T) / np.outer(root, root), float(values[0])
+    free = np.ones(len(root), dtype=bool)
+    return sandwich(solution.hessian, criterion.scores(solution.x), free)[0], float(values[0])
+
+
+def _misfit(criterion: PredictionErrors, data: Data, solution: Solution, units: Units) -> Misfit:
+    """Residuals in the data's own units, and what sums them up."""
+    N, power = criterion.N, units.y**2
+    residuals = tuple(r * units.y for r in criterion.residuals(solution.x))
+    pairs = list(zip(residuals, data, criterion.discard, strict=True))
+    counting = [r[d:] for r, _, d in pairs]
+    correlation = {
+        i: residual_input_correlation(counting, [u[i][d:] for _, (_, u), d in pairs])
+        for i in criterion.layout.inputs
+    }
+    return Misfit(
+        noise_variance=2 * solution.value / max(N - criterion.layout.n, 1) * power,
         loss=solution.value / N * power,
         fit=100 * (1 - float(np.sqrt(2 * solution.value / criterion.spread))),
         N=N,
-        Ts=float(Ts),
-        status=solution.status,
-        is_converged=solution.is_converged,
-        iterations=solution.iterations,
-        scaled_gradient=solution.scaled_gradient,
-        start=label,
         residuals=residuals,
         discarded=criterion.discard,
         input_correlation=correlation,
-        notes=(*notes, *_doubts(layout, p, smallest, no_noise)),
     )
 
 

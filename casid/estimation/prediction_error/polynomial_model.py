@@ -8,7 +8,7 @@ its delay as leading zeros. (2.13) of Linder (2017) with an F_i for every input 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,42 @@ from casid.linear.stability import largest_root
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Misfit:
+    """The residuals of an estimate.
+
+    Attributes
+    ----------
+    noise_variance : sum eps^2 / (N - n), output unit squared.
+    loss : V_N of Linder 2017, (2.36), sum eps^2 / (2 N).
+    fit : NRMSE fit of the one-step prediction [%], 100 (1 - |eps| / |y - mean y|).
+    N : residuals that count, over all records.
+    residuals : (N_r,) for each record, from the first sample on.
+    discarded : for each record, how many first residuals do not count.
+    input_correlation : input -> (lags + 1,) of `residual_input_correlation`: above 1 in size where
+        the residual and the input k samples before are correlated beyond 95 % bounds.
+    """
+
+    noise_variance: float
+    loss: float
+    fit: float
+    N: int
+    residuals: tuple[Array, ...]
+    discarded: tuple[int, ...]
+    input_correlation: Mapping[str, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """How an estimate was found: the solver's evidence, and where it started from."""
+
+    status: str
+    is_converged: bool
+    iterations: int
+    scaled_gradient: float
+    start: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PolynomialModel:
     """An estimate of A y = sum_i (B_i/F_i) u_i + (C/D) e, e white with variance `noise_variance`.
 
@@ -34,14 +70,8 @@ class PolynomialModel:
     B : input -> (nk + nb,), the first nk zero; output unit per input unit.
     F : input -> (nf + 1,) monic.
     covariance : (n, n) of `theta`, Linder 2017, (2.54)-(2.56), under what `assumes` says.
-    noise_variance : sum eps^2 / (N - n), output unit squared.
-    loss : V_N of Linder 2017, (2.36), sum eps^2 / (2 N).
-    fit : NRMSE fit of the one-step prediction [%], 100 (1 - |eps| / |y - mean y|).
-    N : residuals that count, over all records.
-    residuals : (N_r,) for each record, from the first sample on.
-    discarded : for each record, how many first residuals do not count.
-    input_correlation : input -> (lags + 1,) of `residual_input_correlation`: above 1 in size where
-        the residual and the input k samples before are correlated beyond 95 % bounds.
+    misfit : residuals, and what sums them up; search : how the estimate was found. The fields of
+        both are attributes of the model, too.
     notes : reflected roots, near cancellations, what else spoils a number.
     """
 
@@ -56,20 +86,72 @@ class PolynomialModel:
     theta: Array
     covariance: Array
     assumes: str
-    noise_variance: float
-    loss: float
-    fit: float
-    N: int
     Ts: float
-    status: str
-    is_converged: bool
-    iterations: int
-    scaled_gradient: float
-    start: str
-    residuals: tuple[Array, ...]
-    discarded: tuple[int, ...]
+    misfit: Misfit
+    search: Search
     notes: tuple[str, ...] = ()
-    input_correlation: Mapping[str, Array] = field(default_factory=dict)
+
+    # -- the groups' fields ------------------------------------------------------------------
+
+    @property
+    def noise_variance(self) -> float:
+        """sum eps^2 / (N - n), output unit squared."""
+        return self.misfit.noise_variance
+
+    @property
+    def loss(self) -> float:
+        """V_N of Linder 2017, (2.36)."""
+        return self.misfit.loss
+
+    @property
+    def fit(self) -> float:
+        """NRMSE fit of the one-step prediction [%]."""
+        return self.misfit.fit
+
+    @property
+    def N(self) -> int:
+        """Residuals that count, over all records."""
+        return self.misfit.N
+
+    @property
+    def residuals(self) -> tuple[Array, ...]:
+        """(N_r,) for each record, from the first sample on."""
+        return self.misfit.residuals
+
+    @property
+    def discarded(self) -> tuple[int, ...]:
+        """For each record, how many first residuals do not count."""
+        return self.misfit.discarded
+
+    @property
+    def input_correlation(self) -> Mapping[str, Array]:
+        """Input -> (lags + 1,) of `residual_input_correlation`."""
+        return self.misfit.input_correlation
+
+    @property
+    def status(self) -> str:
+        """How the search ended."""
+        return self.search.status
+
+    @property
+    def is_converged(self) -> bool:
+        """Whether the estimate is an optimum."""
+        return self.search.is_converged
+
+    @property
+    def iterations(self) -> int:
+        """Of the solver."""
+        return self.search.iterations
+
+    @property
+    def scaled_gradient(self) -> float:
+        """The largest at the estimate."""
+        return self.search.scaled_gradient
+
+    @property
+    def start(self) -> str:
+        """How the start values were found."""
+        return self.search.start
 
     # -- numbers -----------------------------------------------------------------------------
 

@@ -746,7 +746,7 @@ def test_a_constant_input_is_named_with_the_direction_it_leaves_open():
     y, _, _, _ = record("ARX", 100, seed=30)
     with pytest.raises(
         IdentifiabilityError,
-        match=r"excite 1 of the 2 lags that B asks for: 1 u\[t-1\] - 1 u\[t-2\] = 0"
+        match=r"excite 1 of the 2 lags that B needs: 1 u\[t-1\] - 1 u\[t-2\] = 0"
         r".*input u is constant \(2\).*richer input, or lower",
     ):
         arx(y, np.full(100, 2.0), na=1, nb=2)
@@ -758,7 +758,7 @@ def test_a_sine_tells_two_coefficients_and_no_more():
     y, _, _, _ = record("OE", 200, seed=31)
     u = np.sin(0.3 * np.arange(200))
     oe(y, u, nb=1, nf=1, throw=False)
-    with pytest.raises(IdentifiabilityError, match=r"excite 2 of the 3 lags that B and F ask for"):
+    with pytest.raises(IdentifiabilityError, match=r"excite 2 of the 3 lags that B and F need"):
         oe(y, u, nb=2, nf=1)
 
 
