@@ -32,7 +32,9 @@ from analysis.load_monitoring.records import ABOARD, PERIOD, TS, Calibration, ca
 from casid.arrays import Array
 from casid.estimation.moments.change_detection import ChangeDetector
 from casid.estimation.moments.gram import Moments
-from casid.identification.parameter_monitor import Derived, Monitor, MonitorSettings, Status
+from casid.identification.monitor_status import Derived, MonitorSettings, Status
+from casid.identification.parameter_monitor import Monitor
+from casid.identification.window_estimator import MonitoredParameters
 from problems import ship
 from problems.ship_4dof import Load, Ship, stability
 
@@ -91,12 +93,14 @@ def watcher(found: Calibration, reference: Sequence[Moments]) -> Monitor:
     return Monitor(
         ship.problem.model,
         Ts=TS,
-        known=found.known,
-        free={"m": ABOARD.m, "zbar_m": ABOARD.zbar_m},
+        parameters=MonitoredParameters(
+            found.known,
+            free={"m": ABOARD.m, "zbar_m": ABOARD.zbar_m},
+            start={"zbar_m": (ABOARD.zbar_m, 0.05)},
+        ),
         reference=reference,
         instruments=instruments(),
         detector=detector(),
-        start={"zbar_m": (ABOARD.zbar_m, 0.05)},
         derived={
             "GM": Derived(metacentric_height, "m"),
             "k + S g": Derived(margin, "N m/rad", LIMIT),

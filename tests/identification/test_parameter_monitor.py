@@ -22,7 +22,9 @@ from casid.estimation.moments.windowed_moments import (
     faded,
     on_simulated,
 )
-from casid.identification.parameter_monitor import Derived, Monitor, MonitorSettings
+from casid.identification.monitor_status import Derived, MonitorSettings
+from casid.identification.parameter_monitor import Monitor
+from casid.identification.window_estimator import MonitoredParameters
 from casid.linear.difference_equation import difference_equation
 
 # -- windows ---------------------------------------------------------------------------------------
@@ -267,14 +269,18 @@ def windows_of(masses: list[tuple[float, int]], seed: int, noise: float = 0.05) 
 def monitor(reference: list[Moments], **changes: object) -> Monitor:
     options: dict[str, object] = {
         "Ts": TS,
-        "known": Prior({"k": K, "d": D}, {"k": 0.04, "d": 0.02}),
-        "free": {"m": 1.0},
         "reference": reference,
         "instruments": on_simulated(EQUATION.columns, {"speed": "speed^"}),
         "detector": ChangeDetector(1e-4, training=20),
         "derived": {"frequency": Derived(lambda p: math.sqrt(p["k"] / p["m"]), "rad/s", 1.8)},
         "settings": MonitorSettings(every=3, span=12),
     } | changes
+    watched: dict[str, object] = {
+        "known": Prior({"k": K, "d": D}, {"k": 0.04, "d": 0.02}),
+        "free": {"m": 1.0},
+    }
+    watched |= {n: options.pop(n) for n in ("known", "free", "start") if n in options}
+    options["parameters"] = MonitoredParameters(**watched)  # type: ignore[arg-type]
     return Monitor(MODEL, **options)  # type: ignore[arg-type]
 
 
@@ -305,7 +311,7 @@ def test_the_estimate_is_the_truth_where_there_is_no_noise() -> None:
     made = WindowedMoments(["speed", "u"], 2, SIZE, simulated=_simulated(), settle=SIZE)
     u = np.where((np.arange(9 * SIZE) // 40) % 2 == 0, 1.0, -1.0)
     sums = sum(made.add({"speed": response(1.3, u), "u": u}))
-    theta, _ = watched.estimate(sums, 8.0)  # type: ignore[arg-type]
+    theta, _ = watched.estimator.estimate(sums, 8.0)  # type: ignore[arg-type]
     # the iteration rests at a ten-thousandth of a standard error; the error of mass here is 1e-2
     assert theta[0] == pytest.approx(1.3, abs=1e-5)
 
@@ -330,7 +336,7 @@ def test_calibration_errors_cancel_at_the_reference_and_reach_derived_numbers() 
     for differential in (True, False):
         settings = MonitorSettings(differential=differential)
         watched = monitor(REFERENCE, settings=settings)
-        theta, joint = watched.estimate(sum(REFERENCE), 60.0)  # type: ignore[arg-type]
+        theta, joint = watched.estimator.estimate(sum(REFERENCE), 60.0)  # type: ignore[arg-type]
         found[differential] = abs(joint[0, 1]) / 0.04**2  # d m/d k
         assert theta[0] == pytest.approx(1.0, abs=0.05)
     assert found[True] < 1e-3 * found[False]

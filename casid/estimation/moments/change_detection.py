@@ -107,11 +107,6 @@ class ChangeDetector:
         self._vectors = self._vectors[len(self._vectors) - kept :]
         self._scales = self._scales[len(self._scales) - kept :]
 
-    @property
-    def is_trained(self) -> bool:
-        """Whether the next vector will be compared."""
-        return len(self._vectors) + 1 >= self.training + self.widths[0]
-
     def add(self, vector: ArrayLike, scale: float = 1.0) -> Change | None:
         """Take the next vector and return the comparison that tells most, or None in training.
 
