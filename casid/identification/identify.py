@@ -9,9 +9,12 @@ from casid.data.problem import Problem, experiments_of
 from casid.data.record import Experiment, Record
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.estimate import Estimate
+from casid.estimation.holdout import record_views, split_records, validation
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import estimate_of, standing_channels
 from casid.identifiability.requirement import require_identifiable
+from casid.identification.wrong_signs import WrongSign, is_poor, wrong_sign
 from casid.model.model import Model
 
 
@@ -28,7 +31,7 @@ def identify(
 
     Parameters
     ----------
-    problem : or its model alone, where nothing else is to be said of it.
+    problem : or its model alone, where there is nothing to add to it.
     experiments : records in the problem's channels (SI), each with the values known for it alone;
         default the problem's own example. Unknown parameters are shared unless `settings.own`.
     hold_out : share of each record, at its end, or whole records, used for validation only.
@@ -37,50 +40,58 @@ def identify(
     Returns
     -------
     Estimate
-        Values in SI units, with standard errors robust to coloured residuals. Where the fit is
-        poor, `suspects` names a channel that was probably recorded with the wrong sign.
+        Values in SI units, with standard errors robust to autocorrelated residuals. Where the fit
+        is poor, `suspects` names a channel that was probably recorded with the wrong sign.
 
     Raises
     ------
     DataError
         Channels missing, inputs incomplete, record too short for the unknowns.
     IdentifiabilityError
-        Parameters that these records cannot tell apart, naming what they can tell.
+        Parameters that are not identifiable from these records; those that are, are named.
     SolveError
         The simulation diverges at the start, or the solver finds no optimum.
     """
-    from casid.estimation.holdout import record_views, split_records, validation
-    from casid.identification.wrong_signs import is_poor, wrong_sign
-
     say = progress or (lambda _: None)
     if isinstance(problem, Model):
         problem = Problem(problem.name, problem)
     chosen = experiments_of(problem, experiments)
     split = split_records(chosen, hold_out)
     settings = settings or FitSettings(starts=problem.starts)
-    told = "not asked, as there are constraints"
+    structural = "not asked, as there are constraints"
     if not settings.constraints:
-        told = require_identifiable(
+        structural = require_identifiable(
             problem.model, split.fitted, own=settings.own, problem=problem, progress=progress
         )
     say(f"fit {', '.join(e.name for e in split.fitted)}")
-    asked = not settings.constraints and settings.segments == 1
-    try:
-        fit = fit_model(problem.model, split.fitted, settings, start=start)
-    except (IdentifiabilityError, SolveError) as error:
-        turned = wrong_sign(problem, split.fitted, settings) if asked else None
-        if turned is None:
-            raise
-        raise type(error)(f"{turned}. As recorded: {error}") from error
-    turned = None
-    if asked and is_poor(fit):
-        say("the fit is poor: negate each channel in turn")
-        turned = wrong_sign(problem, split.fitted, settings)
-    held = validation(fit, split)
-    estimate = estimate_of(problem, fit, held, notes=standing_channels(problem.model, chosen))
+    fit, suspect = _fit(problem, split.fitted, settings, start, say)
+    held_out = validation(fit, split)
+    estimate = estimate_of(problem, fit, held_out, notes=standing_channels(problem.model, chosen))
     return replace(
         estimate,
         records=record_views(fit, None, split),
-        suspects=() if turned is None else (str(turned),),
-        identifiability=replace(estimate.identifiability, structural=told),
+        suspects=() if suspect is None else (str(suspect),),
+        identifiability=replace(estimate.identifiability, structural=structural),
     )
+
+
+def _fit(
+    problem: Problem,
+    experiments: Sequence[Experiment],
+    settings: FitSettings,
+    start: Mapping[str, float] | None,
+    say: Callable[[str], None],
+) -> tuple[Fit, WrongSign | None]:
+    """The fit, and where it is poor a channel that was probably recorded with the wrong sign."""
+    checks_signs = not settings.constraints and settings.segments == 1
+    try:
+        fit = fit_model(problem.model, experiments, settings, start=start)
+    except (IdentifiabilityError, SolveError) as error:
+        suspect = wrong_sign(problem, experiments, settings) if checks_signs else None
+        if suspect is None:
+            raise
+        raise type(error)(f"{suspect}. As recorded: {error}") from error
+    if not (checks_signs and is_poor(fit)):
+        return fit, None
+    say("the fit is poor: negate each channel in turn")
+    return fit, wrong_sign(problem, experiments, settings)
