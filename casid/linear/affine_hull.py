@@ -171,22 +171,7 @@ def affine_hull(
     draw = ParameterDraw(parameters, values, free, ranges or {}, seed)
     n = count_of_coefficients(g, parameters)
     names = coefficient_names(coefficients, n)
-    rows = _sample(g, draw, 20 * (n + 1) + 40)
-    scale = _column_scale(rows)
-    _, singular, right = np.linalg.svd(rows / scale, full_matrices=False)
-    singular = singular / singular[0]
-    found, clear = _rank(singular)
-    exact_rows = _exact_relations(g, draw, n)
-    is_exact = exact_rows is not None and (len(exact_rows) == n + 1 - found or not clear)
-    if is_exact and exact_rows is not None:
-        relations = largest_one([[float(v) for v in _bounded(row)] for row in exact_rows], n)
-    elif not clear:
-        raise IdentifiabilityError(
-            "the number of linear constraints is unclear, the singular values are "
-            f"{', '.join(f'{v:.1e}' for v in singular)}: give wider `ranges` of {', '.join(free)}"
-        )
-    else:
-        relations = largest_one(_reduced(right[found:], 1e-14 / singular[found - 1]) / scale, n)
+    relations, is_exact, gap = _relations(g, draw, n)
     B, b = relations[:, :n], 0.0 - relations[:, n]
     residual = _residual(B, b, _sample(g, draw, 50))
     if residual > _VERIFIED:
@@ -204,8 +189,31 @@ def affine_hull(
         free=free,
         known={name: draw.known[name] for name in parameters if name in draw.known},
         is_exact=is_exact,
-        gap=float(singular[found - 1] / max(singular[found], 1e-16)) if found <= n else np.inf,
+        gap=gap,
     )
+
+
+def _relations(g: ca.Function, draw: ParameterDraw, n: int) -> tuple[Array, bool, float]:
+    """Rows [B, -b], whether they are exact, and the gap of the rank decision."""
+    rows = _sample(g, draw, 20 * (n + 1) + 40)
+    scale = _column_scale(rows)
+    _, singular, right = np.linalg.svd(rows / scale, full_matrices=False)
+    singular = singular / singular[0]
+    found, clear = _rank(singular)
+    exact_rows = _exact_relations(g, draw, n)
+    is_exact = exact_rows is not None and (len(exact_rows) == n + 1 - found or not clear)
+    if is_exact and exact_rows is not None:
+        relations = largest_one([[float(v) for v in _bounded(row)] for row in exact_rows], n)
+    elif not clear:
+        values = ", ".join(f"{v:.1e}" for v in singular)
+        raise IdentifiabilityError(
+            f"the number of linear constraints is unclear, the singular values are {values}: give "
+            f"wider `ranges` of {', '.join(draw.free)}"
+        )
+    else:
+        relations = largest_one(_reduced(right[found:], 1e-14 / singular[found - 1]) / scale, n)
+    gap = float(singular[found - 1] / max(singular[found], 1e-16)) if found <= n else np.inf
+    return relations, is_exact, gap
 
 
 def image_dimension(

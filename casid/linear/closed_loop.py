@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,29 @@ _WELL_POSED = 1e-6  # smallest leading coefficient of the loop, relative to its 
 
 
 @dataclass(frozen=True, eq=False)
+class ForwardPath:
+    """The indirect model (1): G_O (ny, nI), G_K (ny, nK), H_O (ny, nb)."""
+
+    G_O: Algebra
+    G_K: Algebra
+    H_O: Algebra
+
+
+@dataclass(frozen=True, eq=False)
+class ReturnPath:
+    """(2): F_y (nI, ny), F_K (nI, nK), F_w (nI, nI), F_tau (nI, nb).
+
+    `used` : equations from which it was derived, beside the sensor's own.
+    """
+
+    F_y: Algebra
+    F_K: Algebra
+    F_w: Algebra
+    F_tau: Algebra
+    used: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class ClosedLoopView(Presented):
     """An indirect model as a loop; sympy matrices of rational functions of `p`.
 
@@ -48,9 +72,8 @@ class ClosedLoopView(Presented):
     unknown : w, the inputs that were eliminated, (nI).
     others : u_K, all other inputs, (nK).
     disturbances : balances, each with a disturbance tau in its own unit, (nb).
-    G_O (ny, nI), G_K (ny, nK), H_O (ny, nb) : the indirect model (1).
-    F_y (nI, ny), F_K (nI, nK), F_w (nI, nI), F_tau (nI, nb) : the return path (2).
-    used : equations from which (2) was derived, beside the sensor's own.
+    forward, back : (1) and (2); their matrices are attributes of the view, too.
+    response : [y_O; u_I] from [w; u_K; tau] by the direct model's equations.
     p : sympy symbol of the derivative operator d/dt.
     parameters : names of the model's parameters, symbols of the same names in the matrices.
     values : name -> the model's own value, or start where it is not known.
@@ -62,18 +85,21 @@ class ClosedLoopView(Presented):
     unknown: tuple[str, ...]
     others: tuple[str, ...]
     disturbances: tuple[str, ...]
-    G_O: Algebra
-    G_K: Algebra
-    H_O: Algebra
-    F_y: Algebra
-    F_K: Algebra
-    F_w: Algebra
-    F_tau: Algebra
+    forward: ForwardPath
+    back: ReturnPath
     response: Algebra
-    used: tuple[str, ...]
     p: Algebra
     parameters: tuple[str, ...]
     values: Mapping[str, float]
+
+    G_O = property(attrgetter("forward.G_O"))
+    G_K = property(attrgetter("forward.G_K"))
+    H_O = property(attrgetter("forward.H_O"))
+    F_y = property(attrgetter("back.F_y"))
+    F_K = property(attrgetter("back.F_K"))
+    F_w = property(attrgetter("back.F_w"))
+    F_tau = property(attrgetter("back.F_tau"))
+    used = property(attrgetter("back.used"))
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields: what was derived from them is derived anew, compiled functions above all."""
@@ -375,15 +401,15 @@ def closed_loop_view(
         unknown=laplace.unknown,
         others=laplace.others,
         disturbances=laplace.disturbances,
-        G_O=G[:, :nI],
-        G_K=G[:, nI : nI + nK],
-        H_O=G[:, nI + nK :],
-        F_y=F[:, :ny],
-        F_w=F[:, ny : ny + nI],
-        F_K=F[:, ny + nI : ny + nI + nK],
-        F_tau=F[:, ny + nI + nK :],
+        forward=ForwardPath(G[:, :nI], G[:, nI : nI + nK], G[:, nI + nK :]),
+        back=ReturnPath(
+            F_y=F[:, :ny],
+            F_w=F[:, ny : ny + nI],
+            F_K=F[:, ny + nI : ny + nI + nK],
+            F_tau=F[:, ny + nI + nK :],
+            used=used,
+        ),
         response=laplace.direct(),
-        used=used,
         p=laplace.p,
         parameters=laplace.parameters,
         values={n: start[n] for n in laplace.parameters},

@@ -256,52 +256,39 @@ def difference_equation(
             f"{linear.name}: output {output} depends on no input and no state, so there is nothing "
             "to fit; check its expression"
         )
-    n = transfer.order
     polynomials = [transfer.denominator, *(transfer.numerators[0][j] for j in driven)]
     discrete = discretise(transfer, Ts, method)
     if method in SUBSTITUTIONS:
         relations, independent = rational_relations(polynomials, transfer.p, Ts, method)
+        theta = _substituted_theta(polynomials, independent, Ts, method)
     else:
         relations, independent = hold_relations(transfer, driven, Ts, method, discrete)
-    every = [discrete.denominator, *(discrete.numerators[0][j] for j in driven)]
-    flat = [b[k] for b in every for k in range(n + 1)]
-    if method in SUBSTITUTIONS:
-        theta = _substituted_theta(polynomials, relations, independent, Ts, method)
-    else:
+        every = [discrete.denominator, *(discrete.numerators[0][j] for j in driven)]
+        flat = [e for b in every for e in ca.vertsplit(b)]
         theta = [flat[i] for i in independent[1:]]
-    names = ["a" + str(k) for k in range(n + 1)]
-    names += [f"b{k}[{u}]" for u in inputs for k in range(n + 1)]
+    lags = range(transfer.order + 1)
+    names = [*(f"a{k}" for k in lags), *(f"b{k}[{u}]" for u in inputs for k in lags)]
     # The taps of (1) brought to the left: y_t + sum a y - sum b u.
-    taps = [(output, k, 1.0) for k in range(n + 1)]
-    taps += [(u, k, -1.0) for u in inputs for k in range(n + 1)]
-    left = _combined(taps, relations[:, 0])
-    columns = tuple(_combined(taps, -relations[:, i]) for i in range(1, relations.shape[1]))
-    notes = list(linear.notes)
-    notes += _stability_note(transfer, discrete, method)
+    taps = [(output, k, 1.0) for k in lags] + [(u, k, -1.0) for u in inputs for k in lags]
+    notes = [*linear.notes, *_stability_note(transfer, discrete, method)]
     shared = common_degree(polynomials, transfer.p) if inputs else 0
     if shared:
         notes.append(
             f"numerators and denominator share a factor of degree {shared} for all parameters, so "
             f"noise-free columns are collinear; drop {shared} state(s) that {output} does not need"
         )
+    theta_p = [ca.densify(ca.vertcat(*theta))]
     return DifferenceEquation(
         name=f"{linear.name}, {output}",
         output=output,
         inputs=inputs,
         Ts=float(Ts),
         method=method,
-        left=left,
-        columns=columns,
+        left=_combined(taps, relations[:, 0]),
+        columns=tuple(_combined(taps, -relations[:, i]) for i in range(1, relations.shape[1])),
         coefficients=tuple(names[i] for i in independent[1:]),
         parameters=transfer.parameters,
-        g=ca.Function(
-            "g",
-            [transfer.p],
-            [ca.densify(ca.vertcat(*theta))],
-            ["theta_p"],
-            ["theta"],
-            {"cse": True},
-        ),
+        g=ca.Function("g", [transfer.p], theta_p, ["theta_p"], ["theta"], {"cse": True}),
         relations=relations,
         transfer=transfer,
         description=transfer.description,
@@ -321,7 +308,7 @@ def difference_equations(
 
 
 def _substituted_theta(
-    polynomials: Sequence[Expr], relations: Array, independent: list[int], Ts: float, method: str
+    polynomials: Sequence[Expr], independent: list[int], Ts: float, method: str
 ) -> list[Expr]:
     """The independent coefficients, each divided by the first."""
     n = polynomials[0].numel() - 1

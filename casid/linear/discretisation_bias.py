@@ -21,7 +21,7 @@ from casid.linear.difference_equation import DifferenceEquation, difference_equa
 from casid.linear.discretisation import METHODS, check_method, discretise
 from casid.linear.inverse_map import invert
 from casid.linear.lagged_columns import Column
-from casid.linear.linear_model import LinearModel, linearise
+from casid.linear.linear_model import LinearModel, TransferMatrix, linearise
 from casid.model.model import Model
 
 Spectrum = Callable[[Array], Array]
@@ -116,29 +116,17 @@ def bias_table(
             )
         output = linear.outputs[0]
     transfer = linear.transfer(output)
-    a, rows = transfer.evaluate(values)
-    fastest = float(np.abs(np.roots(a)).max(initial=0.0))
+    fastest = float(np.abs(np.roots(transfer.evaluate(values)[0])).max(initial=0.0))
     found = []
     for T in times:
         check_method("zoh", T)
         nyquist = np.pi / T
         top = nyquist if spectrum is not None or fastest == 0.0 else min(3.0 * fastest, nyquist)
         w = (np.arange(points) + 0.5) * top / points
-        if truth == "continuous":
-            s = 1j * w
-            responses = [np.polyval(b, s) / np.polyval(a, s) for b in rows[0]]
-        else:
-            discrete_a, discrete_rows = discretise(transfer, T, truth).evaluate(values)
-            x = np.exp(-1j * w * T)
-            responses = [
-                np.polyval(b[::-1], x) / np.polyval(discrete_a[::-1], x) for b in discrete_rows[0]
-            ]
+        responses = _responses(transfer, truth, T, w, values)
         for method in methods:
             equation = difference_equation(linear, output, T, method=method)
-            estimate = _limit(
-                equation, w, dict(zip(transfer.inputs, responses, strict=True)), spectrum, free,
-                values or {},
-            )  # fmt: skip
+            estimate = _limit(equation, w, responses, spectrum, free, values or {})
             true = equation.vector(values)
             bias = {}
             for name, value in zip(free, estimate, strict=True):
@@ -146,6 +134,21 @@ def bias_table(
                 bias[name] = float(value - reference) / (reference if reference else 1.0)
             found.append(BiasRow(float(T), method, (fastest * T) ** 2 / 12.0, bias))
     return BiasTable(output, truth, free, tuple(found))
+
+
+def _responses(
+    transfer: TransferMatrix, truth: str, T: float, w: Array, values: Mapping[str, float] | None
+) -> dict[str, Array]:
+    """The frequency response of the output to each input, as `truth` has it between samples."""
+    if truth == "continuous":
+        s = 1j * w
+        a, rows = transfer.evaluate(values)
+        found = [np.polyval(b, s) / np.polyval(a, s) for b in rows[0]]
+    else:
+        a, rows = discretise(transfer, T, truth).evaluate(values)
+        x = np.exp(-1j * w * T)
+        found = [np.polyval(b[::-1], x) / np.polyval(a[::-1], x) for b in rows[0]]
+    return dict(zip(transfer.inputs, found, strict=True))
 
 
 def _limit(

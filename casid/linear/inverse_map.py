@@ -10,21 +10,20 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casid.algebra.symbolic import exact, to_sympy
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, ModelError, SolveError, nearest
-
-if TYPE_CHECKING:
-    from casid.linear.difference_equation import DifferenceEquation
-    from casid.linear.linear_model import TransferMatrix
-
+from casid.linear.difference_equation import DifferenceEquation
+from casid.linear.discretisation import SUBSTITUTIONS, substitution
+from casid.linear.linear_model import TransferMatrix
 
 _ITERATIONS = 60
 _STARTS = 24  # further starts, where the first does not converge
@@ -76,15 +75,47 @@ def invert(
     coefficients as parameters, (J'QJ - sum_i (Q r)_i H_i)^-1 J'Q else (r = theta - g, Q = W'W).
     """
     free = _checked_names(equation, free)
-    for what, given in (("start", start), ("bound", bounds)):
-        for name in given or ():
-            if name not in equation.parameters:
-                raise ModelError(
-                    f"{equation.name}: a {what} is given for {name!r}, which is no parameter"
-                    f"{nearest(name, equation.parameters)}"
-                )
+    task = _task(equation, np.asarray(theta, dtype=float).ravel(), free, weight)
+    p, x0, task = _start(equation, task, model_values, start or {}, bounds or {})
+    rng = np.random.default_rng(2)
+    failures: list[str] = []
+    for attempt in range(1 + _STARTS):
+        x = _other_start(task, x0, attempt, rng) if attempt else x0
+        try:
+            x, r, J = _newton(task, p, x)
+        except _Stuck as reason:
+            failures.append(str(reason))
+            continue
+        inside = (x > task.lower) & (x < task.upper)
+        typical = np.where(x0 == 0.0, 1.0, np.abs(x0))
+        _require_rank(equation, free, x, J, inside, task.theta, typical)
+        return x, _derivative(task, p, x, r, J, inside)
+    if not failures[0].startswith("rank"):  # the zero of a start value is not the reason
+        x0 = np.where(x0 == 0.0, 0.3, x0)
+    _require_rank(equation, free, x0, task.map(p, x0)[1], np.ones(len(free), dtype=bool))
+    raise SolveError(
+        f"{equation.name}: no {', '.join(free)} give these coefficients ({failures[0]}, then from "
+        f"{_STARTS} other starts); check the known values and the sample time, or start nearer"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """What is solved: g(x) = theta within bounds, weighted where there are more coefficients."""
+
+    map: _Map
+    free: tuple[str, ...]
+    theta: Array
+    weight: Array | None
+    lower: Array
+    upper: Array
+
+
+def _task(
+    equation: DifferenceEquation, theta: Array, free: tuple[str, ...], weight: Array | None
+) -> _Task:
+    """The equations to solve, without bounds; refuses coefficients that cannot be right."""
     map_ = _evaluator(equation, free, threading.get_ident())
-    theta = np.asarray(theta, dtype=float).ravel()
     if len(theta) != map_.ntheta:
         raise ModelError(
             f"{equation.name}: {len(theta)} coefficients given for {map_.ntheta}; they are "
@@ -101,46 +132,51 @@ def invert(
             f"{equation.name}: {len(free)} parameters ({', '.join(free)}) cannot follow from "
             f"{map_.ntheta} coefficients; declare at least {len(free) - map_.ntheta} known"
         )
-    description = {q.name: q for q in equation.description}
+    infinite = np.full(len(free), np.inf)
+    return _Task(map_, free, theta, weight, -infinite, infinite)
+
+
+def _start(
+    equation: DifferenceEquation,
+    task: _Task,
+    model_values: Mapping[str, float],
+    start: Mapping[str, float],
+    bounds: Mapping[str, tuple[float, float]],
+) -> tuple[Array, Array, _Task]:
+    """All parameters (np,), the start of the free ones (nfree,), and the task with its bounds."""
+    given: tuple[tuple[str, Mapping[str, Any]], ...] = (("start", start), ("bound", bounds))
+    for what, names in given:
+        for name in names:
+            if name not in equation.parameters:
+                raise ModelError(
+                    f"{equation.name}: a {what} is given for {name!r}, which is no parameter"
+                    f"{nearest(name, equation.parameters)}"
+                )
+    free, description = task.free, {q.name: q for q in equation.description}
     begin = {n: description[n].start for n in free}
     begin |= {n: q.value for n in free if (q := description[n]).value is not None}
     begin |= {n: float(model_values[n]) for n in free if n in model_values}
-    begin |= {n: float(start[n]) for n in free if start and n in start}
+    begin |= {n: float(start[n]) for n in free if n in start}
     p = equation.vector({**begin, **model_values, **{n: begin[n] for n in free}})
-    lower = np.array([(bounds or {}).get(n, (-np.inf, np.inf))[0] for n in free])
-    upper = np.array([(bounds or {}).get(n, (-np.inf, np.inf))[1] for n in free])
+    lower = np.array([bounds.get(n, (-np.inf, np.inf))[0] for n in free])
+    upper = np.array([bounds.get(n, (-np.inf, np.inf))[1] for n in free])
     crossed = [n for n, a, b in zip(free, lower, upper, strict=True) if a > b]
     if crossed:
         raise ModelError(
             f"{equation.name}: the lower bound of {crossed[0]} lies above its upper bound; "
             "exchange them"
         )
-    x0 = np.clip(p[map_.index], lower, upper)
-    rng = np.random.default_rng(2)
-    trouble: list[str] = []
-    for attempt in range(1 + _STARTS):
-        x = x0
-        if attempt:
-            spread = np.exp(0.25 * attempt**0.5 * rng.standard_normal(len(x0)))
-            fresh = 0.3 * rng.standard_normal(len(x0))
-            if attempt > 3:  # maps as m, z_m -> m z_m are singular between the signs
-                spread *= rng.choice([-1.0, 1.0], len(x0))
-            x = np.clip(np.where(x0 == 0.0, fresh, x0 * spread), lower, upper)
-        try:
-            x, r, J = _newton(map_, p, x, theta, lower, upper, weight)
-        except _Stuck as reason:
-            trouble.append(str(reason))
-            continue
-        inside = (x > lower) & (x < upper)
-        _require_rank(equation, free, x, J, inside, theta, np.where(x0 == 0.0, 1.0, np.abs(x0)))
-        return x, _derivative(map_, p, x, r, J, inside, weight)
-    if not trouble[0].startswith("rank"):  # no zero of the start's own is to blame
-        x0 = np.where(x0 == 0.0, 0.3, x0)
-    _require_rank(equation, free, x0, map_(p, x0)[1], np.ones(len(free), dtype=bool))
-    raise SolveError(
-        f"{equation.name}: no {', '.join(free)} give these coefficients ({trouble[0]}, then from "
-        f"{_STARTS} other starts); check the known values and the sample time, or start nearer"
-    )
+    x0 = np.clip(p[task.map.index], lower, upper)
+    return p, x0, replace(task, lower=lower, upper=upper)
+
+
+def _other_start(task: _Task, x0: Array, attempt: int, rng: np.random.Generator) -> Array:
+    """A random start about x0, farther away with every attempt."""
+    spread = np.exp(0.25 * attempt**0.5 * rng.standard_normal(len(x0)))
+    fresh = 0.3 * rng.standard_normal(len(x0))
+    if attempt > 3:  # maps as m, z_m -> m z_m are singular between the signs
+        spread *= rng.choice([-1.0, 1.0], len(x0))
+    return np.clip(np.where(x0 == 0.0, fresh, x0 * spread), task.lower, task.upper)
 
 
 def _checked_names(equation: DifferenceEquation, free: Sequence[str] | str) -> tuple[str, ...]:
@@ -200,20 +236,13 @@ def _evaluator(equation: DifferenceEquation, free: tuple[str, ...], thread: int)
     return _Map(equation, free)
 
 
-def _newton(
-    map_: _Map,
-    p: Array,
-    x: Array,
-    theta: Array,
-    lower: Array,
-    upper: Array,
-    weight: Array | None,
-) -> tuple[Array, Array, Array]:
+def _newton(task: _Task, p: Array, x: Array) -> tuple[Array, Array, Array]:
     """Damped Newton (Gauss-Newton) steps: parameters, residual theta - g, Jacobian there."""
+    map_, theta, lower, upper = task.map, task.theta, task.lower, task.upper
     value, J = map_(p, x)
     r = theta - value
     is_square = J.shape[0] == J.shape[1]
-    W = weight if weight is not None and not is_square else None
+    W = None if is_square else task.weight
     for _ in range(_ITERATIONS):
         if not (np.isfinite(r).all() and np.isfinite(J).all()):
             raise _Stuck("not finite")
@@ -268,9 +297,8 @@ def _step(
     return inverse @ r, lambda residual: inverse @ residual
 
 
-def _derivative(
-    map_: _Map, p: Array, x: Array, r: Array, J: Array, inside: Array, weight: Array | None
-) -> Array:
+def _derivative(task: _Task, p: Array, x: Array, r: Array, J: Array, inside: Array) -> Array:
+    map_, weight = task.map, task.weight
     result = np.zeros((len(x), map_.ntheta))
     if J.shape[0] == J.shape[1] and inside.all():
         return np.asarray(np.linalg.inv(J))
@@ -396,9 +424,6 @@ def continuous_form(equation: DifferenceEquation) -> dict[str, Any]:
     """
     import sympy
 
-    from casid.algebra.symbolic import exact
-    from casid.linear.discretisation import SUBSTITUTIONS, substitution
-
     if equation.method not in SUBSTITUTIONS:
         raise ModelError(
             f"{equation.name}: under {equation.method} the continuous coefficients are logarithms "
@@ -447,8 +472,6 @@ def closed_form(
         If no choice of coefficients gives the parameters in closed form; `invert` may still.
     """
     import sympy
-
-    from casid.algebra.symbolic import to_sympy
 
     free = _checked_names(equation, free)
     using = (using,) if isinstance(using, str) else using

@@ -30,7 +30,7 @@ from casid.linear.common_denominator import (
     parameter_vector,
     unpacked,
 )
-from casid.model.model import Model, Parameter
+from casid.model.model import Explicit, Model, Parameter
 from casid.presentation import Presented
 
 Expr = Any  # a CasADi SX expression
@@ -230,18 +230,7 @@ def linearise(
         If a name is unknown, this is not an equilibrium for all parameter values, a derivative is
         not finite there, or the model has a delay, a clipping or a generated input.
     """
-    for stage in model.stages:
-        what = "clips" if stage.kind == "clip" else "delays"
-        raise ModelError(
-            f"{model.name}: the effect on {stage.channel} {what} it, which no linear model of "
-            f"finite order does; linearise the model without that effect, or fit it by simulation"
-        )
-    for entry in model.inputs.values():
-        if entry.kind == "generated":
-            raise ModelError(
-                f"{model.name}: {entry.name!r} changes the model with time; linearise the model "
-                "without that effect, or fit it by simulation"
-            )
+    _require_finite_order(model)
     e = model.explicit()
     point_x = _point(model.name, "state", e.states, x or {})
     point_u = _point(model.name, "input", e.inputs, u or {})
@@ -254,7 +243,6 @@ def linearise(
     _require_equilibrium(model, e.states, there(e.f), e.p, point)
     nx = len(e.states)
     slopes = ca.jacobian(ca.vertcat(e.f, e.h), symbols)
-    is_linear = not any(ca.which_depends(ca.vec(slopes), symbols)) if slopes.nnz() else True
     at = there(slopes)
     flat = remove_zeros([at[i, j] for j in range(at.size2()) for i in range(at.size1())], e.p)
     rows = at.size1()
@@ -263,13 +251,6 @@ def linearise(
         if entry.nnz():
             matrix[k % rows, k // rows] = entry
     _require_finite(model, matrix, e.p)
-    lost = [n for i, n in enumerate(e.parameters) if ca.depends_on(ca.vertcat(e.f, e.h), e.p[i])]
-    lost = [n for n in lost if not ca.depends_on(matrix, model.symbol(n))]
-    notes = []
-    if not is_linear:
-        notes.append(f"{model.name} is nonlinear: valid for small deviations from the equilibrium")
-    if lost:
-        notes.append(f"the linear model does not depend on {', '.join(lost)}")
     values = {name: point[i] for i, name in enumerate((*e.states, *e.inputs))}
     h = there(e.h)
     return LinearModel(
@@ -285,8 +266,35 @@ def linearise(
         parameters=e.parameters,
         description=tuple(model.parameters[n] for n in e.parameters),
         equilibrium=values | {name: h[i] for i, name in enumerate(e.outputs)},
-        notes=tuple(notes),
+        notes=_notes(model, e, slopes, matrix),
     )
+
+
+def _require_finite_order(model: Model) -> None:
+    for stage in model.stages:
+        what = "clips" if stage.kind == "clip" else "delays"
+        raise ModelError(
+            f"{model.name}: the effect on {stage.channel} {what} it, which no linear model of "
+            f"finite order does; linearise the model without that effect, or fit it by simulation"
+        )
+    for entry in model.inputs.values():
+        if entry.kind == "generated":
+            raise ModelError(
+                f"{model.name}: {entry.name!r} changes the model with time; linearise the model "
+                "without that effect, or fit it by simulation"
+            )
+
+
+def _notes(model: Model, e: Explicit, slopes: Expr, matrix: Expr) -> tuple[str, ...]:
+    """That the model is nonlinear, and which parameters its linearisation has lost."""
+    notes = []
+    if slopes.nnz() and any(ca.which_depends(ca.vec(slopes), ca.vertcat(e.x, e.u))):
+        notes.append(f"{model.name} is nonlinear: valid for small deviations from the equilibrium")
+    lost = [n for i, n in enumerate(e.parameters) if ca.depends_on(ca.vertcat(e.f, e.h), e.p[i])]
+    lost = [n for n in lost if not ca.depends_on(matrix, model.symbol(n))]
+    if lost:
+        notes.append(f"the linear model does not depend on {', '.join(lost)}")
+    return tuple(notes)
 
 
 def adjugate_polynomials(A: Expr) -> tuple[Expr, list[Expr]]:

@@ -1,4 +1,4 @@
-"""The affine hull of theta = g(theta_p) with a proof, in letters.
+"""The affine hull of theta = g(theta_p) with a proof, symbolically.
 
 theta_i = num_i / den with polynomials in the free parameters, so B theta = b for all of them is
 sum_i B_i num_i = b den, coefficient by coefficient: B and b are the null space of the matrix of
@@ -111,7 +111,7 @@ def symbolic_hull(
     ----------
     g, parameters, free, coefficients : as `affine_hull`.
     values : known parameters that are numbers, as the shortest decimal that gives the float; a
-        known parameter without a value stays a symbol: ``{}`` gives the constraints in letters.
+        known parameter without a value stays a symbol: ``{}`` gives the constraints symbolically.
     limit : largest number of terms in a numerator or denominator on the way.
 
     Raises
@@ -129,50 +129,67 @@ def symbolic_hull(
     n = count_of_coefficients(g, parameters)
     names = coefficient_names(coefficients, n)
     # A field needs a generator, even where all parameters are numbers.
-    letters = [p for p in parameters if p in free or p not in values] or [parameters[0]]
-    symbols = {name: sympy.Symbol(name) for name in letters}
-    numbers = {p: exact(float(values[p])) for p in parameters if p not in letters}
-    if free:
-        _check_degree(g, parameters, numbers)
-    quotients = sympy.QQ.frac_field(*symbols.values())
-    inputs = [
-        quotients(_qq(numbers[p])) if p in numbers else quotients.from_sympy(symbols[p])
-        for p in parameters
-    ]
-    theta = _walk(g, inputs, quotients, lambda q: _check_terms(q, limit))
-    ring = quotients.field.ring
-    den = ring.one
-    for t in theta:
-        den = den.lcm(t.denom)
-    columns = [t.numer * den.exquo(t.denom) for t in theta] + [den]
-    for column in columns:
-        _check_terms(quotients(column), limit)
-    # Monomials split into their free part, a row of the matrix, and their known part, its entries.
-    is_free = [name in free for name in letters]
-    known = [symbols[name] for name in letters if name not in free]
+    names_of_symbols = [p for p in parameters if p in free or p not in values] or [parameters[0]]
+    columns = _polynomials(g, parameters, values, names_of_symbols, free, limit)
+    known = [sympy.Symbol(name) for name in names_of_symbols if name not in free]
     K = sympy.QQ.frac_field(*known) if known else sympy.QQ
-    table: dict[tuple[int, ...], list[Any]] = {}
-    for j, polynomial in enumerate(columns):
-        for powers, value in polynomial.terms():
-            row = tuple(e for e, f in zip(powers, is_free, strict=True) if f)
-            rest = tuple(e for e, f in zip(powers, is_free, strict=True) if not f)
-            entry = K.field.ring({rest: value}) if known else value
-            entries = table.setdefault(row, [K.zero] * (n + 1))
-            entries[j] = entries[j] + K(entry)
-    matrix = DomainMatrix(list(table.values()), (len(table), n + 1), K)
+    table = _by_free_monomial(columns, [name in free for name in names_of_symbols], K)
+    matrix = DomainMatrix(table, (len(table), n + 1), K)
     basis = matrix.nullspace().rref()[0].to_Matrix()
     B = basis[:, :n].applyfunc(sympy.factor)
     b = (-basis[:, n:]).applyfunc(sympy.factor)
     both = B.row_join(-b)
-    letters = [s for s in known if s in both.free_symbols]
+    occurring = [s for s in known if s in both.free_symbols]
     return SymbolicHull(
         B=B,
         b=b,
         coefficients=names,
         free=tuple(free),
-        known=tuple(str(s) for s in letters),
-        _rows=sympy.lambdify(letters, list(both), modules="numpy", cse=True),
+        known=tuple(str(s) for s in occurring),
+        _rows=sympy.lambdify(occurring, list(both), modules="numpy", cse=True),
     )
+
+
+def _polynomials(
+    g: ca.Function,
+    parameters: Sequence[str],
+    values: Mapping[str, float],
+    symbolic: Sequence[str],
+    free: Sequence[str],
+    limit: int,
+) -> list[Any]:
+    """num_1 .. num_n and den of theta_i = num_i / den, polynomials in the `symbolic` parameters."""
+    import sympy
+
+    numbers = {p: exact(float(values[p])) for p in parameters if p not in symbolic}
+    if free:
+        _check_degree(g, parameters, numbers)
+    quotients = sympy.QQ.frac_field(*map(sympy.Symbol, symbolic))
+    inputs = [
+        quotients(_qq(numbers[p])) if p in numbers else quotients.from_sympy(sympy.Symbol(p))
+        for p in parameters
+    ]
+    theta = _walk(g, inputs, quotients, lambda q: _check_terms(q, limit))
+    den = quotients.field.ring.one
+    for t in theta:
+        den = den.lcm(t.denom)
+    columns = [t.numer * den.exquo(t.denom) for t in theta] + [den]
+    for column in columns:
+        _check_terms(quotients(column), limit)
+    return columns
+
+
+def _by_free_monomial(columns: list[Any], is_free: list[bool], K: Any) -> list[list[Any]]:
+    """A row for each monomial in the free parameters; its entries hold the known ones, in K."""
+    table: dict[tuple[int, ...], list[Any]] = {}
+    for j, polynomial in enumerate(columns):
+        for powers, value in polynomial.terms():
+            row = tuple(e for e, f in zip(powers, is_free, strict=True) if f)
+            rest = tuple(e for e, f in zip(powers, is_free, strict=True) if not f)
+            entry = value if all(is_free) else K.field.ring({rest: value})
+            entries = table.setdefault(row, [K.zero] * len(columns))
+            entries[j] = entries[j] + K(entry)
+    return list(table.values())
 
 
 def _qq(fraction: Fraction) -> Any:
@@ -221,7 +238,7 @@ def _check_terms(quotient: Any, limit: int) -> None:
 def _check_degree(
     g: ca.Function, parameters: Sequence[str], numbers: Mapping[str, Fraction]
 ) -> None:
-    """Refuse high degrees early: along a line a + b t through the letters, one letter is left."""
+    """Refuse high degrees early: along a line a + b t of the parameters there is one symbol."""
     import sympy
 
     t = sympy.Symbol("t")
