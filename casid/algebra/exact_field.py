@@ -45,13 +45,13 @@ def _rational(value: Any) -> Any:
     return sympy.nsimplify(sympy.sympify(value), rational=True)
 
 
-def solve(matrix: Array, right: Array, labels: list[str], what: str, mend: str) -> Array:
+def solve(matrix: Array, right: Array, labels: list[str], what: str, remedy: str) -> Array:
     """Solve matrix @ x = right, (n, n) and (n, m), of floats or of field elements.
 
     Parameters
     ----------
     labels : what the n columns are called.
-    what, mend : begin and end the message when the columns depend on each other.
+    what, remedy : begin and end the message when the columns depend on each other.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def solve(matrix: Array, right: Array, labels: list[str], what: str, mend: str) 
         text = " + ".join(
             f"{_shown(c)}{name}" for c, name in zip(combination, labels, strict=True) if c != 0
         )
-        raise IdentifiabilityError(f"{what}: {text.replace('+ -', '- ')} = 0. {mend}")
+        raise IdentifiabilityError(f"{what}: {text.replace('+ -', '- ')} = 0. {remedy}")
     if matrix.dtype != object:
         scale = _scale(matrix, axis=0)
         return np.asarray(np.linalg.solve(matrix / scale, right) / scale[:, None])

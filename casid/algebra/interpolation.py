@@ -1,4 +1,4 @@
-"""A rational function found again from its values in prime fields.
+"""A rational function interpolated from its values in prime fields.
 
 Degrees by variable come from lines, coefficients from linear equations with one variable more at a
 time, so that only terms that are there grow; the rational coefficients come from several primes.
@@ -128,8 +128,8 @@ class Samples:
                 failed += 1
                 if failed > 20:
                     raise ModelError(
-                        "20 random points in turn divide by zero: what is asked for is not defined "
-                        "at almost every point; choose other free parameters"
+                        "20 random points in turn divide by zero: the function is defined at "
+                        "almost no point; choose other free parameters"
                     ) from None
                 continue
             self.evaluations += 1
@@ -172,7 +172,7 @@ def interpolate(
 
 @dataclass(slots=True)
 class _Fields:
-    """Samples modulo the first, second, ... prime, made when they are asked for."""
+    """Samples modulo the first, second, ... prime, made when they are needed."""
 
     function: Function
     variables: tuple[str, ...]
@@ -233,12 +233,12 @@ def _interpolate_one(
         fractions = [to_rational(c, modulus) for c in combined]
         if any(c is None for c in fractions):
             continue
-        told = [c for c in fractions if c is not None]
+        known = [c for c in fractions if c is not None]
         n = len(terms[0])
         function = RationalFunction(
             variables,
-            dict(zip(terms[0], told[:n], strict=True)),
-            dict(zip(terms[1], told[n:], strict=True)),
+            dict(zip(terms[0], known[:n], strict=True)),
+            dict(zip(terms[1], known[n:], strict=True)),
         )
         if _agrees(function, fields[k + 1], i):
             return function

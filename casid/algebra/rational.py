@@ -31,7 +31,7 @@ class Rational:
     numerator, denominator : coefficients in descending powers; fractions, or sympy expressions
         where parameters have no value. The zero function has an empty numerator.
     variable : "q" (discrete), "s" (continuous), or "" for a constant, which fits either.
-    Ts : sample time [s]; None where it is not told (it then fits any), 0 in continuous time.
+    Ts : sample time [s]; None where it is not stated (it then fits any), 0 in continuous time.
     """
 
     numerator: Polynomial
@@ -94,7 +94,7 @@ class Rational:
         return np.asarray(np.polyval(above, z) / np.polyval(below, z) + 0j * z)
 
     def frequency_response(self, omega: Any) -> Array:
-        """The values on the frequencies `omega` [rad/s]; [rad/sample] where Ts is not told."""
+        """The values on the frequencies `omega` [rad/s]; [rad/sample] where Ts is not stated."""
         w = np.asarray(omega, dtype=float)
         return self.response(1j * w if self.variable == "s" else np.exp(1j * w * (self.Ts or 1.0)))
 
@@ -174,11 +174,11 @@ class Rational:
         return poly.is_schur(self.denominator)
 
     def poles(self) -> tuple[Root, ...]:
-        """The finite poles, largest first; each tells where it is and whether it is stable."""
+        """The finite poles, largest first; each with its place and stability."""
         return self._roots(self.denominator)
 
     def zeros(self) -> tuple[Root, ...]:
-        """The finite zeros, largest first; each tells where it is and at what frequency."""
+        """The finite zeros, largest first; each with its place and frequency."""
         return self._roots(self.numerator)
 
     # -- other forms -------------------------------------------------------------------------
@@ -229,7 +229,7 @@ class Rational:
         )
 
     def inverse(self) -> Rational:
-        """1 / G; it may be improper or unstable, which its properties tell.
+        """1 / G; it may be improper or unstable, see its properties.
 
         Raises
         ------

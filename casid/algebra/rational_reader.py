@@ -53,10 +53,10 @@ def _refuse_opaque(value: Any) -> None:
     """CasADi MX and functions, whose insides cannot be read as a fraction."""
     kind = type(value).__name__
     if kind not in ("SX", "DM"):
-        mend = " (ca.SX.sym for ca.MX.sym)" if kind == "MX" else ""
+        remedy = " (ca.SX.sym for ca.MX.sym)" if kind == "MX" else ""
         raise ModelError(
             f"a CasADi {kind} cannot be read as a transfer function; write it with SX symbols"
-            f"{mend}, sympy symbols or Rational.shift()"
+            f"{remedy}, sympy symbols or Rational.shift()"
         )
 
 

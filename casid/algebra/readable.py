@@ -1,4 +1,4 @@
-"""Sympy expressions brought into a form that reads well."""
+"""Sympy expressions in a form that reads well."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poles and zeros that tell where they are, at what frequency, and on which side."""
+"""Poles and zeros with their frequency, damping and stability."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Root:
     ----------
     value : in the plane of q or s.
     variable : "q" or "s".
-    Ts : sample time [s]; None where it is not told: frequencies are then in rad/sample.
+    Ts : sample time [s]; None where it is not stated: frequencies are then in rad/sample.
     """
 
     value: complex
@@ -31,7 +31,7 @@ class Root:
 
     @property
     def exponent(self) -> complex:
-        """The s that it stands for: itself, or log(q) / Ts; -inf for q = 0."""
+        """The corresponding s: itself, or log(q) / Ts; -inf for q = 0."""
         if self.variable == "s":
             return self.value
         if self.value == 0:

@@ -60,7 +60,7 @@ def to_sympy(
     Parameters
     ----------
     expression : (m, n) SX.
-    symbols : name of a CasADi symbol -> what stands for it in sympy (another symbol, a number);
+    symbols : name of a CasADi symbol -> what replaces it in sympy (another symbol, a number);
         a name that is not in it becomes a sympy symbol of the same name.
     exact_numbers : floats become rationals, see `exact`;
         else sympy floats, with integers left as they are.
@@ -207,7 +207,7 @@ def run_instructions(
 
 
 def operation_name(code: int) -> str:
-    """The name of a CasADi operation, in small letters: ``fmin``."""
+    """The name of a CasADi operation, in lower case: ``fmin``."""
     return _CODES[code][3:].lower() if code in _CODES else f"operation {code}"
 
 

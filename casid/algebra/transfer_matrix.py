@@ -85,7 +85,7 @@ class RationalMatrix:
         return self._stacked(lambda g: g.response(np.ravel(points)), np.size(points))
 
     def frequency_response(self, omega: Any) -> Array:
-        """(F, m, n) values at (F,) frequencies [rad/s]; [rad/sample] where Ts is not told."""
+        """(F, m, n) values at (F,) frequencies [rad/s]; [rad/sample] where Ts is not stated."""
         Ts = self.time[1] or 1.0
         w = np.ravel(np.asarray(omega, dtype=float))
         return self.response(1j * w if self.time[0] == "s" else np.exp(1j * w * Ts))
@@ -168,7 +168,7 @@ class RationalMatrix:
         return self + -other
 
     def inverse(self) -> RationalMatrix:
-        """The inverse of a square matrix; it may be improper or unstable, as its properties tell.
+        """The inverse of a square matrix; it may be improper or unstable, see its properties.
 
         Raises
         ------
@@ -198,9 +198,9 @@ class RationalMatrix:
 
     def __repr__(self) -> str:
         variable, Ts = self.time
-        told = f", in {variable}" if variable else ", constant"
+        where = f", in {variable}" if variable else ", constant"
         step = f", Ts = {Ts:g} s" if variable == "q" and Ts else ""
-        return f"<RationalMatrix {self.shape[0]} x {self.shape[1]}{told}{step}>"
+        return f"<RationalMatrix {self.shape[0]} x {self.shape[1]}{where}{step}>"
 
     def _each(self, change: Callable[[Rational], Rational]) -> RationalMatrix:
         rows = tuple(tuple(change(g) for g in row) for row in self.rows)
@@ -275,7 +275,7 @@ def _rows(value: Any) -> Any:
         if flat:
             raise ModelError(
                 "a transfer matrix is given as rows: [[g11, g12], [g21, g22]], a single row too; "
-                f"{flat[0]!r} stands where a row should be"
+                f"{flat[0]!r} is in the place of a row"
             )
         return value
     return [[value]]

@@ -9,7 +9,7 @@ analytic: it is found from points spread over orders of magnitude (`affine_hull`
 the coefficients of polynomials (`symbolic_hull`). Where the hull has more dimensions than the image
 itself, equations stay that are not linear: an estimator states them as theta = g(theta_p).
 
-Linder (2017), section 7.3.4 and approach 5.1, has such rows derived by hand: (7.41)-(7.47).
+Linder (2017), section 7.3.4 and approach 5.1, derives such rows on paper: (7.41)-(7.47).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from casid.linear.symbolic_hull import symbolic_hull as symbolic_hull
 
 # Rows and columns have entries of size one, so a singular value is a relative size. What lies
 # between the two numbers is neither rounding for sure nor something else for sure.
-_ROUNDING, _SEEN = 1e-12, 1e-10
+_ROUNDING, _NONZERO = 1e-12, 1e-10
 _VERIFIED = 1e-8  # largest residual at fresh points, relative to the terms of the row
 
 
@@ -87,7 +87,7 @@ class AffineHull:
         Raises
         ------
         ModelError
-            If no coefficients satisfy all of them; says which contradict each other.
+            If no coefficients satisfy all of them; names which contradict each other.
         """
         rows = np.vstack([self.B, np.atleast_2d(np.asarray(B, dtype=float))])
         right = np.concatenate([self.b, np.atleast_1d(np.asarray(b, dtype=float))])
@@ -165,7 +165,7 @@ def affine_hull(
     Rows [theta', 1] at random parameters, scaled to entries of size one; the null space gives (1).
     Where g is rational the same is done in exact arithmetic (rank right with probability one). That
     settles what the singular values leave open, and gives B without loss of digits; where the two
-    disagree because g's own constants are rounded, the singular values have the word.
+    disagree because g's own constants are rounded, the singular values decide.
     """
     free = (free,) if isinstance(free, str) else tuple(free)
     draw = ParameterDraw(parameters, values, free, ranges or {}, seed)
@@ -173,12 +173,7 @@ def affine_hull(
     names = coefficient_names(coefficients, n)
     relations, is_exact, gap = _relations(g, draw, n)
     B, b = relations[:, :n], 0.0 - relations[:, n]
-    residual = _residual(B, b, _sample(g, draw, 50))
-    if residual > _VERIFIED:
-        raise IdentifiabilityError(
-            f"linear constraints found at some parameters fail at others (by {residual:.1e}): g is "
-            "not one analytic function where it was drawn; give `ranges` inside one branch"
-        )
+    residual = _verified_residual(B, b, _sample(g, draw, 50))
     return AffineHull(
         B=B,
         b=b,
@@ -292,7 +287,7 @@ def _column_scale(rows: Array) -> Array:
 def _rank(singular: Array) -> tuple[int, bool]:
     """Number of singular values above rounding, and whether none lies in between."""
     rank = int(np.sum(singular > 1e-11))
-    return rank, bool(np.all((singular > _SEEN) | (singular < _ROUNDING)))
+    return rank, bool(np.all((singular > _NONZERO) | (singular < _ROUNDING)))
 
 
 def _reduced(rows: Array, rounding: float) -> Array:
@@ -302,6 +297,17 @@ def _reduced(rows: Array, rounding: float) -> Array:
     size = np.max(np.abs(rows), axis=1, keepdims=True)
     rows[np.abs(rows) < rounding * size] = 0.0
     return rows
+
+
+def _verified_residual(B: Array, b: Array, rows: Array) -> float:
+    """`_residual` at fresh points; refuses constraints that fail there."""
+    residual = _residual(B, b, rows)
+    if residual > _VERIFIED:
+        raise IdentifiabilityError(
+            f"linear constraints found at some parameters fail at others (by {residual:.1e}): g is "
+            "not one analytic function where it was drawn; give `ranges` inside one branch"
+        )
+    return residual
 
 
 def _residual(B: Array, b: Array, rows: Array) -> float:

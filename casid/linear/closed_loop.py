@@ -1,4 +1,4 @@
-"""The closed-loop view of an indirect model: what its inputs hide.
+"""The closed-loop view of an indirect model: the feedback in its inputs.
 
 An output y_I that took an unknown input's place is an input of the indirect model, but no
 experimenter chose it: it depends on the outputs y_O. Linearised, with p = d/dt,
@@ -7,7 +7,7 @@ experimenter chose it: it depends on the outputs y_O. Linearised, with p = d/dt,
     u_I = F_y(p) y_O + external,    external = F_K(p) u_K + F_w(p) w + F_tau(p) tau         (2)
 
 w being the eliminated inputs, u_K the other ones, tau a disturbance in each balance. (1) and (2)
-together are the direct model again. Their loop tells which estimators the disturbance biases:
+together are the direct model again. Their loop determines which estimators the disturbance biases:
 Linder (2017), section 7.3.2, proposition 7.1 (the pendulum: F_y = (z_s p^2 + g)/p, external -a_y).
 
 F_y is as a rule improper, and its bilinear image has poles on the unit circle: it is never
@@ -160,10 +160,10 @@ class ClosedLoopView(Presented):
         return y.col_join(self.F_y * y + outside).applyfunc(self._cancel)
 
     def difference(self) -> Algebra:
-        """What is left when the direct model's responses are put into (1) and (2): zero.
+        """The residual of (1) and (2) with the direct model's responses put in: zero.
 
         The proof of proposition 7.1, identically in all parameters. `response` is solved from the
-        direct model's equations and never saw the loop; (1) and (2) have one solution unless
+        direct model's equations and do not use the loop; (1) and (2) have one solution unless
         `is_degenerate`.
         """
         import sympy
@@ -285,8 +285,8 @@ class ClosedLoopView(Presented):
             raise ModelError(
                 f"{self.name}: {', '.join(self.inputs)} is determined by "
                 f"{', '.join(self.outputs)} alone, so the indirect model holds whatever the "
-                "parameters are; eliminate the unknown input with another output, one that feels "
-                "it directly"
+                "parameters are; eliminate the unknown input with another output, one that it "
+                "acts on directly"
             )
 
     def _complete(self, values: Mapping[str, float] | None) -> dict[str, float]:
@@ -317,8 +317,8 @@ class ClosedLoopView(Presented):
     def _loop_function(self) -> Any:
         import sympy
 
-        letters = [self.p, *map(sympy.Symbol, self.parameters)]
-        return sympy.lambdify(letters, list(self.loop), modules="numpy", cse=True)
+        symbols = [self.p, *map(sympy.Symbol, self.parameters)]
+        return sympy.lambdify(symbols, list(self.loop), modules="numpy", cse=True)
 
     @cached_property
     def _open(self) -> Any:
@@ -343,11 +343,11 @@ class ClosedLoopView(Presented):
         if any(q.degree() > order for q in table[1:]):
             raise ModelError(
                 f"{self.name}: a response of the direct model is improper, so it cannot be "
-                "simulated; let a state stand for the signal whose derivative an output measures"
+                "simulated; make a state of the signal whose derivative an output measures"
             )
         coefficients = [[q.coeff_monomial(p**k) for k in range(order, -1, -1)] for q in table]
-        letters = list(map(sympy.Symbol, self.parameters))
-        function = sympy.lambdify(letters, coefficients, modules="numpy", cse=True)
+        symbols = list(map(sympy.Symbol, self.parameters))
+        function = sympy.lambdify(symbols, coefficients, modules="numpy", cse=True)
         rows, columns = matrix.shape
 
         def evaluate(values: Mapping[str, float]) -> tuple[Array, Array]:
@@ -369,8 +369,8 @@ def closed_loop_view(
     ----------
     indirect : a model after `eliminate`.
     equilibrium : state or input -> its value where the model is linearised; zero by default.
-    values : parameters that are to be numbers; the others stay letters (a model of many
-        parameters and states is quicker with few letters).
+    values : parameters that are to be numbers; the others stay symbols (a model of many
+        parameters and states is quicker with few symbols).
 
     Returns
     -------
@@ -385,7 +385,7 @@ def closed_loop_view(
     -----
     The sensor's equation gives u_I in terms of the states. These are expressed by y_O through, in
     this order and no more of them than it takes: outputs free of derivatives, d(state)/dt = ...,
-    the other outputs, balances without an unknown input, balances with one. Whatever else stands in
+    the other outputs, balances without an unknown input, balances with one. Whatever else occurs in
     the equations used goes into the external signal. The view is exact for the linearised model.
     """
     laplace = Laplace(indirect, equilibrium or {}, values or {})

@@ -112,7 +112,7 @@ class DifferenceEquation:
             raise ModelError(
                 f"{self.name}: coefficient {self.coefficients[int(np.argmin(np.isfinite(theta)))]} "
                 "is not finite at these parameter values; an inertia is zero there, or a pole "
-                "stands where the discretisation has none (bilinear: s = 2/Ts)"
+                "lies where the discretisation has none (bilinear: s = 2/Ts)"
             )
         return theta
 
@@ -268,15 +268,10 @@ def difference_equation(
         theta = [flat[i] for i in independent[1:]]
     lags = range(transfer.order + 1)
     names = [*(f"a{k}" for k in lags), *(f"b{k}[{u}]" for u in inputs for k in lags)]
-    # The taps of (1) brought to the left: y_t + sum a y - sum b u.
+    # The taps of (1) moved to the left: y_t + sum a y - sum b u.
     taps = [(output, k, 1.0) for k in lags] + [(u, k, -1.0) for u in inputs for k in lags]
     notes = [*linear.notes, *_stability_note(transfer, discrete, method)]
-    shared = common_degree(polynomials, transfer.p) if inputs else 0
-    if shared:
-        notes.append(
-            f"numerators and denominator share a factor of degree {shared} for all parameters, so "
-            f"noise-free columns are collinear; drop {shared} state(s) that {output} does not need"
-        )
+    notes += _common_factor_note(polynomials, transfer.p, output) if inputs else []
     theta_p = [ca.densify(ca.vertcat(*theta))]
     return DifferenceEquation(
         name=f"{linear.name}, {output}",
@@ -335,8 +330,16 @@ def _combined(taps: Sequence[tuple[str, int, float]], weights: Array) -> Column:
     return Column(text, tuple(kept))
 
 
+def _common_factor_note(polynomials: Sequence[Expr], p: Expr, output: str) -> list[str]:
+    shared = common_degree(polynomials, p)
+    return [
+        f"numerators and denominator share a factor of degree {shared} for all parameters, so "
+        f"noise-free columns are collinear; drop {shared} state(s) that {output} does not need"
+    ] * (shared > 0)
+
+
 def _stability_note(transfer: TransferMatrix, discrete: Any, method: str) -> list[str]:
-    """Said where forward Euler makes a stable system unstable at the nominal parameters."""
+    """A note where forward Euler makes a stable system unstable at the nominal parameters."""
     if method != "forward":
         return []
     nominal = transfer.nominal()

@@ -112,7 +112,7 @@ def bias_table(
     if output is None:
         if len(linear.outputs) != 1:
             raise ModelError(
-                f"{linear.name} has outputs {', '.join(linear.outputs)}; say which, output=..."
+                f"{linear.name} has outputs {', '.join(linear.outputs)}; choose one, output=..."
             )
         output = linear.outputs[0]
     transfer = linear.transfer(output)
@@ -127,13 +127,24 @@ def bias_table(
         for method in methods:
             equation = difference_equation(linear, output, T, method=method)
             estimate = _limit(equation, w, responses, spectrum, free, values or {})
-            true = equation.vector(values)
-            bias = {}
-            for name, value in zip(free, estimate, strict=True):
-                reference = float(true[equation.parameters.index(name)])
-                bias[name] = float(value - reference) / (reference if reference else 1.0)
+            bias = _relative(estimate, equation, values, free)
             found.append(BiasRow(float(T), method, (fastest * T) ** 2 / 12.0, bias))
     return BiasTable(output, truth, free, tuple(found))
+
+
+def _relative(
+    estimate: Array,
+    equation: DifferenceEquation,
+    values: Mapping[str, float] | None,
+    free: Sequence[str],
+) -> dict[str, float]:
+    """estimate / true value - 1 by name; the difference itself where the true value is 0."""
+    true = equation.vector(values)
+    bias = {}
+    for name, value in zip(free, estimate, strict=True):
+        reference = float(true[equation.parameters.index(name)])
+        bias[name] = float(value - reference) / (reference if reference else 1.0)
+    return bias
 
 
 def _responses(

@@ -5,7 +5,7 @@
 
 Forward an extended Kalman filter, whose Jacobians CasADi derives; backward the recursion of Rauch,
 Tung and Striebel (AIAA J. 3 (1965) 1445-1450; S. Sarkka, Bayesian Filtering and Smoothing, 2013,
-algorithms 5.4 and 9.1). Levels of noise that nobody states are those of the greatest likelihood of
+algorithms 5.4 and 9.1). Levels of noise that are not given are those of the greatest likelihood of
 the innovations, with exact derivatives. Where f and h are linear all of this is exact.
 """
 
@@ -173,9 +173,9 @@ class ExtendedSmoother:
         start = _pack(np.asarray(x0, dtype=float), np.asarray(P0, dtype=float))
         sweep = self._step.mapaccum("filter", N)
         logs = np.tile(np.log(values)[:, None], N)
-        carried, kept, tale = (np.array(v) for v in sweep(start, *[c.T for c in columns], logs))
-        if not np.all(np.isfinite(tale)):
-            t = int(np.flatnonzero(~np.all(np.isfinite(tale), axis=0))[0])
+        carried, kept, summary = (np.array(v) for v in sweep(start, *[c.T for c in columns], logs))
+        if not np.all(np.isfinite(summary)):
+            t = int(np.flatnonzero(~np.all(np.isfinite(summary), axis=0))[0])
             raise DataError(
                 f"{self.model.name}: the filter fails at sample {t}; give the measurements a noise "
                 "that is not zero, and a P0 that is positive definite"
@@ -199,9 +199,9 @@ class ExtendedSmoother:
             P,
             filtered,
             P_filtered,
-            tale[1 : 1 + ny].T,
-            np.sqrt(tale[1 + ny :].T),
-            float(np.sum(tale[0])),
+            summary[1 : 1 + ny].T,
+            np.sqrt(summary[1 + ny :].T),
+            float(np.sum(summary[0])),
         )
 
     def fit(
@@ -304,7 +304,7 @@ class ExtendedSmoother:
         if not np.all(np.isfinite(sd)) or np.any(sd < 0):
             raise DataError(
                 f"{self.model.name}: known standard deviations are to be finite and not negative; "
-                "mark a sample that tells nothing as missing"
+                "mark a sample without information as missing"
             )
         variance = np.broadcast_to(sd**2, y.shape)
         return [np.where(mask, y, 0.0), mask.astype(float), np.array(variance)]
@@ -351,17 +351,17 @@ class _Likelihood:
         n, m = len(carry), len(free)
         wide = ca.SX.sym("wide", n * (1 + m))
         own, rows = wide[:n], [ca.SX.sym(f"c{i}", step.size1_in(1 + i)) for i in range(4)]
-        after, _, tale = step(own, *rows)
-        moved, told = [after], [tale[0]]
+        after, _, summary = step(own, *rows)
+        moved, scores = [after], [summary[0]]
         for j, at in enumerate(self._chosen):
             seed = ca.DM.zeros(len(logs))
             seed[at] = 1.0
             tangent = ca.vertcat(wide[n * (j + 1) : n * (j + 2)], seed)
-            push = ca.jtimes(ca.vertcat(after, tale[0]), ca.vertcat(own, rows[3]), tangent)
+            push = ca.jtimes(ca.vertcat(after, summary[0]), ca.vertcat(own, rows[3]), tangent)
             moved.append(push[:n])
-            told.append(push[n])
+            scores.append(push[n])
         self._sensitive = ca.Function(
-            "sensitive", [wide, *rows], [ca.vertcat(*moved), ca.vertcat(*told)]
+            "sensitive", [wide, *rows], [ca.vertcat(*moved), ca.vertcat(*scores)]
         ).mapaccum("sensitive", N)
 
     def _full(self, z: Array) -> Array:
@@ -371,19 +371,19 @@ class _Likelihood:
         return np.tile(logs[:, None], self._columns[0].shape[1])
 
     def value(self, z: Array) -> float:
-        tale = self._value(self._carry, *self._columns, self._full(z))[2]
-        return -float(np.sum(np.array(tale)[0]))
+        summary = self._value(self._carry, *self._columns, self._full(z))[2]
+        return -float(np.sum(np.array(summary)[0]))
 
     def evaluate(self, z: Array) -> tuple[float, Array, Array]:
         """Value, gradient and information, with exact derivatives."""
         wide = np.concatenate([self._carry, np.zeros(len(self._carry) * len(self._chosen))])
-        told = np.array(self._sensitive(wide, *self._columns, self._full(z))[1])
-        if not np.all(np.isfinite(told)):  # a line search goes back from here
+        found = np.array(self._sensitive(wide, *self._columns, self._full(z))[1])
+        if not np.all(np.isfinite(found)):  # a line search goes back from here
             return np.inf, np.zeros(len(z)), np.eye(len(z))
-        scores = told[1:].T
+        scores = found[1:].T
         off = (z - self._start) / FAR
         return (
-            -float(np.sum(told[0])) + 0.5 * float(off @ off),
+            -float(np.sum(found[0])) + 0.5 * float(off @ off),
             -np.sum(scores, axis=0) + off / FAR,
             # The scores' outer product is the information at the truth (Berndt et al. 1974).
             scores.T @ scores + np.eye(len(z)) / FAR**2,
@@ -393,8 +393,8 @@ class _Likelihood:
 def _step(model: StochasticModel) -> Any:
     """One sample: measurement update, then prediction.
 
-    (carry, y, used, known, logs) -> (carry, kept, tale): carry and kept hold a state and its
-    covariance, tale the log likelihood, the innovations and their variances.
+    (carry, y, used, known, logs) -> (carry, kept, summary): carry and kept hold a state and its
+    covariance, summary the log likelihood, the innovations and their variances.
     """
     n, ny = len(model.states), len(model.outputs)
     carry, y, used, known, logs = (

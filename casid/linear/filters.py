@@ -25,7 +25,7 @@ class Filter:
     ----------
     b, a : (nb,), (na,) real; index = lag in samples.
     Ts : sample time [s], None where none was given.
-    lead : samples of the future that it sees: z^lead times b/a.
+    lead : samples of the future that it uses: z^lead times b/a.
     """
 
     b: Array
@@ -71,7 +71,7 @@ def as_filter(value: Any, where: str, *, noncausal: bool = False) -> Filter:
     ----------
     value : see the module.
     where : names the filter in messages, such as "y: filter of u".
-    noncausal : whether it may be improper, that is see the future.
+    noncausal : whether it may be improper, that is use the future.
 
     Raises
     ------
@@ -103,8 +103,8 @@ def as_filter(value: Any, where: str, *, noncausal: bool = False) -> Filter:
     lead = int(np.argmax(a != 0)) if np.any(a) else len(a)
     if lead and (not noncausal or lead == len(a)):
         raise ModelError(
-            f"{where} has a denominator in q^-1 that begins with 0, so the filter sees the future; "
-            "take the common delay out of both polynomials"
+            f"{where} has a denominator in q^-1 that begins with 0, so the filter needs the "
+            "future; take the common delay out of both polynomials"
         )
     return Filter(b, a[lead:], None, lead)
 
@@ -136,7 +136,7 @@ def _from_rational(value: Any, where: str, noncausal: bool) -> Filter:
     """A rational function in q with numbers."""
     if value.parameters:
         raise ModelError(
-            f"{where} has the letters {', '.join(value.parameters)}; put numbers in their place, "
+            f"{where} has the symbols {', '.join(value.parameters)}; put numbers in their place, "
             "G.substitute({..})"
         )
     if value.variable == "s":
@@ -150,7 +150,7 @@ def _descending(num: Array, den: Array, Ts: float | None, where: str, noncausal:
     lead = len(num) - len(den)
     if lead > 0 and not noncausal:
         raise ModelError(
-            f"{where} is improper (degree {len(num) - 1} over {len(den) - 1}): it sees the "
+            f"{where} is improper (degree {len(num) - 1} over {len(den) - 1}): it needs the "
             "future; delay it by multiplying with z^-k, or, for a signal that is made of a record "
             "afterwards, allow it: system.with_signals({..}, noncausal=True)"
         )

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
-from typing import Any
+from typing import Any, NoReturn
 
 import casadi as ca
 import numpy as np
@@ -67,7 +67,7 @@ def invert(
     SolveError
         If no start converges, so that no such parameters may exist.
     ModelError
-        If a name is unknown or stands twice, or a value is missing.
+        If a name is unknown or repeated, or a value is missing.
 
     Notes
     -----
@@ -90,11 +90,18 @@ def invert(
         typical = np.where(x0 == 0.0, 1.0, np.abs(x0))
         _require_rank(equation, free, x, J, inside, task.theta, typical)
         return x, _derivative(task, p, x, r, J, inside)
-    if not failures[0].startswith("rank"):  # the zero of a start value is not the reason
+    _refuse_unsolved(equation, task, p, x0, failures[0])
+
+
+def _refuse_unsolved(
+    equation: DifferenceEquation, task: _Task, p: Array, x0: Array, failure: str
+) -> NoReturn:
+    """Raise that no start converged, or that the coefficients do not determine the parameters."""
+    if not failure.startswith("rank"):  # the zero of a start value is not the reason
         x0 = np.where(x0 == 0.0, 0.3, x0)
-    _require_rank(equation, free, x0, task.map(p, x0)[1], np.ones(len(free), dtype=bool))
+    _require_rank(equation, task.free, x0, task.map(p, x0)[1], np.ones(len(x0), dtype=bool))
     raise SolveError(
-        f"{equation.name}: no {', '.join(free)} give these coefficients ({failures[0]}, then from "
+        f"{equation.name}: no {', '.join(task.free)} give these coefficients ({failure}, then from "
         f"{_STARTS} other starts); check the known values and the sample time, or start nearer"
     )
 
@@ -467,7 +474,7 @@ def closed_form(
     Raises
     ------
     ModelError
-        If a name is unknown or stands twice.
+        If a name is unknown or repeated.
     IdentifiabilityError
         If no choice of coefficients gives the parameters in closed form; `invert` may still.
     """

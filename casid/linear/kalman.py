@@ -83,7 +83,7 @@ class Predictor:
         """Innovations of y (N, ny), u (N, nu) with this gain from the first sample on.
 
         `x0` (nx,) is the predicted state at the first sample, default zero. A record is refused:
-        the message says which of its channels make y and u.
+        the message names which of its channels make y and u.
         """
         s = self.system
         y, u = s.signals(y, u)
@@ -123,7 +123,7 @@ def steady_state(system: NoisySystem, near: Array | None = None) -> Predictor:
     Raises
     ------
     ModelError
-        If R is singular, a mode that does not decay cannot be seen by any output, or a mode on the
+        If R is singular, a mode that does not decay is not observable, or a mode on the
         unit circle is not moved by the noise: the message names it.
 
     Notes
@@ -229,7 +229,7 @@ def why_no_steady_state(s: NoisySystem) -> str:
         seen = np.linalg.norm(s.C @ vector) / max(float(np.linalg.norm(s.C)), TINY)
         if seen < 1e-9:
             return (
-                f"not detectable: {_mode(s, value, vector)} does not decay and no output sees it; "
+                f"not detectable: {_mode(s, value, vector)} does not decay and is not observable; "
                 "measure it, fix its initial value as a known input, or leave the state out"
             )
     inverse = np.linalg.inv(s.R)
@@ -375,7 +375,7 @@ def covariance_scale(P: Array, P0: Array) -> Array:
 
 
 def _without(s: NoisySystem, there: Array) -> NoisySystem:
-    """The system at a sample where outputs are missing: they see nothing but noise of size one."""
+    """The system at a sample where outputs are missing: they are noise of size one."""
     C, R, S = s.C * there[:, None], s.R * np.outer(there, there), s.S * there[None, :]
     R[~there, ~there] = 1.0
     return NoisySystem(s.A, s.B, C, s.D, s.Q, R, S, s.Ts, s.states, s.outputs, s.inputs)

@@ -1,4 +1,4 @@
-"""A model's linearised equations in the Laplace domain, solved in letters.
+"""A model's linearised equations in the Laplace domain, solved symbolically.
 
 Every equation of the model is a row over the columns
 
@@ -30,7 +30,7 @@ class Laplace:
     Attributes
     ----------
     p : sympy symbol of d/dt.
-    parameters : names of the parameters that are letters.
+    parameters : names of the parameters that are symbols.
     outputs, inputs, unknown, others, disturbances : y_O, u_I, w, u_K and tau by name.
     rows : sympy matrix; the model's own equations, the sensors of u_I, then those of y_O.
     """
@@ -44,10 +44,10 @@ class Laplace:
         own, sensors = equations[: len(model.states)], equations[len(model.states) :]
         if not sensors:
             raise ModelError(
-                f"{model.name}: no input was eliminated, so there is no loop to see; call "
+                f"{model.name}: no input was eliminated, so there is no loop; call "
                 "model.eliminate(unknown, using=output) first"
             )
-        model.explicit()  # refuses equations that are singular, with the mend
+        model.explicit()  # refuses singular equations, with the remedy
         self.name = model.name
         self.inputs = tuple(name.removesuffix(" = ...") for name, _, _ in sensors)
         self.unknown = tuple(w for _, _, w in sensors)
@@ -59,8 +59,8 @@ class Laplace:
         for name in values:
             model.parameter_named(name)
         self.parameters = tuple(n for n in model.parameters if n not in values)
-        letters = ("p", "s", "p_", "s_", "d_dt")
-        self.p = sympy.Symbol(next(n for n in letters if n not in model.parameters))
+        candidates = ("p", "s", "p_", "s_", "d_dt")
+        self.p = sympy.Symbol(next(n for n in candidates if n not in model.parameters))
         self._names = {
             "x": tuple(model.states),
             "I": self.inputs,
@@ -137,7 +137,7 @@ class Laplace:
         return self._respond([*c["x"], *c["w"]], [*c["I"], *c["u"], *c["tau"]])[1]
 
     def direct(self) -> Algebra:
-        """[y_O; u_I] from [w; u_K; tau], (ny + nI, nI + nK + nb), never seeing a loop."""
+        """[y_O; u_I] from [w; u_K; tau], (ny + nI, nI + nK + nb), without the loop."""
         c = self._columns
         solved, y = self._respond([*c["x"], *c["I"]], [*c["w"], *c["u"], *c["tau"]])
         return y.col_join(solved[len(c["x"]) :, :])
@@ -184,19 +184,19 @@ class Laplace:
         c = self._columns
         outputs = list(range(self._n_rows, self.rows.rows))
 
-        def feels_unknown(i: int) -> bool:
+        def has_unknown(i: int) -> bool:
             return any(self._pick([i], c["w"]))
 
         def is_static(i: int) -> bool:
-            return not feels_unknown(i) and not self._pick([i], c["x"]).has(self.p)
+            return not has_unknown(i) and not self._pick([i], c["x"]).has(self.p)
 
         own = list(zip(range(len(self._own)), self._is_balance, strict=True))
         return [
             *[i for i in outputs if is_static(i)],
             *[i for i, balance in own if not balance],
             *[i for i in outputs if not is_static(i)],
-            *[i for i, balance in own if balance and not feels_unknown(i)],
-            *[i for i, balance in own if balance and feels_unknown(i)],
+            *[i for i, balance in own if balance and not has_unknown(i)],
+            *[i for i, balance in own if balance and has_unknown(i)],
         ]
 
     def _label(self, row: int) -> str:
@@ -229,7 +229,7 @@ def _combination(rows: Algebra, goal: Algebra) -> Algebra:
 
 
 def _over_one_field(*matrices: Algebra) -> list[Any]:
-    """Domain matrices; a root or a cosine of parameters counts as a letter of its own."""
+    """Domain matrices; a root or a cosine of parameters counts as a symbol of its own."""
     import sympy
     from sympy.polys.fields import sfield
     from sympy.polys.matrices import DomainMatrix

@@ -31,7 +31,7 @@ def check_consistent(
 
     Returns
     -------
-    Indices of independent rows that say all there is; the others follow from them.
+    Indices of independent rows; the others follow from them.
 
     Raises
     ------
@@ -48,12 +48,6 @@ def check_consistent(
     theta = coefficient_names(coefficients, n)
     size = np.maximum(np.max(np.abs(B), axis=1, initial=0.0), TINY)
     empty = [i for i in range(m) if not B[i].any()]
-    for i in empty:
-        if b[i] != 0:
-            raise ModelError(
-                f"linear constraints: {names[i]} reads 0 = {b[i]:g}, which no theta satisfies; "
-                "take it out"
-            )
     rows, right = B / size[:, None], b / size
     columns = np.maximum(np.max(np.abs(rows), axis=0, initial=0.0), TINY)
     rows = rows / columns
@@ -94,7 +88,12 @@ def _checked(B: Array, b: Array, labels: Sequence[str]) -> tuple[Array, Array, t
     if broken:
         raise ModelError(
             f"linear constraints: {names[broken[0]]} holds a number that is not finite; look for a "
-            "known parameter that is zero or missing and stands in a denominator"
+            "known parameter that is zero or missing and occurs in a denominator"
+        )
+    for i in np.flatnonzero(~B.any(axis=1) & (b != 0)).tolist():
+        raise ModelError(
+            f"linear constraints: {names[i]} reads 0 = {b[i]:g}, which no theta satisfies; "
+            "take it out"
         )
     return B, b, names
 

@@ -7,7 +7,7 @@ A model is linearised about an equilibrium that holds for every parameter value,
 and its transfer functions C (sI - A)^-1 B + D follow from the Faddeev-LeVerrier recursion, which
 divides by integers alone: polynomials in the entries of A, B, C, D, so that they can be
 differentiated in p. What vanishes for all parameter values is found in exact rational arithmetic
-and removed: states that no input reaches or no output sees, coefficients, common factors s.
+and removed: states that are not controllable or not observable, coefficients, common factors s.
 """
 
 from __future__ import annotations
@@ -104,10 +104,10 @@ class LinearModel:
         )
 
     def subsystem(self, outputs: Sequence[str] | str | None = None) -> LinearModel:
-        """What these outputs see of the inputs (all outputs by default): other states dropped.
+        """The part between the inputs and these outputs (all by default): other states dropped.
 
-        A state stays if, by the sparsity of A, B and C, an input reaches it and an output sees it.
-        Where no input reaches any state that is seen, all that are seen stay: a free decay.
+        A state stays if, by the sparsity of A, B and C, an input reaches it and it an output.
+        Where no input reaches a state that reaches an output, those states stay: a free decay.
         """
         if isinstance(outputs, str):
             outputs = (outputs,)
@@ -115,10 +115,10 @@ class LinearModel:
         rows = [self._output(o) for o in outputs]
         into = _pattern(self.A)
         C = self.C[rows, :]
-        seen = _closure(into.T, np.any(_pattern(C), axis=0))
+        observed = _closure(into.T, np.any(_pattern(C), axis=0))
         reached = _closure(into, np.any(_pattern(self.B), axis=1))
-        is_driven = (seen & reached).any() or _pattern(self.D[rows, :]).any()
-        keep = seen & reached if is_driven else seen
+        is_driven = (observed & reached).any() or _pattern(self.D[rows, :]).any()
+        keep = observed & reached if is_driven else observed
         index = [int(i) for i in np.flatnonzero(keep)]
         return replace(
             self,

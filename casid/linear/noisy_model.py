@@ -37,7 +37,7 @@ class White:
         output has the output's unit; continuous process noise has the root of a (two-sided) power
         spectral density, unit of the input times sqrt(s); held process noise has the input's unit.
     held : process noise that is constant over each sample instead of continuous. Needed where an
-        output feels it at once: an accelerometer sees a torque, and continuous white noise has no
+        output responds at once: an accelerometer to a torque, and continuous white noise has no
         finite variance at an instant.
     """
 
@@ -69,9 +69,9 @@ def noise_sources(noise: Sequence[White] | White) -> tuple[White, ...]:
     if isinstance(noise, White):
         return (noise,)
     if isinstance(noise, Mapping):
-        said = ", ".join(f"White({name!r}, {sd!r})" for name, sd in noise.items())
+        listed = ", ".join(f"White({name!r}, {sd!r})" for name, sd in noise.items())
         raise ModelError(
-            f"noise is a mapping; give a list, noise=[{said}], with the process noise among it"
+            f"noise is a mapping; give a list, noise=[{listed}], with the process noise among it"
         )
     several: Any = noise  # whatever it was given
     if not isinstance(several, list | tuple) or not all(isinstance(w, White) for w in several):
@@ -280,10 +280,10 @@ class NoisyModel:
 
     def _refuse_instant(self, gain: Array) -> None:
         for j, source in enumerate(self.process):
-            felt = [o for o, g in zip(self.outputs, gain[:, j], strict=True) if g > 0]
-            if felt:
+            reached = [o for o, g in zip(self.outputs, gain[:, j], strict=True) if g > 0]
+            if reached:
                 raise ModelError(
-                    f"{self.model.name}: output {', '.join(felt)} feels the noise of "
+                    f"{self.model.name}: output {', '.join(reached)} responds to the noise of "
                     f"{source.where} at once, and continuous white noise has no finite variance at "
                     f"an instant; use White({source.where!r}, ..., held=True)"
                 )

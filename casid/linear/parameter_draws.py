@@ -90,7 +90,7 @@ class ParameterDraw:
 def check_names(
     parameters: Sequence[str], values: Mapping[str, float], free: Sequence[str]
 ) -> None:
-    """Refuse a name that is no parameter, or stands twice.
+    """Refuse a name that is no parameter, or is repeated.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Subspaces of linear systems: null spaces, zeros, and what outputs cannot see.
+"""Subspaces of linear systems: null spaces, zeros, unobservable subspaces.
 
 Ranks and pseudo-inverses take absolute tolerances, relative to the size of the factors that a
 matrix was made of: a product that vanishes in algebra is 1e-16 in numbers, and a tolerance relative
@@ -98,8 +98,8 @@ class Zeros:
     ----------
     values : (k,) complex.
     states : (nx, k) complex, of each zero the initial state with which an input exp(zero t) is
-        seen by no output, of unit norm.
-    hidden_inputs : (nu, m) directions of input that no output ever sees or that another direction
+        undetectable, of unit norm.
+    hidden_inputs : (nu, m) undetectable directions of input, or such that another direction
         repeats; with any, the rank is too low at every s and `values` has no meaning.
     """
 

@@ -21,7 +21,7 @@ from casid.errors import ModelError
 from casid.linear.linear_constraints import coefficient_names, largest_one
 from casid.linear.parameter_draws import check_names, count_of_coefficients
 
-_DEGREE = 30  # of numerators and denominators that are worth expanding
+_DEGREE = 30  # of numerators and denominators that may be expanded
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,7 @@ class SymbolicHull:
     ----------
     B, b : sympy matrices (m, n) and (m, 1), in the known parameters' symbols, row echelon with
         pivots 1. They hold where no denominator of theirs and of g vanishes.
-    known : names of the known parameters that stand in them.
+    known : names of the known parameters that occur in them.
     """
 
     B: Any
@@ -119,7 +119,7 @@ def symbolic_hull(
     ModelError
         If a name is wrong, g is not rational, or its polynomials are too large: more terms than
         `limit`, or a degree beyond 30 (an exact hold's matrix exponential, even as the quotient of
-        polynomials that stands for it). `affine_hull` minds neither.
+        polynomials that approximates it). `affine_hull` has neither limit.
     """
     import sympy
     from sympy.polys.matrices import DomainMatrix
@@ -214,7 +214,7 @@ def _walk(
     def power(base: Any, exponent: Any) -> Any:
         if not (exponent.numer.is_ground and exponent.denom.is_ground):
             raise ModelError(
-                "a parameter stands in an exponent; such coefficients are not rational, so use "
+                "a parameter occurs in an exponent; such coefficients are not rational, so use "
                 "affine_hull"
             )
         number = exponent.numer.LC / exponent.denom.LC if exponent.numer else 0
@@ -230,8 +230,8 @@ def _check_terms(quotient: Any, limit: int) -> None:
     if len(quotient.numer) + len(quotient.denom) > limit:
         raise ModelError(
             f"the coefficients have numerators of more than {limit} terms, too many to prove the "
-            "constraints; give more known parameters as numbers in `values`, raise `limit`, or be "
-            "content with affine_hull"
+            "constraints; give more known parameters as numbers in `values`, raise `limit`, or use "
+            "affine_hull"
         )
 
 
@@ -254,7 +254,7 @@ def _check_degree(
         if max(quotient.numer.degree(), quotient.denom.degree()) > _DEGREE:
             raise ModelError(
                 f"the coefficients are polynomials of a degree beyond {_DEGREE}, too large to "
-                "prove the constraints (exact holds are of this kind); be content with "
+                "prove the constraints (exact holds are of this kind); use "
                 "affine_hull, or discretise with the bilinear transform"
             )
 

@@ -403,7 +403,7 @@ def test_state_that_no_output_sees_is_named() -> None:
 
 def test_continuous_noise_that_a_sensor_feels_at_once_is_refused() -> None:
     noise = [*WALK_NOISE[:3], White("torque", 0.05)]
-    with pytest.raises(ModelError, match="accel feels the noise of torque at once.*held=True"):
+    with pytest.raises(ModelError, match="accel responds to the noise of torque.*held=True"):
         minimize_prediction_error(walk_model(), simulate(duration=5.0), noise)
 
 

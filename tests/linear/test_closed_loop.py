@@ -137,7 +137,8 @@ def test_a_sensor_of_derivative_and_input_halves_the_loop():
 def test_a_loop_that_nothing_enters_is_refused(pendulum):
     """u_I = y_O / G_O and no external signal: the indirect model holds for all parameters."""
     nothing = sympy.zeros(1, 1)
-    view = replace(pendulum, F_y=sympy.Matrix([1 / pendulum.G_O[0]]), F_w=nothing)
+    back = replace(pendulum.back, F_y=sympy.Matrix([1 / pendulum.G_O[0]]), F_w=nothing)
+    view = replace(pendulum, back=back)
     assert view.is_degenerate
     assert "nothing enters the loop from outside" in str(view)
     for refused in (lambda: view.closed, lambda: view.discrete(0.01)):

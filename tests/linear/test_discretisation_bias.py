@@ -103,7 +103,7 @@ def test_a_spectrum_weights_the_frequencies():
 
 
 def test_two_outputs_must_be_told_apart():
-    with pytest.raises(ModelError, match="has outputs q, v; say which"):
+    with pytest.raises(ModelError, match="has outputs q, v; choose one"):
         bias_table(spring_chain(1), [0.1], ("k0",), {"k0": 1.0, "d0": 0.1, "m0": 1.0})
 
 

@@ -48,7 +48,7 @@ def test_a_filter_that_sees_the_future_is_refused() -> None:
 
     with pytest.raises(ModelError, match=r"improper \(degree 2 over 1\).*delay it"):
         LinearSignals.of({"y": {"w": control.tf([1, 0, 0], [1, 0.5], 1.0)}}, WHITE)
-    with pytest.raises(ModelError, match="begins with 0, so the filter sees the future"):
+    with pytest.raises(ModelError, match="begins with 0, so the filter needs the future"):
         LinearSignals.of({"y": {"w": ([1], [0, 1])}}, WHITE)
 
 

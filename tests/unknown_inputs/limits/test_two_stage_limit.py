@@ -131,7 +131,7 @@ def test_an_input_recovered_from_a_late_sensor_may_see_the_future() -> None:
     biased = found["eliminate with u_hat, LS"]
     P = np.diag(biased.covariance)
     assert np.all(np.abs(theta - biased.limit) < 3.5 * np.sqrt(P / N))
-    with pytest.raises(ModelError, match="begins with 0, so the filter sees the future"):
+    with pytest.raises(ModelError, match="begins with 0, so the filter needs the future"):
         sensed().with_signals({"u_hat": {"y_I": ([1, -0.6], [0, 0.5])}})
 
 
