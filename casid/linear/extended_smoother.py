@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import TINY, Array
 from casid.errors import DataError, ModelError, SolveError
 
 FAR = float(np.log(1e5))
@@ -183,15 +183,7 @@ class ExtendedSmoother:
         filtered, P_filtered = _unpack(kept, n)
         ahead, P_ahead = _unpack(carried, n)
         F = np.array(self._slope.map(N)(filtered.T)).reshape(n, N, n).transpose(1, 0, 2)
-        x, P = filtered.copy(), P_filtered.copy()
-        # G = P F' inv(P ahead), all samples at once. Scaled: metres beside radians per second.
-        size = np.sqrt(np.einsum("tii->ti", P_ahead[:-1]))
-        unit = P_ahead[:-1] / (size[:, :, None] * size[:, None, :])
-        right = (F[:-1] @ P_filtered[:-1]) / size[:, :, None]
-        G = (np.linalg.solve(unit, right) / size[:, :, None]).transpose(0, 2, 1)
-        for t in range(N - 2, -1, -1):
-            x[t] += G[t] @ (x[t + 1] - ahead[t])
-            P[t] += G[t] @ (P[t + 1] - P_ahead[t]) @ G[t].T
+        x, P = backward_pass(F[:-1], filtered, P_filtered, ahead[:-1], P_ahead[:-1])
         P = (P + P.transpose(0, 2, 1)) / 2
         return Smoothed(
             tuple(self.model.states),
@@ -455,6 +447,30 @@ def _step(model: StochasticModel) -> Any:
             ca.densify(ca.vertcat(log_likelihood, *innovations, *variances)),
         ],
     )
+
+
+def backward_pass(
+    F: Array, x: Array, P: Array, ahead: Array, P_ahead: Array, ridge: float = 0.0
+) -> tuple[Array, Array]:
+    """The recursion of Rauch, Tung and Striebel: smoothed states (N, n), covariances (N, n, n).
+
+    Parameters
+    ----------
+    F : (N - 1, n, n), of the step from each sample to the next.
+    x, P : filtered states and covariances, (N, n) and (N, n, n).
+    ahead, P_ahead : predicted ones of the samples 1 .. N - 1.
+    ridge : added to the diagonal of the predicted covariance with unit variances.
+    """
+    x, P = x.copy(), P.copy()
+    # G = P F' inv(P ahead), all samples at once. Scaled: metres beside radians per second.
+    size = np.sqrt(np.maximum(np.einsum("tii->ti", P_ahead), TINY))
+    unit = P_ahead / (size[:, :, None] * size[:, None, :]) + ridge * np.eye(x.shape[1])
+    right = (F @ P[:-1]) / size[:, :, None]
+    G = (np.linalg.solve(unit, right) / size[:, :, None]).transpose(0, 2, 1)
+    for t in range(len(x) - 2, -1, -1):
+        x[t] += G[t] @ (x[t + 1] - ahead[t])
+        P[t] += G[t] @ (P[t + 1] - P_ahead[t]) @ G[t].T
+    return x, P
 
 
 def _pack(x: Array, P: Array) -> Array:

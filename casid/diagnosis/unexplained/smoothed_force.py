@@ -22,6 +22,7 @@ from casid.diagnosis.evidence.signatures import Linearised
 from casid.diagnosis.thresholds import SMOOTHING
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.linear.extended_smoother import backward_pass
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,12 +284,5 @@ def _rauch_tung_striebel(
         x[k], P[k] = m, C
         m = F[k] @ m
         C = F[k] @ C @ F[k].T + Q[k]
-    size = np.sqrt(np.maximum(np.einsum("tii->ti", P_ahead[1:]), TINY))
-    unit = P_ahead[1:] / (size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(nz)
-    G = (np.linalg.solve(unit, (F[:-1] @ P[:-1]) / size[:, :, None]) / size[:, :, None]).transpose(
-        0, 2, 1
-    )
-    for k in range(n - 2, -1, -1):
-        x[k] += G[k] @ (x[k + 1] - ahead[k + 1])
-        P[k] += G[k] @ (P[k + 1] - P_ahead[k + 1]) @ G[k].T
+    x, P = backward_pass(F[:-1], x, P, ahead[1:], P_ahead[1:], ridge=1e-12)
     return x[:, -1], P[:, -1, -1]
