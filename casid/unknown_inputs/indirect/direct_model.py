@@ -124,14 +124,30 @@ def direct_model(
     """
     given = {name: value for name, value in locals().items() if name in _BLOCKS}
     read = {n: transfer_matrix(v, Ts=Ts, values=values) for n, v in given.items() if v is not None}
-    for key in names or {}:
+    labels = _labels(read, names or {})
+    blocks = {}
+    for name, (row, column) in _BLOCKS.items():
+        blocks[name] = (
+            RationalMatrix(read[name].rows, labels[row], labels[column])
+            if name in read
+            else zeros(labels[row], labels[column])
+        )
+    _time_of(blocks)
+    return DirectModel(**blocks)
+
+
+def _labels(
+    read: Mapping[str, RationalMatrix], names: Mapping[str, Sequence[str]]
+) -> dict[str, tuple[str, ...]]:
+    """Names of the signals of each role; refused where they or the blocks do not fit."""
+    for key in names:
         if key not in {role for role, _ in _ROLES.values()}:
             raise ModelError(
                 f"names has no {key!r}; there are {', '.join(role for role, _ in _ROLES.values())}"
             )
-    counts = _counts(read, names or {})
+    counts = _counts(read, names)
     labels = {
-        role: tuple((names or {}).get(key, ()))
+        role: tuple(names.get(key, ()))
         or tuple(f"{base}{i + 1}" if counts[role] > 1 else base for i in range(counts[role]))
         for role, (key, base) in _ROLES.items()
     }
@@ -150,15 +166,7 @@ def direct_model(
                 f"{counts[measured]} measurements; give {block} with at least as many rows as "
                 "columns, or count some of these inputs as noise"
             )
-    blocks = {}
-    for name, (row, column) in _BLOCKS.items():
-        blocks[name] = (
-            RationalMatrix(read[name].rows, labels[row], labels[column])
-            if name in read
-            else zeros(labels[row], labels[column])
-        )
-    _time_of(blocks)
-    return DirectModel(**blocks)
+    return labels
 
 
 def _counts(

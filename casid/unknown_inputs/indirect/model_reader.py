@@ -37,33 +37,11 @@ def direct_model_of(
         than there are unknown inputs.
     """
     linear = linearise(system) if isinstance(system, Model) else system
-    y_I = (using,) if isinstance(using, str) else tuple(using)
-    if unknown is not None:
-        u_I: tuple[str, ...] = (unknown,) if isinstance(unknown, str) else tuple(unknown)
-    elif isinstance(system, Model):
+    y_I, u_I = _names(using), _names(unknown)
+    if unknown is None and isinstance(system, Model):
         u_I = tuple(n for n, i in system.inputs.items() if i.kind == "unknown")
-    else:
-        u_I = ()
-    if not u_I:
-        raise ModelError(
-            f"{linear.name}: which input is unknown? Give unknown='...', one of "
-            f"{', '.join(linear.inputs)}; an indirect model has none left"
-        )
-    y_O = tuple(o for o in linear.outputs if o not in y_I)
-    if outputs is not None:
-        y_O = (outputs,) if isinstance(outputs, str) else tuple(outputs)
-    for names, there, what in (
-        (y_I + y_O, linear.outputs, "output"),
-        (u_I, linear.inputs, "input"),
-    ):
-        for name in names:
-            if name not in there:
-                raise ModelError(f"{linear.name} has no {what} {name!r}{nearest(name, there)}")
-    if "s" in linear.parameters:
-        raise ModelError(
-            f"{linear.name} has a parameter called s, which here stands for differentiation; call "
-            "it otherwise"
-        )
+    y_O = tuple(o for o in linear.outputs if o not in y_I) if outputs is None else _names(outputs)
+    _require_names(linear, u_I, y_I + y_O)
     u_K = tuple(i for i in linear.inputs if i not in u_I)
     known = {**linear.known, **(values or {})}
     transfer = linear.transfer()
@@ -88,6 +66,31 @@ def direct_model_of(
         },
         values=known,
     )
+
+
+def _names(given: Sequence[str] | str | None) -> tuple[str, ...]:
+    return (given,) if isinstance(given, str) else tuple(given or ())
+
+
+def _require_names(linear: LinearModel, unknown: tuple[str, ...], outputs: tuple[str, ...]) -> None:
+    """Refuse names that the model does not have, no unknown input, and a parameter called s."""
+    if not unknown:
+        raise ModelError(
+            f"{linear.name}: which input is unknown? Give unknown='...', one of "
+            f"{', '.join(linear.inputs)}; an indirect model has none left"
+        )
+    for names, there, what in (
+        (outputs, linear.outputs, "output"),
+        (unknown, linear.inputs, "input"),
+    ):
+        for name in names:
+            if name not in there:
+                raise ModelError(f"{linear.name} has no {what} {name!r}{nearest(name, there)}")
+    if "s" in linear.parameters:
+        raise ModelError(
+            f"{linear.name} has a parameter called s, which here is the symbol of differentiation; "
+            "call it otherwise"
+        )
 
 
 def _entry(transfer: TransferMatrix, output: str, name: str) -> Any:

@@ -76,9 +76,8 @@ def prediction_error_limit(
         If the minimum is no point (orders too high); the message names the direction.
     """
     sources = dict(inputs) if isinstance(inputs, Mapping) else {name: name for name in inputs}
-    found = prediction_minimum(
-        system, output, sources, orders, truth, start, prefilter, solver, random_starts
-    )
+    search = MinimumSearch(start or {}, solver, random_starts)
+    found = prediction_minimum(system, output, sources, orders, truth, search, prefilter)
     Q = product_covariance(found.psi, found.repeated_eps, found.variances, found.kurtosis)
     text = f"{found.layout.structure} of {output} on {', '.join(sources.values()) or 'nothing'}"
     return found.asymptotics(Q, method or text)
@@ -125,16 +124,23 @@ class PredictionMinimum:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MinimumSearch:
+    """How a minimum is searched, as the arguments of `prediction_error_limit`."""
+
+    start: Mapping[str, float]
+    solver: Solver | None = None
+    random_starts: int = RANDOM_STARTS
+
+
 def prediction_minimum(
     system: LinearSignals,
     output: str,
     sources: Mapping[str, str],
     orders: Orders,
-    truth: Mapping[str, float] | None = None,
-    start: Mapping[str, float] | None = None,
+    truth: Mapping[str, float] | None,
+    search: MinimumSearch,
     prefilter: Any = None,
-    solver: Solver | None = None,
-    random_starts: int = RANDOM_STARTS,
 ) -> PredictionMinimum:
     """Where the criterion of `prediction_error_limit` is least; arguments and errors as there."""
     if system.symbols:
@@ -144,7 +150,7 @@ def prediction_minimum(
         )
     layout = Layout.of(orders, list(sources))
     true = {name: float(value) for name, value in (truth or {}).items()}
-    for name in (*true, *(start or {})):
+    for name in (*true, *search.start):
         if name not in layout.names:
             raise ModelError(
                 f"{name} is no coefficient of this structure; it has {', '.join(layout.names)}"
@@ -157,15 +163,12 @@ def prediction_minimum(
     kurtosis = np.array([system.excess_kurtosis.get(n, 0.0) for n in system.externals])
     starts: list[Array] = []
     higher = 0
-    points = 256
-    reach = layout.longest_lag + layout.nc + layout.nd + sum(layout.nf)
-    while points < 4 * (system.reach + reach + 1):
-        points *= 2
+    points = _first_points(system, layout)
     while True:
         G = settled_response(system, atoms, names, own, points)
         criterion = PredictionCriterion(layout, G, variances)
-        starts = starts or _starts(criterion, {**true, **(start or {})}, random_starts)
-        theta, higher_now = _minimum(criterion, starts, solver)
+        starts = starts or _starts(criterion, {**true, **search.start}, search.random_starts)
+        theta, higher_now = _minimum(criterion, starts, search.solver)
         higher = max(higher, higher_now)
         eps, psi = criterion.errors(theta)
         tails = np.abs(np.fft.ifft(np.concatenate([eps, psi], axis=1), axis=0))
@@ -187,6 +190,15 @@ def prediction_minimum(
     )
     notes = (f"{higher} of the starts ended in a higher minimum",) if higher else ()
     return PredictionMinimum(layout, theta, eps, psi, inverse, variances, kurtosis, true, notes)
+
+
+def _first_points(system: LinearSignals, layout: Layout) -> int:
+    """Points of the first grid: so many that no delay is aliased."""
+    reach = layout.longest_lag + layout.nc + layout.nd + sum(layout.nf)
+    points = 256
+    while points < 4 * (system.reach + reach + 1):
+        points *= 2
+    return points
 
 
 def _starts(

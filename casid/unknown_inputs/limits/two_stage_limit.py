@@ -27,6 +27,7 @@ from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.limits.prediction_criterion import PredictionCriterion
 from casid.unknown_inputs.limits.prediction_limit import (
     RANDOM_STARTS,
+    MinimumSearch,
     PredictionMinimum,
     prediction_minimum,
 )
@@ -71,7 +72,12 @@ def two_stage_limit(
     """
     stage = PredictedInputs(system, inputs, references, predicted, lags)
     found = prediction_minimum(
-        stage.system, output, stage.sources, orders, truth, start, None, solver, random_starts
+        stage.system,
+        output,
+        stage.sources,
+        orders,
+        truth,
+        MinimumSearch(start or {}, solver, random_starts),
     )
     psi_forms, eps_forms = [found.psi], [found.repeated_eps]
     rest = settled_response(

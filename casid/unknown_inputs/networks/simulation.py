@@ -12,6 +12,7 @@ from casid.algebra.rational import Rational
 from casid.arrays import Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
+from casid.linear.state_space import StateSpace
 from casid.unknown_inputs.networks.dynamics import network_states, refuse_unstable
 from casid.unknown_inputs.networks.network import Network, Signal
 from casid.unknown_inputs.networks.nodes import Node, node_label
@@ -68,15 +69,7 @@ def simulate_network(
     external = np.zeros((total, len(network.nodes)))
     for i, n in enumerate(network.nodes):
         external[:, i] = deltas.get(n, 0.0) + taus.get(n, 0.0)
-    from scipy.signal import dlsim
-
-    system = (states.A, states.B, states.C, states.D, 1.0)
-    w = dlsim(system, external)[1] if len(states.A) else external @ states.D.T
-    channels = {}
-    for i, n in enumerate(network.nodes):
-        noise = network.sensor_noise.get(n, 0.0)
-        read = w[:, i] + np.sqrt(noise) * rng.standard_normal(total) if noise else w[:, i]
-        channels[node_label(n)] = read[settle:]
+    channels = _readings(network, states, external, rng, settle)
     channels |= {f"delta_{n}": d[settle:] for n, d in deltas.items()}
     channels |= {f"tau_{n}": t[settle:] for n, t in taus.items()}
     return Record(
@@ -86,6 +79,22 @@ def simulate_network(
         name=network.name,
         provenance=(f"{network.name}, simulated",),
     )
+
+
+def _readings(
+    network: Network, states: StateSpace, external: Array, rng: np.random.Generator, settle: int
+) -> dict[str, Array]:
+    """The nodes as their sensors read them, the first `settle` samples left out."""
+    from scipy.signal import dlsim
+
+    system = (states.A, states.B, states.C, states.D, 1.0)
+    w = dlsim(system, external)[1] if len(states.A) else external @ states.D.T
+    channels = {}
+    for i, n in enumerate(network.nodes):
+        noise = network.sensor_noise.get(n, 0.0)
+        read = w[:, i] + np.sqrt(noise) * rng.standard_normal(len(w)) if noise else w[:, i]
+        channels[node_label(n)] = read[settle:]
+    return channels
 
 
 def filtered(g: Rational, x: Array) -> Array:

@@ -90,22 +90,7 @@ def reconstruct_input(
     shapes = [_shape(name, s, record.Ts, (models or {}).get(name)) for name in s.unknown]
     n = s.nx + sum(len(p.A) for p in shapes)
     pick = _inputs_of(shapes, s.nx, n)
-    A = np.zeros((n, n))
-    A[: s.nx, : s.nx] = s.A
-    A[: s.nx] += s.E @ pick
-    C = np.hstack([s.C, np.zeros((s.ny, n - s.nx))]) + s.F @ pick
-    Q0 = np.zeros((n, n))
-    if process is not None:
-        Q0[: s.nx, : s.nx] = process
-    sources = []
-    at = s.nx
-    for p in shapes:
-        k = len(p.A)
-        A[at : at + k, at : at + k] = p.A
-        Q = np.zeros((n, n))
-        Q[at : at + k, at : at + k] = p.Q
-        sources.append(Q)
-        at += k
+    A, C, Q0, sources = _joint_system(s, shapes, pick, process)
     levels = {f"noise of {o}": None if noise is None else noise.get(o) for o in s.outputs}
     levels |= {p.level: (rate or {}).get(i) for i, p in zip(s.unknown, shapes, strict=True)}
     model = _stochastic(s, A, C, Q0, sources, tuple(levels), n)
@@ -121,12 +106,6 @@ def reconstruct_input(
         guesses = dict(fitted.values)
     found = smoother.smooth(np.where(used, y, 0.0), guesses, x0, P0, used=used)
     covariance = np.einsum("ij,tjk,ik->ti", pick, found.P, pick)
-    assumed = tuple(
-        f"{i} is {'a random walk' if i not in (models or {}) else 'noise through the given model'}"
-        for i in s.unknown
-    )
-    if free:
-        assumed += (f"what was found of {', '.join(free)} is exact",)
     return InputEstimate(
         s.unknown,
         {i: s.units[i] for i in s.unknown if i in s.units},
@@ -139,8 +118,41 @@ def reconstruct_input(
         record.name,
         (),
         guesses,
-        assumed,
+        _assumed(s, models or {}, free),
     )
+
+
+def _joint_system(
+    s: UnknownInputSystem, shapes: Sequence[_Shape], pick: Array, process: Array | None
+) -> tuple[Array, Array, Array, list[Array]]:
+    """A, C and process noise of states and inputs together, and each source's of size one."""
+    n = pick.shape[1]
+    A, Q0 = np.zeros((n, n)), np.zeros((n, n))
+    A[: s.nx, : s.nx] = s.A
+    A[: s.nx] += s.E @ pick
+    C = np.hstack([s.C, np.zeros((s.ny, n - s.nx))]) + s.F @ pick
+    if process is not None:
+        Q0[: s.nx, : s.nx] = process
+    sources = []
+    at = s.nx
+    for p in shapes:
+        own = slice(at, at + len(p.A))
+        A[own, own] = p.A
+        Q = np.zeros((n, n))
+        Q[own, own] = p.Q
+        sources.append(Q)
+        at = own.stop
+    return A, C, Q0, sources
+
+
+def _assumed(
+    s: UnknownInputSystem, models: Mapping[str, Any], free: Sequence[str]
+) -> tuple[str, ...]:
+    kinds = {
+        i: "noise through the given model" if i in models else "a random walk" for i in s.unknown
+    }
+    exact = [f"the estimate of {', '.join(free)} is exact"] if free else []
+    return (*(f"{i} is {kind}" for i, kind in kinds.items()), *exact)
 
 
 def _known_response(s: UnknownInputSystem, u: Array) -> Array:
