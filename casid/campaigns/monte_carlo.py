@@ -10,10 +10,8 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import html
 import math
 import sys
-import textwrap
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -33,7 +31,7 @@ from casid.estimation.nlp.solver import _is_installed, as_solver
 from casid.estimation.simulation.fit import FitSettings
 from casid.identification.identify import identify
 from casid.model.model import Model
-from casid.presentation import present, write
+from casid.presentation import Presented, present, write
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
@@ -54,13 +52,6 @@ def simulation_error(
 
 METHODS: dict[str, Method] = {"identify": simulation_error}
 """What a study may estimate with, by name."""
-
-
-_WIDTH, _LABEL = 100, 14  # of a printed study, and of the names and units in it
-
-
-def _wrapped(text: str, first: str, rest: str) -> list[str]:
-    return textwrap.wrap(text, _WIDTH, initial_indent=first, subsequent_indent=rest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +153,7 @@ class Accuracy:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MonteCarlo:
+class MonteCarlo(Presented):
     """The result of a study: every estimate, and how well each parameter is estimated."""
 
     problem: str
@@ -217,47 +208,6 @@ class MonteCarlo:
             f"{len(self.campaign.failures)} failed, {len(self.parameters)} parameters, "
             f"{remarks} with remarks>"
         )
-
-    def __str__(self) -> str:
-        failed = len(self.campaign.failures)
-        head = (
-            f"Monte Carlo study of {self.problem}: {self.campaign.runs} runs with seed "
-            f"{self.campaign.seed}, method {self.method}, {failed} failed"
-        )
-        labels = [f"{p.name} [{p.unit}]" for p in self.parameters]
-        width = min(max((len(x) for x in (*labels, "parameter")), default=0), _LABEL)
-        lines = [
-            *_wrapped(head, "", "  "),
-            f"  {'parameter':<{width}} {'truth':>11}{'mean':>12}{'bias':>9} +- {'':<7}"
-            f"{'spread':>9}{'std. err.':>10}  coverage [%]",
-        ]
-        for label, p in zip(labels, self.parameters, strict=True):
-            truth = "--" if p.truth is None else f"{p.truth:.5g}"
-            bias = "--" if p.bias is None else f"{p.bias:.2g}"
-            covers = "--"
-            if p.coverage is not None and p.coverage_interval is not None:
-                low, high = (100 * x for x in p.coverage_interval)
-                covers = f"{100 * p.coverage:.1f} [{low:.1f}, {high:.1f}]"
-            if len(label) > width:
-                lines.append(f"  {label}")
-                label = ""
-            lines.append(
-                f"  {label:<{width}} {truth:>11}{p.mean_text:>12}{bias:>9} +- "
-                f"{p.bias_std_error:<7.2g}{p.spread:>9.3g}{p.mean_std_error:>10.3g}  {covers}"
-            )
-        lines += [
-            "  bias +- its Monte Carlo standard error; spread: standard deviation of the estimates",
-            "  std. err.: mean of those reported; coverage of 95 % intervals [its interval]",
-        ]
-        for p in self.parameters:
-            if p.remarks:
-                lines += _wrapped(f"{p.name}: {'; '.join(p.remarks)}", "  REMARK  ", " " * 10)
-        for message, n in self.failures.items():
-            lines += _wrapped(f"{n} times: {message}", "  failed  ", " " * 10)
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(str(self))}</pre>"
 
     def plot(self) -> Any:
         """Histograms of the estimates with truth and reported normal density, Plotly."""

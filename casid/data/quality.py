@@ -15,6 +15,7 @@ from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.columns import Columns, ColumnSpec
 from casid.data.reading.survey import survey
 from casid.data.record import BoolArray, FloatArray, Record
+from casid.presentation import Presented
 
 Severity = Literal["error", "warning", "note"]
 SCHEMA = "casid.check/1"
@@ -89,7 +90,7 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CheckReport:
+class CheckReport(Presented):
     """What `check` found; `str` is the report, `to_json` a dict."""
 
     name: str
@@ -129,53 +130,6 @@ class CheckReport:
             for s in ("error", "warning", "note")
         ]
         return f"<CheckReport {self.name}: {', '.join(counts)}>"
-
-    def __str__(self) -> str:
-        lines = [f"Check of {self.name}"]
-        if self.N is not None and self.Ts is not None:
-            lines.append(
-                f"  samples    {self.N}, every Ts = {self.Ts:.6g} s ({1 / self.Ts:.6g} Hz), "
-                f"{self.duration:.6g} s from t0 = {self.t0:g} s"
-            )
-        if self.clock:
-            c = self.clock
-            lines.append(
-                f"  intervals  min {c.interval_min:.6g}, median {c.interval_median:.6g}, max "
-                f"{c.interval_max:.6g} s; {100 * c.share_outside:.3g} % outside 1 % of the median"
-            )
-        if self.channels:
-            lines += _table(self.channels)
-        lines.append("  findings" if self.findings else "  findings   none")
-        lines += [f"    {f}" for f in self.findings]
-        return "\n".join(lines)
-
-
-_HEAD = ("channel", "unit", "min", "max", "mean", "rms", "noise", "step", "run", "band [Hz]")
-
-
-def _table(channels: tuple[ChannelCheck, ...]) -> list[str]:
-    def number(x: float | None) -> str:
-        return "--" if x is None else f"{x:.4g}"
-
-    rows = [_HEAD] + [
-        (
-            c.name,
-            c.unit,
-            *(number(x) for x in (c.minimum, c.maximum, c.mean, c.rms, c.noise, c.step)),
-            str(c.longest_run),
-            number(c.bandwidth_hz),
-        )
-        for c in channels
-    ]
-    widths = [max(len(r[i]) for r in rows) for i in range(len(_HEAD))]
-    return [
-        "  "
-        + "  ".join(
-            cell.ljust(w) if i < 2 else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
 
 
 def check(

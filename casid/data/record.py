@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import html
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from casid.errors import DataError
 from casid.model.units import parse_unit, si_unit, to_si
+from casid.presentation import Presented
 
 if TYPE_CHECKING:
     from casid.data.alignment import Alignment
@@ -23,7 +23,7 @@ BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Record:
+class Record(Presented):
     """One experiment, sampled uniformly; immutable, every change gives a new record.
 
     Attributes
@@ -374,59 +374,6 @@ class Record:
             f"<Record {self.name}: N = {self.N}, {n} channel{'' if n == 1 else 's'} "
             f"({', '.join(self.names)}), Ts = {self.Ts:.6g} s, {self.duration:.6g} s long>"
         )
-
-    def _table(self) -> list[tuple[str, ...]]:
-        rows: list[tuple[str, ...]] = []
-        for channel, values in self.channels.items():
-            mask = self.is_missing(channel)
-            kept = values[~mask]
-            numbers = (
-                (
-                    f"{kept.min():.5g}",
-                    f"{kept.max():.5g}",
-                    f"{kept.mean():.5g}",
-                    f"{kept.std():.5g}",
-                )
-                if kept.size
-                else ("--", "--", "--", "--")
-            )
-            rows.append((channel, self.units[channel], *numbers, str(int(mask.sum()))))
-        return rows
-
-    def __str__(self) -> str:
-        end = self.t0 + (self.N - 1) * self.Ts
-        lines = [
-            f"Record {self.name}",
-            f"  samples       {self.N}, every Ts = {self.Ts:.6g} s ({1 / self.Ts:.6g} Hz)",
-            f"  clock         {self.t0:g} to {end:g} s",
-        ]
-        rows = [_HEAD, *self._table()]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
-        for row in rows:
-            lines.append(
-                "  "
-                + "  ".join(
-                    c.ljust(w) if i < 2 else c.rjust(w)
-                    for i, (c, w) in enumerate(zip(row, widths, strict=True))
-                )
-            )
-        lines += ["  history"] + [f"    {step}" for step in self.provenance or ("none",)]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        head = "".join(f"<th>{h}</th>" for h in _HEAD)
-        body = "".join(
-            "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in row) + "</tr>"
-            for row in self._table()
-        )
-        history = "".join(f"<li>{html.escape(step)}</li>" for step in self.provenance)
-        return (
-            f"<p>{html.escape(repr(self))}</p><table><thead><tr>{head}</tr></thead>"
-            f"<tbody>{body}</tbody></table><ul>{history}</ul>"
-        )
-
-
-_HEAD = ("channel", "unit", "min", "max", "mean", "std", "missing")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

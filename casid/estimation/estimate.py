@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.files import write_json
 from casid.estimation.covariance import Sampled, sample_through
-from casid.presentation import present
+from casid.presentation import Presented, present
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -137,7 +136,7 @@ class Origin:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class Estimate(Presented):
     """Values, covariance, what it assumes, solver evidence, fit and provenance."""
 
     problem: str
@@ -332,49 +331,6 @@ class Estimate:
             f"<Estimate {self.problem}: {word}, {free} free, {bound} at bound, "
             f"fit {min(fits, default=float('nan')):.1f} %>"
         )
-
-    def __str__(self) -> str:
-        records = ", ".join(self.rmse)
-        lines = [
-            f"Estimate of {self.problem} from {records}, {self.method}",
-            *(f"  SUSPECT       {s}" for s in self.suspects),
-            f"  status        {self.status} in {self.iterations} iterations; largest scaled "
-            f"gradient {self.scaled_gradient:.0e}; {self.starts_agreeing} of {self.starts_tried} "
-            "starts agree",
-            f"  {'parameter':<18}{'unit':<16}{'estimate':>13}{'std. error':>13}{'start':>13}  note",
-        ]
-        for p in (*self.parameters, *self.initial_states):
-            error = "--" if p.std_error is None else f"{p.std_error:.2g}"
-            start = "" if p.start is None else f"{p.start:.6g}"
-            note = p.note or ("known" if p.known else "")
-            lines.append(
-                f"  {p.name:<18}{p.unit:<16}{p.value:>13.6g}{error:>13}{start:>13}  {note}"
-            )
-        i = self.identifiability
-        seen = "all" if i.rank == i.unknowns else i.unseen
-        lines.append(
-            f"  identifiable  {seen} (rank {i.rank} of {i.unknowns} at the estimate; smallest "
-            f"singular value {i.smallest_singular_value:.2g}, scaled)"
-        )
-        for record, by_output in self.rmse.items():
-            for output, value in by_output.items():
-                held = self.held_out_rmse.get(record, {}).get(output)
-                fit = self.nrmse_fit[record][output]
-                lines.append(
-                    f"  {record}/{output}: rms error {value:.4g} {self.units.get(output, '')}, "
-                    f"fit {fit:.1f} %" + (f"; held out {held:.4g}" if held is not None else "")
-                )
-        for record, by_output in self.held_out_rmse.items():
-            if record not in self.rmse:
-                for output, value in by_output.items():
-                    lines.append(f"  held out {record}/{output}: rms error {value:.4g}")
-        lines += [f"  residuals     {k}: {v}" for k, v in self.whiteness.items()]
-        lines.append(f"  error bars    {self.assumes}")
-        lines += [f"  WARNING       {w}" for w in self.warnings]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(str(self))}</pre>"
 
     def plot(self) -> Any:
         """The estimates with their intervals as a Plotly figure."""

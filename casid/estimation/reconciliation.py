@@ -23,6 +23,7 @@ from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.local_rank import LocalRank, describe_null
 from casid.estimation.nlp.compiled import Compiled
 from casid.estimation.nlp.nlp import Nlp
+from casid.presentation import Presented
 
 LEVEL = 0.001
 """Readings contradict where chance would make them differ so in one case out of a thousand."""
@@ -62,7 +63,7 @@ class Blame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reconciled:
+class Reconciled(Presented):
     """Quantities that satisfy the equations, with their covariance.
 
     It assumes independent Gaussian errors of the stated standard deviations, small enough for the
@@ -134,26 +135,6 @@ class Reconciled:
             f"<Reconciled {self.title}: {len(self.readings)} readings, {state}, chi2 "
             f"{self.statistic:.3g} with {self.degrees} degrees of freedom>"
         )
-
-    def __str__(self) -> str:
-        verdict = "nothing to test" if self.degrees == 0 else f"p = {self.p_value:.2g}"
-        lines = [
-            f"{self.title}: {len(self.readings)} readings, chi2 {self.statistic:.4g} with "
-            f"{self.degrees} degrees of freedom, {verdict}",
-        ]
-        if not self.is_consistent:
-            lines.append("  the readings CONTRADICT one another; set aside, with the correction:")
-            lines += [f"    {blame}" for blame in self.blamed]
-            lines.append("  until that is settled the values below mean nothing")
-        lines.append(
-            f"  {'quantity':24} {'value':>12} {'std. error':>11} {'read':>12}  residual/sd"
-        )
-        for name in self.names:
-            row = f"  {name:24} {self[name]:12.6g} {self.std_error(name):11.3g}"
-            if name in self.readings:
-                row += f" {self.readings[name][0]:12.6g}  {self.residuals[name]:+.1f}"
-            lines.append(f"{row} {self.units[name]}".rstrip())
-        return "\n".join(lines)
 
 
 @dataclass(slots=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, ModelError, nearest
+from casid.presentation import Presented
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,7 @@ class Optimum:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RegressionEstimate:
+class RegressionEstimate(Presented):
     """Parameters of a regression, how sure they are, and whether the optimum may be trusted.
 
     The standard errors are those of the regression linearised at the estimate, with the covariance
@@ -196,27 +197,3 @@ class RegressionEstimate:
             f"<RegressionEstimate {self.model}: converged, {len(self.parameters)} parameters"
             f"{bound}, N = {self.N}, residual sd {self.residual_sd:.4g}>"
         )
-
-    def __str__(self) -> str:
-        lines = [
-            f"Regression {self.model} ({self.N} data)",
-            f"  status        {self.status} in {self.iterations} iterations ({self.solver}, "
-            f"{self.hessian} Hessian); relative offset {self.relative_offset:.1e}",
-            f"  {'parameter':12}  {'estimate':>16}  {'std. error':>12}  {'start':>12}  note",
-        ]
-        for i, name in enumerate(self.parameters):
-            note = "at bound: no standard error" if name in self.at_bound else ""
-            error = f"{self.std_errors[i]:.5g}" if np.isfinite(self.std_errors[i]) else "--"
-            row = (
-                f"  {name:12}  {self.values[i]:16.10g}  {error:>12}  {self.start[i]:12.6g}  {note}"
-            )
-            lines.append(row.rstrip())
-        smallest = self.singular_values[-1] if len(self.singular_values) else float("nan")
-        lines += [
-            f"  residuals     rss {self.rss:.10g}, sd {self.residual_sd:.6g} ({self.dof} dof)",
-            f"  identifiable  all (rank {self.rank} of {self.rank}; smallest singular value "
-            f"{smallest:.1e}, columns scaled)",
-            "  error bars    independent residuals of one variance, exact regressors, linearised",
-            *(f"  note          {note}" for note in self.notes),
-        ]
-        return "\n".join(lines)

@@ -8,7 +8,6 @@ standard error. What it moves is a range: whatever the choice was, the parameter
 
 from __future__ import annotations
 
-import html
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -26,6 +25,7 @@ from casid.identifiability.combinations.family import Family
 from casid.identifiability.combinations.family_estimate import AlongFamily, along_family
 from casid.identifiability.requirement import unidentifiable_families, word
 from casid.model.model import Model
+from casid.presentation import Presented
 
 Estimator = Callable[[Problem, Sequence[Experiment]], Any]
 """(problem, experiments) -> Estimate, MomentEstimate or IterativeJoint."""
@@ -70,7 +70,7 @@ class Moving:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Invariants:
+class Invariants(Presented):
     """What data tell whatever the choice, and how far the rest moves.
 
     Attributes
@@ -140,45 +140,6 @@ class Invariants:
         return (
             f"<Invariants {self.problem}: told {told}; moving {', '.join(self.moving) or 'none'}>"
         )
-
-    def __str__(self) -> str:
-        lines = [f"What the data tell of {self.problem}"]
-        for a in self.along:
-            low, high = a.stopped_by
-            lines.append(
-                f"  {a.held} = {a.at:.4g} was held, a choice: from {a.lower:.4g} ({low} at its "
-                f"bound) to {a.upper:.4g} ({high} at its bound) all fit alike"
-            )
-        if not self.along:
-            lines.append("  every parameter: nothing was held")
-        percent = f"{100 * self.level:g} %"
-        lines.append(
-            f"  {'told whatever the choice':<28}{'unit':<12}{'estimate':>11}{'std. error':>12}"
-        )
-        for p in self.told.values():
-            error = "--" if p.std_error is None else f"{p.std_error:.2g}"
-            lines.append(
-                f"    {p.name:<26}{p.unit:<12}{p.value:>11.5g}{error:>12}  {p.note}".rstrip()
-            )
-        if not self.told:
-            lines.append("    no single parameter")
-        if self.moving:
-            lines.append(
-                f"  {'moves with the choice':<28}{'unit':<12}{percent + ' from':>11}{'to':>12}"
-                f"{'per unit held':>15}"
-            )
-        for m in self.moving.values():
-            how = "held" if m.name == m.held else f"{m.slope:.4g} of {m.held}"
-            few = "  less than a std. error" if m.spread < 1.0 else ""
-            ends = f"{m.interval[0]:>11.5g}{m.interval[1]:>12.5g}"
-            lines.append(f"    {m.name:<26}{m.unit:<12}{ends}  {how:>13}{few}")
-        if self.combinations:
-            lines.append("  told in their place (constants of a load case carry its name)")
-        lines += [f"    {c.name} = {c.value:.5g} +- {c.std_error:.2g}" for c in self.combinations]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(str(self))}</pre>"
 
 
 def invariants(

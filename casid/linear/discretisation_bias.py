@@ -23,6 +23,7 @@ from casid.linear.inverse_map import invert
 from casid.linear.lagged_columns import Column
 from casid.linear.linear_model import LinearModel, TransferMatrix, linearise
 from casid.model.model import Model
+from casid.presentation import Presented
 
 Spectrum = Callable[[Array], Array]
 """Frequencies [rad/s] -> spectral density, up to a factor."""
@@ -47,7 +48,7 @@ class BiasRow:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BiasTable:
+class BiasTable(Presented):
     """Rows of `bias_table`; `str` prints them."""
 
     output: str
@@ -57,17 +58,6 @@ class BiasTable:
 
     def __repr__(self) -> str:
         return f"<BiasTable of {', '.join(self.free)}: {len(self.rows)} rows>"
-
-    def __str__(self) -> str:
-        names = "".join(f"{n:>12}" for n in self.free)
-        lines = [
-            f"Relative bias of the regression of {self.output}; truth: {self.truth}",
-            f"  {'Ts [s]':>10}  {'method':<9}{'(w T)^2/12':>12}{names}",
-        ]
-        for row in self.rows:
-            values = "".join(f"{row.bias[n]:>+12.3e}" for n in self.free)
-            lines.append(f"  {row.Ts:>10.4g}  {row.method:<9}{row.scale:>12.3e}{values}")
-        return "\n".join(lines)
 
 
 def bias_table(

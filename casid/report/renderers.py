@@ -13,40 +13,72 @@ from pathlib import Path
 from typing import Any
 
 from casid.data.files import write_json, write_text
+from casid.report.document import terminal_text
 
 RENDERERS: Mapping[str, Mapping[str, str]] = {
+    "Advice": {"document": "texts.diagnosis.advice_document"},
+    "AlongFamily": {"document": "texts.moments.family_document"},
     "Assessment": {
-        "text": "texts.assessment.as_text",
+        "document": "texts.assessment.assessment_document",
         "figures": "figures.identifiability.figures",
         "page": "pages.identifiability_page.assessment_page",
     },
-    "Asymptotics": {"text": "texts.remedies.asymptotics_text"},
-    "Calibration": {"figure": "figures.calibration.calibration_figure"},
+    "Asymptotics": {"document": "texts.remedies.asymptotics_document"},
+    "BiasTable": {"document": "texts.identifiability.bias_document"},
+    "BlackBoxReferences": {"document": "texts.moments.black_box_document"},
+    "Calibration": {
+        "document": "texts.diagnosis.calibration_document",
+        "figure": "figures.calibration.calibration_figure",
+    },
+    "CheckReport": {"document": "texts.records.check_document"},
     "ClosedLoopView": {"text": "texts.closed_loop.closed_loop_text"},
     "Comparison": {
-        "text": "texts.remedies.comparison_text",
+        "document": "texts.remedies.comparison_document",
         "figure": "figures.remedy_figures.comparison_figure",
     },
+    "Convergence": {"document": "texts.moments.convergence_document"},
     "DecisionMap": {"figure": "figures.decision_map.decision_map_figure"},
     "Diagnosis": {
-        "text": "texts.diagnosis.diagnosis_text",
+        "document": "texts.diagnosis.diagnosis_document",
         "figure": "figures.simulated.diagnosis_figure",
         "figures": "figures.diagnosis.diagnosis_figures",
         "page": "pages.diagnosis_page.diagnosis_page",
     },
-    "Estimate": {"figure": "figures.estimates.estimate_figure"},
-    "Isolability": {"figure": "figures.isolability.isolability_figure"},
+    "Estimate": {
+        "document": "texts.estimates.estimate_document",
+        "figure": "figures.estimates.estimate_figure",
+    },
+    "Invariants": {"document": "texts.moments.invariants_document"},
+    "Isolability": {
+        "document": "texts.diagnosis.isolability_document",
+        "figure": "figures.isolability.isolability_figure",
+    },
+    "ModuleEstimate": {"document": "texts.networks.module_document"},
+    "MomentEstimate": {"document": "texts.estimates.moment_estimate_document"},
     "MonteCarlo": {
+        "document": "texts.estimates.monte_carlo_document",
         "figure": "pages.monte_carlo_page.histogram_figure",
         "page": "pages.monte_carlo_page.montecarlo_page",
     },
-    "Network": {"text": "texts.networks.page"},
+    "Network": {"text": "texts.networks.network_text"},
     "NodeEquations": {"text": "texts.networks.equations_text"},
+    "Practical": {"document": "texts.identifiability.practical_document"},
+    "PredictorTable": {"document": "texts.networks.predictors_document"},
     "Profile": {"figure": "figures.profiles.moment_profile_figure"},
     "Profiles": {"figure": "figures.profiles.profiles_figure"},
-    "SolverComparison": {"figure": "figures.solvers.solver_figure"},
+    "Reconciled": {"document": "texts.estimates.reconciled_document"},
+    "Record": {"document": "texts.records.record_document"},
+    "RegressionEstimate": {"document": "texts.estimates.regression_document"},
+    "SolverComparison": {
+        "document": "texts.solvers.solver_document",
+        "figure": "figures.solvers.solver_figure",
+    },
     "TransferMatrix": {"text": "texts.transfer_functions.transfer_text"},
-    "Validation": {"figure": "figures.validation.validation_figure"},
+    "UnknownInputComparison": {"document": "texts.remedies.options_document"},
+    "Validation": {
+        "document": "texts.moments.validation_document",
+        "figure": "figures.validation.validation_figure",
+    },
 }
 """Name of a class -> form -> function that makes it, below `casid.report`."""
 
@@ -66,21 +98,30 @@ def renderer(kind: type, form: str) -> Callable[..., Any]:
     LookupError
         If there is none.
     """
-    if form in _DERIVED:
-        return _DERIVED[form]
     for name in (c.__name__ for c in kind.__mro__):
         path = RENDERERS.get(name, {}).get(form)
         if path is not None:
             module, _, function = path.rpartition(".")
-            found: Callable[..., Any] = getattr(
-                importlib.import_module(f"casid.report.{module}"), function
-            )
+            loaded = importlib.import_module(f"casid.report.{module}")
+            found: Callable[..., Any] = getattr(loaded, function)
             return found
+    if form in _DERIVED:
+        return _DERIVED[form]
     raise LookupError(f"casid.report has no {form} of {kind.__name__}")
 
 
+def _text(result: object) -> str:
+    return terminal_text(renderer(type(result), "document")(result))
+
+
 def _html(result: object) -> str:
-    return f"<pre>{html.escape(str(result))}</pre>"
+    try:
+        document = renderer(type(result), "document")
+    except LookupError:  # text alone
+        return f"<pre>{html.escape(str(result))}</pre>"
+    from casid.report.pages.markup import fragment  # what the terminal prints needs no HTML
+
+    return fragment(document(result))
 
 
 def _files(result: Any, folder: Path) -> Path:
@@ -89,4 +130,4 @@ def _files(result: Any, folder: Path) -> Path:
     return write_text(folder / "report.html", page)
 
 
-_DERIVED: dict[str, Callable[..., Any]] = {"html": _html, "files": _files}
+_DERIVED: dict[str, Callable[..., Any]] = {"text": _text, "html": _html, "files": _files}

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from casid.estimation.estimate import Estimate
-
-WIDTH = 110
-"""Characters that a line of the table may have."""
+from casid.presentation import Presented
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,29 +34,8 @@ class OptionRow:
         return float("nan") if found is None else found
 
 
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of at most `WIDTH` characters: columns that do not fit follow in a table below."""
-    widths = [max(len(r[i]) for r in [heads, *rows]) for i in range(len(heads))]
-    blocks: list[list[int]] = [[0]]
-    for i in range(1, len(heads)):
-        if heads[i] == "error":
-            continue  # stands beside its parameter
-        columns = [i, i + 1] if heads[i + 1 : i + 2] == ["error"] else [i]
-        used = sum(2 + widths[k] for k in [*blocks[-1], *columns]) - 2
-        if used > WIDTH and len(blocks[-1]) > 1:
-            blocks.append([0])
-        blocks[-1] += columns
-    lines: list[str] = []
-    for block in blocks:
-        lines += [""] if lines else []
-        for cells in [heads, *rows]:
-            rest = [cells[k].rjust(widths[k]) for k in block[1:]]
-            lines.append("  ".join([cells[0].ljust(widths[0]), *rest]))
-    return lines
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class UnknownInputComparison:
+class UnknownInputComparison(Presented):
     """The options for one unknown input on the same records."""
 
     model: str
@@ -102,24 +78,3 @@ class UnknownInputComparison:
 
     def __repr__(self) -> str:
         return f"<UnknownInputComparison {self.model}/{self.unknown}: {len(self.rows)} options>"
-
-    def __str__(self) -> str:
-        heads, rows = self.cells()
-        lines = [f"Options for the unknown input {self.unknown} of {self.model}"]
-        if self.truth:
-            known = ", ".join(
-                f"{n} = {self.truth[n]:g}" for n in self.parameters if n in self.truth
-            )
-            lines.append(f"  truth {known}")
-        lines += ["", *_table(heads, rows), ""]
-        lines += [f"({r.letter}) {r.option}: {r.remark}" for r in self.rows]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        heads, rows = self.cells()
-        head = "".join(f"<th>{html.escape(h)}</th>" for h in [*heads, "remark"])
-        body = "".join(
-            "<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in [*cells, row.remark]) + "</tr>"
-            for cells, row in zip(rows, self.rows, strict=True)
-        )
-        return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

@@ -28,7 +28,6 @@ Stat. Assoc. 90 (1995) 773-795, for the margin.
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import log, sqrt
@@ -43,7 +42,7 @@ from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import DataError
 from casid.model.effects.effect import Effect
-from casid.presentation import present
+from casid.presentation import Presented, present
 
 Key = tuple[str, str]
 
@@ -142,7 +141,7 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Isolability:
+class Isolability(Presented):
     """What a record can tell apart: the angles of all causes' signatures, and what they cost.
 
     Attributes
@@ -190,29 +189,10 @@ class Isolability:
             "unseen": [list(k) for k in self.unseen],
         }
 
-    def table(self, most: int = 12) -> str:
-        """The closest pairs as text."""
-        lines = [
-            f"Hardest to tell apart: energy for a margin of {self.margin:g} BIC with "
-            f"probability {self.power:g}",
-            f"  {'cause':<40}{'or':<40}{'cosine':>8}{'energy':>10}",
-        ]
-        for p in self.pairs[:most]:
-            energy = "never" if not np.isfinite(p.energy) else f"{p.energy:.3g}"
-            lines.append(f"  {label(p.first):<40}{label(p.second):<40}{p.cosine:>8.3f}{energy:>10}")
-        lines += [f"  the same here: {', '.join(label(k) for k in g)}" for g in self.groups]
-        return "\n".join(lines)
-
     def __repr__(self) -> str:
         return (
             f"<Isolability: {len(self.keys)} causes, {len(self.groups)} groups that are the same>"
         )
-
-    def __str__(self) -> str:
-        return self.table()
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(str(self))}</pre>"
 
     def plot(self) -> Any:
         """The angles as a heat map, a Plotly figure."""

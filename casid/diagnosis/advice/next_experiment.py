@@ -9,7 +9,6 @@ new record has to be. Linear in the causes' sizes, about the fitted model.
 
 from __future__ import annotations
 
-import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite
@@ -34,6 +33,7 @@ from casid.estimation.noise import NoiseModel, noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
+from casid.presentation import Presented
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +98,7 @@ class Proposal:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Advice:
+class Advice(Presented):
     """Proposals beside the record at hand, the best first.
 
     Those that are clearer go before (`Proposal.is_clearer`), by what they gain in energy times what
@@ -124,27 +124,8 @@ class Advice:
             "sentence": self.sentence,
         }
 
-    def table(self) -> str:
-        """The proposals as text."""
-        lines = [
-            f"To tell {' / '.join(label(k) for k in self.tied)}",
-            f"  {'experiment':<26}{'cosine':>8}{'energy needed':>15}{'gain':>8}{'seconds':>10}",
-        ]
-        for p in (self.now, *self.proposals):
-            lines.append(
-                f"  {p.name:<26}{p.cosine:>8.3f}{_number(p.energy_needed):>15}"
-                f"{_number(p.gain_factor):>8}{_number(p.record_length):>10}"
-            )
-        return "\n".join([*lines, f"  {self.sentence}"])
-
     def __repr__(self) -> str:
         return f"<Advice: {len(self.proposals)} experiments for {len(self.tied)} tied causes>"
-
-    def __str__(self) -> str:
-        return self.table()
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(str(self))}</pre>"
 
 
 def next_experiment(
@@ -332,10 +313,6 @@ def _seconds(value: float) -> str:
     if value < 120:
         return f"{value:.2g} s"
     return f"{value / 60:.2g} min" if value < 7200 else f"{value / 3600:.2g} h"
-
-
-def _number(value: float) -> str:
-    return "never" if not isfinite(value) else f"{value:.3g}"
 
 
 def _finite(value: float) -> float | None:

@@ -45,7 +45,7 @@ from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
 from casid.errors import CasidError, DataError, ModelError, SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.minimization import Fit
-from casid.presentation import present
+from casid.presentation import Presented, present
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
@@ -82,7 +82,7 @@ SOURCES = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+class Calibration(Presented):
     """What a false-alarm level is worth on one record.
 
     Attributes
@@ -211,10 +211,6 @@ class Calibration:
             f"<Calibration {self.problem}: {self.runs} runs, rate {self.rate:.3g} at "
             f"{self.alpha:g}, threshold {self.threshold:.2g}>"
         )
-
-    def __str__(self) -> str:
-        lines = [f"Calibration of {self.problem} (seed {self.seed})", f"  {self.sentence}."]
-        return "\n".join([*lines, *(f"  note          {note}" for note in self.notes)])
 
     def plot(self) -> Any:
         """Histogram of the smallest adjusted p against the uniform, as a Plotly figure."""

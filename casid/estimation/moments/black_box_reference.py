@@ -27,13 +27,14 @@ from casid.estimation.moments.instruments import Instruments
 from casid.estimation.moments.reference_filter import Filter, ReferenceFilter, SampledFilter
 from casid.estimation.prediction_error.polynomial_estimation import arx, oe
 from casid.model.model import Model
+from casid.presentation import Presented
 
 SLOWEST = 0.9999
 """Poles of a black box nearer to the unit circle are drawn back to this modulus (a heuristic)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BlackBoxReferences:
+class BlackBoxReferences(Presented):
     """Black-box models of every record, and the signals they make of the reference.
 
     Attributes
@@ -63,22 +64,6 @@ class BlackBoxReferences:
             f"<BlackBoxReferences of {self.reference}: {', '.join(self.channels)}; "
             f"{len(self.experiments)} records>"
         )
-
-    def __str__(self) -> str:
-        lines = [
-            f"Black-box models from {self.reference}",
-            f"  {'record':<22}" + "".join(f"{c:>12}" for c in self.channels) + "   fit, %",
-        ]
-        lines += [
-            f"  {record:<22}" + "".join(f"{own[c].fit:>12.1f}" for c in self.channels)
-            for record, own in self.filters.items()
-        ]
-        return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
-
-    def _repr_html_(self) -> str:
-        import html
-
-        return f"<pre>{html.escape(str(self))}</pre>"
 
 
 def simulated_name(channel: str, reference: str) -> str:

@@ -15,10 +15,11 @@ import numpy as np
 from casid.arrays import Array
 from casid.estimation.moments.noise_models import eta_distance
 from casid.estimation.moments.stage import StageFit
+from casid.presentation import Presented
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Convergence:
+class Convergence(Presented):
     """What every iteration of a stage found.
 
     Attributes
@@ -75,24 +76,3 @@ class Convergence:
             f"<Convergence of {', '.join(self.names)}: {len(self.theta_p)} iterations, "
             f"{'settled' if self.is_settled else 'not settled'}>"
         )
-
-    def __str__(self) -> str:
-        width = max(10, *(len(n) + 2 for n in self.names))
-        head = f"{'it.':<4}" + "".join(f"{n:>{width}}" for n in self.names)
-        head += "".join(f"{n + ' %':>{width}}" for n in self.truth)
-        head += f"{'moved':>10}{'prefilter':>11}"
-        lines = [head]
-        for j, theta in enumerate(self.theta_p):
-            line = f"{j:<4}" + "".join(f"{v:>{width}.4f}" for v in theta)
-            line += "".join(f"{self.errors(n)[j]:>{width}.3f}" for n in self.truth)
-            line += f"{self.moved[j]:>10.1e}" if j else f"{'':>10}"
-            line += f"{self.prefilter_moved[j]:>11.1e}" if j else f"{'':>11}"
-            lines.append(line)
-        if not self.is_settled:
-            lines.append("not settled within the iterations allowed")
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        import html
-
-        return f"<pre>{html.escape(str(self))}</pre>"

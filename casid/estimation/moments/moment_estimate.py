@@ -16,10 +16,11 @@ from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.propagation import Propagated
 from casid.estimation.moments.stage import StageFit
 from casid.model.model import Model
+from casid.presentation import Presented
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MomentEstimate:
+class MomentEstimate(Presented):
     """An estimate from moment equations, with what the instruments could see.
 
     Attributes
@@ -80,16 +81,6 @@ class MomentEstimate:
     def __repr__(self) -> str:
         return f"<MomentEstimate {self.estimate.problem}: {self.estimate.method}>"
 
-    def __str__(self) -> str:
-        lines = [str(self.estimate)]
-        if len(self.stages) > 1 or self.prior is not None:
-            lines.append(
-                "  stages        standard errors with earlier stages taken as exact: "
-                + ", ".join(f"{n} {self.std_error(n, propagated=False):.2g}" for n in self.names)
-            )
-        lines += [f"  {name + ' ':<14}{text}" for name, text in self.estimate.evidence.items()]
-        return "\n".join(lines)
-
     def to_json(self) -> dict[str, Any]:
         """The content of `estimate.json`, with what moment equations add to it."""
         p = self.propagated
@@ -117,8 +108,3 @@ class MomentEstimate:
     def write(self, folder: str | Path) -> Path:
         """Write `estimate.json` into `folder`, whole or not at all; returns its path."""
         return write_json(Path(folder) / "estimate.json", self.to_json())
-
-    def _repr_html_(self) -> str:
-        import html
-
-        return f"<pre>{html.escape(str(self))}</pre>"

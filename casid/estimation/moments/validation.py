@@ -28,7 +28,7 @@ from casid.estimation.moments.instruments import (
     transient,
 )
 from casid.model.model import Model
-from casid.presentation import present
+from casid.presentation import Presented, present
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ class ChannelValidation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Validation:
+class Validation(Presented):
     """How well the model simulates every channel from the external reference."""
 
     channels: tuple[ChannelValidation, ...]
@@ -70,24 +70,6 @@ class Validation:
             if (c.record, c.channel) == key:
                 return c
         raise KeyError(f"no {key}; there are {[(c.record, c.channel) for c in self.channels]}")
-
-    def __str__(self) -> str:
-        lines = [
-            f"{'record':<14}{'channel':<12}{'fit %':>8}{'rms':>12}{'unit':>9}{'period s':>10}"
-            f"{'error %':>9}{'peaks %':>9}{'spread %':>10}{'matched':>9}"
-        ]
-        lines += [
-            f"{c.record:<14}{c.channel:<12}{c.fit:>8.1f}{c.rmse:>12.4g}{c.unit:>9}{c.period:>10.4g}"
-            f"{100 * c.period_error:>9.2f}{100 * c.peak_error:>9.2f}{100 * c.peak_spread:>10.2f}"
-            f"{c.peaks:>9}"
-            for c in self.channels
-        ]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        import html
-
-        return f"<pre>{html.escape(str(self))}</pre>"
 
     def plot(self, *, seconds: float = 20.0) -> Any:
         """Measured and simulated channels over the first `seconds` of every record (Fig. 7.14)."""

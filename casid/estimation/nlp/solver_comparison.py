@@ -8,7 +8,6 @@ quadratic program, or that it is not installed.
 from __future__ import annotations
 
 import copy
-import html
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -39,7 +38,7 @@ from casid.estimation.nlp.solver_processes import (
     timed,
 )
 from casid.linear.constrained_least_squares import null_space_least_squares
-from casid.presentation import present
+from casid.presentation import Presented, present
 
 __all__ = ["Row", "SolverComparison", "compare_solvers", "null_space_least_squares"]
 
@@ -82,7 +81,7 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SolverComparison:
+class SolverComparison(Presented):
     """Every solver's answer to one problem beside a reference."""
 
     problem: str
@@ -135,42 +134,6 @@ class SolverComparison:
             for row in self.rows
         ]
         return lines
-
-    def __str__(self) -> str:
-        cells = self.cells()
-        widths = [max(len(line[i]) for line in cells) for i in range(len(cells[0]))]
-        lines = [
-            f"{self.problem}: {len(self.names)} variables; reference: {self.reference_from}"
-            + (f", objective {self.objective:.10g}" if self.is_feasible else "")
-        ]
-        for line in cells:
-            shown = [
-                cell.ljust(width) if i in (0, 7) else cell.rjust(width)
-                for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-            ]
-            lines.append(("  " + "  ".join(shown)).rstrip())
-        lines.append(
-            f"  {len(self.agreeing)} of {len(self.rows)} agree with the reference within "
-            f"{self.tolerance:g} relative"
-        )
-        lines += [f"  {row.solver}: {row.reason}" for row in self.rows if row.reason]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        head, *body = self.cells()
-
-        def row(tag: str, texts: Sequence[str]) -> str:
-            return "".join(f"<{tag}>{html.escape(text)}</{tag}>" for text in texts)
-
-        lines = [
-            f"<tr>{row('td', (*cells, r.reason))}</tr>"
-            for cells, r in zip(body, self.rows, strict=True)
-        ]
-        return (
-            f"<table><caption>{html.escape(repr(self)[1:-1])}; reference: "
-            f"{html.escape(self.reference_from)}</caption>"
-            f"<tr>{row('th', (*head, 'why not'))}</tr>{''.join(lines)}</table>"
-        )
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; what is not finite becomes None."""

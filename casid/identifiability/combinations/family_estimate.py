@@ -19,10 +19,11 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError
 from casid.identifiability.combinations.family import Family, family
+from casid.presentation import Presented
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AlongFamily:
+class AlongFamily(Presented):
     """An estimate and its images along a family.
 
     Attributes
@@ -74,29 +75,6 @@ class AlongFamily:
             f"<AlongFamily: {self.held} from {self.lower:.4g} to {self.upper:.4g}, "
             f"identifiable: {', '.join(self.invariant) or 'nothing'}>"
         )
-
-    def __str__(self) -> str:
-        low, high = self.stopped_by
-        lines = [
-            f"{self.held} = {self.at:.4g} is a choice; from {self.lower:.4g} ({low} at its bound) "
-            f"to {self.upper:.4g} ({high} at its bound) all fit equally",
-            f"  {'':<10}{'estimate':>11}{'std. error':>12}{'per ' + self.held:>12}"
-            f"{'moves from':>13}{'to':>11}{f'{100 * self.level:g} % from':>13}{'to':>11}",
-        ]
-        for n, v in self.values.items():
-            a, b = self.ranges[n]
-            c, d = self.intervals[n]
-            note = "  identifiable whatever the choice" if n in self.invariant else ""
-            lines.append(
-                f"  {n:<10}{v:>11.5g}{self.std_errors[n]:>12.2g}{self.slopes[n]:>12.4g}"
-                f"{a:>13.5g}{b:>11.5g}{c:>13.5g}{d:>11.5g}{note}"
-            )
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        import html
-
-        return f"<pre>{html.escape(str(self))}</pre>"
 
 
 def along_family(

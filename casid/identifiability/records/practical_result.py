@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+from casid.presentation import Presented
 from casid.arrays import Array
 from casid.deprecation import Grouped, renamed
 from casid.identifiability.records.planned_experiment import Noise
@@ -151,7 +152,7 @@ class Conditioning:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Practical:
+class Practical(Presented):
     """Expected errors, correlations and weakest directions for stated records, values and noise.
 
     Fields are grouped by question; the attributes of all groups can be read here as well.
@@ -212,34 +213,6 @@ class Practical:
         """Rows of parameters alone."""
         return tuple(r for r in self.rows if not r.is_state)
 
-    def __str__(self) -> str:
-        head = ("", "unit", "value", "std. error", "relative", "correlated", "with this record")
-        table = [head] + [_cells(r) for r in self.rows]
-        widths = [max(len(line[i]) for line in table) for i in range(len(head))]
-        lines = [
-            f"Practical identifiability of {self.problem} from {', '.join(self.records)} "
-            f"({self.samples} samples)",
-            *(
-                "  " + "  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)).rstrip()
-                for line in table
-            ),
-            f"  sensitivities  rank {self.rank} of {self.unknowns}, condition {self.condition:.3g}",
-            *(f"  weakest        {d}" for d in self.weakest[:2]),
-        ]
-        if self.undetermined:
-            lines.append(f"  not seen       {self.undetermined}")
-        lines += [f"  noise          {text}" for text in self._noise_lines()]
-        lines.append(f"  What the error bar assumes: {self.assumes}")
-        return "\n".join(lines)
-
-    def _noise_lines(self) -> list[str]:
-        if not self.noise.is_absolute:
-            return [
-                f"{next(iter(self.noise.source.values()))}; the errors are relative to each other "
-                "only. Give noise={output: standard deviation} to have them judged"
-            ]
-        return [f"{n} {sd:.3g} ({self.noise.source[n]})" for n, sd in self.noise.sd.items()]
-
     def to_json(self) -> dict[str, Any]:
         """Plain values; None for what is infinite or not a number."""
 
@@ -272,18 +245,6 @@ class Practical:
             "assumes": self.assumes,
             "sources": list(self.sources),
         }
-
-
-def _cells(row: Row) -> tuple[str, ...]:
-    def percent(share: float | None) -> str:
-        return "--" if share is None or not math.isfinite(share) else f"{100 * share:.3g} %"
-
-    close = "--" if row.correlation is None else f"{row.correlation:+.3f} {row.partner}"
-    error = f"{row.std_error:.3g}" if math.isfinite(row.std_error) else "--"
-    is_long = row.verdict == UNDETERMINED and row.note.count(",") > 1
-    note = "only in combination, see below" if is_long else row.note
-    verdict = f"{row.verdict}: {note}" if note else row.verdict
-    return row.name, row.unit, f"{row.value:.5g}", error, percent(row.relative), close, verdict
 
 
 def _finite(value: float) -> float | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -41,52 +41,16 @@ def parameter_figure(estimates: Mapping[str, Estimate]) -> Any:
         raise ValueError("the baseline has no free parameter to draw")
     scales = [_scale(p, estimates.values()) for p in rows]
     figure = Panels(rows=1, row_height=46 * len(rows) + 30, gap=0)
+    looks = [(BEFORE, "circle-open"), (AFTER, "circle"), (FLOOR, "square"), (MEASURED, "diamond")]
     values: list[float] = []
     halves: list[float] = []
-    looks = [(BEFORE, "circle-open"), (AFTER, "circle"), (FLOOR, "square"), (MEASURED, "diamond")]
+    several = len(estimates) > 1
     for j, (label, estimate) in enumerate(estimates.items()):
-        colour, symbol = looks[j % len(looks)]
-        if len(estimates) == 1:
-            colour, symbol = looks[1]
-        found = {p.name: p for p in estimate.parameters if math.isfinite(p.value)}
+        look = looks[j % len(looks)] if several else looks[1]
         shift = 0.3 * (j - (len(estimates) - 1) / 2) / max(1, len(estimates) - 1)
-        x: list[float] = []
-        y: list[float] = []
-        half: list[float] = []
-        text: list[str] = []
-        for i, (p, scale) in enumerate(zip(rows, scales, strict=True)):
-            if p.name not in found:
-                continue
-            q = found[p.name]
-            interval = q.interval
-            x.append(100 * (q.value - p.value) / scale)
-            y.append(i + shift)
-            half.append(50 * (interval[1] - interval[0]) / scale if interval else 0.0)
-            text.append(figure_text(_with_interval(q), 90))
+        x, half = _add_estimate(figure, label, estimate, (rows, scales), shift, look)
         values += x
         halves += [h for h in half if math.isfinite(h)]
-        figure.add(
-            0,
-            x=x,
-            y=y,
-            name=figure_text(label),
-            mode="markers",
-            marker={
-                "color": colour,
-                "size": 10,
-                "symbol": symbol,
-                "line": {"width": 2, "color": colour},
-            },
-            error_x={
-                "type": "data",
-                "array": [h if math.isfinite(h) else None for h in half],
-                "color": colour,
-                "thickness": 2,
-                "width": 5,
-            },
-            text=text,
-            hovertemplate="%{text}<extra>%{fullData.name}</extra>",
-        )
     reach = max((abs(v) + h for v, h in zip(values, halves, strict=False)), default=1.0)
     sensible = 1.5 * max(abs(v) for v in values) + 6 * float(np.median(halves or [0.0]))
     is_cut = reach > sensible > 0
@@ -104,18 +68,76 @@ def parameter_figure(estimates: Mapping[str, Estimate]) -> Any:
         zeroline=False,
         tickfont={"size": 12},
     )
-    figure.label(0, x="change from baseline [%]" if len(estimates) > 1 else "interval [% of value]")
+    figure.label(0, x="change from baseline [%]" if several else "interval [% of value]")
+    caption = _caption(estimates, free, {p.name for p in rows})
+    return figure.done(caption + " The longest intervals leave the axis." * is_cut, ())
+
+
+def _add_estimate(
+    figure: Panels,
+    label: str,
+    estimate: Estimate,
+    drawn: tuple[Sequence[Estimated], Sequence[float]],
+    shift: float,
+    look: tuple[str, str],
+) -> tuple[list[float], list[float]]:
+    """Add the points of one estimate; returns them and their half intervals, both in per cent.
+
+    `drawn` are the baseline's parameters with their scales, `shift` moves the points between the
+    rows, `look` is colour and symbol.
+    """
+    colour, symbol = look
+    found = {p.name: p for p in estimate.parameters if math.isfinite(p.value)}
+    x: list[float] = []
+    y: list[float] = []
+    half: list[float] = []
+    text: list[str] = []
+    for i, (p, scale) in enumerate(zip(*drawn, strict=True)):
+        if p.name not in found:
+            continue
+        q = found[p.name]
+        interval = q.interval
+        x.append(100 * (q.value - p.value) / scale)
+        y.append(i + shift)
+        half.append(50 * (interval[1] - interval[0]) / scale if interval else 0.0)
+        text.append(figure_text(_with_interval(q), 90))
+    figure.add(
+        0,
+        x=x,
+        y=y,
+        name=figure_text(label),
+        mode="markers",
+        marker={
+            "color": colour,
+            "size": 10,
+            "symbol": symbol,
+            "line": {"width": 2, "color": colour},
+        },
+        error_x={
+            "type": "data",
+            "array": [h if math.isfinite(h) else None for h in half],
+            "color": colour,
+            "thickness": 2,
+            "width": 5,
+        },
+        text=text,
+        hovertemplate="%{text}<extra>%{fullData.name}</extra>",
+    )
+    return x, half
+
+
+def _caption(estimates: Mapping[str, Estimate], free: Iterable[Estimated], drawn: set[str]) -> str:
+    problem = visible_text(next(iter(estimates.values())).problem)
     if len(estimates) > 1:
         caption = (
-            f"Parameters of {visible_text(baseline.problem)}, {' and '.join(map(str, estimates))}, "
-            "with 95 % intervals, relative to the baseline value."
+            f"Parameters of {problem}, {' and '.join(map(str, estimates))}, with 95 % intervals, "
+            "relative to the baseline value."
         )
     else:
-        caption = f"95 % intervals of {visible_text(baseline.problem)} relative to each value."
+        caption = f"95 % intervals of {problem} relative to each value."
     held = [p.name for p in free if p.std_error is None]
     if held:
         caption += f" Without an interval: {', '.join(map(visible_text, held))} (see the table)."
-    drawn = {p.name for p in rows}
     new = dict.fromkeys(
         p.name
         for e in estimates.values()
@@ -124,9 +146,7 @@ def parameter_figure(estimates: Mapping[str, Estimate]) -> Any:
     )
     if new:
         caption += f" Not in the baseline: {', '.join(map(visible_text, new))} (see the table)."
-    if is_cut:
-        caption += " The longest intervals leave the axis."
-    return figure.done(caption, ())
+    return caption
 
 
 def _scale(baseline: Estimated, estimates: Iterable[Estimate]) -> float:

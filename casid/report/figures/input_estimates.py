@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -43,38 +43,13 @@ def input_figure(
         for k, e in enumerate(estimates):
             if name not in e.inputs:
                 continue
-            colour = _COLOURS[k % len(_COLOURS)]
             label = figure_text(names[k] if names else e.method)
-            value, sd = e[name], e.std_error(name)
-            kept = np.where(np.isfinite(sd), value, np.nan)
-            i = thinned(kept)
-            half = _TWO_SIDED * np.where(np.isfinite(sd), sd, np.nan)[i]
-            common = {"x": e.t[i], "legendgroup": f"{k}"}
-            for edge, fill in ((half, None), (-half, "tonexty")):
-                figure.add_trace(
-                    go.Scatter(
-                        y=kept[i] + edge,
-                        line={"width": 0},
-                        fill=fill,
-                        fillcolor=_faint(colour),
-                        showlegend=False,
-                        hoverinfo="skip",
-                        **common,
-                    ),
-                    row=row,
-                    col=1,
-                )
-            figure.add_trace(
-                go.Scatter(
-                    y=kept[i],
-                    line={"color": colour, "width": 1.5, "dash": ("solid", "dash", "dot")[k % 3]},
-                    name=label,
-                    showlegend=row == 1,
-                    **common,
-                ),
-                row=row,
-                col=1,
-            )
+            look = (_COLOURS[k % len(_COLOURS)], ("solid", "dash", "dot")[k % 3])
+            for trace in _band_and_line(e, name, look):
+                trace |= {"legendgroup": f"{k}", "showlegend": "name" in trace and row == 1}
+                if "name" in trace:
+                    trace["name"] = label
+                figure.add_trace(go.Scatter(**trace), row=row, col=1)
         if truth is not None and name in truth:
             j = thinned(np.asarray(truth[name], dtype=float))
             figure.add_trace(
@@ -97,6 +72,26 @@ def input_figure(
     caption = f"Unknown inputs of {record}: estimates and 95 % bands"
     _finish(figure, caption, 120 + 240 * len(inputs))
     return figure
+
+
+def _band_and_line(e: InputEstimate, name: str, look: tuple[str, str]) -> Iterator[dict[str, Any]]:
+    """Traces of an estimate: both edges of its 95 % band, then itself; `look` is colour, dash."""
+    colour, dash = look
+    value, sd = e[name], e.std_error(name)
+    kept = np.where(np.isfinite(sd), value, np.nan)
+    i = thinned(kept)
+    half = _TWO_SIDED * np.where(np.isfinite(sd), sd, np.nan)[i]
+    for edge, fill in ((half, None), (-half, "tonexty")):
+        yield {
+            "x": e.t[i],
+            "y": kept[i] + edge,
+            "line": {"width": 0},
+            "fill": fill,
+            "fillcolor": _faint(colour),
+            "hoverinfo": "skip",
+        }
+    line = {"color": colour, "width": 1.5, "dash": dash}
+    yield {"x": e.t[i], "y": kept[i], "line": line, "name": name}
 
 
 def amplification_figure(

@@ -14,6 +14,17 @@ from casid.report.figures.look import AFTER, BEFORE, figure_text
 from casid.report.figures.panels import Panels
 
 _SHOWN = 24
+_COLOUR_BAR = {
+    "orientation": "h",
+    "thickness": 10,
+    "len": 1.0,
+    "y": -0.02,
+    "yanchor": "top",
+    "tickvals": [-1, 0, 1],
+    "ticktext": ["-1: opposite", "0: apart", "1: alike"],
+    "tickfont": {"size": 11},
+    "ticklabelposition": "outside bottom",
+}
 
 
 def isolability_figure(isolability: Isolability) -> Any:
@@ -56,17 +67,7 @@ def isolability_figure(isolability: Isolability) -> Any:
         colorscale=[[0, AFTER], [0.5, "#ffffff"], [1, BEFORE]],
         customdata=[[[a, b] for b in full] for a in full],
         hovertemplate="%{customdata[0]}<br>and %{customdata[1]}<br>cosine %{z:.3f}<extra></extra>",
-        colorbar={
-            "orientation": "h",
-            "thickness": 10,
-            "len": 1.0,
-            "y": -0.02,
-            "yanchor": "top",
-            "tickvals": [-1, 0, 1],
-            "ticktext": ["-1: opposite", "0: apart", "1: alike"],
-            "tickfont": {"size": 11},
-            "ticklabelposition": "outside bottom",
-        },
+        colorbar=_COLOUR_BAR,
     )
     figure = panel.figure
     caption = (

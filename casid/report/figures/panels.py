@@ -13,6 +13,39 @@ from casid.estimation.estimate import RecordView
 from casid.report.figures.look import FONT, figure_text
 from casid.report.figures.record_views import part_shapes, time_range
 
+_AXIS: dict[str, Any] = {
+    "title_font": {"size": 13},
+    "automargin": True,
+    "showline": True,
+    "linecolor": "#888888",
+    "ticks": "outside",
+    "tickcolor": "#888888",
+    "ticklen": 4,
+    "gridcolor": "#e8e8e8",
+    "zerolinecolor": "#bdbdbd",
+    "zerolinewidth": 1,
+}
+_LEGEND: dict[str, Any] = {
+    "orientation": "h",
+    "x": 0,
+    "xanchor": "left",
+    "y": 1.0,
+    "yanchor": "bottom",
+    "itemsizing": "constant",
+    "font": {"size": 13},
+}
+_MENU: dict[str, Any] = {
+    "type": "dropdown",
+    "direction": "up",
+    "x": 0,
+    "xanchor": "left",
+    "y": 0,
+    "yanchor": "top",
+    "pad": {"t": 52},
+    "bgcolor": "#ffffff",
+    "bordercolor": "#888888",
+}
+
 
 class Panels:
     """A Plotly figure of equal panels, row by row, with one look for the whole package."""
@@ -126,25 +159,13 @@ class Panels:
         title = wrap(caption, 100)
         top = 18 * len(title) + 62
         bottom = 100 if several else 54 if self.has_x_label else 34
-        axis = {
-            "title_font": {"size": 13},
-            "automargin": True,
-            "showline": True,
-            "linecolor": "#888888",
-            "ticks": "outside",
-            "tickcolor": "#888888",
-            "ticklen": 4,
-            "gridcolor": "#e8e8e8",
-            "zerolinecolor": "#bdbdbd",
-            "zerolinewidth": 1,
-        }
         self.figure.update_xaxes(
             title_standoff=6,
             tickangle=0,
             **({"nticks": self.ticks} if not self.is_log else {}),
-            **axis,
+            **_AXIS,
         )
-        self.figure.update_yaxes(title_standoff=8, **axis)
+        self.figure.update_yaxes(title_standoff=8, **_AXIS)
         self.figure.update_layout(
             template="none",
             font={"family": FONT, "size": 13, "color": "#222222"},
@@ -166,15 +187,7 @@ class Panels:
                 "yanchor": "top",
                 "pad": {"t": 10},
             },
-            legend={
-                "orientation": "h",
-                "x": 0,
-                "xanchor": "left",
-                "y": 1.0,
-                "yanchor": "bottom",
-                "itemsizing": "constant",
-                "font": {"size": 13},
-            },
+            legend=_LEGEND,
             meta={
                 "caption": caption,
                 "panels": self.panels,
@@ -187,30 +200,19 @@ class Panels:
         if self.menu:
             self.figure.update_layout(shapes=self.menu[0][1])
         if several:
-            self.figure.update_layout(
-                updatemenus=[
-                    {
-                        "type": "dropdown",
-                        "direction": "up",
-                        "x": 0,
-                        "xanchor": "left",
-                        "y": 0,
-                        "yanchor": "top",
-                        "pad": {"t": 52},
-                        "bgcolor": "#ffffff",
-                        "bordercolor": "#888888",
-                        "buttons": [
-                            {
-                                "label": figure_text(f"record: {view.name}", 26),
-                                "method": "update",
-                                "args": [
-                                    {"visible": [owner == i for owner in self.owners]},
-                                    {"shapes": shapes, **layout},
-                                ],
-                            }
-                            for i, (view, shapes, layout) in enumerate(self.menu)
-                        ],
-                    }
-                ]
-            )
+            self.figure.update_layout(updatemenus=[{**_MENU, "buttons": self._buttons()}])
         return self.figure
+
+    def _buttons(self) -> list[dict[str, Any]]:
+        """One entry of the menu a record: its traces, its shading, its ranges."""
+        return [
+            {
+                "label": figure_text(f"record: {view.name}", 26),
+                "method": "update",
+                "args": [
+                    {"visible": [owner == i for owner in self.owners]},
+                    {"shapes": shapes, **layout},
+                ],
+            }
+            for i, (view, shapes, layout) in enumerate(self.menu)
+        ]

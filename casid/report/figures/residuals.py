@@ -52,44 +52,8 @@ def residual_against_figure(records: Sequence[RecordView]) -> Any:
             some = seen[:: max(1, math.ceil(seen.size / points))]
             if some.size:
                 spread = max(spread, float(np.quantile(np.abs(e[seen]), 0.99)))
-            layers[0].append(
-                {
-                    "x": signal[some],
-                    "y": e[some],
-                    "name": label,
-                    "in_legend": False,
-                    "mode": "markers",
-                    "marker": {
-                        "color": colour,
-                        "size": 3,
-                        "opacity": 0.22 if some.size > 200 else 0.6,
-                    },
-                    "hoverinfo": "skip",
-                }
-            )
-            centre, mean, half = _binned_mean(signal, e)
-            layers[1] += [
-                {
-                    "x": np.concatenate([centre, centre[::-1]]),
-                    "y": np.concatenate([mean + half, (mean - half)[::-1]]),
-                    "name": label,
-                    "in_legend": False,
-                    "mode": "lines",
-                    "line": {"width": 0},
-                    "fill": "toself",
-                    "fillcolor": translucent(colour, 0.35),
-                    "hoverinfo": "skip",
-                },
-                {
-                    "x": centre,
-                    "y": mean,
-                    "name": label,
-                    "mode": "lines+markers",
-                    "line": {"color": colour, "width": 2, "dash": dash},
-                    "marker": {"size": 5},
-                    "hovertemplate": hover_text(unit, output_unit),
-                },
-            ]
+            layers[0].append(_dots(signal[some], e[some], label, colour))
+            layers[1] += _mean_band(signal, e, (label, colour, dash), hover_text(unit, output_unit))
         for trace in layers[0] + layers[1]:
             if len(trace["x"]):
                 figure.add(k, **trace)
@@ -102,6 +66,49 @@ def residual_against_figure(records: Sequence[RecordView]) -> Any:
         "zero by more than its band has a shape to explain."
     )
     return figure.done(caption, ())
+
+
+def _dots(x: Array, y: Array, label: str, colour: str) -> dict[str, Any]:
+    """Trace of single samples."""
+    return {
+        "x": x,
+        "y": y,
+        "name": label,
+        "in_legend": False,
+        "mode": "markers",
+        "marker": {"color": colour, "size": 3, "opacity": 0.22 if x.size > 200 else 0.6},
+        "hoverinfo": "skip",
+    }
+
+
+def _mean_band(
+    signal: Array, e: Array, look: tuple[str, str, str], hover: str
+) -> list[dict[str, Any]]:
+    """Traces of the mean in bins and of its 95 % band; `look` is label, colour and dash."""
+    label, colour, dash = look
+    centre, mean, half = _binned_mean(signal, e)
+    return [
+        {
+            "x": np.concatenate([centre, centre[::-1]]),
+            "y": np.concatenate([mean + half, (mean - half)[::-1]]),
+            "name": label,
+            "in_legend": False,
+            "mode": "lines",
+            "line": {"width": 0},
+            "fill": "toself",
+            "fillcolor": translucent(colour, 0.35),
+            "hoverinfo": "skip",
+        },
+        {
+            "x": centre,
+            "y": mean,
+            "name": label,
+            "mode": "lines+markers",
+            "line": {"color": colour, "width": 2, "dash": dash},
+            "marker": {"size": 5},
+            "hovertemplate": hover,
+        },
+    ]
 
 
 def residual_spectrum_figure(

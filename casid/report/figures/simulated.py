@@ -54,46 +54,7 @@ def simulation_figure(records: Sequence[RecordView]) -> Any:
     for v in views:
         ranges: dict[str, Any] = time_range(v)
         for row, (output, unit) in enumerate(zip(v.outputs, v.output_units, strict=True)):
-            measured, used = finite(v.measured[:, row]), v.used[:, row]
-            kept = np.where(used, measured, np.nan)
-            i = thinned(kept, limit)
-            figure.add(
-                row,
-                view=v,
-                x=v.t[i],
-                y=kept[i],
-                name="measured",
-                mode="markers",
-                marker={"color": MEASURED, "size": 4.5},
-                hovertemplate=hover_text("s", unit),
-            )
-            left_out = ~used & np.isfinite(measured)
-            if left_out.any():
-                i = np.flatnonzero(left_out)
-                i = i[thinned(measured[i], limit)]
-                figure.add(
-                    row,
-                    view=v,
-                    x=v.t[i],
-                    y=measured[i],
-                    name="measured, left out",
-                    mode="markers",
-                    marker={"color": _LEFT_OUT, "size": 7, "symbol": "x-thin-open"},
-                    hovertemplate=hover_text("s", unit),
-                )
-            for label, colour, dash, simulated in simulations(v):
-                y = finite(simulated[:, row])
-                i = thinned(y, limit)
-                figure.add(
-                    row,
-                    view=v,
-                    x=v.t[i],
-                    y=y[i],
-                    name=label,
-                    mode="lines",
-                    line={"color": colour, "width": 1.3, "dash": dash},
-                    hovertemplate=hover_text("s", unit),
-                )
+            kept = _add_output(figure, v, row, limit)
             span, is_cut = _readable_range(kept, [s[:, row] for *_, s in simulations(v)])
             cut = cut or is_cut
             axis = "yaxis" if row == 0 else f"yaxis{row + 1}"
@@ -109,6 +70,55 @@ def simulation_figure(records: Sequence[RecordView]) -> Any:
     if cut:
         caption += " The simulation leaves the range of the data: the axis is cut."
     return figure.done(caption + thinning_note(views, limit), views)
+
+
+def _add_output(figure: Panels, v: RecordView, row: int, limit: int) -> Array:
+    """Add one output of a record: what was measured, what was left out, what is simulated.
+
+    Returns the measured samples that count, (N,), NaN elsewhere.
+    """
+    hover = hover_text("s", v.output_units[row])
+    measured, used = finite(v.measured[:, row]), v.used[:, row]
+    kept = np.where(used, measured, np.nan)
+    i = thinned(kept, limit)
+    figure.add(
+        row,
+        view=v,
+        x=v.t[i],
+        y=kept[i],
+        name="measured",
+        mode="markers",
+        marker={"color": MEASURED, "size": 4.5},
+        hovertemplate=hover,
+    )
+    left_out = ~used & np.isfinite(measured)
+    if left_out.any():
+        i = np.flatnonzero(left_out)
+        i = i[thinned(measured[i], limit)]
+        figure.add(
+            row,
+            view=v,
+            x=v.t[i],
+            y=measured[i],
+            name="measured, left out",
+            mode="markers",
+            marker={"color": _LEFT_OUT, "size": 7, "symbol": "x-thin-open"},
+            hovertemplate=hover,
+        )
+    for label, colour, dash, simulated in simulations(v):
+        y = finite(simulated[:, row])
+        i = thinned(y, limit)
+        figure.add(
+            row,
+            view=v,
+            x=v.t[i],
+            y=y[i],
+            name=label,
+            mode="lines",
+            line={"color": colour, "width": 1.3, "dash": dash},
+            hovertemplate=hover,
+        )
+    return kept
 
 
 def residual_time_figure(records: Sequence[RecordView]) -> Any:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
 
+from casid.report.document import Document, Table
 from casid.report.figures.look import visible_text
 
 
@@ -79,6 +81,35 @@ def table(
     )
     # The caption stands outside of what scrolls: on a phone it must not run off the side.
     return element("div", element("p", caption, class_="caption") + scroll, class_="table")
+
+
+def fragment(document: Document) -> Html:
+    """A document as part of a page, for notebooks: no style, no script."""
+    parts = [element("p", element("b", document.title))] if document.title else []
+    for is_labelled, group in groupby(document.parts, lambda part: isinstance(part, tuple)):
+        if is_labelled:
+            cells = (p for p in group if isinstance(p, tuple))
+            rows = (element("th", k, scope="row") + element("td", text) for k, text in cells)
+            parts.append(element("table", element("tbody", join(element("tr", r) for r in rows))))
+            continue
+        for part in group:
+            if isinstance(part, Table):
+                parts.append(_plain_table(part))
+            elif part:
+                parts.append(element("p", str(part).strip()))
+    return element("div", join(parts))
+
+
+def _plain_table(part: Table) -> Html:
+    head = element("tr", join(element("th", h, scope="col") for h in part.header))
+    body = [
+        element("td", row, colspan=str(len(part.header)))
+        if isinstance(row, str)
+        else join(element("td", cell) for cell in row)
+        for row in part.rows
+    ]
+    rows = join(element("tr", row) for row in body)
+    return element("table", element("thead", head) + element("tbody", rows))
 
 
 def mapping_table(pairs: Mapping[str, str], header: tuple[str, str]) -> Html:

@@ -1,33 +1,41 @@
-"""An assessment as text: the answer first, then what it rests on and what would mend it."""
+"""An assessment as a document: the answer first, then what it rests on, and remedies."""
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from casid.identifiability.assessment import Answer, Assessment, shortened
+from casid.report.document import Document, labelled
 
-WIDTH = 98
 _LISTED = 12  # fixing sets
 
 
-def as_text(a: Assessment) -> str:
-    """Lines of at most `WIDTH` characters, for a terminal."""
-    lines = [f"Identifiability of {a.name}: rank {a.rank} of {a.unknowns}"]
-    lines += _wrapped(a.sentence, "  ")
-    lines += _wrapped(a.certainty, "  ")
-    lines += _section("parameters", _verdicts(a.parameters, a))
-    lines += _section("states", _states(a.states))
-    lines += _section("confounded", _groups(a))
-    lines += _section("equivalent", _families(a))
-    lines += _section("to mend", _mends(a))
-    lines += _section("unknown", _classes(a))
-    lines += _section("poorer", _excitations(a))
-    lines += _section("records", [line for e in a.excitations for line in str(e).splitlines()])
-    lines += _section("expected", str(a.practical).splitlines() if a.practical else [])
-    lines += _section("profiles", str(a.profiles).splitlines() if a.profiles else [])
-    lines += _section("notes", a.notes)
-    return "\n".join(lines)
+def assessment_document(assessment: Assessment) -> Document:
+    """The answer, what it rests on, what is confounded, remedies, and what records give."""
+    a = assessment
+    sections: tuple[tuple[str, Sequence[str]], ...] = (
+        ("parameters", _verdicts(a.parameters, a)),
+        ("states", _states(a.states)),
+        ("confounded", _groups(a)),
+        ("equivalent", _families(a)),
+        ("to mend", _mends(a)),
+        ("unknown", _classes(a)),
+        ("poorer", _excitations(a)),
+        ("records", [line for e in a.excitations for line in str(e).splitlines()]),
+        ("expected", str(a.practical).splitlines() if a.practical else []),
+        ("profiles", str(a.profiles).splitlines() if a.profiles else []),
+        ("notes", a.notes),
+    )
+    return Document(
+        f"Identifiability of {a.name}: rank {a.rank} of {a.unknowns}",
+        [
+            f"  {a.sentence}",
+            f"  {a.certainty}",
+            *(line for title, texts in sections for line in labelled(title, texts)),
+        ],
+        label=12,
+        width=98,
+    )
 
 
 def verdict_words(a: Assessment, name: str) -> str:
@@ -139,29 +147,3 @@ def _answer(label: str, answer: Answer) -> str:
     lost = answer.not_identifiable
     verdict = f"not identifiable: {', '.join(lost)}" if lost else "all parameters identifiable"
     return f"{label}: rank {answer.rank} of {answer.unknowns}, {verdict}"
-
-
-def _section(title: str, lines: Iterable[str]) -> list[str]:
-    out: list[str] = []
-    for line in lines:
-        lead = f"  {title:<12}" if not out else " " * 14
-        out += _wrapped(line, lead)
-    return out
-
-
-def _wrapped(text: str, lead: str) -> list[str]:
-    if len(lead) + len(text) <= WIDTH:
-        return [lead + text]
-    inner = text.lstrip()
-    lead += " " * (len(text) - len(inner))
-    head, gap, tail = inner.rstrip().rpartition("  ")
-    if gap and "  " in head and len(lead + head.rstrip()) <= WIDTH:  # a row of a table
-        return [(lead + head).rstrip(), *_wrapped(tail.strip(), lead + "  ")]
-    return textwrap.wrap(
-        inner,
-        WIDTH,
-        initial_indent=lead,
-        subsequent_indent=" " * len(lead) + "  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )

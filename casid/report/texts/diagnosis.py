@@ -1,58 +1,61 @@
-"""The diagnosis as text: what `print` shows."""
+"""A diagnosis and its parts as documents: what `print` and notebooks show."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator
 
+from casid.diagnosis.advice.isolability import Isolability, label
+from casid.diagnosis.advice.next_experiment import Advice
+from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Cause, Diagnosis
 from casid.estimation.estimate import Estimated
+from casid.report.document import Document, Labelled, Table, labelled
 
 _LISTED = 5  # of what the page has in full
+_PAIRS = 12  # of causes that are hardest to separate
 
 
-def diagnosis_text(diagnosis: Diagnosis) -> str:
-    """Verdict, causes, gain and what else there is to say, one line each."""
+def diagnosis_document(diagnosis: Diagnosis) -> Document:
+    """Verdict, causes, gain and what else there is, one line each."""
     d = diagnosis
-    lines = [f"Diagnosis of {d.problem}: {d.verdict}", f"  {d.sentence}"]
+    parts: list[str | Labelled | Table] = [f"  {d.sentence}"]
     for i, c in enumerate(d.causes, 1):
-        lines += _cause(i, c)
-    lines.append(f"  {'rms error':<22}{'output':<14}{'before':>12}{'after':>12}{'noise floor':>13}")
-    for label, part in (("fitted", d.fitted), ("held out", d.held_out)):
-        for output, before in part.get("baseline_rmse", {}).items():
-            after = part.get("extended_rmse", {}).get(output)
-            floor = part.get("noise_floor", {}).get(output)
-            lines.append(
-                f"  {label:<22}{output:<14}{before:>12.4g}"
-                f"{'' if after is None else format(after, '.4g'):>12}"
-                f"{'' if floor is None else format(floor, '.4g'):>13}"
-            )
+        parts += _cause(i, c)
+    parts.append(_gain(d))
     if d.remaining is not None:
-        lines.append(f"  remains       {d.remaining.sentence}")
+        parts.append(("remains", d.remaining.sentence))
     if d.unexplained is not None:
-        lines += _under("unknown", d.unexplained.sentences)
-    lines += [f"  moved         {line}" for line in _moved(d)]
+        parts += labelled("unknown", d.unexplained.sentences)
+    parts += [("moved", line) for line in _moved(d)]
     if d.isolability is not None:
         # Of causes that act alike here, those that a named one is among; the page has them all.
         named = {(c.kind, c.where) for c in d.causes}
-        for group in d.isolability.groups:
-            if named & set(group):
-                names = [f"{kind} in {where}" for kind, where in group]
-                lines.append(f"  the same here {_first(names)}")
-    lines += [f"  noise         {k}: {v}" for k, v in d.noise.items()]
-    structural = [f"{i.kind} in {i.where}" for i in d.invisible if i.is_structural]
-    if structural:
-        lines.append(f"  invisible     in any record of these channels: {_first(structural)}")
-    practical = [f"{i.kind} in {i.where}" for i in d.invisible if not i.is_structural]
-    if practical:
-        lines.append(f"  invisible     in this record: {_first(practical)}")
+        groups = [g for g in d.isolability.groups if named & set(g)]
+        parts += [("the same here", _first([label(k) for k in g])) for g in groups]
+    parts += [("noise", f"{k}: {v}") for k, v in d.noise.items()]
+    for is_structural, record in ((True, "any record of these channels"), (False, "this record")):
+        names = [label((i.kind, i.where)) for i in d.invisible if i.is_structural == is_structural]
+        if names:
+            parts.append(("invisible", f"in {record}: {_first(names)}"))
     if d.calibration is not None:
-        lines.append(f"  false alarms  {d.calibration.sentence}")
-        lines += [f"  {'':<14}{note}" for note in d.calibration.notes]
-    lines += [f"  note          {n}" for n in d.notes]
-    lines.append(f"  advice        {d.advice}")
+        parts += labelled("false alarms", (d.calibration.sentence, *d.calibration.notes))
+    parts += [("note", n) for n in d.notes]
+    parts.append(("advice", d.advice))
     if d.proposals:
-        lines.append(f"  next          {d.proposals[0].description}")
-    return "\n".join(lines)
+        parts.append(("next", d.proposals[0].description))
+    return Document(f"Diagnosis of {d.problem}: {d.verdict}", parts)
+
+
+def _gain(d: Diagnosis) -> Table:
+    rows = []
+    for part, numbers in (("fitted", d.fitted), ("held out", d.held_out)):
+        for output, before in numbers.get("baseline_rmse", {}).items():
+            others = (numbers.get(k, {}).get(output) for k in ("extended_rmse", "noise_floor"))
+            shown = ("" if x is None else f"{x:.4g}" for x in others)
+            rows.append((part, output, f"{before:.4g}", *shown))
+    head = ("rms error", "output", "before", "after", "noise floor")
+    return Table(head, rows, numbers=(2, 3, 4), widths=(22, 14, 12, 12, 13))
 
 
 def _cause(i: int, c: Cause) -> Iterator[str]:
@@ -81,10 +84,54 @@ def _moved(d: Diagnosis) -> Iterator[str]:
         yield f"and {len(d.moved) - _LISTED} more"
 
 
-def _under(heading: str, lines: Sequence[str]) -> list[str]:
-    return [f"  {heading if k == 0 else '':<14}{line}" for k, line in enumerate(lines)]
-
-
 def _first(names: list[str]) -> str:
     more = len(names) - _LISTED
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def isolability_document(found: Isolability) -> Document:
+    """The pairs of causes that are hardest to separate, and groups that cannot be separated."""
+    rows = [
+        (label(p.first), label(p.second), f"{p.cosine:.3f}", _number(p.energy))
+        for p in found.pairs[:_PAIRS]
+    ]
+    head = ("cause", "or", "cosine", "energy")
+    return Document(
+        f"Hardest to tell apart: energy for a margin of {found.margin:g} BIC with probability "
+        f"{found.power:g}",
+        [
+            Table(head, rows, numbers=(2, 3), widths=(40, 40, 8, 10)),
+            *(f"  the same here: {', '.join(label(k) for k in g)}" for g in found.groups),
+        ],
+    )
+
+
+def advice_document(advice: Advice) -> Document:
+    """Experiments that separate the tied causes, beside the same record again."""
+    rows = [
+        (
+            p.name,
+            f"{p.cosine:.3f}",
+            *(_number(x) for x in (p.energy_needed, p.gain_factor, p.record_length)),
+        )
+        for p in (advice.now, *advice.proposals)
+    ]
+    head = ("experiment", "cosine", "energy needed", "gain", "seconds")
+    return Document(
+        f"To tell {' / '.join(label(k) for k in advice.tied)}",
+        [
+            Table(head, rows, numbers=(1, 2, 3, 4), widths=(26, 8, 15, 8, 10)),
+            f"  {advice.sentence}",
+        ],
+    )
+
+
+def calibration_document(found: Calibration) -> Document:
+    """The false alarms counted, and what is to be known of them."""
+    notes = [("note", note) for note in found.notes]
+    title = f"Calibration of {found.problem} (seed {found.seed})"
+    return Document(title, [f"  {found.sentence}.", *notes])
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) else "never"

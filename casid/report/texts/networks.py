@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from casid.algebra.rational import Rational
+from casid.report.document import Document, Table
 from casid.unknown_inputs.networks.equations import NodeEquations
+from casid.unknown_inputs.networks.estimation.module_estimate import ModuleEstimate
 from casid.unknown_inputs.networks.network import Network
 from casid.unknown_inputs.networks.nodes import edge_label, labels, node_label, path_text
+from casid.unknown_inputs.networks.prediction.predictors import INDIRECT, PredictorTable
 
 _LONGEST = 400  # characters beyond which an entry is left out
 _LOOPS = 5  # algebraic loops that are told
 
 
-def page(network: Network) -> str:
+def network_text(network: Network) -> str:
     """One line for each node's equation, then modules, sensors and what is told of stability."""
     lines = [repr(network)]
     for n in network.nodes:
@@ -85,3 +88,46 @@ def _stability(network: Network) -> str:
     from casid.unknown_inputs.networks.dynamics import stability_text
 
     return stability_text(network)
+
+
+def predictors_document(found: PredictorTable) -> Document:
+    """The predictors of a node beside each other, and why others do not exist."""
+    rows: list[tuple[str, ...] | str] = []
+    for p in found.predictors:
+        r = p.row()
+        errors = (f"{r[k]:.4g}" for k in ("error variance", "with its own past"))
+        rows.append((r["predictor"], r["uses"], *errors, f" {r['remark']}" if r["remark"] else ""))
+    rows += [f"{kind:<24}does not exist: {why}" for kind, why in found.refused]
+    head = ("predictor", "uses", "plain", "+ own past", "")
+    notes = []
+    if found.observations is not None:
+        told = (str(found.observations), found.observations.obstacle())
+        notes = [f"  {INDIRECT}: {note}" for note in told if note]
+    return Document(
+        f"Predictors of {node_label(found.target)}: exact variance of the one-step error",
+        [Table(head, rows, numbers=(2, 3), widths=(24, 34, 10, 12)), *notes],
+    )
+
+
+def module_document(found: ModuleEstimate) -> Document:
+    """A module's estimate: equation, coefficients with their errors, what supports it."""
+    rows = [
+        ("equation", str(found.equation)),
+        ("structure", str(found.consistency)),
+        ("transfer", str(found.transfer_text())),
+        *((n, f"{found[n]:.5g} +/- {found.std_error(n):.2g}") for n in found.names),
+        ("errors assume", found.fit.assumes),
+        *found.fit.evidence.items(),
+        ("simulated fit", f"{found.simulated_fit():.1f} % from the measured inputs"),
+    ]
+    seen = found.reference_correlation()
+    if seen:
+        lags = ", ".join(f"{k}: {v} of 21 lags" for k, v in seen.items())
+        rows.append(("residual", f"correlates with {lags} outside 95 %"))
+    rows += [("NOTE", n) for n in found.fit.notes]
+    return Document(
+        f"Module {edge_label(found.module)} by {found.method} from {found.data.name} "
+        f"({found.data.N} samples)",
+        rows,
+        label=max(len(label) for label, _ in rows) + 2,
+    )

@@ -1,4 +1,4 @@
-"""A comparison of remedies, and a table in text."""
+"""Remedies for unknown inputs side by side, as documents."""
 
 from __future__ import annotations
 
@@ -6,22 +6,16 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from casid.report.document import Document, Table
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.comparison import Comparison
+from casid.unknown_inputs.option_comparison import UnknownInputComparison
+
+WIDTH = 110
+"""Characters that a line of a table of options may have."""
 
 LONGEST = 60
 """Characters of a formula that is printed; longer ones are counted instead."""
-
-
-def columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table: the first column to the left, the others to the right."""
-    widths = [max(len(r[i]) for r in [head, *rows]) for i in range(len(head))]
-
-    def line(cells: Sequence[str]) -> str:
-        rest = (f"{c:>{w}}" for c, w in zip(cells[1:], widths[1:], strict=True))
-        return "  " + "  ".join([f"{cells[0]:<{widths[0]}}", *rest]).rstrip()
-
-    return [line(head), "  " + "  ".join("-" * w for w in widths), *(line(r) for r in rows)]
 
 
 def shown(value: Any) -> str:
@@ -34,13 +28,13 @@ def shown(value: Any) -> str:
     return text if len(text) <= LONGEST else f"({value.count_ops()} operations)"
 
 
-def comparison_text(comparison: Comparison) -> str:
+def comparison_document(comparison: Comparison) -> Document:
     """The whole comparison: a table for each coefficient, the choice, the reason."""
     what = ", ".join(comparison.unknown)
     head = f"Remedies for the unknown input {what}" if what else "Estimators, every input measured"
-    lines = [f"{head}, N = {comparison.N:g} samples"]
+    lines: list[str | Table] = []
     for name in comparison.parameters:
-        lines += ["", f"{name}", *_of_parameter(comparison, name)]
+        lines += ["", f"{name}", _of_parameter(comparison, name)]
         if not comparison.is_symbolic:
             choice = comparison.best(name)
             if choice is None:
@@ -56,23 +50,26 @@ def comparison_text(comparison: Comparison) -> str:
     lines += ["", *(f"note on {name}: {note}" for name, note in noted)] if noted else []
     refused = [r for r in comparison.rows if r.result is None]
     lines += ["", *(f"not possible: {r.name}: {r.refused}" for r in refused)] if refused else []
-    return "\n".join(lines)
+    return Document(f"{head}, N = {comparison.N:g} samples", lines)
 
 
-def asymptotics_text(limit: Asymptotics) -> str:
+def asymptotics_document(limit: Asymptotics) -> Document:
     """The coefficients of one estimator, its residual variance and notes."""
-    head = ["coefficient", "limit", "bias", "N x variance"]
     rows = []
     for name in limit.names:
-        known = name in limit.truth
-        cells = (limit[name], limit.bias(name) if known else "--", limit.variance(name))
-        rows.append([name, *(shown(c) for c in cells)])
-    lines = [limit.method, *columns(head, rows)]
-    lines += [f"  residual variance {shown(limit.residual_variance)}"]
-    return "\n".join([*lines, *(f"  note: {n}" for n in limit.notes)])
+        bias = limit.bias(name) if name in limit.truth else "--"
+        rows.append([name, *(shown(c) for c in (limit[name], bias, limit.variance(name)))])
+    return Document(
+        limit.method,
+        [
+            _table(["coefficient", "limit", "bias", "N x variance"], rows),
+            f"  residual variance {shown(limit.residual_variance)}",
+            *(f"  note: {n}" for n in limit.notes),
+        ],
+    )
 
 
-def _of_parameter(comparison: Comparison, name: str) -> list[str]:
+def _of_parameter(comparison: Comparison, name: str) -> Table:
     wanted = comparison.accuracy.get(name)
     N, letters = comparison.N, comparison.is_symbolic
     head = ["remedy", "limit", "bias", "N x variance"]
@@ -91,4 +88,37 @@ def _of_parameter(comparison: Comparison, name: str) -> list[str]:
                 samples = r.samples_for(name, wanted)
                 cells.append(float(math.ceil(samples)) if math.isfinite(samples) else samples)
         rows.append([row.name, *map(shown, cells)])
-    return columns(head, rows)
+    return _table(head, rows)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    return Table(head, rows, numbers=range(1, len(head)), is_ruled=True)
+
+
+def options_document(found: UnknownInputComparison) -> Document:
+    """The options for an unknown input: estimates, their errors, and a remark on each."""
+    head, rows = found.cells()
+    truth = [f"{n} = {found.truth[n]:g}" for n in found.parameters if n in found.truth]
+    parts: list[str | Table] = [f"  truth {', '.join(truth)}"] if found.truth else []
+    for columns in _blocks(head, rows):
+        cells = [[row[k] for k in columns] for row in (head, *rows)]
+        numbers = range(1, len(columns))
+        parts += ["", Table(cells[0], cells[1:], numbers=numbers, indent=0)]
+    remarks = [f"({r.letter}) {r.option}: {r.remark}" for r in found.rows]
+    title = f"Options for the unknown input {found.unknown} of {found.model}"
+    return Document(title, [*parts, "", *remarks])
+
+
+def _blocks(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[list[int]]:
+    """Columns of tables of at most `WIDTH` characters, the first column in each."""
+    widths = [max(len(r[i]) for r in [head, *rows]) for i in range(len(head))]
+    blocks: list[list[int]] = [[0]]
+    for i in range(1, len(head)):
+        if head[i] == "error":
+            continue  # stands beside its parameter
+        columns = [i, i + 1] if head[i + 1 : i + 2] == ["error"] else [i]
+        used = sum(2 + widths[k] for k in [*blocks[-1], *columns]) - 2
+        if used > WIDTH and len(blocks[-1]) > 1:
+            blocks.append([0])
+        blocks[-1] += columns
+    return blocks

@@ -16,6 +16,7 @@ from casid.data.record import Record
 from casid.errors import ModelError
 from casid.estimation.prediction_error.polynomial_orders import is_stable
 from casid.estimation.prediction_error.polynomial_residuals import residual_input_correlation
+from casid.presentation import Presented
 from casid.unknown_inputs.networks.estimation.consistency import Consistency
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData, module_data
 from casid.unknown_inputs.networks.estimation.module_equation import ModuleEquation
@@ -48,7 +49,7 @@ class ModuleResponse:
 
 
 @dataclass(frozen=True, eq=False)
-class ModuleEstimate:
+class ModuleEstimate(Presented):
     """G_ji, or what it becomes in the equation it was estimated from.
 
     Attributes
@@ -210,27 +211,6 @@ class ModuleEstimate:
     def __repr__(self) -> str:
         doubt = "" if self.consistency.is_consistent else ", NOT consistent"
         return f"<ModuleEstimate {edge_label(self.module)} by {self.method}{doubt}>"
-
-    def __str__(self) -> str:
-        e = self.equation
-        rows: list[tuple[str, str]] = [
-            ("equation", str(e)),
-            ("structure", str(self.consistency)),
-            ("transfer", str(self.transfer_text())),
-        ]
-        rows += [(n, f"{self[n]:.5g} +/- {self.std_error(n):.2g}") for n in self.names]
-        rows.append(("errors assume", self.fit.assumes))
-        rows += list(self.fit.evidence.items())
-        rows.append(("simulated fit", f"{self.simulated_fit():.1f} % from the measured inputs"))
-        correlated = self.reference_correlation()
-        if correlated:
-            text = ", ".join(f"{k}: {v} of 21 lags" for k, v in correlated.items())
-            rows.append(("residual", f"correlates with {text} outside 95 %"))
-        rows += [("NOTE", n) for n in self.fit.notes]
-        width = max(len(label) for label, _ in rows)
-        head = f"Module {edge_label(self.module)} by {self.method} from {self.data.name}"
-        head += f" ({self.data.N} samples)"
-        return "\n".join([head, *(f"  {label:<{width}}  {text}" for label, text in rows)])
 
     def transfer_text(self) -> str:
         """The estimate in q with five digits."""

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from casid.algebra.rational import Rational, rational
 from casid.errors import ModelError
+from casid.presentation import Presented
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import node_equations
 from casid.unknown_inputs.networks.network import Network
 from casid.unknown_inputs.networks.node_sets import NodeSets, sets_for
-from casid.unknown_inputs.networks.nodes import Edge, Node, as_nodes, node_label
+from casid.unknown_inputs.networks.nodes import Edge, Node, as_nodes
 from casid.unknown_inputs.networks.prediction.node_predictor import NodePredictor
 from casid.unknown_inputs.networks.prediction.observation_choice import INDIRECT as INDIRECT
 from casid.unknown_inputs.networks.prediction.observation_choice import (
@@ -84,7 +85,7 @@ def indirect(network: Network, sets: NodeSets, *, use_excitations: bool = True) 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PredictorTable:
+class PredictorTable(Presented):
     """The predictors of one node beside each other.
 
     Attributes
@@ -108,21 +109,6 @@ class PredictorTable:
             kind, f"there are {', '.join(p.kind for p in self.predictors)}"
         )
         raise ModelError(f"no predictor {kind!r}: {why}")
-
-    def __str__(self) -> str:
-        lines = [f"Predictors of {node_label(self.target)}: exact variance of the one-step error"]
-        lines.append(f"  {'predictor':<24}{'uses':<34}{'plain':>10}{'+ own past':>12}")
-        for p in self.predictors:
-            r = p.row()
-            lines.append(
-                f"  {r['predictor']:<24}{r['uses']:<34}{r['error variance']:>10.4g}"
-                f"{r['with its own past']:>12.4g}" + (f"   {r['remark']}" if r["remark"] else "")
-            )
-        lines += [f"  {kind:<24}does not exist: {why}" for kind, why in self.refused]
-        if self.observations is not None:
-            texts = (str(self.observations), self.observations.obstacle())
-            lines += [f"  {INDIRECT}: {note}" for note in texts if note]
-        return "\n".join(lines)
 
 
 def compare_predictors(

@@ -1,0 +1,194 @@
+"""Estimates and what belongs to them, as documents."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from casid.campaigns.monte_carlo import MonteCarlo
+from casid.estimation.estimate import Estimate
+from casid.estimation.moments.moment_estimate import MomentEstimate
+from casid.estimation.reconciliation import Reconciled
+from casid.estimation.regression_estimate import RegressionEstimate
+from casid.report.document import Document, Labelled, Table
+
+_WIDEST, _LONGEST = 100, 14  # of a printed study, and of a parameter with its unit in it
+
+
+def estimate_document(estimate: Estimate) -> Document:
+    """Status, parameters with their errors, what is identifiable, fit, and what the errors rest on.
+
+    Warnings that spoil the numbers stand before them.
+    """
+    e, i = estimate, estimate.identifiability
+    status = (
+        f"{e.status} in {e.iterations} iterations; largest scaled gradient "
+        f"{e.scaled_gradient:.0e}; {e.starts_agreeing} of {e.starts_tried} starts agree"
+    )
+    rows = [
+        (
+            p.name,
+            p.unit,
+            f"{p.value:.6g}",
+            "--" if p.std_error is None else f"{p.std_error:.2g}",
+            "" if p.start is None else f"{p.start:.6g}",
+            p.note or ("known" if p.known else ""),
+        )
+        for p in (*e.parameters, *e.initial_states)
+    ]
+    head = ("parameter", "unit", "estimate", "std. error", "start", "note")
+    seen = "all" if i.rank == i.unknowns else i.unseen
+    identifiable = (
+        f"{seen} (rank {i.rank} of {i.unknowns} at the estimate; smallest singular value "
+        f"{i.smallest_singular_value:.2g}, scaled)"
+    )
+    return Document(
+        f"Estimate of {e.problem} from {', '.join(e.rmse)}, {e.method}",
+        [
+            *(("SUSPECT", s) for s in e.suspects),
+            ("status", status),
+            Table(head, rows, numbers=(2, 3, 4), widths=(18, 16, 13, 13, 13)),
+            ("identifiable", identifiable),
+            *_fit_lines(e),
+            *(("residuals", f"{k}: {v}") for k, v in e.whiteness.items()),
+            ("error bars", e.assumes),
+            *(("WARNING", w) for w in e.warnings),
+        ],
+    )
+
+
+def _fit_lines(e: Estimate) -> list[str]:
+    lines = []
+    for record, by_output in e.rmse.items():
+        for output, value in by_output.items():
+            held = e.held_out_rmse.get(record, {}).get(output)
+            lines.append(
+                f"  {record}/{output}: rms error {value:.4g} {e.units.get(output, '')}, "
+                f"fit {e.nrmse_fit[record][output]:.1f} %"
+                + (f"; held out {held:.4g}" if held is not None else "")
+            )
+    for record, by_output in e.held_out_rmse.items():
+        if record not in e.rmse:
+            for output, value in by_output.items():
+                lines.append(f"  held out {record}/{output}: rms error {value:.4g}")
+    return lines
+
+
+def moment_estimate_document(found: MomentEstimate) -> Document:
+    """The estimate, its standard errors stage by stage, and what supports it."""
+    document = estimate_document(found.estimate)
+    stages: list[Labelled] = []
+    if len(found.stages) > 1 or found.prior is not None:
+        errors = (f"{n} {found.std_error(n, propagated=False):.2g}" for n in found.names)
+        text = f"standard errors with earlier stages taken as exact: {', '.join(errors)}"
+        stages = [("stages", text)]
+    evidence = [(f"{name} ", text) for name, text in found.estimate.evidence.items()]
+    return Document(document.title, [*document.parts, *stages, *evidence])
+
+
+def regression_document(estimate: RegressionEstimate) -> Document:
+    """Status, parameters with their errors, residuals, and what the errors rest on."""
+    e = estimate
+    rows = [
+        (
+            name,
+            f"{e.values[i]:.10g}",
+            f"{e.std_errors[i]:.5g}" if np.isfinite(e.std_errors[i]) else "--",
+            f"{e.start[i]:.6g}",
+            "at bound: no standard error" if name in e.at_bound else "",
+        )
+        for i, name in enumerate(e.parameters)
+    ]
+    head = ("parameter", "estimate", "std. error", "start", "note")
+    smallest = e.singular_values[-1] if len(e.singular_values) else float("nan")
+    status = (
+        f"{e.status} in {e.iterations} iterations ({e.solver}, {e.hessian} Hessian); relative "
+        f"offset {e.relative_offset:.1e}"
+    )
+    identifiable = (
+        f"all (rank {e.rank} of {e.rank}; smallest singular value {smallest:.1e}, columns scaled)"
+    )
+    return Document(
+        f"Regression {e.model} ({e.N} data)",
+        [
+            ("status", status),
+            Table(head, rows, numbers=(1, 2, 3), widths=(12, 18, 14, 14)),
+            ("residuals", f"rss {e.rss:.10g}, sd {e.residual_sd:.6g} ({e.dof} dof)"),
+            ("identifiable", identifiable),
+            ("error bars", "independent residuals of one variance, exact regressors, linearised"),
+            *(("note", note) for note in e.notes),
+        ],
+    )
+
+
+def reconciled_document(found: Reconciled) -> Document:
+    """Whether the readings contradict one another, and every quantity beside its reading."""
+    verdict = "nothing to test" if found.degrees == 0 else f"p = {found.p_value:.2g}"
+    parts: list[str | Table] = []
+    if not found.is_consistent:
+        parts.append("  the readings CONTRADICT one another; set aside, with the correction:")
+        parts += [f"    {blame}" for blame in found.blamed]
+        parts.append("  until that is settled the values below mean nothing")
+    rows = []
+    for name in found.names:
+        read, off = "", ""
+        if name in found.readings:
+            read, off = f"{found.readings[name][0]:.6g}", f"{found.residuals[name]:+.1f}"
+        rows.append(
+            (
+                name,
+                f"{found[name]:.6g}",
+                f"{found.std_error(name):.3g}",
+                read,
+                off,
+                found.units[name],
+            )
+        )
+    head = ("quantity", "value", "std. error", "read", "residual/sd", "unit")
+    parts.append(Table(head, rows, numbers=(1, 2, 3, 4), widths=(24, 13, 12, 13, 13)))
+    return Document(
+        f"{found.title}: {len(found.readings)} readings, chi2 {found.statistic:.4g} with "
+        f"{found.degrees} degrees of freedom, {verdict}",
+        parts,
+    )
+
+
+def monte_carlo_document(result: MonteCarlo) -> Document:
+    """How well each parameter is estimated, with remarks, and which runs failed."""
+    labels = [f"{p.name} [{p.unit}]" for p in result.parameters]
+    width = min(max(map(len, (*labels, "parameter"))), _LONGEST)
+    rows: list[tuple[str, ...] | str] = []
+    for label, p in zip(labels, result.parameters, strict=True):
+        covers = "--"
+        if p.coverage is not None and p.coverage_interval is not None:
+            low, high = (100 * x for x in p.coverage_interval)
+            covers = f"{100 * p.coverage:.1f} [{low:.1f}, {high:.1f}]"
+        if len(label) > width:
+            rows.append(label)
+            label = ""
+        rows.append(
+            (
+                label,
+                "--" if p.truth is None else f"{p.truth:.5g}",
+                p.mean_text,
+                f"{'--' if p.bias is None else f'{p.bias:.2g}'} +- {p.bias_std_error:<7.2g}",
+                f"{p.spread:.3g}",
+                f"{p.mean_std_error:.3g}",
+                covers,
+            )
+        )
+    head = ("parameter", "truth", "mean", f"bias +- {'':7}", "spread", "std. err.", "coverage [%]")
+    failed = len(result.campaign.failures)
+    return Document(
+        f"Monte Carlo study of {result.problem}: {result.campaign.runs} runs with seed "
+        f"{result.campaign.seed}, method {result.method}, {failed} failed",
+        [
+            Table(head, rows, numbers=(1, 2, 3, 4, 5), widths=(width + 1, 11, 12, 20, 9, 10)),
+            "  bias +- its Monte Carlo standard error; spread: standard deviation of the estimates",
+            "  std. err.: mean of those reported; coverage of 95 % intervals [its interval]",
+            *(("REMARK", f"{p.name}: {'; '.join(p.remarks)}") for p in result.parameters
+              if p.remarks),
+            *(("failed", f"{n} times: {message}") for message, n in result.failures.items()),
+        ],
+        label=8,
+        width=_WIDEST,
+    )  # fmt: skip

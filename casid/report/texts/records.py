@@ -1,0 +1,73 @@
+"""Records and checks of records as documents."""
+
+from __future__ import annotations
+
+from casid.data.quality import CheckReport
+from casid.data.record import Record
+from casid.report.document import Document, Labelled, Table
+
+
+def check_document(found: CheckReport) -> Document:
+    """Clock and channels of a record, and the findings."""
+    parts: list[str | Labelled | Table] = []
+    if found.N is not None and found.Ts is not None:
+        text = (
+            f"{found.N}, every Ts = {found.Ts:.6g} s ({1 / found.Ts:.6g} Hz), "
+            f"{found.duration:.6g} s from t0 = {found.t0:g} s"
+        )
+        parts.append(("samples", text))
+    if found.clock:
+        c = found.clock
+        text = (
+            f"min {c.interval_min:.6g}, median {c.interval_median:.6g}, max {c.interval_max:.6g} "
+            f"s; {100 * c.share_outside:.3g} % outside 1 % of the median"
+        )
+        parts.append(("intervals", text))
+    if found.channels:
+        head = "channel,unit,min,max,mean,rms,noise,step,run,band [Hz]".split(",")
+        rows = [
+            (
+                c.name,
+                c.unit,
+                *map(_number, (c.minimum, c.maximum, c.mean, c.rms, c.noise, c.step)),
+                str(c.longest_run),
+                _number(c.bandwidth_hz),
+            )
+            for c in found.channels
+        ]
+        parts.append(Table(head, rows, numbers=range(2, 10)))
+    parts.append("  findings" if found.findings else "  findings   none")
+    parts += [f"    {finding}" for finding in found.findings]
+    return Document(f"Check of {found.name}", parts, label=11)
+
+
+def _number(x: float | None) -> str:
+    return "--" if x is None else f"{x:.4g}"
+
+
+def record_document(record: Record) -> Document:
+    """Samples, clock, channels and history of a record."""
+    end = record.t0 + (record.N - 1) * record.Ts
+    head = ("channel", "unit", "min", "max", "mean", "std", "missing")
+    return Document(
+        f"Record {record.name}",
+        [
+            ("samples", f"{record.N}, every Ts = {record.Ts:.6g} s ({1 / record.Ts:.6g} Hz)"),
+            ("clock", f"{record.t0:g} to {end:g} s"),
+            Table(head, _statistics(record), numbers=range(2, 7)),
+            "  history",
+            *(f"    {step}" for step in record.provenance or ("none",)),
+        ],
+    )
+
+
+def _statistics(record: Record) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
+    for channel, values in record.channels.items():
+        mask = record.is_missing(channel)
+        kept = values[~mask]
+        numbers = ["--"] * 4
+        if kept.size:
+            numbers = [f"{x:.5g}" for x in (kept.min(), kept.max(), kept.mean(), kept.std())]
+        rows.append((channel, record.units[channel], *numbers, str(int(mask.sum()))))
+    return rows
