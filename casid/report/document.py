@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,9 @@ class Table:
     caption : above the table on a page; a terminal shows none.
     is_ruled : whether a line stands below the header in a terminal.
     indent : of the lines in a terminal, in spaces.
+    widest : characters of a line; columns that do not fit follow in a table below, beside the
+        first column again. None: any number.
+    joined : columns that must stand beside the one before.
     """
 
     header: Sequence[str]
@@ -33,15 +36,40 @@ class Table:
     caption: str = ""
     is_ruled: bool = False
     indent: int = 2
+    widest: int | None = None
+    joined: Sequence[int] = ()
 
     def lines(self) -> list[str]:
         """The table as aligned lines."""
+        if self.widest is not None:
+            parts = [self._of_columns(columns).lines() for columns in self._blocks(self.widest)]
+            return [line for part in parts for line in ("", *part)][1:]
         cells = [self.header, *(row for row in self.rows if not isinstance(row, str))]
         longest = [max(map(len, column)) for column in zip(*cells, strict=True)]
         lines = [self._line(row, longest) for row in (self.header, *self.rows)]
         if self.is_ruled:
             lines.insert(1, self._line(["-" * n for n in longest], longest))
         return lines
+
+    def _blocks(self, widest: int) -> list[list[int]]:
+        rows = [self.header, *(row for row in self.rows if not isinstance(row, str))]
+        longest = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        blocks: list[list[int]] = [[0]]
+        for i in range(1, len(longest)):
+            if i in self.joined:
+                continue
+            columns = [i, i + 1] if i + 1 in self.joined else [i]
+            used = sum(2 + longest[k] for k in [*blocks[-1], *columns]) - 2
+            if used > widest and len(blocks[-1]) > 1:
+                blocks.append([0])
+            blocks[-1] += columns
+        return blocks
+
+    def _of_columns(self, columns: Sequence[int]) -> Table:
+        rows = [row if isinstance(row, str) else [row[k] for k in columns] for row in self.rows]
+        numbers = [i for i, k in enumerate(columns) if k in self.numbers]
+        header = [self.header[k] for k in columns]
+        return replace(self, header=header, rows=rows, numbers=numbers, widest=None, joined=())
 
     def _line(self, row: Sequence[str] | str, longest: Sequence[int]) -> str:
         text = " " * self.indent
@@ -50,7 +78,7 @@ class Table:
         for i, cell in enumerate(row):
             is_number, after_number = i in self.numbers, i - 1 in self.numbers
             if i < len(self.widths):
-                width = max(self.widths[i], longest[i] + (i > 0 or not is_number))
+                width = max(self.widths[i], longest[i] + (after_number or not is_number))
                 gap = "  " if after_number and not is_number else ""
             else:
                 width = longest[i]

@@ -85,7 +85,7 @@ def table(
 
 def fragment(document: Document) -> Html:
     """A document as part of a page, for notebooks: no style, no script."""
-    parts = [element("p", element("b", document.title))] if document.title else []
+    parts = [element("p", element("strong", document.title))] if document.title else []
     for is_labelled, group in groupby(document.parts, lambda part: isinstance(part, tuple)):
         if is_labelled:
             cells = (p for p in group if isinstance(p, tuple))

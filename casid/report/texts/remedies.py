@@ -11,9 +11,7 @@ from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.comparison import Comparison
 from casid.unknown_inputs.option_comparison import UnknownInputComparison
 
-WIDTH = 110
-"""Characters that a line of a table of options may have."""
-
+_WIDEST = 110  # characters of a line in a table of options
 LONGEST = 60
 """Characters of a formula that is printed; longer ones are counted instead."""
 
@@ -99,26 +97,10 @@ def options_document(found: UnknownInputComparison) -> Document:
     """The options for an unknown input: estimates, their errors, and a remark on each."""
     head, rows = found.cells()
     truth = [f"{n} = {found.truth[n]:g}" for n in found.parameters if n in found.truth]
-    parts: list[str | Table] = [f"  truth {', '.join(truth)}"] if found.truth else []
-    for columns in _blocks(head, rows):
-        cells = [[row[k] for k in columns] for row in (head, *rows)]
-        numbers = range(1, len(columns))
-        parts += ["", Table(cells[0], cells[1:], numbers=numbers, indent=0)]
+    parts = [f"  truth {', '.join(truth)}"] if found.truth else []
+    joined = [i for i, name in enumerate(head) if name == "error"]
+    numbers = range(1, len(head))
+    table = Table(head, rows, numbers=numbers, indent=0, widest=_WIDEST, joined=joined)
     remarks = [f"({r.letter}) {r.option}: {r.remark}" for r in found.rows]
     title = f"Options for the unknown input {found.unknown} of {found.model}"
-    return Document(title, [*parts, "", *remarks])
-
-
-def _blocks(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[list[int]]:
-    """Columns of tables of at most `WIDTH` characters, the first column in each."""
-    widths = [max(len(r[i]) for r in [head, *rows]) for i in range(len(head))]
-    blocks: list[list[int]] = [[0]]
-    for i in range(1, len(head)):
-        if head[i] == "error":
-            continue  # stands beside its parameter
-        columns = [i, i + 1] if head[i + 1 : i + 2] == ["error"] else [i]
-        used = sum(2 + widths[k] for k in [*blocks[-1], *columns]) - 2
-        if used > WIDTH and len(blocks[-1]) > 1:
-            blocks.append([0])
-        blocks[-1] += columns
-    return blocks
+    return Document(title, [*parts, "", table, "", *remarks])
