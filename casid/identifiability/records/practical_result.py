@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-from casid.presentation import Presented
 from casid.arrays import Array
 from casid.deprecation import Grouped, renamed
 from casid.identifiability.records.planned_experiment import Noise
+from casid.presentation import Presented
 
 Verdict = Literal[
     "well determined", "poorly determined", "not seen by this record", "seen, not judged"
