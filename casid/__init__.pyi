@@ -24,7 +24,8 @@ from .estimation.moments.prior import Prior
 from .estimation.moments.reference_filter import ReferenceFilter
 from .estimation.moments.stage_plan import StageSpec
 from .estimation.moments.validation import validate
-from .estimation.nlp.nlp import Nlp, Solver
+from .estimation.nlp.nlp import Nlp
+from .estimation.nlp.solver import Solver
 from .estimation.nlp.solver_comparison import compare_solvers
 from .estimation.prediction_error.coordinated_turn import smooth_track
 from .estimation.prediction_error.polynomial_orders import Orders

@@ -25,7 +25,7 @@ from analysis.common.runner import Run, Study, shared_folder
 from analysis.common.targets import Target
 from casid.arrays import Array
 from casid.errors import CasidError
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.regression import regress
 from casid.estimation.regression_estimate import RegressionEstimate
 from casid.model.expressions import parse

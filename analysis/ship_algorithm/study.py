@@ -43,7 +43,7 @@ from analysis.ship_algorithm.records import (
 from casid.errors import CasidError, IdentifiabilityError
 from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.identifiability.combinations.family import Family
 from casid.identifiability.combinations.family_estimate import AlongFamily, along_family
 from casid.identification.iterative_joint import (

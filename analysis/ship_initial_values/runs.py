@@ -36,7 +36,8 @@ from casid.arrays import Array
 from casid.estimation.moments.moment_equations import MomentEquations
 from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
 from casid.estimation.moments.moments import moments
-from casid.estimation.nlp.nlp import Solution, Solver
+from casid.estimation.nlp.solution import Solution
+from casid.estimation.nlp.solver import Solver
 from casid.linear.difference_equation import DifferenceEquation, difference_equation
 from problems.ship import LOAD_CASES, NINE, TABLE_8_2, indirect_model
 

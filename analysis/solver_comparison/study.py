@@ -37,8 +37,9 @@ from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.reference_filter import ReferenceFilter
 from casid.estimation.moments.stage import StageFit
 from casid.estimation.moments.stage_plan import StageSpec
+from casid.estimation.nlp.comparison_table import SolverComparison
 from casid.estimation.nlp.nlp import Nlp
-from casid.estimation.nlp.solver_comparison import SolverComparison, compare_solvers
+from casid.estimation.nlp.solver_comparison import compare_solvers
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identification.moment_estimators import instrumental_variables, multistage
 from problems.pendulum import TABLE_7_2, indirect_model

@@ -64,7 +64,7 @@ def diagnose(problem: str, **given: Any) -> None:
     with output.work(model.name) as (folder, progress):
         fitted, hold_out = request.experiments(model)
         from casid.diagnosis.diagnose import diagnose as run
-        from casid.estimation.nlp.nlp import Solver
+        from casid.estimation.nlp.solver import Solver
 
         calibrated = workers(search.jobs, None) if search.calibrate else contextlib.nullcontext()
         with interruptible(), calibrated:

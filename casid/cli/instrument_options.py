@@ -105,7 +105,7 @@ class InstrumentRequest:
         from casid.estimation.moments.instruments import Instruments
         from casid.estimation.moments.moment_settings import MomentSettings
         from casid.estimation.moments.reference_filter import ReferenceFilter
-        from casid.estimation.nlp.nlp import Solver
+        from casid.estimation.nlp.solver import Solver
         from casid.identification.moment_estimators import instrumental_variables
 
         problem, free = self.freed(problem)

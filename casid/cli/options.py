@@ -97,7 +97,7 @@ class FitOptions:
         self, problem: Problem, *, segments: int = 1, seed: int | None = None
     ) -> FitSettings:
         """Settings of a fit, the number of starts by default the problem's."""
-        from casid.estimation.nlp.nlp import Solver
+        from casid.estimation.nlp.solver import Solver
         from casid.estimation.simulation.fit import FitSettings
 
         return FitSettings(

@@ -21,7 +21,7 @@ from casid.diagnosis.verdict.judgement import judge, notes_on
 from casid.diagnosis.verdict.sentences import noise_text
 from casid.estimation.estimate import Origin
 from casid.estimation.holdout import Split, split_records
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
 from casid.identifiability.requirement import require_identifiable
 from casid.versions import versions

@@ -254,7 +254,7 @@ class RegressionProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeastSquares:
-    """`casid.estimation.nlp.nlp.Criterion` of a regression, divided by the response's spread."""
+    """`Criterion` of a regression, divided by the response's spread."""
 
     problem: RegressionProblem
     exact: bool

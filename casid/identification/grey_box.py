@@ -26,8 +26,9 @@ from casid.estimation.estimate_builder import (
     solver_evidence,
 )
 from casid.estimation.local_rank import describe_null, local_rank
-from casid.estimation.nlp.nlp import Nlp, Solution, Solver
-from casid.estimation.nlp.solver import as_solver
+from casid.estimation.nlp.nlp import Nlp
+from casid.estimation.nlp.solution import Solution
+from casid.estimation.nlp.solver import Solver, as_solver
 from casid.estimation.prediction_error.likelihood import CriterionOptions, PredictionError
 from casid.identifiability.requirement import require_identifiable
 from casid.linear.kalman import Predictor

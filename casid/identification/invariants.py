@@ -19,7 +19,7 @@ from casid.data.problem import Problem
 from casid.data.record import Experiment
 from casid.errors import CasidError, IdentifiabilityError, SolveError
 from casid.estimation.estimate import Estimate, Estimated
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.identifiability.combinations.closed_form import joint_invariants
 from casid.identifiability.combinations.family import Family
 from casid.identifiability.combinations.family_estimate import AlongFamily, along_family

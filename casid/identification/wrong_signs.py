@@ -27,7 +27,7 @@ from casid.errors import CasidError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance, whiteness
 from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.holdout import Split
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.model.model import Model

@@ -18,7 +18,7 @@ from casid.data.record import Experiment, Record
 from casid.errors import CasidError, DataError, ModelError
 from casid.estimation.estimate import Estimate
 from casid.estimation.estimate_builder import INCOMPLETE
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.input_models import (
     as_known,
     as_random_walk,

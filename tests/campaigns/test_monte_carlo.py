@@ -25,7 +25,7 @@ from casid.cli.main import main
 from casid.data.problem import Problem, load_problem
 from casid.data.record import Experiment
 from casid.errors import CasidError, DataError, ModelError, SolveError
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
 from tests.support.shared import ROOT
 

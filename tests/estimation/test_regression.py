@@ -11,7 +11,7 @@ import pytest
 
 from analysis.nist import study as nist
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.regression import regress
 from casid.estimation.regression_estimate import RegressionEstimate
 from tests.support.shared import shared

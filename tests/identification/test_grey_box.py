@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 import casid
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.likelihood import PredictionError
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError

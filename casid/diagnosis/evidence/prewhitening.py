@@ -15,7 +15,7 @@ from casid.arrays import Array
 from casid.data.record import Experiment
 from casid.diagnosis.evidence.score_tests import step_without_bias
 from casid.diagnosis.thresholds import PREWHITENING
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError

@@ -20,7 +20,7 @@ from casid.diagnosis.thresholds import SUFFICIENCY
 from casid.estimation.covariance import whiteness
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.noise import NoiseModel, Response
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError

@@ -19,7 +19,9 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.moments.moment_equations import MomentEquations
-from casid.estimation.nlp.nlp import Nlp, Solution, Solver
+from casid.estimation.nlp.nlp import Nlp
+from casid.estimation.nlp.solution import Solution
+from casid.estimation.nlp.solver import Solver
 from casid.linear.difference_equation import DifferenceEquation
 from casid.model.model import Parameter
 

@@ -10,7 +10,7 @@ from casid.arrays import Array
 from casid.estimation.moments.moment_covariance import Covariance
 from casid.estimation.moments.moment_equations import Weighting
 from casid.estimation.moments.moment_nlp import Constraint
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 
 Form = Literal["linear", "eliminated", "lifted"]
 

@@ -31,7 +31,7 @@ from casid.estimation.moments.parts import Part
 from casid.estimation.moments.robust_weights import robust_weights, weighted_equations
 from casid.estimation.moments.stage_instruments import StageInstruments
 from casid.estimation.moments.stage_programs import StagePrograms
-from casid.estimation.nlp.nlp import Solution
+from casid.estimation.nlp.solution import Solution
 from casid.model.model import Model
 
 

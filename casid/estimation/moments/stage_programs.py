@@ -13,8 +13,7 @@ from casid.estimation.moments.coefficient_map import CoefficientMap
 from casid.estimation.moments.moment_equations import MomentEquations
 from casid.estimation.moments.moment_nlp import Condensed, LinearNlp, PhysicalNlp
 from casid.estimation.moments.moment_settings import MomentSettings
-from casid.estimation.nlp.nlp import Solution
-from casid.estimation.nlp.solution import not_converged
+from casid.estimation.nlp.solution import Solution, not_converged
 from casid.linear.constrained_least_squares import null_space_least_squares
 from casid.linear.difference_equation import DifferenceEquation
 from casid.model.model import Parameter

@@ -20,14 +20,10 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import SolveError
 from casid.estimation.nlp.compiled import Compiled, Statement
-from casid.estimation.nlp.criterion import Criterion
 from casid.estimation.nlp.program_values import at_start, fill, inside, views
 from casid.estimation.nlp.single_solve import CriterionProgram, SymbolicProgram, solve_once
-from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
+from casid.estimation.nlp.solution import Solution, not_converged
 from casid.estimation.nlp.solver import Solver, as_solver
-
-__all__ = ["Array", "Criterion", "Evaluation", "Nlp", "Solution", "Solver"]
-
 
 _IS_SX = (
     "is made of SX symbols, which this program does not know; use the symbols that nlp.variable "

@@ -10,7 +10,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import SolveError
 from casid.estimation.nlp.solution import Evaluation, Solution, judged, stacked
-from casid.estimation.nlp.solver_processes import SLSQP, timed
+from casid.estimation.nlp.solver_catalogue import SLSQP
+from casid.estimation.nlp.solver_processes import timed
 
 
 class Program(Protocol):
@@ -42,7 +43,7 @@ class Program(Protocol):
 
 @dataclass(slots=True, eq=False)
 class StackedProgram:
-    """A `casid.estimation.nlp.nlp.Criterion` with the declared constraints, as a `Program`."""
+    """A `Criterion` with the declared constraints, as a `Program`."""
 
     criterion: Any
     constraints: Any  # Compiled: the constraints alone, under an objective of zero

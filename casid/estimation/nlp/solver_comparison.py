@@ -1,4 +1,4 @@
-"""One estimation problem through every solver at hand, compared with a reference.
+"""One estimation problem solved by every available solver, compared with a reference.
 
 A solver agrees if each variable is within 1e-7 of the reference, relative. One that does not has a
 row that says why: its own stopping rule, an approximate Hessian, another optimum, a failing
@@ -11,146 +11,35 @@ import copy
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from casid.arrays import TINY
+from casid.arrays import TINY, Array
 from casid.errors import CasidError, SolveError
+from casid.estimation.nlp.comparison_table import Row, SolverComparison
 from casid.estimation.nlp.compiled import Compiled
-from casid.estimation.nlp.nlp import Array, Nlp, Solution, Solver
+from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.program_values import at_start, inside
 from casid.estimation.nlp.scipy_solvers import Program, StackedProgram, run_scipy
-from casid.estimation.nlp.solution import judged
-from casid.estimation.nlp.solver_processes import (
+from casid.estimation.nlp.solution import Solution, judged
+from casid.estimation.nlp.solver import Solver
+from casid.estimation.nlp.solver_catalogue import (
     DEFAULT,
     NULL_SPACE,
     SLSQP,
     TRUST_CONSTR,
-    Contender,
-    Outcome,
-    contender,
-    muted,
-    run_apart,
-    run_here,
-    timed,
+    SolverEntry,
+    entry_of,
 )
+from casid.estimation.nlp.solver_processes import Outcome, muted, run_apart, run_here, timed
 from casid.linear.constrained_least_squares import null_space_least_squares
-from casid.presentation import Presented, present
 
-__all__ = ["Row", "SolverComparison", "compare_solvers", "null_space_least_squares"]
-
-_FLAT = 1e-7  # resolutions of the criterion above this are worth a word
-# A solver that ends so has seen its gradient vanish, by its own measure.
+_FLAT = 1e-7  # resolutions of the criterion above this are mentioned
+# A solver that ends so has a vanishing gradient, by its own measure.
 _BY_GRADIENT = ("Solve_Succeeded", "Solved", "Converged with feasible KKT point", "optimal")
 _FEASIBLE = 1e-6  # largest violation of a constraint, in its own units
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Row:
-    """One solver on one problem."""
-
-    solver: str
-    status: str
-    objective: float
-    violation: float  # largest, of any constraint, in its own units
-    distance: float  # largest |x - x_ref| / |x_ref| of a variable
-    scaled_gradient: float
-    iterations: int  # 0: the solver does not tell
-    evaluations: int  # of the objective; 0: the solver does not tell
-    seconds: float  # one solve, the solver being built
-    x: Array | None  # (n,), physical units
-    agrees: bool
-    reason: str  # why it does not agree; empty where it does
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values; what is not finite becomes None."""
-        numbers = ("objective", "violation", "distance", "scaled_gradient", "seconds")
-        return {
-            "solver": self.solver,
-            "status": self.status,
-            **{key: _finite(getattr(self, key)) for key in numbers},
-            "iterations": self.iterations,
-            "evaluations": self.evaluations,
-            "x": None if self.x is None else [_finite(v) for v in self.x],
-            "agrees": self.agrees,
-            "reason": self.reason,
-        }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SolverComparison(Presented):
-    """Every solver's answer to one problem beside a reference."""
-
-    problem: str
-    names: tuple[str, ...]
-    rows: tuple[Row, ...]
-    reference: Array | None  # (n,), None where no solver met the constraints
-    reference_from: str
-    objective: float  # at the reference
-    tolerance: float
-
-    def __getitem__(self, solver: str) -> Row:
-        for row in self.rows:
-            if row.solver == solver:
-                return row
-        known = ", ".join(row.solver for row in self.rows)
-        raise KeyError(f"{solver!r} did not take part; those that did: {known}")
-
-    @property
-    def agreeing(self) -> tuple[str, ...]:
-        """Solvers within the tolerance of the reference."""
-        return tuple(row.solver for row in self.rows if row.agrees)
-
-    @property
-    def is_feasible(self) -> bool:
-        """Whether any solver met the constraints."""
-        return self.reference is not None
-
-    def __repr__(self) -> str:
-        ran = sum(row.x is not None for row in self.rows)
-        return (
-            f"<SolverComparison {self.problem}: {len(self.agreeing)} of {ran} solvers agree within "
-            f"{self.tolerance:g}>"
-        )
-
-    def cells(self) -> list[tuple[str, ...]]:
-        """The table as text, its first row the head."""
-        head = ("solver", "objective", "violation", "distance", "iterations", "evaluations", "ms")
-        lines: list[tuple[str, ...]] = [(*head, "status")]
-        lines += [
-            (
-                row.solver,
-                _number(row.objective, ".10g"),
-                _number(row.violation, ".1e"),
-                _number(row.distance, ".1e"),
-                str(row.iterations or "--"),
-                str(row.evaluations or "--"),
-                _number(1e3 * row.seconds, ".2f"),
-                row.status,
-            )
-            for row in self.rows
-        ]
-        return lines
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain values; what is not finite becomes None."""
-        return {
-            "schema": "casid.solver_comparison/1",
-            "problem": self.problem,
-            "names": list(self.names),
-            "reference": None if self.reference is None else [float(v) for v in self.reference],
-            "reference_from": self.reference_from,
-            "objective": _finite(self.objective),
-            "tolerance": self.tolerance,
-            "rows": [row.to_json() for row in self.rows],
-        }
-
-    def plot(self) -> Any:
-        """Plotly figure: distance to the reference against time, a point for each solver."""
-        return present(self, "figure")
 
 
 def compare_solvers(
@@ -163,7 +52,7 @@ def compare_solvers(
     tolerance: float = 1e-7,
     timeout: float = 30.0,
 ) -> SolverComparison:
-    """Run one program through many solvers and measure each against a reference.
+    """Solve one program with many solvers and compare each with a reference.
 
     Parameters
     ----------
@@ -186,7 +75,7 @@ def compare_solvers(
         has other variables.
     """
     solvers = DEFAULT if solvers is None else solvers
-    entries = [contender(s) for s in ([solvers] if isinstance(solvers, str | Solver) else solvers)]
+    entries = [entry_of(s) for s in ([solvers] if isinstance(solvers, str | Solver) else solvers)]
     begin: Array | None = None
     if start is not None:
         begin = at_start(nlp.name, nlp.names, start, nlp.start)
@@ -215,11 +104,11 @@ def compare_solvers(
     return SolverComparison(nlp.name, nlp.names, rows, answer, words, objective, tolerance)
 
 
-# One contender
+# One solver
 
 
 def _here(
-    entry: Contender, program: Program, start: Array | None, names: tuple[str, ...]
+    entry: SolverEntry, program: Program, start: Array | None, names: tuple[str, ...]
 ) -> Outcome:
     """SciPy's methods and the closed form, in this process."""
     try:
@@ -228,7 +117,7 @@ def _here(
             found = timed(lambda: _closed_form(program))
         else:
             with muted(), warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of a singular Jacobian, say: the row tells
+                warnings.simplefilter("ignore")  # of a singular Jacobian, say: the row reports it
                 found = run_scipy(entry.name, names, program, start)
         return Outcome(entry.name, *found)
     except CasidError as error:
@@ -275,12 +164,12 @@ def _closed_form(compiled: Compiled) -> Solution:
 
 def _criterion_outcome(
     nlp: Nlp,
-    entry: Contender,
+    entry: SolverEntry,
     program: StackedProgram,
     parameters: Mapping[str, Any] | None,
     start: Array | None,
 ) -> Outcome:
-    """A contender on a criterion that is no expression, in this process."""
+    """A solver on a criterion that is no expression, in this process."""
     if entry.name in (TRUST_CONSTR, SLSQP):
         return _here(entry, program, start, nlp.names)
     if entry.solver is None:
@@ -377,7 +266,7 @@ def _multipliers(program: Program, solution: Solution) -> Array:
 
 
 def _row(
-    entry: Contender,
+    entry: SolverEntry,
     found: Outcome,
     reference: Array | None,
     objective: float,
@@ -417,7 +306,7 @@ def _row(
 
 
 def _does_not_fit(reason: str) -> bool:
-    """Whether a solver was never asked, because the problem is of another kind."""
+    """Whether a solver did not run, because the problem is of another kind."""
     kinds = ("is not quadratic", "is not linear", "does not fit", "is active", "not positive def")
     return any(kind in reason for kind in kinds)
 
@@ -436,13 +325,13 @@ def _resolution(program: Program, x: Array) -> float:
 
 
 def _reason(
-    entry: Contender,
+    entry: SolverEntry,
     solution: Solution,
     objective: float,
     is_feasible: bool,
     resolution: float,
 ) -> str:
-    """Why a solver's answer is not the reference, in words."""
+    """Why a solver's answer is not the reference."""
     if not is_feasible:
         size = f"{solution.constraint_violation:.1e}"
         if math.isfinite(objective):
@@ -468,13 +357,3 @@ def _reason(
     if solution.is_converged:
         return f"stopped by its own rule, {gradient}, criterion {excess:.0e} off; {entry.rule}"
     return f"stopped early ({solution.status}), {gradient}; {entry.rule}"
-
-
-def _finite(value: float) -> float | None:
-    """A number that JSON knows."""
-    return float(value) if math.isfinite(value) else None
-
-
-def _number(value: float, form: str) -> str:
-    """A number for the table."""
-    return format(value, form) if math.isfinite(value) else "--"

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from casid.arrays import TINY, Array
 from casid.errors import DataError, ModelError
 from casid.estimation.moments.moments import Moments, moments
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial_data import records_of
 from casid.estimation.prediction_error.polynomial_estimation import prediction_error
 from casid.estimation.prediction_error.polynomial_model import PolynomialModel

@@ -24,7 +24,7 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.data.record import Experiment
 from casid.errors import DataError, ModelError
-from casid.estimation.nlp.nlp import Evaluation
+from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.simulation.signals import signals_of
 from casid.estimation.unknowns import LastOf, Unknowns, Variable
 from casid.linear.kalman import (

@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.nlp.nlp import Evaluation
+from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.prediction_error.polynomial_orders import Layout, is_stable
 
 Shifts = list[tuple[Array, int, int, float]]  # base signal, first lag, number of lags, sign
@@ -26,7 +26,7 @@ CHUNK = 16384  # samples at a time in the products: the buffer stays in the cach
 
 
 class PredictionErrors:
-    """Criterion (1) over records with shared coefficients; a `casid.estimation.nlp.nlp.Criterion`.
+    """Criterion (1) over records with shared coefficients; a `Criterion`.
 
     Parameters
     ----------

@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 from casid.arrays import TINY, Array
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimation.covariance import sandwich
-from casid.estimation.nlp.nlp import Nlp, Solution, Solver
-from casid.estimation.nlp.solver import as_solver
+from casid.estimation.nlp.nlp import Nlp
+from casid.estimation.nlp.solution import Solution
+from casid.estimation.nlp.solver import Solver, as_solver
 from casid.estimation.prediction_error.persistent_excitation import require_excitation, unseen
 from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
 from casid.estimation.prediction_error.polynomial_data import records_of

@@ -11,8 +11,9 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import DataError, IdentifiabilityError, SolveError
 from casid.estimation.local_rank import describe_null, local_rank
-from casid.estimation.nlp.nlp import Nlp, Solver
+from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Solution
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 

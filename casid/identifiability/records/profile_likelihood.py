@@ -21,7 +21,9 @@ from casid.arrays import TINY, Array
 from casid.data.problem import Problem, experiments_of
 from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.estimate import Estimate
-from casid.estimation.nlp.nlp import Evaluation, Nlp, Solver
+from casid.estimation.nlp.nlp import Nlp
+from casid.estimation.nlp.solution import Evaluation
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identifiability.records.planned_experiment import Experiments, Planned, plan, values_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from typing import Any
 
-from casid.estimation.nlp.solver_comparison import SolverComparison
+from casid.estimation.nlp.comparison_table import SolverComparison
 
 
 def solver_figure(comparison: SolverComparison) -> Any:

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.estimation.nlp.nlp import Evaluation
+from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.prediction_error.polynomial_orders import Layout
 from casid.unknown_inputs.limits.second_moments import circle
 

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from casid.errors import SolveError
-from casid.estimation.nlp.nlp import Evaluation, Nlp, Solver
+from casid.estimation.nlp.nlp import Nlp
+from casid.estimation.nlp.solution import Evaluation
+from casid.estimation.nlp.solver import Solver
 
 SOLVERS = pytest.mark.parametrize("solver", [Solver("ipopt"), Solver("sqpmethod")], ids=repr)
 

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from casid.errors import IdentifiabilityError, SolveError
-from casid.estimation.nlp.nlp import Evaluation, Nlp, Solver
+from casid.estimation.nlp.nlp import Nlp
+from casid.estimation.nlp.solution import Evaluation
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.nlp.solver_comparison import compare_solvers
 from casid.linear.constrained_least_squares import null_space_least_squares
 

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from casid.data.record import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimation.covariance import whiteness
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error import polynomial_estimation as polynomial
 from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
 from casid.estimation.prediction_error.polynomial_data import stretches

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial_estimation import prediction_error
 from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData

@@ -20,7 +20,8 @@ from casid.estimation.moments.moment_equations import MomentEquations, moment_eq
 from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
 from casid.estimation.moments.noise_models import noise_models
 from casid.estimation.moments.parts import Part
-from casid.estimation.nlp.nlp import Solution, Solver
+from casid.estimation.nlp.solution import Solution
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
 from casid.linear.difference_equation import DifferenceEquation
 from casid.model.model import Parameter

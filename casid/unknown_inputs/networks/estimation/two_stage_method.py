@@ -11,7 +11,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
 from casid.estimation.prediction_error.polynomial_estimation import prediction_error
 from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
