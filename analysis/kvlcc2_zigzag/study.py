@@ -29,8 +29,9 @@ import casid
 from analysis.common.runner import Run, Study, shared_folder
 from analysis.common.targets import Target, at_most, completed, near
 from casid.estimation.covariance import autocorrelation
-from casid.estimation.equation_error import Butterworth, equation_error
+from casid.estimation.equation_error import equation_error
 from casid.estimation.estimate import Estimate
+from casid.estimation.measured_motion import Butterworth
 from casid.estimation.moments.exogeneity import reference_depends_on
 from casid.estimation.prediction_error.coordinated_turn import rounding_error
 from casid.model.effects.balance_effects import cubic_stiffness, quadratic_damping

@@ -24,7 +24,8 @@ from analysis.common.targets import Target, at_most, completed, near
 from analysis.real_data.benchmarks import circuit, swing, tanks
 from analysis.real_data.judgement import few_causes, keep, named, rms_by_record
 from casid.data.preparation import decimate
-from casid.estimation.equation_error import Butterworth, equation_error
+from casid.estimation.equation_error import equation_error
+from casid.estimation.measured_motion import Butterworth
 from casid.model.effects.balance_effects import (
     coulomb_friction,
     cubic_stiffness,

@@ -1,7 +1,7 @@
-"""Identifiability at a point: the rank of the sensitivities, and what the data cannot tell.
+"""Identifiability at a point: the rank of the sensitivities, and what is not identifiable.
 
-A direction that the sensitivities do not see is described relative to the parameters' values, with
-the power products that stay constant along it: what the record tells instead.
+A direction along which no output changes is described relative to the parameters' values, with
+the power products that stay constant along it: what the record determines instead.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from casid.arrays import TINY, Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalRank:
-    """Rank of the scaled sensitivities at a point, and the directions the data do not see."""
+    """Rank of the scaled sensitivities at a point, and the directions that are not determined."""
 
     rank: int
     unknowns: int
@@ -26,7 +26,7 @@ class LocalRank:
 
     @property
     def is_full(self) -> bool:
-        """True if every direction is seen."""
+        """True if every direction is identifiable."""
         return self.rank == self.unknowns
 
 
@@ -58,7 +58,7 @@ def local_rank(hessian: Array, x: Array, names: Sequence[str], scale: Array) -> 
 
 
 def describe_null(rank: LocalRank) -> str:
-    """What the data cannot tell, what they tell instead, and the mend, in a sentence or two."""
+    """What is not identifiable, what is determined instead, and the remedy, in sentences."""
     parts = []
     for direction in rank.null:
         names = list(direction)
@@ -70,10 +70,10 @@ def describe_null(rank: LocalRank) -> str:
             continue
         together = ", ".join(f"{n} {100 * v:+.3g} %" for n, v in direction.items())
         combos = _invariants(direction)
-        tells = f"; the record tells {', '.join(combos)} instead" if combos else ""
+        instead = f"; the record determines {', '.join(combos)} instead" if combos else ""
         parts.append(
-            f"{' and '.join(names)} cannot be told apart ({together} changes nothing)"
-            f"{tells}: give one of them a known value"
+            f"{' and '.join(names)} are not separately identifiable ({together} changes nothing)"
+            f"{instead}: give one of them a known value"
         )
     return "; ".join(parts)
 

@@ -1,4 +1,4 @@
-"""The noise of a simulation: what sensors, measured inputs and disturbances leave in its error.
+"""The noise of a simulation error: from sensors, measured inputs and disturbances.
 
 A measured input is noisy, and the model's resonance amplifies that noise (errors in variables); a
 force that nobody models does the same. With G_j the model's transfer functions at the estimate,
@@ -172,8 +172,7 @@ class NoiseModel:
         Parameters
         ----------
         largest : measured input -> upper bound on its white noise. Inputs that act alike share the
-            variance found, each by the part it could have at its bound; what is left is a
-            disturbance.
+            variance found, each by the part it could have at its bound; the rest is a disturbance.
         """
         out = {}
         for group in self.alike:
@@ -261,9 +260,9 @@ def estimate_noise(
 ) -> NoiseModel:
     """Estimate (1) from the residuals at `x` by Fisher scoring of Whittle's likelihood.
 
-    Sources whose responses have the same shape (an input and a balance it enters) cannot be told
-    apart: the variance is given to the first, measured inputs before balances, and the model tells
-    which are alike. A source whose noise is known is counted on its own.
+    Sources whose responses have the same shape (an input and a balance it enters) are
+    indistinguishable: the variance is given to the first, measured inputs before balances, and
+    `alike` lists them. A source whose noise is known is counted on its own.
 
     Parameters
     ----------
@@ -276,55 +275,68 @@ def estimate_noise(
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
     every = list(responses[0].sources)
-    apart = [name for name in every if name in known]
-    alike: list[tuple[str, ...]] = [(name,) for name in apart]
+    alike: list[tuple[str, ...]] = [(name,) for name in every if name in known]
     rest = [name for name in every if name not in known]
     alike += _alike(responses, every, rest) if merge else [(name,) for name in rest]
     sources = [group[0] for group in alike]
-    rows: list[Array] = []
-    targets: list[Array] = []
-    counts: list[Array] = []
-    for e, r in enumerate(residuals):
-        bins = _bins(r, responses[e])
-        for i in range(ny):
-            power, gain2, count = bins[i]
-            part: Array = np.zeros((len(power), ny + len(sources)))
-            part[:, i] = 1.0
-            for j, source in enumerate(sources):
-                part[:, ny + j] = gain2[:, responses[e].sources.index(source)]
-            rows.append(part)
-            targets.append(power)
-            counts.append(count)
-    design, power, count = np.vstack(rows), np.concatenate(targets), np.concatenate(counts)
-    fixed = np.zeros(design.shape[1], dtype=bool)
-    value = np.zeros(design.shape[1])
-    for i, name in enumerate([*criterion.outputs, *sources]):
-        if name in known:
-            fixed[i], value[i] = True, known[name] ** 2
-    offset = design @ value
-    free = design[:, ~fixed]
-    s = np.maximum(power, 1e-12 * max(float(power.max(initial=0.0)), TINY)) + offset
-    solution = new = np.zeros(free.shape[1])
-    floor = 1e-8 * max(float(np.average(power, weights=count)), TINY)
-    for k in range(60):
-        weight = np.sqrt(count) / s
-        scale = np.sqrt(np.sum((free * weight[:, None]) ** 2, axis=0)) + TINY
-        new = (
-            _least(free * (weight[:, None] / scale), np.maximum(power - offset, 0.0) * weight, new)
-            / scale
-        )
-        solution = new if k == 0 else 0.5 * (solution + new)
-        s = np.maximum(free @ solution + offset, floor)
-    value[~fixed] = solution
+    names = [*criterion.outputs, *sources]
+    given = np.array([known[name] ** 2 if name in known else np.nan for name in names])
+    spectra = _spectra(residuals, responses, sources, ny)
+    floor = 1e-8 * max(float(np.average(spectra.power, weights=spectra.count)), TINY)
+    value = _variances(spectra, given, floor)
     output_sd = np.sqrt(np.maximum(value[:ny], floor))
     found = {name: float(np.sqrt(v)) for name, v in zip(sources, value[ny:], strict=True)}
     return NoiseModel(
         output_sd=output_sd,
-        source_sd={name: found.get(name, 0.0) for name in responses[0].sources},
+        source_sd={name: found.get(name, 0.0) for name in every},
         responses=responses,
         weights=criterion.weights,
         alike=tuple(alike),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spectra:
+    """Periodograms of all residuals in bands, and what a unit variance of each source adds."""
+
+    design: Array  # (B, ny + ns) |G|^2
+    power: Array  # (B,)
+    count: Array  # (B,) frequencies of each band
+
+
+def _spectra(
+    residuals: Sequence[Array], responses: Sequence[Response], sources: Sequence[str], ny: int
+) -> _Spectra:
+    rows, powers, counts = [], [], []
+    for r, response in zip(residuals, responses, strict=True):
+        places = [response.sources.index(source) for source in sources]
+        for i, (power, gain2, count) in enumerate(_bins(r, response)):
+            own = np.zeros((len(power), ny))
+            own[:, i] = 1.0
+            rows.append(np.hstack([own, gain2[:, places]]))
+            powers.append(power)
+            counts.append(count)
+    return _Spectra(np.vstack(rows), np.concatenate(powers), np.concatenate(counts))
+
+
+def _variances(spectra: _Spectra, given: Array, floor: float) -> Array:
+    """Variances that minimise Whittle's likelihood by scoring; `given` ones (else NaN) are kept."""
+    design, power, count = spectra.design, spectra.power, spectra.count
+    fixed = np.isfinite(given)
+    value = np.where(fixed, given, 0.0)
+    offset = design @ value
+    free = design[:, ~fixed]
+    s = np.maximum(power, 1e-12 * max(float(power.max(initial=0.0)), TINY)) + offset
+    solution = new = np.zeros(free.shape[1])
+    for k in range(60):
+        weight = np.sqrt(count) / s
+        scale = np.sqrt(np.sum((free * weight[:, None]) ** 2, axis=0)) + TINY
+        target = np.maximum(power - offset, 0.0) * weight
+        new = _least(free * (weight[:, None] / scale), target, new) / scale
+        solution = new if k == 0 else 0.5 * (solution + new)
+        s = np.maximum(free @ solution + offset, floor)
+    value[~fixed] = solution
+    return value
 
 
 def _least(a: Array, b: Array, near: Array) -> Array:
@@ -341,13 +353,13 @@ def _least(a: Array, b: Array, near: Array) -> Array:
 
 
 def _alike(
-    responses: Sequence[Response], sources: list[str], asked: Sequence[str]
+    responses: Sequence[Response], sources: list[str], candidates: Sequence[str]
 ) -> list[tuple[str, ...]]:
-    """Sources among `asked` in groups whose |G|^2 are multiples of one another; none that is 0."""
+    """Those of `candidates` in groups whose |G|^2 are multiples of one another; none that is 0."""
     groups: list[list[str]] = []
     stacked = np.concatenate([r.gain2.reshape(-1, len(sources)) for r in responses])
     logs = 0.5 * np.log(np.maximum(stacked, TINY))
-    for name in asked:
+    for name in candidates:
         j = sources.index(name)
         strong = stacked[:, j] > 1e-6 * stacked[:, j].max(initial=0.0)
         if not strong.any() or stacked[:, j].max() <= 0:

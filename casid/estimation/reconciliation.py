@@ -1,10 +1,10 @@
-"""Readings that must satisfy equations: what they say together, and which of them contradict.
+"""Readings that must satisfy equations: their reconciliation, and which of them contradict.
 
     min sum ((q_i - reading_i) / sd_i)^2   subject to   h(q, p) = 0                         (1)
 
 over the true quantities q and what was not read, p: least squares with errors in all variables
 (the Gauss-Helmert model of geodesy). With more equations than unknowns the minimum is a chi-squared
-number if all is well; where it is not, the readings to blame are sought by what leaving them out
+number if all is well; where it is not, the faulty readings are sought by what leaving them out
 would gain (W. Baarda, A testing procedure for use in geodetic networks, 1968; P. J. G. Teunissen,
 Testing Theory, 2nd ed., 2006, ch. 4).
 """
@@ -36,14 +36,14 @@ SOURCES = (
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """A reading that contradicts the others, or one out of several that cannot be told apart.
+    """A reading that contradicts the others, or one out of several that are indistinguishable.
 
     Attributes
     ----------
     alternatives : the reading, and those that would explain the same as well.
     corrections : what reconciles each alternative with the rest: to be added to the reading.
     std_errors : of the corrections.
-    gain : fall of chi-squared when it is set aside after the ones blamed before.
+    gain : fall of chi-squared when it is set aside after those before it.
     """
 
     alternatives: tuple[str, ...]
@@ -92,7 +92,7 @@ class Reconciled(Presented):
 
     @property
     def is_consistent(self) -> bool:
-        """True if chance explains what is left of the equations."""
+        """True if chance explains the contradiction of the equations."""
         return self.p_value >= LEVEL
 
     def __getitem__(self, name: str) -> float:
@@ -192,7 +192,7 @@ class Reconciliation:
     def equation(self, name: str, expression: Any) -> None:
         """Require that an expression of the symbols is zero."""
         if name in self._equations:
-            raise ModelError(f"{self.title}: equation {name!r} stands twice; give another name")
+            raise ModelError(f"{self.title}: equation {name!r} is there twice; give another name")
         self._equations[name] = ca.SX(expression)
         self._built = None
 
@@ -209,7 +209,7 @@ class Reconciliation:
         Raises
         ------
         IdentifiabilityError
-            If the equations do not determine the unknowns; names what cannot be told apart.
+            If the equations do not determine the unknowns; names what is not identifiable.
         ModelError
             If equations contradict one another whatever the readings, or one is there twice.
         SolveError
@@ -223,15 +223,13 @@ class Reconciliation:
             if name not in given:
                 raise ModelError(f"{self.title}: no reading {name!r}; there are {', '.join(given)}")
             given[name] = float(value)
-        unknowns = tuple(self._unknowns)
         read = np.array(list(given.values()))
-        n, k = len(noisy), len(unknowns)
         x = compiled.solve({"reading": read}).x.copy()
         for _ in range(3):  # Newton steps of Gauss: the solver's tolerance is not the last word
             h, J = (np.array(v) for v in slopes(x, read))
-            x = _step(x, h.ravel(), J, n)
+            x = _step(x, h.ravel(), J, len(noisy))
         J = np.array(slopes(x, read)[1])
-        return self._account(x, J, read, noisy, unknowns, n, k)
+        return self._reconciled(x, J, read, noisy)
 
     def _build(self) -> tuple[Compiled, Any, list[str]]:
         """The program in x = [(q - reading) / sd of inexact readings; unknowns / scale]."""
@@ -273,18 +271,49 @@ class Reconciliation:
         parts = ca.Function("parts", [x, given], [residual]).expand()(z, p)
         return nlp.compile(), ca.Function("slopes", [z, p], [parts, ca.jacobian(parts, z)]), noisy
 
-    def _account(
-        self,
-        x: Array,
-        J: Array,
-        read: Array,
-        noisy: list[str],
-        unknowns: tuple[str, ...],
-        n: int,
-        k: int,
-    ) -> Reconciled:
+    def _reconciled(self, x: Array, J: Array, read: Array, noisy: list[str]) -> Reconciled:
+        """Quantities, covariance and test at the solution `x` of the scaled program."""
         from scipy.stats import chi2
 
+        unknowns, n = tuple(self._unknowns), len(noisy)
+        inner = self._covariance(x, J, n)
+        scale = np.array([self._unknowns[u][1] for u in unknowns])
+        sd = np.array([self._readings[r][1] for r in self._readings])
+        # The place of each quantity in x, unknowns first; an exact reading has none.
+        inexact = sd > 0
+        places = np.full(len(read), -1)
+        places[inexact] = np.arange(n)
+        residuals = np.zeros(len(read))
+        residuals[inexact] = x[:n]
+        values = np.concatenate([scale * x[n:], read + sd * residuals])
+        size = np.concatenate([scale, sd])
+        where = np.concatenate([n + np.arange(len(unknowns)), places])
+        covariance = inner[np.ix_(where, where)] * np.outer(size, size)
+        statistic, degrees = float(x[:n] @ x[:n]), len(J) - len(unknowns)
+        free = np.eye(n) - inner[:n, :n]  # covariance of the scaled residuals: a projector
+        names = (*unknowns, *self._readings)
+        return Reconciled(
+            title=self.title,
+            names=names,
+            units={name: self._units[name] for name in names},
+            values=values,
+            covariance=(covariance + covariance.T) / 2,
+            statistic=statistic,
+            degrees=degrees,
+            p_value=float(chi2.sf(statistic, degrees)) if degrees > 0 else 1.0,
+            residuals=dict(zip(self._readings, residuals.tolist(), strict=True)),
+            readings={
+                name: (float(v), float(e))
+                for name, v, e in zip(self._readings, read, sd, strict=True)
+            },
+            blamed=self._blame(x[:n], free, noisy, statistic, degrees),
+        )
+
+    def _covariance(self, x: Array, J: Array, n: int) -> Array:
+        """Covariance of the scaled variables: the readings' own, on the equations' tangent space.
+
+        `n` is the number of readings that are not exact.
+        """
         length = np.linalg.norm(J, axis=1)
         if np.any(length == 0):
             empty = list(self._equations)[int(np.flatnonzero(length == 0)[0])]
@@ -300,50 +329,11 @@ class Reconciliation:
         Z = vt[rank:].T  # what the equations leave free
         moves = np.linalg.svd(Z[:n], compute_uv=False) if n else np.zeros(0)
         if Z.shape[1] and (len(moves) < Z.shape[1] or moves[-1] < 1e-9):
-            self._refuse(Z, n, unknowns, x)
-        # Covariance of all scaled variables: the readings' own, on the equations' tangent space.
-        inner = Z @ np.linalg.pinv(Z[:n].T @ Z[:n], hermitian=True) @ Z.T
-        scale = np.array([self._unknowns[u][1] for u in unknowns])
-        sd = np.array([self._readings[r][1] for r in self._readings])
-        all_names = (*unknowns, *self._readings)
-        values, size = np.zeros(len(all_names)), np.zeros(len(all_names))
-        where = np.full(len(all_names), -1)
-        values[:k], size[:k], where[:k] = scale * x[n:], scale, n + np.arange(k)
-        at = 0
-        residuals: dict[str, float] = {}
-        for i, name in enumerate(self._readings):
-            values[k + i] = read[i]
-            residuals[name] = 0.0
-            if sd[i] > 0:
-                values[k + i] += sd[i] * x[at]
-                size[k + i], where[k + i] = sd[i], at
-                residuals[name] = float(x[at])
-                at += 1
-        covariance = inner[np.ix_(where, where)] * np.outer(size, size)
-        errors = x[:n]
-        statistic, degrees = float(errors @ errors), len(rows) - k
-        p_value = float(chi2.sf(statistic, degrees)) if degrees > 0 else 1.0
-        free = np.eye(n) - inner[:n, :n]  # covariance of the scaled residuals: a projector
-        blamed = self._blame(errors, free, noisy, statistic, degrees)
-        return Reconciled(
-            title=self.title,
-            names=all_names,
-            units={name: self._units[name] for name in all_names},
-            values=values,
-            covariance=(covariance + covariance.T) / 2,
-            statistic=statistic,
-            degrees=degrees,
-            p_value=p_value,
-            residuals=residuals,
-            readings={
-                name: (float(v), float(e))
-                for name, v, e in zip(self._readings, read, sd, strict=True)
-            },
-            blamed=blamed,
-        )
+            self._refuse(Z, n, tuple(self._unknowns), x)
+        return np.asarray(Z @ np.linalg.pinv(Z[:n].T @ Z[:n], hermitian=True) @ Z.T)
 
     def _refuse(self, Z: Array, n: int, unknowns: tuple[str, ...], x: Array) -> None:
-        """What the equations leave open, by the direction that no reading feels."""
+        """What the equations leave open, by the direction that no reading depends on."""
         _, _, vt = np.linalg.svd(Z[:n]) if n else (0, 0, np.eye(Z.shape[1]))
         direction = (Z @ vt[-1])[n:]
         own = [i for i, u in enumerate(unknowns) if f"definition of {u}" not in self._equations]
@@ -351,8 +341,8 @@ class Reconciliation:
         step = (direction / size)[own]
         step = step / step[np.argmax(np.abs(step))]
         null = {unknowns[i]: float(v) for i, v in zip(own, step, strict=True) if abs(v) > 1e-6}
-        told = describe_null(LocalRank(len(unknowns) - 1, len(unknowns), 0.0, (null,)))
-        raise IdentifiabilityError(f"{self.title}: {told}, or add a reading")
+        text = describe_null(LocalRank(len(unknowns) - 1, len(unknowns), 0.0, (null,)))
+        raise IdentifiabilityError(f"{self.title}: {text}, or add a reading")
 
     def _blame(
         self, errors: Array, free: Array, noisy: list[str], statistic: float, degrees: int
@@ -373,7 +363,7 @@ class Reconciliation:
                 break
             gain = np.where(seen, residual**2 / np.where(seen, power, 1.0), 0.0)
             best = int(np.argmax(gain))
-            # Fully correlated with the best: the equations cannot tell them apart.
+            # Fully correlated with the best: the equations do not distinguish them.
             joint = cover[best] ** 2 / np.where(seen, power, 1.0) / power[best]
             same = [i for i in np.flatnonzero(seen).tolist() if joint[i] > 1 - 1e-6]
             same.sort(key=lambda i: (i != best, i))

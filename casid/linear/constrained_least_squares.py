@@ -28,7 +28,7 @@ def null_space_least_squares(Phi: Array, Y: Array, B: Array, b: Array) -> Array:
     SolveError
         If B theta = b has no solution.
     IdentifiabilityError
-        If Phi does not see a direction that B leaves free; the direction is named.
+        If Phi does not determine a direction that B leaves free; the direction is named.
     """
     from scipy.linalg import qr, solve_triangular
 
@@ -57,7 +57,7 @@ def null_space_least_squares(Phi: Array, Y: Array, B: Array, b: Array) -> Array:
         row = int(order[int(np.argmax(gap))])
         raise SolveError(
             f"constrained least squares: row {row} of B theta = b contradicts the others; drop it "
-            "or mend the known values that it was made of"
+            "or correct the known values that it was made of"
         )
     theta = Q1 @ w
     if Q2.shape[1]:
@@ -70,7 +70,7 @@ def null_space_least_squares(Phi: Array, Y: Array, B: Array, b: Array) -> Array:
             shown = ", ".join(f"{v:.3g}" for v in lost / np.abs(lost).max())
             raise IdentifiabilityError(
                 f"constrained least squares: the regressors have rank {seen} where the constraints "
-                f"leave {Q2.shape[1]} directions free; unseen: [{shown}]. Excite the system there, "
+                f"leave {Q2.shape[1]} directions free; undetermined: [{shown}]. Excite the system there, "
                 "or constrain that direction"
             )
         Qr, Rr = np.linalg.qr(reduced)

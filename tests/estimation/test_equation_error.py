@@ -7,7 +7,8 @@ import pytest
 
 from casid.data.record import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, ModelError
-from casid.estimation.equation_error import Butterworth, equation_error
+from casid.estimation.equation_error import equation_error
+from casid.estimation.measured_motion import Butterworth
 from casid.model.effects.balance_effects import coulomb_friction, offset, quadratic_damping
 from casid.model.effects.channel_effects import hold, time_delay
 from casid.model.model import Model

@@ -139,7 +139,11 @@ class Weighing:
     def minimum(self, criterion: SimulationError) -> Fit:
         """The fit next to where the criterion starts."""
         return minimize_simulation_error(
-            criterion, solver=self.solver or NEAR, check_rank=False, throw=False, near=True
+            criterion,
+            solver=self.solver or NEAR,
+            check_rank=False,
+            throw=False,
+            retry="unsuccessful",
         )
 
     def criterion(

@@ -65,7 +65,7 @@ class Refitting:
                     solver=self.weighing.solver or NEAR,
                     check_rank=False,
                     throw=False,
-                    retry=False,
+                    retry="none",
                 )
             except SolveError:
                 continue  # this start diverges; the others decide

@@ -20,8 +20,8 @@ class Row:
     violation: float  # largest, of any constraint, in its own units
     distance: float  # largest |x - x_ref| / |x_ref| of a variable
     scaled_gradient: float
-    iterations: int  # 0: the solver does not tell
-    evaluations: int  # of the objective; 0: the solver does not tell
+    iterations: int  # 0: the solver does not report it
+    evaluations: int  # of the objective; 0: the solver does not report it
     seconds: float  # one solve, the solver being built
     x: Array | None  # (n,), physical units
     agrees: bool
@@ -116,7 +116,7 @@ class SolverComparison(Presented):
 
 
 def _finite(value: float) -> float | None:
-    """A number that JSON knows."""
+    """The number, None where it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 

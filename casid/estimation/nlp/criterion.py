@@ -16,7 +16,7 @@ class Criterion(Protocol):
 
     @property
     def n_constraints(self) -> int:
-        """Number of equality constraints that the criterion brings along."""
+        """Number of equality constraints of the criterion itself."""
         ...
 
     def evaluate(self, x: Array) -> Evaluation:
@@ -89,7 +89,7 @@ class OnePass:
     """A criterion that remembers its last point: value, gradient and Hessian share one pass.
 
     After `budget` passes it answers NaN without one, so that a line search that finds no descent
-    (a kink) ends at once where it stands.
+    (a kink) ends at once.
     """
 
     def __init__(self, criterion: Criterion, budget: int) -> None:

@@ -53,7 +53,7 @@ def fill(
     if not np.isfinite(flat).all():
         bad = [name for name, window in windows.items() if not np.isfinite(window).all()]
         raise SolveError(
-            f"{program}: parameter {', '.join(bad)} holds values that are not finite; mend the "
+            f"{program}: parameter {', '.join(bad)} holds values that are not finite; fix the "
             "data that they come from (record.mark_missing, record.between)"
         )
 

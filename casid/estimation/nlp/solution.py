@@ -136,7 +136,7 @@ def not_finite(program: str, names: Sequence[str], x: Array) -> SolveError:
 
 
 def not_converged(program: str, solution: Solution) -> SolveError:
-    """The refusal of a point that is no optimum: the solver's reason, the measures and a mend."""
+    """The refusal of a point that is no optimum: the solver's reason, the measures and a remedy."""
     return SolveError(
         f"{program}: {solution.solver} stopped with {solution.status} after "
         f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e},"

@@ -114,7 +114,7 @@ def as_solver(solver: Solver | str | None) -> Solver:
 
 @cache
 def _is_installed(name: str) -> bool:
-    """Whether CasADi finds the plug-in; asked once, since a missing one makes CasADi chatter."""
+    """Whether CasADi finds the plug-in; checked once, since a missing one makes CasADi print."""
     return bool(ca.has_nlpsol(name))
 
 

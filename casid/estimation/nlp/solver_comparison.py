@@ -60,7 +60,7 @@ def compare_solvers(
         Gauss-Newton matrix run, in this process, and the others have a row that says so).
     parameters : values of the parameters that `nlp` declares.
     solvers : names ("ipopt", "sqpmethod/daqp", "uno", "scipy/SLSQP", "null-space QR", any plug-in
-        of `casadi.nlpsol`) or `Solver` values, or one of these; by default all that casid knows.
+        of `casadi.nlpsol`) or `Solver` values, or one of these; by default those of the catalogue.
     reference : the answer, as values by name or in order; by default the closed form where
         constraints are linear and the objective quadratic, else the best optimum that any solver
         reached, polished by Newton steps on its optimality conditions.
@@ -117,7 +117,9 @@ def _here(
             found = timed(lambda: _closed_form(program))
         else:
             with muted(), warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of a singular Jacobian, say: the row reports it
+                warnings.simplefilter(
+                    "ignore"
+                )  # such as of a singular Jacobian: the row reports it
                 found = run_scipy(entry.name, names, program, start)
         return Outcome(entry.name, *found)
     except CasidError as error:

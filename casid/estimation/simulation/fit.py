@@ -16,7 +16,7 @@ from casid.model.model import Model
 
 @dataclass(frozen=True, slots=True)
 class FitSettings:
-    """How a fit is sought.
+    """How a fit is searched for.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ def fit_model(
     check_rank: bool = True,
     throw: bool = True,
 ) -> Fit:
-    """Minimise the simulation error, with as many Runge-Kutta substeps as the data can feel."""
+    """Minimise the simulation error, with as many Runge-Kutta substeps as the data need."""
     substeps = settings.substeps or 1
     fit: Fit | None = None
     while True:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from casid.arrays import Array
 from casid.errors import DataError, IdentifiabilityError, SolveError
 from casid.estimation.local_rank import describe_null, local_rank
 from casid.estimation.nlp.nlp import Nlp
-from casid.estimation.nlp.solution import Solution
+from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
@@ -57,6 +57,7 @@ def widened(fit: Fit, model: Model) -> SimulationError:
 
 
 Constraint = Callable[[Mapping[str, Any]], Any]
+Retry = Literal["unconverged", "unsuccessful", "none"]
 
 
 def minimize_simulation_error(
@@ -68,8 +69,7 @@ def minimize_simulation_error(
     constraints: Sequence[Constraint] = (),
     check_rank: bool = True,
     throw: bool = True,
-    retry: bool = True,
-    near: bool = False,
+    retry: Retry = "unconverged",
 ) -> Fit:
     """Minimise (1), from the declared start and `starts - 1` random ones; the best is kept.
 
@@ -77,16 +77,50 @@ def minimize_simulation_error(
     ----------
     constraints : each takes a mapping of variable names to CasADi symbols and returns an expression
         that is to be zero (linear or not).
-    retry : whether a start that does not converge is tried once more from where it ended.
-    near : the start is next to its minimum: a solver that succeeds there is not asked again.
+    retry : which solutions are improved once more from where they ended: those that are not
+        converged; those where the solver did not succeed near the start either; none.
 
     Raises
     ------
     IdentifiabilityError
-        Before the solver starts, where the data leave a direction unseen.
+        Before the solver starts, where a direction is not identifiable.
     SolveError
         If no start leads to an optimum.
     """
+    nlp = _stated(criterion, constraints)
+    first = _at_start(criterion)
+    if check_rank and not constraints and criterion.segments == 1:
+        _refuse_unidentifiable(criterion, criterion.start, first.hessian)
+    solutions: list[Solution] = []
+    failures: list[str] = []
+    for k in range(max(starts, 1)):
+        point = criterion.start
+        if k > 0:
+            point = _random_start(criterion, point, np.random.default_rng((seed, k)))
+        try:
+            solution = nlp.solve(solver, point.tolist(), throw=False, natural_scales=True)
+        except SolveError as error:
+            failures.append(str(error))
+            continue
+        is_done = solution.is_converged or retry == "none"
+        if retry == "unsuccessful" and k == 0 and solution.status == "Solve_Succeeded":
+            is_done |= solution.value > 0.5 * first.value
+        if not is_done:
+            # The natural scales of a far start are wrong at the end: once more from there.
+            solution = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
+        solutions.append(solution)
+    if not solutions:
+        raise SolveError(failures[0])
+    best = max(solutions, key=lambda s: (s.is_converged, -s.value))
+    if throw and not best.is_converged:
+        raise not_converged(criterion.model.name, best)
+    limit = best.value * (1 + 1e-6) + 1e-12
+    agreeing = sum(solution.value <= limit for solution in solutions)
+    return Fit(criterion, best, max(starts, 1), agreeing)
+
+
+def _stated(criterion: SimulationError, constraints: Sequence[Constraint]) -> Nlp:
+    """The criterion and constraints on its variables as a nonlinear program."""
     nlp = Nlp(criterion.model.name)
     symbols = {
         v.name: nlp.variable(v.name, v.start, lower=v.lower, upper=v.upper, scale=v.scale)
@@ -95,6 +129,11 @@ def minimize_simulation_error(
     nlp.minimize(criterion)
     for i, constraint in enumerate(constraints):
         nlp.equality(constraint(symbols), name=f"constraint {i + 1}")
+    return nlp
+
+
+def _at_start(criterion: SimulationError) -> Evaluation:
+    """The criterion at its start; refuses simulations that diverge and records that are short."""
     x0 = criterion.start
     first = criterion.evaluate(x0)
     if not np.isfinite(first.value):
@@ -104,43 +143,7 @@ def minimize_simulation_error(
             f"{criterion.data[0].name}: {criterion.n_samples} samples cannot pay for {len(x0)} "
             "unknowns (parameters and initial states); widen the window or give known values"
         )
-    if check_rank and not constraints and criterion.segments == 1:
-        _refuse_unidentifiable(criterion, x0, first.hessian)
-    best: Solution | None = None
-    values = []
-    failures: list[str] = []
-    for k in range(max(starts, 1)):
-        point = x0 if k == 0 else _random_start(criterion, x0, np.random.default_rng((seed, k)))
-        try:
-            solution = nlp.solve(solver, point.tolist(), throw=False, natural_scales=True)
-        except SolveError as error:
-            failures.append(str(error))
-            continue
-        is_done = solution.is_converged or (
-            near
-            and solution.status == "Solve_Succeeded"
-            and solution.value > 0.5 * first.value
-            and k == 0
-        )
-        if retry and not is_done:
-            # The natural scales of a far start are wrong at the end: once more from there.
-            solution = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
-        values.append(solution.value)
-        if best is None or (solution.is_converged, -solution.value) > (
-            best.is_converged,
-            -best.value,
-        ):
-            best = solution
-    if best is None:
-        raise SolveError(failures[0])
-    if throw and not best.is_converged:
-        raise SolveError(
-            f"{criterion.model.name}: {best.solver} stopped with {best.status} after "
-            f"{best.iterations} iterations (scaled gradient {best.scaled_gradient:.1e}, constraint "
-            f"violation {best.constraint_violation:.1e}): {best.mend}"
-        )
-    agree = int(np.sum(np.array(values) <= best.value * (1 + 1e-6) + 1e-12))
-    return Fit(criterion, best, max(starts, 1), agree)
+    return first
 
 
 def _refuse_unidentifiable(criterion: SimulationError, x0: Array, hessian: Array) -> None:
@@ -164,13 +167,13 @@ def _refuse_unidentifiable(criterion: SimulationError, x0: Array, hessian: Array
 
 def _constant_inputs(criterion: SimulationError) -> str:
     """Inputs that never move, which may be why; an empty text where all do."""
-    said = [
+    constant = [
         f"{name} of {d.name} is constant ({d.u[0, i]:g})"
         for d in criterion.data
         for i, (name, entry) in enumerate(criterion.model.inputs.items())
         if entry.kind == "measured" and np.ptp(d.u[:, i]) == 0.0
     ]
-    return f". Input {' and '.join(said)}: check its cable and its mapping" if said else ""
+    return f". Input {' and '.join(constant)}: check its cable and its mapping" if constant else ""
 
 
 def _random_start(criterion: SimulationError, x0: Array, rng: np.random.Generator) -> Array:

@@ -18,7 +18,7 @@ from casid.model.model import Model, Stage
 MEMORY = {"delay": 1.0, "lag": 5.0}
 """Of an output stage: how long the unknown past is felt, in units of its parameter.
 
-Five time constants after its start a lag feels less than a hundredth of what was before.
+Five time constants after its start less than a hundredth of what was before remains.
 """
 
 
@@ -34,9 +34,9 @@ def through_sensor(
     Parameters
     ----------
     y : (N,) the simulated output.
-    jac : (N, n) its sensitivities, None where nobody asked.
+    jac : (N, n) its sensitivities, None where not requested.
     value : the stage's parameter [s], or the limit in units of the output.
-    place : column of `jac` that belongs to the parameter, -1 where it is known.
+    place : column of `jac` of the parameter, -1 where it is known.
     """
     change: Array
     if kind == "clip":

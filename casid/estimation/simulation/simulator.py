@@ -5,7 +5,7 @@ initial state)
 
     S[k+1] = A[k] S[k] + B[k],   A = dx[k+1]/dx[k],  B = dx[k+1]/dtheta                      (1)
 
-with A and B the exact derivatives of the step, so the gradient belongs to the simulation as it is
+with A and B the exact derivatives of the step, so the gradient is that of the simulation as it is
 computed, not to the continuous system (Hairer, Norsett, Wanner 1993, II.6).
 """
 
@@ -27,10 +27,10 @@ BLOCK = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """A simulated experiment, with sensitivities where they were asked for."""
+    """A simulated experiment, with sensitivities where requested."""
 
     y: Array  # (N, ny)
-    x: Array  # (N + 1, nx), x[N] belongs to the sample after the last
+    x: Array  # (N + 1, nx), x[N] is at the sample after the last
     dy: Array | None = None  # (N, ny, nv): d y / d (free parameters, initial state)
     dx_end: Array | None = None  # (nx, nv): d x[N] / d (...)
 
@@ -120,7 +120,7 @@ class Simulator:
     Ts : sample time [s].
     free : names of the parameters to differentiate in; all initial states follow them.
     substeps : Runge-Kutta steps per sample.
-    pinned : values that parameters always have here. A state that no output feels then is simulated
+    pinned : values that parameters always have here. A state that no output depends on then is simulated
         without sensitivities, and they are zero in what is returned.
     """
 
@@ -210,7 +210,7 @@ class Simulator:
     def simulate(self, u: Array, p: Array, x0: Array) -> Trajectory:
         """Simulate N samples from `x0` (nx,) under `u` (N, nu) with all parameters `p` (np,).
 
-        Values that overflow come back as inf or NaN: the caller knows what diverged.
+        Values that overflow come back as inf or NaN: the caller reports what diverged.
         """
         x, y, _ = self._run(self._plain_step, np.ravel(x0), u, self._next(u), p)
         return Trajectory(y, np.vstack([np.reshape(x0, (1, self.nx)), x]))
@@ -240,7 +240,7 @@ class Simulator:
         )
 
     def _widened(self, dy: Array) -> Array:
-        """Sensitivities (N, ..., ny) with zeros for initial states that nothing feels."""
+        """Sensitivities (N, ..., ny) with zeros for initial states that no output depends on."""
         if len(self._felt) == self.nx:
             return dy
         out = np.zeros((len(dy), self.nv, self.ny))
@@ -254,13 +254,13 @@ class Simulator:
         return out
 
     def _columns(self) -> list[int]:
-        """Where felt sensitivities stand among (free parameters, initial states)."""
+        """Places of the sensitivities that are not zero among (free parameters, initial states)."""
         n = self.nv - self.nx
         return [*range(n), *(n + i for i in self._felt)]
 
 
 def _felt(e: Explicit, pinned: Mapping[str, float]) -> set[str]:
-    """States that some output feels, through other states or by itself.
+    """States that some output depends on, through other states or directly.
 
     Judged at random points, as terms may cancel that no structure shows to.
     """
