@@ -70,8 +70,8 @@ def null_space_least_squares(Phi: Array, Y: Array, B: Array, b: Array) -> Array:
             shown = ", ".join(f"{v:.3g}" for v in lost / np.abs(lost).max())
             raise IdentifiabilityError(
                 f"constrained least squares: the regressors have rank {seen} where the constraints "
-                f"leave {Q2.shape[1]} directions free; undetermined: [{shown}]. Excite the system there, "
-                "or constrain that direction"
+                f"leave {Q2.shape[1]} directions free; undetermined: [{shown}]. Excite the system "
+                "there, or constrain that direction"
             )
         Qr, Rr = np.linalg.qr(reduced)
         theta = theta + Q2 @ solve_triangular(Rr, Qr.T @ (Y - Phi @ theta))

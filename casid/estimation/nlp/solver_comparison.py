@@ -117,9 +117,7 @@ def _here(
             found = timed(lambda: _closed_form(program))
         else:
             with muted(), warnings.catch_warnings():
-                warnings.simplefilter(
-                    "ignore"
-                )  # such as of a singular Jacobian: the row reports it
+                warnings.simplefilter("ignore")  # the row reports it
                 found = run_scipy(entry.name, names, program, start)
         return Outcome(entry.name, *found)
     except CasidError as error:

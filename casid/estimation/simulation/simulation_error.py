@@ -108,7 +108,7 @@ class SimulationError:
         return 1 / total
 
     def _burn(self) -> None:
-        """Leave out the first samples of delayed or lagging outputs: they depend on earlier inputs."""
+        """Leave out the first samples of delayed or lagging outputs, due to earlier inputs."""
         for stage in self.model.stages:
             if stage.kind not in MEMORY:
                 continue

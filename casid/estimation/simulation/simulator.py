@@ -120,8 +120,8 @@ class Simulator:
     Ts : sample time [s].
     free : names of the parameters to differentiate in; all initial states follow them.
     substeps : Runge-Kutta steps per sample.
-    pinned : values that parameters always have here. A state that no output depends on then is simulated
-        without sensitivities, and they are zero in what is returned.
+    pinned : values that parameters always have here. A state that no output then depends on
+        is simulated without sensitivities, and they are zero in what is returned.
     """
 
     def __init__(
