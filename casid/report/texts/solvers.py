@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from casid.estimation.nlp.solver_comparison import SolverComparison
+from casid.estimation.nlp.comparison_table import SolverComparison
 from casid.report.document import Document, Table
 
 
