@@ -7,7 +7,7 @@ linear model has, where Torricelli has the square root. Benchmark of Schoukens, 
 and Noel (Workshop on Nonlinear System Identification Benchmarks, Brussels 2016): a sample in 4 s,
 the pump's voltage held, levels that overflow at 10 V, and an initial state that nobody knows.
 
-The level of the upper tank is not measured, and its scale cannot be told: it is counted in what it
+The level of the upper tank is not measured, and its scale is not identifiable: its unit is what it
 gives to the lower tank. The tanks are taken as alike. With an outlet each, k_1 and k_3, the best
 linear fit has k_1 = k_3 all the same, where the two do the same and the fit is singular
 (`tanks_model(alike=False)` is for laws that keep them apart). There is no constant in the output: a

@@ -163,7 +163,7 @@ def _declared(
     return Derived(unit, sources, values, f"{how}, by {filters}", margin=SMOOTHER.window / 2 + 0.1)
 
 
-_FILE = 0.13526  # s, sample time of the files, for which the bandwidths are told
+_FILE = 0.13526  # s, sample time of the files, for which the bandwidths are given
 _BANDS = [f"{SMOOTHER.bandwidth_hz(_FILE, k):.2g} Hz" for k in (0, 1)]
 
 DERIVED = {

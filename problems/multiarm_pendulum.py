@@ -4,9 +4,9 @@
 
 with theta = pi hanging, w_2 = a_1 m_1 g / (m_1 a_1^2 + I_1) and d = k_1 / (m_1 a_1^2 + I_1).
 Kaheman, Fasel, Bramburger, Strom, Kutz, Brunton (2022, arXiv 2205.06231) give a_1, m_1, I_1 and k_1
-one by one, but a free swing tells these two combinations alone. The angle comes from an encoder at
-1 kHz, a swing takes 0.8 s: the example has 100 Hz, and a record of theirs can be decimated by 10.
-Their three records for estimation are one swing of 27.5 s in three pieces: the clock runs on.
+one by one, but a free oscillation determines these two combinations alone. The angle comes from an
+encoder at 1 kHz, a period is 0.8 s: the example has 100 Hz, and a record of theirs can be decimated
+by 10. Their three records for estimation are one of 27.5 s in three pieces with one clock.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ def table_network(measured: tuple[int, ...] = MEASURED) -> Network:
 
 
 def symbolic(measured: tuple[int, ...] = MEASURED) -> Network:
-    """The same network with a letter for each module: G12, G17, ..."""
+    """The same network with a symbol for each module: G12, G17, ..."""
     import casadi as ca
 
     return dynamic_network(

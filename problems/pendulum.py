@@ -78,7 +78,7 @@ def nonlinear_model() -> casid.Model:
 
 
 def indirect_model() -> casid.Model:
-    """What is left when the accelerometer has replaced the cart's acceleration: (7.24)-(7.26)."""
+    """The model after the accelerometer has replaced the cart's acceleration: (7.24)-(7.26)."""
     return linear_model().eliminate("a_y", using="accel")
 
 

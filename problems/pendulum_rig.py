@@ -375,7 +375,7 @@ def prepared(recording: Recording, *, duration: float | None = None) -> casid.Re
     last = smooth.N if duration is None else first + round(duration / smooth.Ts)
     if last > smooth.N:
         raise casid.DataError(
-            f"{smooth.name}: {duration:g} s are asked for, {(smooth.N - first) * smooth.Ts:g} s "
+            f"{smooth.name}: {duration:g} s are requested, {(smooth.N - first) * smooth.Ts:g} s "
             "were recorded after the release. Ask for less, or record for longer."
         )
     thinned = casid.Record(

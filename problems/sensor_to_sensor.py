@@ -7,7 +7,7 @@ Two floors of a building, or a machine and the frame it stands on. With z = x2 -
     a_1 = x1'',   a_2 = x1'' + z''                                                          (3)
 
 Nobody measures F. The accelerometer of the lower floor takes its place, a_1 = x1'', and (1) goes
-with it: what is left is the transmissibility from one sensor to the other,
+with it: the remainder is the transmissibility from one sensor to the other,
 
     a_2 = (d_2 s + k_2)/(m_2 s^2 + d_2 s + k_2) a_1,                                        (4)
 

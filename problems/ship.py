@@ -19,7 +19,7 @@ What is sought from three records, nominal, with a known calibration weight, and
 d, K_r, K_vdot, K_delta, z_f, m, zbar_m (8.62). These nine are NOT identifiable: the calibration
 gives one equation, not two, and a curve of parameters has the same data. So `problem` takes z_f as
 known, a choice and not a finding, and estimates eight; `nine_parameters()` is the problem as it was
-posed, and `two_calibrations()` adds what mends it, a second weight at another height.
+posed, and `two_calibrations()` adds the remedy, a second weight at another height.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ direct_model = roll_model
 
 
 def indirect_model(*, turn: FreeTurn = "K_r", tied: bool = True) -> casid.Model:
-    """What is left when the accelerometer has replaced the sway acceleration: (8.17)-(8.20)."""
+    """The model after the accelerometer has replaced the sway acceleration: (8.17)-(8.20)."""
     return roll_model(turn=turn, tied=tied).eliminate("vdot", using="accel")
 
 
@@ -290,7 +290,7 @@ def draw(seed: int) -> list[casid.Experiment]:
 
 
 def nine_parameters() -> casid.Problem:
-    """The problem as it was posed, z_f unknown as well: one parameter too many to be told apart."""
+    """The problem as it was posed, z_f unknown as well: one parameter too many."""
     model = problem.model.with_unknown(z_f=-0.02)
     return dataclasses.replace(
         problem, name="ship, nine parameters", model=model, truth=_truth(model)

@@ -9,7 +9,7 @@ y_U = u_U + e_U, e_U with variance le (section 3.5); y_I = u_K + u_U + e_U is an
 measurement of it (Example 4.2).
 
 `problem` is the errors-in-variables model (3.52), which takes the measurement for the input: its
-least-squares estimate is biased by (3.55), which `signals` tells.
+least-squares estimate is biased by (3.55), which `signals` derives.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ VARIANCES = {"delta1": "l1", "delta2": "l2", "tau_u": "lu", "tau_O": "lO", "e_U"
 
 
 def signals() -> LinearSignals:
-    """The benchmark in letters, with both measurements of the unknown input.
+    """The symbolic benchmark, with both measurements of the unknown input.
 
     `u_I` is what y_I says of the unknown input, where its gains are known (Example 4.2); u_hat is
     a signal that the user takes for it (Example 3.5).

@@ -40,7 +40,7 @@ MOVED_BY_A_LOAD = {"m", "I_x", "M", "z_g", "k", "d"}  # any of them may stand fo
 
 
 def _is_it(cause: Cause, truth: dict[str, Any]) -> bool:
-    """True if a cause is the hidden one, or the hidden one cannot be told from it."""
+    """True if a cause is the hidden one, or is indistinguishable from it."""
     pairs = [(cause.kind, cause.where), *((a.kind, a.where) for a in cause.alternatives)]
     kind, where = truth["kind"], truth["where"]
     if cause.kind != kind and not {cause.kind, kind} <= {"offset", "sensor_bias"}:

@@ -1,1 +1,1 @@
-"""How visible must a cause be to be told from another, and does the advised experiment help?"""
+"""Visibility at which one cause is distinguished from another, and what advised experiments add."""

@@ -1,4 +1,4 @@
-"""How visible must a cause be to be told from another, and does the advised experiment help?
+"""Visibility at which one cause is distinguished from another, and what advised experiments add.
 
     python -m analysis.diagnosis_advice [--quick] [--out DIR]
 
@@ -98,7 +98,7 @@ ADVISED: tuple[tuple[Key, Key], ...] = (
     (jump("I_x"), jump("m")),
     (scheduled("k", "yaw_rate"), scheduled("I_x", "yaw_rate")),
 )
-"""Pairs that a record in a narrow band hardly tells."""
+"""Pairs that a record in a narrow band hardly distinguishes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +133,7 @@ class Setting:
         return PLANNING.margin + (self.effect(a).cost - self.effect(b).cost) * float(np.log(n))
 
     def predicted(self, a: Key, b: Key) -> float:
-        """Energy at which `a`, at work, is told from `b`."""
+        """Energy at which `a`, at work, is distinguished from `b`."""
         return separation_energy(self.cosine(a, b), margin=self.margin(a, b))
 
 
@@ -371,7 +371,7 @@ def drive_of(advice: Advice, setting: Setting) -> Drive:
     if best.name not in ("wider band", "beside the resonance", "slower"):
         raise ValueError(
             f"the advice is {best.name!r}, and only excitations are simulated here; choose pairs "
-            "that one of these tells"
+            "that one of these decides"
         )
     assert best.bands
     a_y = setting.drive.a_y[setting.drive.samples]

@@ -77,7 +77,7 @@ class Hidden:
 
 
 def draw_case(part: str, number: int) -> Case:
-    """Case `number` of a part; the same one whenever it is asked for."""
+    """Case `number` of a part; the same one in every call."""
     rng = np.random.default_rng([GENERATION, PARTS.index(part), number])
     return {
         "nulls": _null,
@@ -299,6 +299,12 @@ def _record(columns: Mapping[str, Any], units: Mapping[str, str], name: str) -> 
     )
 
 
+def _hidden_and_sampled(case: Case) -> tuple[str, float, int, float, float, float]:
+    """Kind and strength of the hidden effect; seed, duration [s], sample time [s] and noise."""
+    strength = _strength(case.kind, case.energy, case)
+    return case.kind, strength, case.seed, case.duration, case.Ts, case.noise
+
+
 def _pendulum(case: Case) -> Hidden:
     from tests.support import truth
 
@@ -306,12 +312,7 @@ def _pendulum(case: Case) -> Hidden:
     if case.second is not None:
         second = (case.second[0], _strength(*case.second, case))
     made = truth.cart_pendulum(
-        case.kind,
-        _strength(case.kind, case.energy, case),
-        case.seed,
-        case.duration,
-        case.Ts,
-        case.noise,
+        *_hidden_and_sampled(case),
         case.where,
         second,
         size=case.size,
@@ -325,14 +326,7 @@ def _pendulum(case: Case) -> Hidden:
 def _roll_decay(case: Case) -> Hidden:
     from tests.support import truth
 
-    made = truth.roll_decay(
-        case.kind,
-        _strength(case.kind, case.energy, case),
-        case.seed,
-        case.duration,
-        case.Ts,
-        case.noise,
-    )
+    made = truth.roll_decay(*_hidden_and_sampled(case))
     zeta, w = made.truth["zeta"], made.truth["w"]
     start = {"B_1": 2 * zeta * w, "C_1": w**2, "phi_0": made.truth["heel"]}
     return _hidden(case, made, ("phi",), start)

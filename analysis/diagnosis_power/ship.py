@@ -7,8 +7,8 @@ with what may be hidden in it,
     a_s = z_s p' + g phi - v' - u r,   K_r = K_r0 + s (u - U),   m = m_0 + (a jump),
 
 by the Runge-Kutta method. A weight of unknown mass at a known height is aboard; A_x and K_vdot of
-the hull are known, for one record cannot tell them from the rest. The speed is recorded and the
-model does not use it.
+the hull are known: one record does not determine them beside the rest. The speed is recorded and
+the model does not use it.
 """
 
 from __future__ import annotations

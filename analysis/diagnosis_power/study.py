@@ -70,7 +70,7 @@ def rows_of(file: Path) -> list[Row]:
 
 
 def key_of(row: Row) -> tuple[str, str, int]:
-    """What tells a row from all others."""
+    """What identifies a row."""
     return str(row["part"]), str(row.get("of", row["part"])), int(row["number"])
 
 

@@ -34,7 +34,7 @@ EDGES = (30.0, 55.0, 100.0, 173.0, 300.0, 1000.0, 3000.0, 30_000.0)
 """Energies between which the power is counted."""
 
 NOMINAL = 0.05
-"""The false-alarm rate that a diagnosis is asked for."""
+"""The nominal false-alarm rate of a diagnosis."""
 
 
 def summary_of(rows: Sequence[Row]) -> Summary:

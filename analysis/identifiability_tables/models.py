@@ -1,4 +1,4 @@
-"""The pendulum and the ship of Linder (2017) as systems whose identifiability is asked.
+"""The pendulum and the ship of Linder (2017) as systems for the tests of identifiability.
 
 Made of the models in `problems` that are fitted: the same expressions. Masses, inertias, heights,
 springs and dampers are parameters; the sensor's height, gravity and speed are known, some generic
@@ -26,7 +26,7 @@ PENDULUM = ("M", "z_g", "k", "I_x", "d", "I_xm", "m", "z_m")
 """Parameters of (7.17)."""
 
 PENDULUM_MASSES = ("I_x", "M", "z_g", "I_xm", "m", "z_m")
-"""Of any three of these at most two can be told."""
+"""Of any three of these at most two are identifiable."""
 
 SHIP_MASSES = ("A_x", "M", "zbar_g", "m", "zbar_m", "z_f")
 """The set Sx of Table 8.1."""

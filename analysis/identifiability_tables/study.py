@@ -5,7 +5,7 @@
 Table 7.1 of the pendulum, its direct and indirect models, with and without a moving cart; ranks of
 the ship's models by what is taken as known of the sensor and by number of records; Table 8.1 and
 the sets of nine parameters; the nine parameters that the thesis sets out to estimate, which are one
-too many, the curve along which they can be traded, and what mends it. Where the thesis' numbers
+too many, the curve along which they can be traded, and the remedy. Where the thesis' numbers
 hold only for a sensor at a known height beside an axis at an unknown one, the rows say so. Last,
 how often two compartment networks must be observed.
 
@@ -25,26 +25,7 @@ import numpy as np
 
 from analysis.common.runner import AbsentError, Study, sections, shared_folder
 from analysis.common.targets import Target
-from analysis.identifiability_tables.models import (
-    BOTH,
-    GYRO,
-    PENDULUM,
-    as_sets,
-    calibration,
-    excluded,
-    exclusions,
-    holding,
-    nominal,
-    pendulum_rule,
-    pendulum_system,
-    ship_records,
-    ship_rule,
-    ship_slopes,
-    ship_system,
-    three_record_rule,
-    true_ship,
-    with_sought,
-)
+from analysis.identifiability_tables import models
 from casid.algebra.prime_field import random_prime, to_field
 from casid.identifiability.combinations.fixing_sets import Exclusion, fixing_sets
 from casid.identifiability.equations.equation_file import read_equations
@@ -57,12 +38,12 @@ from problems.ship import NINE, FreeTurn
 TURNS: tuple[FreeTurn, ...] = ("K_ur", "K_r")
 
 RANK_TABLE: tuple[tuple[dict[str, Any], tuple[int, ...]], ...] = (
-    ({"tied": False, "is_indirect": False, "outputs": GYRO}, (7, 11, 15, 17)),
-    ({"tied": False, "is_indirect": False, "outputs": BOTH}, (7, 11, 15, 17)),
-    ({"tied": False, "is_indirect": True, "outputs": GYRO}, (7, 11, 15, 17)),
-    ({"tied": True, "is_indirect": False, "outputs": GYRO}, (7, 11, 15, 17)),
-    ({"tied": True, "is_indirect": False, "outputs": BOTH}, (8, 12, 15, 17)),
-    ({"tied": True, "is_indirect": True, "outputs": GYRO}, (7, 11, 14, 17)),
+    ({"tied": False, "is_indirect": False, "outputs": models.GYRO}, (7, 11, 15, 17)),
+    ({"tied": False, "is_indirect": False, "outputs": models.BOTH}, (7, 11, 15, 17)),
+    ({"tied": False, "is_indirect": True, "outputs": models.GYRO}, (7, 11, 15, 17)),
+    ({"tied": True, "is_indirect": False, "outputs": models.GYRO}, (7, 11, 15, 17)),
+    ({"tied": True, "is_indirect": False, "outputs": models.BOTH}, (8, 12, 15, 17)),
+    ({"tied": True, "is_indirect": True, "outputs": models.GYRO}, (7, 11, 14, 17)),
 )
 """How the ship is modelled, and the rank with 1, 2, 3 and 4 records."""
 
@@ -87,30 +68,32 @@ def equal(what: str, found: object, wanted: object) -> Target:
 def pendulum_tables(seeds: Sequence[int]) -> Iterator[Target]:
     """Table 7.1, for the direct model with one and two outputs and for the indirect model."""
     for label, is_indirect, outputs in (
-        ("(7.10), phi'", False, GYRO),
-        ("(7.10), phi' and a_s", False, BOTH),
-        ("(7.24), phi'", True, GYRO),
+        ("(7.10), phi'", False, models.GYRO),
+        ("(7.10), phi' and a_s", False, models.BOTH),
+        ("(7.24), phi'", True, models.GYRO),
     ):
         for is_moved, rank, triples in ((True, 5, "22 of 56"), (False, 4, "56 of 56")):
-            system = pendulum_system(is_indirect=is_indirect, outputs=outputs, is_moved=is_moved)
+            system = models.pendulum_system(
+                is_indirect=is_indirect, outputs=outputs, is_moved=is_moved
+            )
             what = f"{label}{'' if is_moved else ', a_y = 0'}"
             found = {seed: observability(system, seed=seed) for seed in seeds}
             yield equal(f"{what}: rank", _only({f.rank for f in found.values()}), rank)
-            sets = {size: excluded(found[seeds[0]], size) for size in (1, 2, 3)}
+            sets = {size: models.excluded(found[seeds[0]], size) for size in (1, 2, 3)}
             yield equal(f"{what}: single parameters", sets[1].count, 0)
             yield equal(f"{what}: pairs not identifiable", _share(sets[2]), "1 of 28")
             yield equal(f"{what}: triples not identifiable", _share(sets[3]), triples)
             for size in (2, 3) if is_moved else (2,):
-                by_rule = holding(PENDULUM, size, pendulum_rule())
-                held = as_sets(sets[size]) == by_rule
+                by_rule = models.holding(models.PENDULUM, size, models.pendulum_rule())
+                held = models.as_sets(sets[size]) == by_rule
                 yield equal(f"{what}: sets of {size} by the rule", held, True)
 
 
 def pendulum_two_records() -> Iterator[Target]:
     """Nominal and loaded, seven parameters unknown: what must be known (section 7.4).
 
-    The records tell S and I_1 of both up to a common factor, so z_m = (change of I_1)/(change of S)
-    is told, unless the weight brings an inertia of its own, known or not.
+    The records determine S and I_1 of both up to a common factor, so z_m = (change of I_1)/(change
+    of S) is identifiable, unless the weight brings an inertia of its own, known or not.
     """
     light = {
         frozenset({a, b})
@@ -120,7 +103,7 @@ def pendulum_two_records() -> Iterator[Target]:
     }
     heavy = light | {frozenset({a, "z_m"}) for a in ("M", "z_g", "I_x")}
     for label, is_indirect in (("(7.10)", False), ("(7.24)", True)):
-        loaded = pendulum_system(is_indirect=is_indirect).with_known("I_xm")
+        loaded = models.pendulum_system(is_indirect=is_indirect).with_known("I_xm")
         empty = loaded.substituted({"m": 0.0, "I_xm": 0.0}).where(name="nominal")
         for own, with_load, wanted in (
             ("I_xm = 0", loaded.substituted({"I_xm": 0.0}), light),
@@ -129,7 +112,9 @@ def pendulum_two_records() -> Iterator[Target]:
             what = f"{label}, nominal + loaded, {own}"
             found = observability([empty, with_load])
             yield equal(f"{what}: rank of 11", found.rank, 9)
-            yield equal(f"{what}: z_m is told", found.identifiable["z_m"], own == "I_xm = 0")
+            yield equal(
+                f"{what}: z_m is identifiable", found.identifiable["z_m"], own == "I_xm = 0"
+            )
             point = found.points[0]
             sets = fixing_sets(point.information, point.parameters, point.prime).sets
             pairs = {frozenset(s) for s in sets}
@@ -144,7 +129,7 @@ def ship_ranks(seeds: Sequence[int]) -> Iterator[Target]:
     """The rank by model, sensor and number of records."""
     for turn in TURNS:
         for how, ranks in RANK_TABLE:
-            records = ship_records(ship_system(turn=turn, **how))
+            records = models.ship_records(models.ship_system(turn=turn, **how))
             for (name, systems), rank in zip(records.items(), ranks, strict=True):
                 found = {observability(systems, seed=seed).rank for seed in seeds}
                 yield equal(f"{_described(turn, **how)}: rank, {name}", _only(found), rank)
@@ -153,13 +138,13 @@ def ship_ranks(seeds: Sequence[int]) -> Iterator[Target]:
 def ship_exceptions() -> Iterator[Target]:
     """Table 8.1 and the sets of nine, as counts and set by set."""
     for turn in TURNS:
-        system = ship_system(tied=False, turn=turn, outputs=BOTH)
-        names, what = system.parameters, _described(turn, False, False, BOTH)
-        for size, exclusion in exclusions([system], (1, 2)).items():
+        system = models.ship_system(tied=False, turn=turn, outputs=models.BOTH)
+        names, what = system.parameters, _described(turn, False, False, models.BOTH)
+        for size, exclusion in models.exclusions([system], (1, 2)).items():
             yield equal(f"{what}: sets of {size}, single", exclusion.count, 0)
         wanted = dict(zip((3, 4, 5), EXCEPTIONS[turn], strict=False))
-        for size, exclusion in exclusions([system], wanted).items():
-            held = as_sets(exclusion) == holding(names, size, ship_rule(turn))
+        for size, exclusion in models.exclusions([system], wanted).items():
+            held = models.as_sets(exclusion) == models.holding(names, size, models.ship_rule(turn))
             yield equal(
                 f"{what}: sets of {size}, single",
                 _share(exclusion),
@@ -167,23 +152,23 @@ def ship_exceptions() -> Iterator[Target]:
             )
             yield equal(f"{what}: sets of {size} by the rule", held, True)
         yield equal(
-            f"{what}: sets of 6, single", _share(exclusions([system], [6])[6]), "462 of 462"
+            f"{what}: sets of 6, single", _share(models.exclusions([system], [6])[6]), "462 of 462"
         )
-        for tied, outputs in ((False, BOTH), (True, GYRO), (True, BOTH)):
+        for tied, outputs in ((False, models.BOTH), (True, models.GYRO), (True, models.BOTH)):
             yield from _nines(turn, tied, outputs)
 
 
 def _nines(turn: FreeTurn, tied: bool, outputs: Sequence[str]) -> Iterator[Target]:
     """Sets of nine in three records of the direct model."""
-    system = ship_system(tied=tied, turn=turn, outputs=outputs)
+    system = models.ship_system(tied=tied, turn=turn, outputs=outputs)
     what = _described(turn, tied, False, outputs)
-    nines = exclusions(ship_records(system)["with calibration"], [9])[9]
+    nines = models.exclusions(models.ship_records(system)["with calibration"], [9])[9]
     yield equal(f"{what}: sets of 9, three records", _share(nines), f"{EXCEPTIONS[turn][3]} of 55")
-    failing = as_sets(nines)
-    by_rule = holding(system.parameters, 9, three_record_rule(turn))
+    failing = models.as_sets(nines)
+    by_rule = models.holding(system.parameters, 9, models.three_record_rule(turn))
     yield equal(f"{what}: sets of 9 by the rule", failing == by_rule, True)
     if turn == "K_ur":
-        every = holding(system.parameters, 9, [[]])
+        every = models.holding(system.parameters, 9, [[]])
         known = {frozenset(system.parameters) - s for s in every - failing}
         listed = {frozenset(pair.split()) for pair in KNOWN_PAIRS.split(", ")}
         yield equal(f"{what}: pairs to be known as listed", known == listed, True)
@@ -193,18 +178,18 @@ def _nines(turn: FreeTurn, tied: bool, outputs: Sequence[str]) -> Iterator[Targe
 
 
 def nine_parameters() -> Iterator[Target]:
-    """The problem as it is fitted: its rank, its family, what mends it."""
-    system = with_sought(ship_system(is_indirect=True))
-    records = ship_records(system)
+    """The problem as it is fitted: its rank, its family, its remedy."""
+    system = models.with_sought(models.ship_system(is_indirect=True))
+    records = models.ship_records(system)
     three = records["with calibration"]
     found = observability(three)
     fitted = observability(systems_of(ship.nine_parameters(), ship.experiments()))
     yield equal("(8.20), nine parameters, three records: rank of 15", found.rank, 14)
     yield equal("the same with the numbers of Table 8.2: rank of 15", fitted.rank, 14)
-    direct = with_sought(ship_system(is_indirect=False, outputs=BOTH))
+    direct = models.with_sought(models.ship_system(is_indirect=False, outputs=models.BOTH))
     yield equal(
         "(8.10), nine parameters, three records: rank of 15",
-        observability(ship_records(direct)["with calibration"]).rank,
+        observability(models.ship_records(direct)["with calibration"]).rank,
         15,
     )
     told = [n for n in NINE if found.identifiable[n]]
@@ -213,7 +198,7 @@ def nine_parameters() -> Iterator[Target]:
     fixing = fixing_sets(point.information, point.parameters, point.prime)
     single = {s[0] for s in fixing.sets if len(s) == 1}
     mending = [n for n in NINE if n in single]
-    yield equal("one of these, once known, mends it", _list(mending), _list(NINE[:-1]))
+    yield equal("one of these, once known, is a remedy", _list(mending), _list(NINE[:-1]))
     by_rank = [n for n in NINE if observability(_fixing(three, n)).is_full]
     yield equal("the same by ranks, one known at a time", _list(by_rank), _list(NINE[:-1]))
     yield from family()
@@ -222,10 +207,12 @@ def nine_parameters() -> Iterator[Target]:
 
 def family() -> Iterator[Target]:
     """The direction along which the nine can be traded is that of the family, exactly."""
-    three = ship_records(with_sought(ship_system(is_indirect=True)))["with calibration"]
-    slopes, rng = ship_slopes(), np.random.default_rng(0)
+    three = models.ship_records(models.with_sought(models.ship_system(is_indirect=True)))[
+        "with calibration"
+    ]
+    slopes, rng = models.ship_slopes(), np.random.default_rng(0)
     prime = random_prime(rng)
-    values = {n: to_field(v, prime) for n, v in true_ship().items()}
+    values = {n: to_field(v, prime) for n, v in models.true_ship().items()}
     point = rank_at(three, prime, values=values, rng=rng)
     direction = [to_field(slopes[n], prime) for n in point.parameters]
     moved = [
@@ -250,14 +237,14 @@ def family() -> Iterator[Target]:
 
 
 def second_calibrations(system: System) -> Iterator[Target]:
-    """Another weight at the same height tells nothing new; at another height it does."""
-    first, loaded = calibration(system), system
+    """Another weight at the same height adds no information; at another height it does."""
+    first, loaded = models.calibration(system), system
     for label, second, rank in (
         ("the same calibration again", first, 16),
-        ("another weight at the same height", calibration(system, mass="m_c2"), 16),
-        ("the same weight at another height", calibration(system, height="zbar_c2"), 17),
+        ("another weight at the same height", models.calibration(system, mass="m_c2"), 16),
+        ("the same weight at another height", models.calibration(system, height="zbar_c2"), 17),
     ):
-        found = observability([nominal(system), first, second, loaded])
+        found = observability([models.nominal(system), first, second, loaded])
         yield equal(f"nine parameters and {label}: rank of 17", found.rank, rank)
 
 

@@ -222,7 +222,7 @@ def calibrate(minutes: float = 20.0, *, seed: int = 1) -> Calibration:
     """Calibrate with random steps of the rudder, without load and with the calibration weight.
 
     Steps of up to 20 deg every second or so: the zigzag's own slow turns leave rudder, yaw rate and
-    lateral acceleration nearly proportional to each other, and six parameters cannot be told.
+    lateral acceleration nearly proportional to each other, and six parameters are not identifiable.
 
     Parameters
     ----------

@@ -131,7 +131,7 @@ def compared() -> Iterator[Target]:
     """A plant that can be inverted, and one that cannot."""
     plant = Plant(b0=0.8, b1=-0.4)
     none, exact = plant.left(Rational(())), plant.left(plant.filter())
-    # With the true inverse G_K F = -G_I: what is left is the noise of the measurement through G_I.
+    # With the true inverse G_K F = -G_I: the remainder is the noise of the measurement through G_I.
     wanted = NOISE["e_I"] * plant.c**2 / (1 - plant.a**2)
     yield near("feedforward, true inverse: variance left", exact, wanted, 1e-9, "")
     left = {

@@ -5,7 +5,7 @@
 Linder (2017), on the eight-node network of Example 3.2:
 
 1. Node sets, confounders, and Propositions 3.1 and 4.1 (Examples 3.2, 3.4, 4.5).
-2. The immersed networks (3.24) and (3.41) and the indirect model (4.31), as formulas, held against
+2. The immersed networks (3.24) and (3.41) and the indirect model (4.31), as formulas, compared with
    the printed ones.
 3. Recursive elimination, Figure 4.2, on a chain where each observation feels the next unknown node.
 4. Example 6.1: exact error variances of the predictors, their fits over realisations, Figures 6.1
@@ -232,7 +232,7 @@ def break_even(table: PredictorTable, without: PredictorTable) -> Iterator[Targe
     ):
         limit = (other - 1.0) / share
         yield near(f"indirect wins over (3.41) {what}: var(tau_4) below", limit, wanted, 1e-3, "")
-        # Held against the network itself, with tau_4 a little on either side.
+        # Compared with the network itself, with tau_4 a little on either side.
         better = []
         for factor in (0.95, 1.05):
             noisy = dynamic_network(

@@ -1,7 +1,7 @@
 """Monte Carlo on the rig: do the intervals of stages and joint estimates cover?
 
 The cart's motion is the same in all runs, the disturbance torque, the sensors' noise and the error
-of the tilting test are new in each. Intervals of m and z_m are held against the truth; those of
+of the tilting test are new in each. Intervals of m and z_m are compared with the truth; those of
 I_x, d and k against the estimate from the motion alone, which carries the bilinear offset.
 """
 

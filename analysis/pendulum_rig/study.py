@@ -8,7 +8,7 @@ knocks, two records of ten minutes are low-passed and thinned to 50 Hz, the cart
 the noisy reference with F_delta = 1. A disturbance torque of 4.5 mN m rms makes validation fits
 about as low as the published ones.
 
-- Table 7.5 beside the thesis's, the entries of errata E-15 and E-16 put right.
+- Table 7.5 beside the thesis's, the entries of errata E-15 and E-16 corrected.
 - Least squares and both weightings beside it, with the disturbance and with sensor noise alone.
 - Figure 7.15: 100 000 draws through the maps (7.36)-(7.38).
 - Figure 7.14: the loop simulated from the cart's unit, on records that were not fitted.
@@ -71,7 +71,7 @@ BASE = {n: p.value or 0.0 for n, p in MODEL.parameters.items()}
 
 
 def clocks() -> Iterator[Target]:
-    """The knocks tell the offset of the two loggers."""
+    """The knocks determine the offset of the two loggers."""
     run = rig.record(rig.Pendulum(), duration=10.0, seed=1)
     found = align(
         run.pendulum.between(*rig.HELD),
@@ -154,9 +154,9 @@ def comparison(run: RigRun, out: Output, *, quick: bool) -> Iterator[Target]:
 
     A disturbance torque moves the pendulum and with it the accelerometer: the loop is closed, and
     least squares is biased. Without it standard errors are so small that the bilinear transform's
-    offset is what is left, and the surplus of moments says so. A prefilter 1/C, of a C that takes
-    the low-pass for a property of the noise, lifts what lies above 6 Hz by 1/|C|: instruments have
-    nothing there, the regressors of least squares have their noise.
+    offset is the remaining error, and the test of overidentification shows it. A prefilter 1/C, of
+    a C that takes the low-pass for a property of the noise, lifts what lies above 6 Hz by 1/|C|:
+    instruments have nothing there, the regressors of least squares have their noise.
     """
     offset = bilinear_offset(TS)["I_x"]
     rows = []
@@ -200,7 +200,7 @@ def comparison(run: RigRun, out: Output, *, quick: bool) -> Iterator[Target]:
                         f"{kind}, sensor noise alone: offset of I_x",
                         f"{(e['I_x'] - TRUTH['I_x']) / e.std_error('I_x'):.0f} std. errors, "
                         f"p = {e.propagated.p_value:.1g}",
-                        "p < 0.01: the moments tell",
+                        "p < 0.01: the moments reject",
                         e.propagated.p_value < 0.01,
                     )
     out.table("comparison", rows)

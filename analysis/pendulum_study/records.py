@@ -40,8 +40,8 @@ def low_pass(passes: int = 2) -> FirFilter:
     """The study's filter: 21 taps, pass band to 0.5 Hz, stop band from 6 Hz, gain 1 at DC.
 
     Two passes are one forward and one backward, the common way to zero phase: 41 taps, the gain
-    squared. One pass is centred. Instrumental variables hardly tell them apart. Least squares does:
-    what noise is left above 6 Hz decides its bias.
+    squared. One pass is centred. It hardly affects instrumental variables, but least squares: the
+    noise that remains above 6 Hz decides its bias.
     """
     once = equiripple(0.5, TS, stop_hz=6.0, order=20)
     if passes == 1:

@@ -7,7 +7,7 @@ and z_m from the loaded one under (7.47):
 - ``iv``: instrumental variables with casid's default weighting. The instruments are simulated with
   the run's least-squares estimate: biased, but near enough, and one pass is spared;
 - ``identity``: instrumental variables with Q = I, four lags of yhat and of ashat each, as far as
-  the thesis tells; it begins with four lags of the reference and refines three times.
+  the thesis gives; it begins with four lags of the reference and refines three times.
 
 Instruments take F_delta(s) = 1/(0.1 s + 1), where the records have 1/(0.2 s + 1).
 """

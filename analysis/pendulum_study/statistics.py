@@ -23,7 +23,7 @@ PUBLISHED = {
     ("ls", 1.0, "m"): (0.198, 0.0006),
     ("ls", 0.15, "I_x"): (0.1393, None),
 }
-"""Estimator, amplitude, parameter -> mean and spread to be held against."""
+"""Estimator, amplitude, parameter -> mean and spread to compare with."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Line:
 HEADER = (
     f"{'A':>5} {'estimator':<9}{'':<5}{'truth':>8}{'noise-free':>11}{'mean':>11}{'median':>11}"
     f"{'spread':>10}{'skew':>7}{'error':>10}{'cover':>7}{'c.n.f.':>7}{'alone':>8}{'c.al.':>7}"
-    "   to be held against\n"
+    "   to compare with\n"
     "      error: mean standard error; cover: % of 95 % intervals with the truth, c.n.f. with the "
     "noise-free value;\n"
     "      alone: error without the first stage's, as a share of the whole one, c.al. its coverage"
@@ -136,7 +136,7 @@ def _intervals(table: Any, name: str, parameter: str, limit: float) -> dict[str,
 
 
 def shares(m: Array) -> dict[str, float]:
-    """Shares of estimates of the mass (n,) that the thesis tells: > 0, within 0.1 kg, above it."""
+    """Shares of estimates of the mass (n,) that the thesis gives: > 0, within 0.1 kg, above it."""
     near = np.abs(m - TABLE_7_2["m"]) < 0.1
     return {
         "> 0": float(np.mean(m > 0)),

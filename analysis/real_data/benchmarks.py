@@ -99,7 +99,7 @@ def tanks(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
     told = "saturation" in names or any("clipped" in n for n in d.notes)
     yield Target(
         "tanks: overflow at 10 V",
-        "saturation" if "saturation" in names else "noted" if told else "not told",
+        "saturation" if "saturation" in names else "noted" if told else "not named",
         "saturation named, or a note of the plateau",
         told,
     )

@@ -1,4 +1,4 @@
-"""What a diagnosis of a measured record is asked for, and where it is kept."""
+"""Targets of the diagnosis of a measured record, and where its report is kept."""
 
 from __future__ import annotations
 

@@ -202,14 +202,14 @@ def positioning(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Targ
         {"coulomb_friction", "offset"} <= set(kinds),
     )
     # Published: 166.7 N s/m forward and 240.4 N s/m backward, 203.5 N s/m without a direction. A
-    # force that grows with the rate and is of one sign, v^2 or |v|, is what tells the directions.
+    # force that grows with the rate and is of one sign, v^2 or |v|, distinguishes the directions.
     one_sided = [c.description for c in d.causes if "of one sign" in c.description]
     left = d.remaining
     remains = left is not None and max(left.over_floor.values(), default=1.0) > 1.1
     yield Target(
         "EMPS: friction that depends on the direction",
-        "a force of one sign" if one_sided else "something remains" if remains else "not told",
-        "an asymmetry named, or told that something remains",
+        "a force of one sign" if one_sided else "something remains" if remains else "not named",
+        "an asymmetry named, or a remainder reported",
         bool(one_sided) or remains,
     )
 

@@ -7,7 +7,7 @@ measures the nonlinear ship of problems/ship_4dof.py, whose surge speed drops in
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -28,7 +28,7 @@ SIDEWAYS = Ship(coefficients=Coefficients(Y_vdot=-20.0, C2=12.0, z_r=0.405 / 12,
 
 The thesis gives no rudder force and no rudder position. With the added mass of its table, five
 times the ship's, and C2 = 3.6 N/rad the rudder accelerates the ship by less than the
-accelerometer's noise, a_s is a function of roll and yaw, and K_vdot cannot be told from K_r.
+accelerometer's noise, a_s is a function of roll and yaw, and K_vdot is indistinguishable from K_r.
 """
 
 
@@ -117,6 +117,24 @@ def coloured(rms: float, corner: float, N: int, rng: np.random.Generator) -> Arr
     return np.asarray(rms * np.sqrt(1 - pole**2) * lfilter([1.0], [1.0, -pole], e)[500:])
 
 
+Drive = tuple[np.random.Generator, Array, Array]
+
+
+def drives(
+    seed: int, cases: Sequence[str], N: int, *, angle: float, hold: float, disturbance: Disturbance
+) -> Iterator[tuple[str, Drive]]:
+    """For each load case: its generator, rudder (N,) [rad], forces (N, 3) in sway, roll and yaw."""
+    for case in cases:
+        rng = np.random.default_rng(np.random.SeedSequence((seed, list(LOAD_CASES).index(case))))
+        rudder = telegraph(N, angle=angle, hold=hold, rng=rng)
+        rms = (disturbance.sway, disturbance.torque, disturbance.yaw)
+        forces = [coloured(s, disturbance.corner, N, rng) for s in rms]
+        yield case, (rng, rudder, np.column_stack(forces))
+
+
+BEFORE = 1000  # samples that are simulated before a record begins
+
+
 def linear_experiments(
     seed: int,
     *,
@@ -136,17 +154,14 @@ def linear_experiments(
     angle, hold : of the random telegraph of the rudder [rad], [s].
     """
     d = disturbance or Disturbance()
-    made = []
-    for case in cases:
-        rng = np.random.default_rng(np.random.SeedSequence((seed, list(LOAD_CASES).index(case))))
-        N, before = round(duration / TS), 1000
-        delta = telegraph(N + before, angle=angle, hold=hold, rng=rng)
-        forces = [coloured(s, d.corner, N + before, rng) for s in (d.sway, d.torque, d.yaw)]
-        y = respond(ship, load(case), np.column_stack([delta, *forces]))[before:]
+    made, N = [], round(duration / TS)
+    driven = drives(seed, cases, N + BEFORE, angle=angle, hold=hold, disturbance=d)
+    for case, (rng, delta, forces) in driven:
+        y = respond(ship, load(case), np.column_stack([delta, forces]))[BEFORE:]
         y += np.array([d.gyro, d.accel, d.r]) * rng.standard_normal((N, 3))
         y += np.array([d.gyro_bias, d.accel_bias, 0.0])
         record = casid.Record(
-            {"gyro": y[:, 0], "accel": y[:, 1], "r": y[:, 2], "delta": delta[before:]},
+            {"gyro": y[:, 0], "accel": y[:, 1], "r": y[:, 2], "delta": delta[BEFORE:]},
             {"gyro": "rad/s", "accel": "m/s^2", "r": "rad/s", "delta": "rad"},
             Ts=TS,
             name=case,
@@ -166,19 +181,16 @@ def ship_experiments(
     disturbance: Disturbance | None = None,
     ship: Ship = SIDEWAYS,
 ) -> list[casid.Experiment]:
-    """The same of the nonlinear ship, through its inertial unit; r has its sign put right."""
+    """The same of the nonlinear ship, through its inertial unit; r with the sign of the model."""
     d = disturbance or Disturbance()
-    made = []
-    for case in cases:
-        rng = np.random.default_rng(np.random.SeedSequence((seed, list(LOAD_CASES).index(case))))
-        N, before = round(duration / TS), 1000
-        command = telegraph(N + before, angle=angle, hold=hold, rng=rng)
-        own = [coloured(s, d.corner, N + before, rng) for s in (d.sway, d.torque, d.yaw)]
-        forces = np.column_stack([np.zeros(N + before), *own])
+    made, N = [], round(duration / TS) + BEFORE
+    driven = drives(seed, cases, N, angle=angle, hold=hold, disturbance=d)
+    for case, (rng, command, own) in driven:
+        forces = np.column_stack([np.zeros(N), own])
         motion = simulate(command, ship=ship, load=load(case), forces=forces, Ts=TS, substeps=5)
         record = for_roll(measure(motion, unit(d), seed=int(rng.integers(2**31)), name=case))
         made.append(
-            casid.Experiment(record.between(before * TS, record.t[-1]), LOAD_CASES[case], case)
+            casid.Experiment(record.between(BEFORE * TS, record.t[-1]), LOAD_CASES[case], case)
         )
     return made
 

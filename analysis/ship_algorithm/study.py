@@ -12,7 +12,7 @@ a yaw torque of 0.02 N m rms that nobody measures; rudder +-0.2 rad, reversed at
   second calibration weight at another height; and without a choice, along the family: zbar_m is
   told, m nearly, all others within what their bounds leave.
 - What the rudder has to do: with the sway of Table 8.2's added mass it hardly moves the ship
-  sideways, and K_vdot cannot be told from K_r by any instrument made of it.
+  sideways, and K_vdot is indistinguishable from K_r by any instrument made of it.
 - The nonlinear ship, whose speed drops in turns.
 - Coverage of the intervals in a Monte Carlo. With two calibrations K_vdot often lies at its bound,
   where symmetric intervals of k and z_f lie: those of the profile are used for z_f.
@@ -144,7 +144,7 @@ def convergence(
     yield Target(
         f"least squares: error of the worst, {farthest}; instruments beside",
         f"{100 * bias:.0f} %; {100 * others:.1f} %, p = {plain.propagated.p_value:.1g}",
-        ">= 5 times, and its moments tell: p < 1e-6",
+        ">= 5 times, and its moments reject: p < 1e-6",
         bias >= 5 * others and plain.propagated.p_value < 1e-6,
     )
 
@@ -210,7 +210,7 @@ def choices(
         ],
     )
     told = ", ".join(moved.invariant)
-    yield Target("told whatever the choice", told, "zbar_m", told == "zbar_m")
+    yield Target("identifiable whatever the choice", told, "zbar_m", told == "zbar_m")
     yield at_most("m: its move along the family", moved.spread("m"), 1.0, "std. errors")
     elsewhere = 0.5 * (moved.lower + moved.at)
     again = fit(ALL.with_known(z_f=elsewhere), three).estimate

@@ -118,7 +118,7 @@ def lighter(rows: Sequence[Mapping[str, Any]]) -> Any:
             )
     figure.update_xaxes(type="log", title_text="calibration weight m_c [kg]")
     figure.update_yaxes(type="log", title_text="relative error [%]")
-    return _titled(figure, "The lighter the calibration weight, the less is told of the load")
+    return _titled(figure, "The lighter the calibration weight, the less precise the load")
 
 
 def _titled(figure: Any, title: str) -> Any:

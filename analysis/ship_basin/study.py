@@ -3,12 +3,12 @@
     python -m analysis.ship_basin [--quick] [--out DIR] [--draws N] [--jobs N] [--no-turns]
 
 Linder (2017), sections 9.3-9.5, on simulated records; those of the basin are not published. What
-the thesis tells is taken from there, what it does not tell was chosen:
+the thesis gives is taken from there, what it does not give was chosen:
 
 - Records 1 to 4 have the lengths of Table 9.3 (63.2, 36.1, 51.1, 65.5 s, 50 Hz), the weights and
   heights of Table 9.2 (0.2 kg at -0.256 m, 0.4 kg at -0.268 m), and are joined as in Table 9.4.
 - The ship is that of Table 8.2 with another added mass in sway and a stronger rudder
-  (`ship_algorithm_records.SIDEWAYS`): with the table's own no rudder tells K_vdot from K_r.
+  (`ship_algorithm_records.SIDEWAYS`): with the table's own no rudder distinguishes K_vdot from K_r.
 - Gyro noise 0.002 rad/s, accelerometer 0.02 m/s^2, yaw rate 0.002 rad/s; biases 0.01 rad/s and
   0.01 m/s^2. Roll torque 0.01 N m, sway force 0.1 N, yaw torque 0.01 N m rms, corner 6 rad/s.
 - One parameter is held, z_f: the nine of (8.62) are not identifiable with one calibration weight.
@@ -281,7 +281,7 @@ def compared(
 
 
 def settings(desk: Desk, extent: Extent, out: Output) -> Iterator[Target]:
-    """What lags, weights and prefilters are worth."""
+    """The effect of lags, weights and prefilters."""
     lags = compared(desk, "lags", LAGS, extent.lags, out)
     ratio = float(np.median(np.array(lags["2 lags"]) / lags["16 lags"]))
     # The same draws: the ratio of two such spreads is known to some 10 % from 100 of them.

@@ -1,6 +1,6 @@
 """The surge speed in turns, and what taking it as constant costs in m and zbar_m.
 
-At first a bias of the mean was asked for, and missed: the sign of the error goes with the rudder.
+The first target, a bias of the mean, was missed: the sign of the error goes with the rudder.
 What a constant speed costs is the size of the error, which the stated one knows nothing of.
 """
 

@@ -122,7 +122,7 @@ def long_set(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sailed:
-    """A record, what moved, and what the rudder was told.
+    """A record, what moved, and the command to the rudder.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ def long_sets(
 
 
 def changes(command: Array) -> NDArray[np.intp]:
-    """Samples at which the rudder is told something new: entries and exits of turns."""
+    """Samples at which the command to the rudder changes: entries and exits of turns."""
     return np.flatnonzero(np.diff(command)) + 1
 
 

@@ -6,7 +6,7 @@ With the accelerometer in the place of the sway acceleration the simulator's rol
 
 where the torque tau is what (8.20) leaves out, a sum of terms of u, v, p, r and phi. The bilinear
 rule turns it into an equation error 2 T (tau_t - tau_(t-2))/Den, Den that of (8.60): the error is
-the change of tau, and spikes where tau changes fast. What is left is the rule's own error.
+the change of tau, and spikes where tau changes fast. The remainder is the rule's own error.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ def linear_turn(delta: float, case: str, *, ship: Ship = SIDEWAYS) -> Heel:
 def simulated_turn(
     delta: float, case: str, *, ship: Ship = SIDEWAYS, command: Array | None = None
 ) -> tuple[Sailed, Heel]:
-    """A short set, a U-turn of 8 s unless told: its last second, and its largest roll rate."""
+    """A short set, a U-turn of 8 s by default: its last second, and its largest roll rate."""
     s = sail(u_turn(delta) if command is None else command, case, ship=ship)
     last = slice(round(11.0 / TS), round(12.0 / TS))
     turn = slice(round(4.0 / TS), round(12.0 / TS))

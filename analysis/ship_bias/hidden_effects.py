@@ -6,7 +6,7 @@ is there.
 
 The accelerometer is an input of the model, and its noise of 0.002 m/s^2 makes a coloured error of
 0.0012 rad/s, against 0.00008 rad/s that the linear model itself misses by: what is named has to be
-told from that noise, and a ship that hides nothing has to be called adequate.
+distinguished from that noise, and a ship that hides nothing has to be called adequate.
 
 A speed log is recorded beside the model, which takes the speed as constant. Of the coefficients of
 roll, K_r = (K_ur - K_vdot) u and d = -K_p - K_up u depend on it; k does where K_phiuu is not zero,
@@ -72,7 +72,7 @@ class Found:
 
     @property
     def reported(self) -> set[tuple[str, str]]:
-        """Causes and what cannot be told from them."""
+        """Causes and what is indistinguishable from them."""
         if self.diagnosis is None:
             return set()
         alternatives = [(a.kind, a.where) for c in self.diagnosis.causes for a in c.alternatives]
@@ -97,7 +97,7 @@ class Found:
         slope = self.slope
         beside = ", ".join(f"{k} in {w}" for k, w in sorted(self.reported - set(self.named)))
         return (
-            f"{self.hidden}: {self.diagnosis.verdict}; named: {names}; not told from it: "
+            f"{self.hidden}: {self.diagnosis.verdict}; named: {names}; indistinguishable: "
             f"{beside or 'nothing'}; held out {self.rmse('baseline_rmse'):.3g} -> "
             f"{self.rmse('extended_rmse'):.3g} rad/s, noise {self.rmse('noise_floor'):.3g}; "
             + (f"slope {slope.value:.3f} +- {slope.std_error:.3f}; " if slope else "")

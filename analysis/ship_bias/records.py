@@ -7,8 +7,8 @@ forces add.
 
 The ship is that of Table 8.2 with an added mass in sway of its own weight. With Table 8.2's 100 kg
 the sway acceleration is so small beside g phi and U r that the five regressors of (8.57) are nearly
-dependent (`ship_bias` prints how nearly), and a rudder alone does not tell the mass, however good
-the sensors are.
+dependent (`ship_bias` prints how nearly), and a rudder alone does not determine the mass,
+however good the sensors are.
 """
 
 from __future__ import annotations

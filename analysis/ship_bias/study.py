@@ -41,7 +41,7 @@ BIASED = {
     "yaw-rate noise 0.002 rad/s": 0,
     "all of these": 1,
 }
-"""Imperfections that bias least squares, and in what of (m, zbar_m) it is asked for."""
+"""Imperfections that bias least squares, and the component of (m, zbar_m) that has the target."""
 
 
 def excitation(is_quick: bool, out: Output) -> Iterator[Target]:
@@ -80,9 +80,9 @@ def table(is_quick: bool, out: Output) -> Iterator[Target]:
                 "<= 3.5, none refused",
                 bool(np.max(z) <= 3.5 and instruments.refused == 0),
             )
-            # Of all together the biases of m partly cancel: a few draws do not tell what is left.
-            is_told = not (is_quick and name == "all of these")
-            if name in BIASED and is_told and len(squares.kept) > 1:
+            # The biases of m partly cancel in all together: few draws do not determine the sum.
+            is_determined = not (is_quick and name == "all of these")
+            if name in BIASED and is_determined and len(squares.kept) > 1:
                 i = BIASED[name]
                 size = abs(squares.bias[i]) / squares.monte_carlo[i]
                 yield Target(

@@ -114,7 +114,7 @@ def record(
     number = list(LOAD_CASES).index(case)
     own = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
     delta = rudder(round(duration / TS), own)
-    if finer > 1:  # the rudder's machine is told more often, too
+    if finer > 1:  # the rudder's machine gets commands more often, too
         at = np.arange(delta.size * finer) / finer
         delta = np.asarray(np.interp(at, np.arange(delta.size), delta))
     T = TS / finer

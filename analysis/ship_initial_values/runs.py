@@ -356,7 +356,7 @@ def family(z_f: Array) -> dict[str, Array]:
     """The nine parameters that have the data of the truth, by their height of the roll axis (n,).
 
     With lam = (zbar_c + z_f')/(zbar_c + z_f), all torques scale by lam; what the calibration weight
-    would tell apart, it tells only through the ratio that is known beforehand.
+    would distinguish, it determines only through the ratio that is known beforehand.
     """
     v = TABLE_8_2
     c = LOAD_CASES["calibration"]["zbar_m"]

@@ -127,7 +127,7 @@ def known_numbers() -> Iterator[Target]:
 
 
 def ranks() -> Iterator[Target]:
-    """What can be told at all: exactly, then at the truth, with the slopes of the family."""
+    """What is identifiable: exactly, then at the truth, with the slopes of the family."""
     print("Ranks before fits")
     model = indirect_model()
     for setting, wanted in ((THE_NINE, 14), (Z_F_KNOWN, 14), (SECOND_HEIGHT, 17)):
@@ -140,9 +140,12 @@ def ranks() -> Iterator[Target]:
             said, refused = str(error), True
         print(f"  {what}: {said}")
         met = f"rank {wanted} of" in said and refused == (setting == THE_NINE)
-        verdict = "refused" if setting == THE_NINE else "all told"
+        verdict = "refused" if setting == THE_NINE else "all identifiable"
         yield Target(
-            what, "refused" if refused else "all told", f"rank {wanted}, {verdict}", bool(met)
+            what,
+            "refused" if refused else "all identifiable",
+            f"rank {wanted}, {verdict}",
+            bool(met),
         )
     p = program(THE_NINE)
     truth = np.array([TABLE_8_2[n] for n in NINE])
@@ -171,7 +174,7 @@ def ranks() -> Iterator[Target]:
     print(
         "  smallest singular value of the coefficients' slopes with one parameter fixed: "
         + ", ".join(f"{n} {v:.0e}" for n, v in left.items())
-        + "\n  what hardly moves along the family hardly mends it when fixed: m, zbar_m not at all"
+        + "\n  what hardly moves along the family hardly helps when fixed: m, zbar_m not at all"
     )
     low, high = admissible()
     print(f"  the family lies within the bounds for z_f from {low:.4f} to {high:.4f} m")
@@ -347,8 +350,8 @@ def curvature() -> Iterator[Target]:
         f"  (m, zbar_m) alone: eigenvalues {values[0]:.2e} and {values[1]:.2e}; the valley runs "
         f"along dm/dzbar_m = {flat[0]:.3f} kg/m, constant m z_m along {lever:.3f} kg/m. A "
         f"deviation along the valley has to be {np.sqrt(values[1] / values[0]):.0f} times that "
-        "across it to be seen as well: a change of the load is told, its mass from its height "
-        "hardly"
+        "across it to be seen as well: a change of the load is identified, its mass apart from "
+        "its height hardly"
     )
     yield Target(
         "Figure 8.10: a valley, Hessian positive",

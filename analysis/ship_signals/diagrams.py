@@ -53,7 +53,7 @@ def gains(k: Roll, h: Hull, rudder: Mapping[str, complex] | None = None) -> dict
 
 
 def _node(name: str, kind: Kind, at: Point) -> Node:
-    """A node with its letters and note; what follows a dot tells equals apart."""
+    """A node with its symbol and note; what follows a dot distinguishes equal symbols."""
     base = name.split(".")[0]
     return Node(name, kind, at, TEXT.get(base, base), NOTES.get(base, ""))
 

@@ -3,7 +3,7 @@
     y = phi' = G (a_s + F_r r + F_d delta + tau'),   a_s = F_y y - v' - U r            (8.22)-(8.30)
 
 with tau' = -tau/(K_vdot + S): the torque on the scale of the accelerometer. Every function works
-on numbers and on sympy letters alike, so that an identity and its check are one text. What the
+on numbers and on sympy symbols alike, so that an identity and its check are one text. What the
 thesis prints wrongly is here too, named `printed_...`, to be shown wrong.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from analysis.ship_signals.model import NEGLECTED, UNITS, letters
+from analysis.ship_signals.model import NEGLECTED, UNITS, symbolic_matrices
 from casid.errors import ModelError
 from casid.linear.laplace import solve
 
@@ -99,7 +99,7 @@ def coefficients(q: Mapping[str, Expr]) -> dict[str, Expr]:
 
 
 def roll_at(q: Mapping[str, Expr], s: Expr) -> Roll:
-    """The roll subsystem from the letters' values."""
+    """The roll subsystem from the symbols' values."""
     c = coefficients(q)
     return Roll(
         G=c["beta1"] * s / (s**2 + c["alpha1"] * s + c["alpha2"]),
@@ -134,7 +134,7 @@ def y_of_delta(k: Roll, G_dr: Expr, G_dv: Expr) -> Expr:
 
 
 def a_s_of_delta(k: Roll, G_dr: Expr, G_dv: Expr) -> Expr:
-    """G_das = [F_y G (F_d + F_r G_dr) - (G_dv + U G_dr)]/(1 - F_y G) (8.31), sign mended."""
+    """G_das = [F_y G (F_d + F_r G_dr) - (G_dv + U G_dr)]/(1 - F_y G) (8.31), sign corrected."""
     own = k.F_y * k.G * (k.F_d + k.F_r * G_dr)
     return (own - (G_dv + k.U * G_dr)) / (1 - k.F_y * k.G)
 
@@ -146,7 +146,7 @@ def printed_8_31(k: Roll, G_dr: Expr, G_dv: Expr) -> Expr:
 
 
 def a_s_without_sway(k: Roll, G_dr: Expr) -> Expr:
-    """(8.86) mended: what simulates a_s for instruments, where G_dv is not known and set to 0."""
+    """(8.86) corrected: simulates a_s for instruments, with G_dv not known and set to 0."""
     return a_s_of_delta(k, G_dr, 0)
 
 
@@ -198,7 +198,7 @@ def direct_term_a_s(q: Mapping[str, Expr]) -> Expr:
 
 
 def yaw_limit(q: Mapping[str, Expr]) -> Expr:
-    """lim r/y as s grows, mended: [N_pdot (M_t - Y_vdot) + N_vdot (S + Y_pdot)]/[..].
+    """lim r/y as s grows, corrected: [N_pdot (M_t - Y_vdot) + N_vdot (S + Y_pdot)]/[..].
 
     Finite, so the r-loop G F_r r/y, which has one more integration, has no direct term.
     """
@@ -216,17 +216,17 @@ def _added(q: Mapping[str, Expr]) -> Expr:
     return (q["M_t"] - q["Y_vdot"]) * q["A_z"] - q["Y_rdot"] * q["N_vdot"]
 
 
-# -- in letters ----------------------------------------------------------------------------------
+# -- symbolic -----------------------------------------------------------------------------------
 
 
 def symbols() -> dict[str, Expr]:
-    """A sympy symbol for each letter of the model; those (8.8) leaves out are 0."""
+    """A sympy symbol for each symbol of the model; those (8.8) leaves out are 0."""
     import sympy
 
     return {n: sympy.Integer(0) if n in NEGLECTED else sympy.Symbol(n) for n in UNITS}
 
 
-def rows_in_letters() -> Expr:
+def symbolic_rows() -> Expr:
     """The model's rows of sway, yaw and roll in v', r, y and delta, tau: (3, 5), times s.
 
     The Laplace transform of (8.3) with phi = y/s and v = v'/s, out of the casid model.
@@ -234,19 +234,19 @@ def rows_in_letters() -> Expr:
     import sympy
 
     s = sympy.Symbol("s")
-    E, F, B = (m.subs(dict.fromkeys(NEGLECTED, 0)) for m in letters())
+    E, F, B = (m.subs(dict.fromkeys(NEGLECTED, 0)) for m in symbolic_matrices())
     left = (s * E - F) * sympy.Matrix([[0, 0, 1], [0, 0, 0], [1, 0, 0], [0, 0, s], [0, s, 0]])
     rows = left.row_join(-s * B).extract([2, 4, 3], [0, 1, 2, 3, 4])
     return rows.applyfunc(sympy.expand)
 
 
 def hull_residue() -> Expr:
-    """The model's sway and yaw rows minus (8.33)-(8.35), (2, 5): zero, in all letters."""
+    """The model's sway and yaw rows minus (8.33)-(8.35), (2, 5): identically zero."""
     import sympy
 
     h = hull_at(symbols(), sympy.Symbol("s"))
     printed = sympy.Matrix([[h.A, -h.D, -h.C, -h.E, 0], [-h.Gy, h.B, -h.F, -h.H, 0]])
-    return (rows_in_letters()[:2, :] - printed).applyfunc(sympy.expand)
+    return (symbolic_rows()[:2, :] - printed).applyfunc(sympy.expand)
 
 
 def roll_residue() -> Expr:
@@ -254,7 +254,7 @@ def roll_residue() -> Expr:
     import sympy
 
     q, s = symbols(), sympy.Symbol("s")
-    k, row = roll_at(q, s), rows_in_letters().row(2)
+    k, row = roll_at(q, s), symbolic_rows().row(2)
     torque = -1 / (q["K_vdot"] + q["S"])
     wanted = [k.G, k.G * (k.U - k.F_r), 1 - k.G * k.F_y, -k.G * k.F_d, -k.G * torque]
     scale = row[0] / k.G
@@ -264,7 +264,7 @@ def roll_residue() -> Expr:
 def loop_residue() -> dict[str, Expr]:
     """`responses` put back into (8.22) and the two hull rows; (8.30), (8.31) minus them: zeros.
 
-    G, F_y, F_r, F_d and A to H are letters here, so these are identities whatever those are.
+    G, F_y, F_r, F_d and A to H are symbols here, so these are identities whatever those are.
     `roll_residue` and `hull_residue` say what they are.
     """
     import sympy
@@ -290,11 +290,11 @@ def loop_residue() -> dict[str, Expr]:
     return {name: sympy.cancel(left) for name, left in residue.items()}
 
 
-def direct_terms_in_letters() -> dict[str, Expr]:
+def symbolic_direct_terms() -> dict[str, Expr]:
     """What a unit torque does at once, by the model's mass matrix: a_s, and p', r' beside it."""
     import sympy
 
-    E, _, B = (m.subs(dict.fromkeys(NEGLECTED, 0)) for m in letters())
+    E, _, B = (m.subs(dict.fromkeys(NEGLECTED, 0)) for m in symbolic_matrices())
     vdot, pdot, rdot = solve(E[2:, 2:], B[2:, 1])
     z_s = sympy.Symbol("z_s")
     return {"a_s": sympy.cancel(z_s * pdot - vdot), "p'": pdot, "r'": rdot}

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.ship_signals.model import NEGLECTED, letters
+from analysis.ship_signals.model import NEGLECTED, symbolic_matrices
 from casid.arrays import Array
 from casid.linear.laplace import solve
 from problems.ship_4dof import Actuator, Coefficients, Ship, Start, linearised, simulate
@@ -29,10 +29,10 @@ HULLS = {"Table 8.2": 0.1, "chapter 9": 0.96}
 
 
 def critical_height() -> Any:
-    """z_r at which the roll acceleration of a rudder step vanishes, in letters of the model."""
+    """z_r at which the roll acceleration of a rudder step vanishes, in symbols of the model."""
     import sympy
 
-    E, _, B = (m.subs(dict.fromkeys(NEGLECTED, 0)) for m in letters())
+    E, _, B = (m.subs(dict.fromkeys(NEGLECTED, 0)) for m in symbolic_matrices())
     onset = solve(E[2:, 2:], B[2:, 0])[1]
     (height,) = sympy.solve(sympy.numer(sympy.together(onset)), sympy.Symbol("z_r"))
     return sympy.factor(height)

@@ -1,11 +1,11 @@
-"""The ship's five linear states in letters: one casid model of (8.3)-(8.7) and its accelerometer.
+"""The ship's five linear states, symbolic: one casid model of (8.3)-(8.7) and its accelerometer.
 
 Sway, roll and yaw at constant speed U about a straight course, with tau a torque in roll:
 
     diag(I, Mat) x' = F x + F_delta delta + T tau,    x = [phi psi v p r]                    (8.3)
     gyro = p,   accel = z_s p' + g phi - v' - U r,   yaw = r                        (8.13)-(8.16)
 
-The letters stand for sums where the sums are what enters: M_t = M + m, A_x and A_z about the
+The symbols are sums where the sums are what enters: M_t = M + m, A_x and A_z about the
 origin (A.40), hull = rho g nabla GM_T = k + K_phiuu U^2 + S g, d = -K_p - K_|u|p U.
 """
 
@@ -34,7 +34,7 @@ UNITS = {
     "K_uv": "kg", "K_ur": "kg m", "K_phiuu": "kg", "N_uv": "kg", "N_ur": "kg m",
     "N_p": "N m s/rad", "N_phiuu": "kg", "C2": "N/rad", "x_r": "m", "z_r": "m",
 }  # fmt: skip
-"""The letters of the model. N_p stands for N_p + N_|u|p U."""
+"""The symbols of the model. N_p is N_p + N_|u|p U."""
 
 NEGLECTED = ("K_rdot", "K_uv")
 """What (8.8)-(8.38) leave out of the roll balance."""
@@ -43,7 +43,7 @@ NEGLECTED = ("K_rdot", "K_uv")
 def values_of(
     ship: Ship | None = None, load: Load = LOAD_CASES["nominal"], U: float = 1.0
 ) -> dict[str, float]:
-    """The letters' values for a ship at speed U > 0 [m/s], SI units; the unit is at Table 8.2's."""
+    """The symbols' values for a ship at speed U > 0 [m/s], SI units; the unit is at Table 8.2's."""
     ship = ship or Ship()
     c, mass, (M_t, _, _, S) = ship.coefficients, ship.mass_matrix(load), ship.moments(load)
     own = {n: getattr(c, n) for n in UNITS if n in Coefficients.__dataclass_fields__}
@@ -62,14 +62,14 @@ def values_of(
 
 
 def drawn_values(rng: np.random.Generator) -> dict[str, float]:
-    """Letters at random, each about as large as on the ship, what (8.8) neglects left at zero."""
+    """Random values of the symbols, about as large as on the ship; those (8.8) neglects are 0."""
     size = values_of()
     drawn = {n: (size[n] or 0.3) * float(rng.uniform(0.4, 1.8)) for n in UNITS}
     return drawn | dict.fromkeys(NEGLECTED, 0.0)
 
 
 def ship_model(values: Mapping[str, float]) -> casid.Model:
-    """The five states with rudder, torque in roll, and three sensors; `values` for all letters."""
+    """The five states with rudder, torque in roll, and three sensors; `values` for all symbols."""
     m = casid.Model("ship in sway, roll and yaw")
     phi, psi = m.state("phi", "rad"), m.state("psi", "rad")
     v, p, r = m.state("v", "m/s"), m.state("p", "rad/s"), m.state("r", "rad/s")
@@ -118,8 +118,8 @@ def ship_model(values: Mapping[str, float]) -> casid.Model:
 
 
 @lru_cache(maxsize=1)
-def letters() -> tuple[Algebra, Algebra, Algebra]:
-    """E (5, 5), F (5, 5) and [F_delta, T] (5, 2) of (8.3) as sympy matrices in letters.
+def symbolic_matrices() -> tuple[Algebra, Algebra, Algebra]:
+    """E (5, 5), F (5, 5) and [F_delta, T] (5, 2) of (8.3) as symbolic sympy matrices.
 
     Read out of the casid model's own equations, so that what is proved is proved of that model.
     """
@@ -139,7 +139,7 @@ def letters() -> tuple[Algebra, Algebra, Algebra]:
 def _numbers() -> Any:
     import sympy
 
-    matrices = [m.tolist() for m in letters()]
+    matrices = [m.tolist() for m in symbolic_matrices()]
     return sympy.lambdify([sympy.Symbol(n) for n in UNITS], matrices, modules="math")
 
 

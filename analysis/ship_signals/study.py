@@ -2,7 +2,7 @@
 
     python -m analysis.ship_signals [--quick] [--out DIR]
 
-The five linear states in numbers and in letters; the formulas (8.22)-(8.38), those that are
+The five linear states in numbers and symbols; the formulas (8.22)-(8.38), those that are
 misprinted shown to fail; the direct term from the torque to the accelerometer and none to the yaw
 rate; correlations with the torque, on records of the linear system and of the nonlinear simulator,
 beside the solution of a Lyapunov equation; what may serve as an input of which estimator; the zero
@@ -21,6 +21,7 @@ import numpy as np
 
 from analysis.common.runner import Run, Study
 from analysis.common.targets import Target, at_most
+from analysis.ship_signals import formulas as section_8_2
 from analysis.ship_signals.blocks import draw
 from analysis.ship_signals.correlation import (
     SIGNALS,
@@ -32,25 +33,6 @@ from analysis.ship_signals.correlation import (
 )
 from analysis.ship_signals.diagrams import diagrams, worst_departure
 from analysis.ship_signals.figures import bode, correlations, steps
-from analysis.ship_signals.formulas import (
-    a_s_of_delta,
-    a_s_without_sway,
-    coefficients,
-    direct_term_a_s,
-    direct_terms_in_letters,
-    hull_at,
-    hull_residue,
-    loop_residue,
-    printed_8_31,
-    printed_8_86,
-    printed_yaw_limit,
-    responses,
-    roll_at,
-    roll_residue,
-    symbols,
-    y_of_delta,
-    yaw_limit,
-)
 from analysis.ship_signals.inward_heel import HULLS, Lean, critical_height, lean
 from analysis.ship_signals.model import (
     accelerometer,
@@ -72,7 +54,7 @@ COEFFICIENTS = {
     "gamma1": "-10.6928",
 }  # fmt: skip
 POLES = (-2.971, -0.697 - 5.241j, -0.697 + 5.241j, -0.334, 0.0)
-"""Published, with the signs of Y_|u|v and N_|u|r mended; two of three decimals rounded, one cut."""
+"""Published, with the signs of Y_|u|v and N_|u|r corrected; two decimals rounded, one cut."""
 
 ROUNDING = 1e-10  # relative; the worst of 300 random systems is 2e-14
 
@@ -100,12 +82,12 @@ def five_states() -> Iterator[Target]:
             np.max(np.abs(F - other.F)),
             np.max(np.abs(B - np.column_stack([other.F_delta, other.T[:, 1]]))),
         )
-        yield at_most(f"model in letters against {how}", apart, 1e-11, "SI")
+        yield at_most(f"symbolic model against {how}", apart, 1e-11, "SI")
     for case, text in A_2.items():
-        found = coefficients(values_of(load=LOAD_CASES[case]))["A_2"]
+        found = section_8_2.coefficients(values_of(load=LOAD_CASES[case]))["A_2"]
         yield _printed(f"A_2, {case} [kg m^2]", found, text)
     for name, text in COEFFICIENTS.items():
-        yield _printed(f"{name}, nominal", coefficients(values)[name], text)
+        yield _printed(f"{name}, nominal", section_8_2.coefficients(values)[name], text)
     poles = np.sort_complex(linear.poles())
     apart = float(np.max(np.abs(poles - np.sort_complex(np.array(POLES)))))
     yield at_most("poles -2.971, -0.334, -0.697 +- 5.241i, 0", apart, 7e-4, "1/s")
@@ -145,34 +127,37 @@ def _polynomial(c: Any) -> str:
 
 
 def formulas(draws: int) -> Iterator[Target]:
-    """(8.22)-(8.38) against the state space, in letters and at random systems and frequencies."""
-    zero = {"sway and yaw rows (8.33)-(8.35)": hull_residue(), "roll row (8.22)": roll_residue()}
+    """(8.22)-(8.38) against the state space, symbolically and at random systems and frequencies."""
+    zero = {
+        "sway and yaw rows (8.33)-(8.35)": section_8_2.hull_residue(),
+        "roll row (8.22)": section_8_2.roll_residue(),
+    }
     for name, residue in zero.items():
         left = [e for e in residue if e != 0]
-        yield _holds(f"model less {name}, in letters", left or 0, 0, not left)
-    failing = [name for name, r in loop_residue().items() if r != 0]
-    yield _holds("(8.27)-(8.36), failing identities in letters", failing, [], not failing)
+        yield _holds(f"model less {name}, symbolic", left or 0, 0, not left)
+    failing = [name for name, r in section_8_2.loop_residue().items() if r != 0]
+    yield _holds("(8.27)-(8.36), failing symbolic identities", failing, [], not failing)
     rng = np.random.default_rng(82)
     worst: dict[str, float] = {}
     least: dict[str, float] = {}
     for _ in range(draws):
         v, s = drawn_values(rng), 1j * 10 ** rng.uniform(-1.5, 1.5)
-        exact, k, h = frequency_response(v, s), roll_at(v, s), hull_at(v, s)
+        exact, k, h = frequency_response(v, s), section_8_2.roll_at(v, s), section_8_2.hull_at(v, s)
         dr, dv = exact["yaw/delta"], exact["vdot/delta"]
         y, a = exact["gyro/delta"], exact["accel/delta"]
         # (8.22) and the sensor as two equations in y and a_s, the sway acceleration left out
         loop = np.array([[1.0, -k.G], [-k.F_y, 1.0]])
         _, no_sway = np.linalg.solve(loop, [k.G * (k.F_d + k.F_r * dr), -k.U * dr])
-        by_formula = responses(k, h, -1 / (v["K_vdot"] + v["S"]))
+        by_formula = section_8_2.responses(k, h, -1 / (v["K_vdot"] + v["S"]))
         right = {
-            "(8.30) rudder to roll rate": y_of_delta(k, dr, dv) / y,
-            "(8.31), sign mended": a_s_of_delta(k, dr, dv) / a,
-            "(8.86), mended": a_s_without_sway(k, dr) / no_sway,
+            "(8.30) rudder to roll rate": section_8_2.y_of_delta(k, dr, dv) / y,
+            "(8.31), sign corrected": section_8_2.a_s_of_delta(k, dr, dv) / a,
+            "(8.86), corrected": section_8_2.a_s_without_sway(k, dr) / no_sway,
         }
         right |= {f"(8.33)-(8.36) {n}": x / exact[n] for n, x in by_formula.items()}
         wrong = {
-            "(8.31) as printed": printed_8_31(k, dr, dv) / a,
-            "(8.86) as printed": printed_8_86(k, dr) / no_sway,
+            "(8.31) as printed": section_8_2.printed_8_31(k, dr, dv) / a,
+            "(8.86) as printed": section_8_2.printed_8_86(k, dr) / no_sway,
         }
         for name, ratio in right.items():
             worst[name] = max(worst.get(name, 0.0), abs(ratio - 1))
@@ -189,22 +174,24 @@ def direct_terms(view: ClosedLoopView) -> Iterator[Target]:
     """From the torque to the accelerometer at once; to the yaw rate never at once."""
     import sympy
 
-    q, found = symbols(), direct_terms_in_letters()
+    q, found = section_8_2.symbols(), section_8_2.symbolic_direct_terms()
     ratio = found["a_s"] / found["p'"]
-    apart = sympy.cancel(ratio - direct_term_a_s(q) / coefficients(q)["beta1"])
-    yield _holds("(8.36)-(8.38) lim G Fbar_y, in letters", apart, 0, apart == 0)
+    apart = sympy.cancel(
+        ratio - section_8_2.direct_term_a_s(q) / section_8_2.coefficients(q)["beta1"]
+    )
+    yield _holds("(8.36)-(8.38) lim G Fbar_y, symbolic", apart, 0, apart == 0)
     turn = found["r'"] / found["p'"]
-    apart = sympy.cancel(turn - yaw_limit(q))
+    apart = sympy.cancel(turn - section_8_2.yaw_limit(q))
     yield _holds("lim r/y, [N_pdot (M_t-Y_vdot) + N_vdot (S+Y_pdot)]/..", apart, 0, apart == 0)
-    as_printed = sympy.cancel(turn - printed_yaw_limit(q)) == 0
+    as_printed = sympy.cancel(turn - section_8_2.printed_yaw_limit(q)) == 0
     yield _holds("the same without N_vdot, as printed", as_printed, False, not as_printed)
     v = values_of()
     far = [1j * x for x in (1e4, 1e5)]
     loops = [
         (k.G * (k.F_y - h.vdot_y - k.U * h.r_y), k.G * k.F_r * h.r_y)
-        for k, h in ((roll_at(v, s), hull_at(v, s)) for s in far)
+        for k, h in ((section_8_2.roll_at(v, s), section_8_2.hull_at(v, s)) for s in far)
     ]
-    limit = direct_term_a_s(v)
+    limit = section_8_2.direct_term_a_s(v)
     yield at_most(
         "G Fbar_y at 1e5 rad/s against its limit", abs(loops[1][0] / limit - 1), 1e-3, "rel."
     )
@@ -216,12 +203,15 @@ def direct_terms(view: ClosedLoopView) -> Iterator[Target]:
     )
     table = {n: x for n, x in roll_table().items() if n in view.parameters}
     own = float(view.direct_term_at(table)[0, 0])
-    c = coefficients(v)
+    c = section_8_2.coefficients(v)
     yield at_most("casid's direct term of the roll subsystem", abs(own - c["beta1"] * v["z_s"]),
                   1e-9, "1")  # fmt: skip
     print(f"  lim G F_y = beta1 z_s = {own:.4f}: the roll subsystem alone, v' and r held")
     print(f"  lim G Fbar_y = {limit:.4f}: sway gives way to the roll at once")
-    print(f"  lim r/y = {yaw_limit(v):.5f}, as printed {printed_yaw_limit(v):.5f}")
+    print(
+        f"  lim r/y = {section_8_2.yaw_limit(v):.5f}, "
+        f"as printed {section_8_2.printed_yaw_limit(v):.5f}"
+    )
 
 
 def roll_table() -> dict[str, float]:
@@ -327,8 +317,8 @@ def inputs(view: ClosedLoopView) -> Iterator[Target]:
         "(8.20) has both, so instruments again. In the roll subsystem alone r counts as external: "
         "that loop is seen in the whole ship only.",
         "v': would be as a_s, direct term and all; nobody measures it.",
-        "delta: moved by hand it depends on no signal and no torque: input of every estimator and "
-        "the source of every instrument. Moved by an autopilot it is r's and psi's function, and "
+        "delta: in open loop it depends on no signal and no torque: input of every estimator and the "
+        "source of every instrument. Moved by an autopilot it is r's and psi's function, and "
         "no reference (analysis.kvlcc2_zigzag).",
         "y_O: the output. Its past values are regressors of least squares, which the coloured "
         "error reaches; simulated from delta they are instruments.",
@@ -394,7 +384,7 @@ def leaning() -> tuple[dict[str, Lean], list[Target]]:
 def drawn() -> Iterator[Target]:
     """The block diagrams say what the formulas say."""
     v, s = values_of(), 0.2 + 1.7j
-    k, h = roll_at(v, s), hull_at(v, s)
+    k, h = section_8_2.roll_at(v, s), section_8_2.hull_at(v, s)
     for name, apart in worst_departure(k, h, torque=-1 / (v["K_vdot"] + v["S"])).items():
         yield at_most(f"{name}, solved", apart, 1e-12, "rel.")
 

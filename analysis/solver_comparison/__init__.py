@@ -1,1 +1,1 @@
-"""Every solver at hand on the thesis's estimation problems: who arrives, how fast, and why not."""
+"""Every available solver on the thesis's estimation problems: convergence, time, failures."""

@@ -1,4 +1,4 @@
-"""Every solver at hand on the thesis's estimation problems: who arrives, how fast, and why not.
+"""Every available solver on the thesis's estimation problems: convergence, time, failures.
 
     python -m analysis.solver_comparison [--quick] [--out DIR]
 
@@ -70,7 +70,7 @@ class Case:
     start: Sequence[float] | None
     must_agree: Sequence[str]
     all_agree: bool = False  # convex: every solver that runs with an exact Hessian
-    expected: Mapping[str, float] | None = None  # from elsewhere, to be found again
+    expected: Mapping[str, float] | None = None  # of an independent solution
 
 
 def condensed(fit: StageFit) -> list[Condensed]:
@@ -79,7 +79,7 @@ def condensed(fit: StageFit) -> list[Condensed]:
 
 
 def linear_case(key: str, fit: StageFit, B: Sequence[float], b: float, equation: str) -> Case:
-    """A stage in theta alone, under one linear constraint that was derived by hand."""
+    """A stage in theta alone, under one linear constraint that was derived on paper."""
     program = LinearNlp(fit.stage.equations, 1, name=f"{', '.join(fit.free)} under {equation}")
     values = program.parameters(condensed(fit), np.array([B]), np.array([b]))
     names = [f"{c}#0" for c in fit.stage.equations[0].coefficients]

@@ -21,7 +21,7 @@ UNIT = {"alpha": 1.0, "l1": 1.0, "lO": 1.0, "bU": 1.0}
 
 
 def pair() -> tuple[Asymptotics, Asymptotics]:
-    """Measuring with errors and neglecting, beta = 0, in letters; s stands for l2 + lu."""
+    """Measuring with errors and neglecting, beta = 0, symbolically; s is l2 + lu."""
     system = LinearSignals.of(
         {
             "u_K": "delta1",

@@ -33,7 +33,7 @@ class ClosedForm:
     ----------
     limit : coefficient -> expression.
     covariance : (row, column) -> expression of N Cov; only what the thesis gives.
-    special : letter -> value that the formula is for (beta = 0).
+    special : symbol -> value that the formula is for (beta = 0).
     """
 
     example: str
@@ -67,6 +67,13 @@ def _scaled(factor: Expr) -> dict[tuple[str, str], Expr]:
 def _with(generated: FirstStage) -> Regression:
     return Regression("y_O", {**_K, "bU": "predicted"}, generated={"predicted": generated})
 
+
+_ATTENUATED = {"bK": bK + alpha * le / (s + le) * bU, "bU": bU - le / (s + le) * bU}
+_ATTENUATED_COVARIANCE = _sym(_BOTH, [
+    [bU**2 * s / l1 * le * (alpha**2 * l1 + s + le) / (s + le) ** 2
+     + lO * (alpha**2 / (s + le) + 1 / l1), -alpha * _hit / (s + le) ** 2],
+    [-alpha * _hit / (s + le) ** 2, _hit / (s + le) ** 2]])  # fmt: skip
+"""(3.55)-(3.56): least squares with a noisy regressor is biased towards zero."""
 
 FORMS: tuple[ClosedForm, ...] = (
     ClosedForm(
@@ -133,12 +140,7 @@ FORMS: tuple[ClosedForm, ...] = (
     ClosedForm(
         "3.9 errors in variables, LS", "(3.55)-(3.56) corrected",
         Regression("y_O", {**_K, "bU": "y_U"}),
-        {"bK": bK + alpha * le / (s + le) * bU, "bU": bU - le / (s + le) * bU},
-        _sym(_BOTH, [
-            [bU**2 * s / l1 * le * (alpha**2 * l1 + s + le) / (s + le) ** 2
-             + lO * (alpha**2 / (s + le) + 1 / l1), -alpha * _hit / (s + le) ** 2],
-            [-alpha * _hit / (s + le) ** 2, _hit / (s + le) ** 2]]),
-        _ZERO,
+        _ATTENUATED, _ATTENUATED_COVARIANCE, _ZERO,
     ),
     ClosedForm(
         "3.10 errors in variables, IV", "(3.63)",
@@ -148,12 +150,7 @@ FORMS: tuple[ClosedForm, ...] = (
     ClosedForm(
         "4.2 eliminated with y_I, LS", "(4.36) as (3.55)-(3.56)",
         Regression("y_O", {**_K, "bU": "u_I"}),
-        {"bK": bK + alpha * le / (s + le) * bU, "bU": bU - le / (s + le) * bU},
-        _sym(_BOTH, [
-            [bU**2 * s / l1 * le * (alpha**2 * l1 + s + le) / (s + le) ** 2
-             + lO * (alpha**2 / (s + le) + 1 / l1), -alpha * _hit / (s + le) ** 2],
-            [-alpha * _hit / (s + le) ** 2, _hit / (s + le) ** 2]]),
-        _ZERO,
+        _ATTENUATED, _ATTENUATED_COVARIANCE, _ZERO,
     ),
     ClosedForm(
         "4.2 eliminated with y_I, IV", "(4.36) as (3.63)",

@@ -2,12 +2,12 @@
 
     python -m analysis.static_examples [--quick] [--out DIR] [--runs N]
 
-- Every estimator of Examples 3.1-3.10 and 4.2: limit and covariance in letters, beside the closed
+- Every estimator of Examples 3.1-3.10 and 4.2: symbolic limit and covariance, beside the closed
   form of the thesis (errata applied), and beside a Monte Carlo.
 - The remedies side by side on the benchmark, with the number of samples each needs.
 - Figure 3.5: where measuring the unknown input with errors beats neglecting it, in variance and in
   mean square error, with the thresholds 1.618 and 0.618, and for other numbers.
-- The same question asked of a dynamic system.
+- The same comparison for a dynamic system.
 
 Targets are the closed forms themselves; Monte Carlo distances are in its own standard errors.
 """
@@ -49,7 +49,7 @@ PRINTED: dict[tuple[str, str], float] = {
 
 
 def difference(form: ClosedForm, found: Asymptotics) -> Any:
-    """What is left of machinery minus closed form, summed; 0 where they agree."""
+    """Sum of the differences between computed and closed form; 0 where they agree."""
     put = {sp.Symbol(k): v for k, v in form.special.items()}
     left = [found[n] - v for n, v in form.limit.items()]
     for (n, m), v in form.covariance.items():
@@ -108,7 +108,7 @@ def examples(out: Output, runs: int) -> Iterator[Target]:
 
 
 def remedies(out: Output) -> Iterator[Target]:
-    """The benchmark's remedies, in letters and in numbers, beta = 0 and not."""
+    """The benchmark's remedies, symbolic and numeric, beta = 0 and not."""
     compared = compare_remedies(
         signals().at({"beta": 0}), "y_O", {"bK": "u_K", "bU": "u_U"}, "u_U", TRUTH,
         known=["delta1", "delta2"], approximations={"u_U": "u_hat"},
@@ -172,7 +172,7 @@ def maps(out: Output, points: int) -> Iterator[Target]:
 
 
 def dynamic(out: Output) -> Iterator[Target]:
-    """The question asked of a dynamic system with an unknown input of its own memory."""
+    """The same comparison for a dynamic system with an autocorrelated unknown input."""
     system = LinearSignals.of(
         {
             "u_K": {"r": 1, "w": ([0, 0.6], [1, -0.7])},

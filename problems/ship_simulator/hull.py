@@ -1,6 +1,6 @@
 """What a ship is: hydrodynamic coefficients, masses, loads, reference points, limits.
 
-Axes, signs and what goes beyond the thesis are told in `ship_4dof`.
+Axes, signs and what goes beyond the thesis are described in `ship_4dof`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Coefficients:
     """Hydrodynamic derivatives of (A.35) and (A.36), rudder and propeller of (A.38); SI units.
 
     A name is the thesis' index without its bars: Y_uv multiplies |u|v, Y_vr v|r|, Y_rv r|v|,
-    K_phiuv phi|uv|, N_phiur phi u|r|, N_phiuu phi u|u|. Two are not what their letters say: Y_ur
+    K_phiuv phi|uv|, N_phiur phi u|r|, N_phiuu phi u|u|. Two are not what their names say: Y_ur
     and K_ur multiply u r, N_ur multiplies |u|r.
 
     The values are those of a model of 22 kg, 0.8 m long. "8.2": Table 8.2, the signs of Y_|u|v

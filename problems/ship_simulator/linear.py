@@ -70,7 +70,7 @@ class Linear:
     def transfer(self, output: int | ArrayLike = 0) -> tuple[Array, Array]:
         """Numerator and denominator, highest power first, from rudder to x[output] or output' x.
 
-        The heading, an integrator that nothing else depends on, is left out unless it is asked for.
+        The heading, an integrator that nothing else depends on, is left out unless requested.
         """
         c = np.eye(5)[output] if isinstance(output, int) else np.asarray(output, dtype=np.float64)
         keep = [0, 1, 2, 3, 4] if c[1] else [0, 2, 3, 4]
@@ -108,7 +108,7 @@ def linearised(
         If the centre of gravity is off the centre line: the ship then heels on a straight course.
     """
     ship = ship or Ship()
-    require_way(ship, U, "asked for")
+    require_way(ship, U, "requested")
     c, (mass, S_x, S_y, S) = ship.coefficients, ship.moments(load)
     if S_y != 0.0:
         raise ModelError(
@@ -148,7 +148,7 @@ def tangent(
         For a speed near zero.
     """
     ship = ship or Ship()
-    require_way(ship, U, "asked for")
+    require_way(ship, U, "requested")
     f = dynamics(ship, load)
     J = f.factory("J", f.name_in(), ["jac:rates:x", "jac:rates:actuators", "jac:rates:tau"])
     at = [0.0, 0.0, phi, 0.0, U, 0.0, 0.0, 0.0]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 
@@ -63,7 +64,7 @@ def manoeuvring_model(
     p, r, phi = m.state("p", "rad/s"), m.state("r", "rad/s"), m.state("phi", "rad")
     delta, w_p = m.input("delta", "rad", known=True), m.input("w_p", "rad/s", known=True)
     c = _declared(m, values, sought)
-    U, V, P, R = (ca.fabs(a) for a in (u, v, p, r))
+    hull = _hull_forces(c, u, v, p, r, phi)
     z_g, z_m = c.zbar_g + c.z_f, c.zbar_m + c.z_f
     mass, S_x = c.M + c.m, c.M * c.x_g
     S_y, S_z = c.M * c.y_g + c.m * c.y_m, c.M * z_g + c.m * z_m
@@ -77,7 +78,7 @@ def manoeuvring_model(
         terms=[
             S_y * m.der(r),
             mass * v * r - S_z * p * r + S_x * r**2,
-            c.X_uu * U * u,
+            *hull["surge"],
             c.C3 * w_p,
             -c.C1 * ca.fabs(delta),
         ],
@@ -89,14 +90,7 @@ def manoeuvring_model(
         terms=[
             (S_z + c.Y_pdot) * m.der(p) + (c.Y_rdot - S_x) * m.der(r),
             -mass * u * r + S_y * (p**2 + r**2),
-            c.Y_uv * U * v,
-            c.Y_ur * u * r,
-            c.Y_vv * v * V,
-            c.Y_vr * v * R,
-            c.Y_rv * r * V,
-            c.Y_phiuv * phi * ca.fabs(u * v),
-            c.Y_phiur * phi * ca.fabs(u * r),
-            c.Y_phiuu * phi * u**2,
+            *hull["sway"],
             c.C2 * delta,
         ],
     )
@@ -109,6 +103,46 @@ def manoeuvring_model(
             S_z * u * r - S_y * v * p,
             -(c.k * phi + c.k_3 * phi**3 + c.k_5 * phi**5),
             -c.g * (S_z * ca.sin(phi) - S_y * ca.cos(phi)),
+            *hull["roll"],
+            -c.z_r * c.C2 * delta,
+        ],
+    )
+    m.balance(
+        r,
+        "yaw",
+        inertia=A_z,
+        terms=[
+            S_y * m.der(u) + (c.N_vdot - S_x) * m.der(v) + c.N_pdot * m.der(p),
+            -(S_x * u + S_y * v) * r,
+            *hull["yaw"],
+            c.x_r * c.C2 * delta,
+        ],
+    )
+    z_s = c.zbar_s + c.z_f
+    m.output("gyro", p, "rad/s")
+    m.output("accel", z_s * m.der(p) + c.g * ca.sin(phi) - m.der(v) - u * r, "m/s^2")
+    m.output("yaw_gyro", -r, "rad/s")
+    m.output("speed", u, "m/s")
+    return m
+
+
+def _hull_forces(c: SimpleNamespace, *state: Any) -> dict[str, list[Any]]:
+    """Hydrodynamic forces and moments on the hull by balance, the terms of (A.36)."""
+    u, v, p, r, phi = state
+    U, V, P, R = (ca.fabs(a) for a in (u, v, p, r))
+    return {
+        "surge": [c.X_uu * U * u],
+        "sway": [
+            c.Y_uv * U * v,
+            c.Y_ur * u * r,
+            c.Y_vv * v * V,
+            c.Y_vr * v * R,
+            c.Y_rv * r * V,
+            c.Y_phiuv * phi * ca.fabs(u * v),
+            c.Y_phiur * phi * ca.fabs(u * r),
+            c.Y_phiuu * phi * u**2,
+        ],
+        "roll": [
             c.K_uv * U * v,
             c.K_ur * u * r,
             c.K_vv * v * V,
@@ -121,16 +155,8 @@ def manoeuvring_model(
             c.K_p * p,
             c.K_up * U * p,
             c.K_pp * p * P,
-            -c.z_r * c.C2 * delta,
         ],
-    )
-    m.balance(
-        r,
-        "yaw",
-        inertia=A_z,
-        terms=[
-            S_y * m.der(u) + (c.N_vdot - S_x) * m.der(v) + c.N_pdot * m.der(p),
-            -(S_x * u + S_y * v) * r,
+        "yaw": [
             c.N_uv * U * v,
             c.N_ur * U * r,
             c.N_rr * r * R,
@@ -141,15 +167,8 @@ def manoeuvring_model(
             c.N_p * p,
             c.N_pp * p * P,
             c.N_up * U * p,
-            c.x_r * c.C2 * delta,
         ],
-    )
-    z_s = c.zbar_s + c.z_f
-    m.output("gyro", p, "rad/s")
-    m.output("accel", z_s * m.der(p) + c.g * ca.sin(phi) - m.der(v) - u * r, "m/s^2")
-    m.output("yaw_gyro", -r, "rad/s")
-    m.output("speed", u, "m/s")
-    return m
+    }
 
 
 def _declared(

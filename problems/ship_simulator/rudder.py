@@ -1,4 +1,4 @@
-"""What the rudder is told, zigzags, random steps, an autopilot, and a look at whether it did."""
+"""Commands to the rudder: zigzags, random steps, an autopilot, and a look at whether it did."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class HeadingAutopilot:
     ----------
     K_p : rudder per heading error [rad/rad].
     K_d : rudder per yaw rate [s].
-    limit : largest angle that is asked for [rad]; the rudder's own limits, and its rate, hold too.
+    limit : largest angle of a command [rad]; the rudder's own limits, and its rate, hold too.
     """
 
     K_p: float = 1.0
@@ -41,7 +41,7 @@ class HeadingAutopilot:
             )
 
     def __call__(self, error: Any, r: Any) -> Any:
-        """Rudder asked for [rad], from psi - course [rad] and yaw rate [rad/s], as expressions."""
+        """Rudder command [rad], from psi - course [rad] and yaw rate [rad/s], as expressions."""
         error = ca.atan2(ca.sin(error), ca.cos(error))
         return ca.fmin(ca.fmax(self.K_p * error + self.K_d * r, -self.limit), self.limit)
 

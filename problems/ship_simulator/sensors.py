@@ -5,7 +5,7 @@ Linder (2017), Appendix A.6. The unit's own axes point to the bow, to port and u
     y1 = p + e1,  y2 = a_s + e2,  a_s = z_s phi'' + g sin(phi) - a_y,  y3 = -r + e3   (A.41)-(A.45)
 
 where z_s < 0 is its height over the centre of rotation, a_y = v' + u r, and the third sign flips
-because that axis points up. This is what is left of the general case, which is what is computed:
+because that axis points up. This is a special case of the general one, which is what is computed:
 a unit at (x_s, y_s, z_s) of a ship without pitch and heave feels, in the ship's axes,
 
     f = v' + w x v + w' x r_s + w x (w x r_s) - g (0, sin(phi), cos(phi)),  w = (p, 0, r),

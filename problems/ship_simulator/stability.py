@@ -1,4 +1,4 @@
-"""Whether a ship stays upright with a load, and has way: what is asked before it is simulated."""
+"""Whether a ship stays upright with a load, and has way: conditions of a simulation."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def require_stable(ship: Ship, load: Load) -> Stability:
     Raises
     ------
     SolveError
-        If the load capsizes it or makes it loll; the message tells the angle.
+        If the load capsizes it or makes it loll; the message gives the angle.
     """
     found = stability(ship, load)
     if found.GM > 0.0 and found.rests:

@@ -190,7 +190,7 @@ def test_along_the_family_only_zbar_m_stays(found, family):
         low, high = moved.intervals[name]
         assert low <= found[name] - 1.959 * found.std_error(name)
         assert high >= found[name] + 1.959 * found.std_error(name)
-    assert "told whatever the choice" in str(moved)
+    assert "identifiable whatever the choice" in str(moved)
 
 
 def test_slopes_at_the_truth_are_those_of_the_thesis(family):

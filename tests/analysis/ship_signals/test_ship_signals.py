@@ -23,7 +23,6 @@ from analysis.ship_signals.formulas import (
     a_s_of_delta,
     coefficients,
     direct_term_a_s,
-    direct_terms_in_letters,
     hull_at,
     hull_residue,
     loop_residue,
@@ -33,6 +32,7 @@ from analysis.ship_signals.formulas import (
     responses,
     roll_at,
     roll_residue,
+    symbolic_direct_terms,
     symbols,
     y_of_delta,
     yaw_limit,
@@ -158,7 +158,7 @@ def test_the_printed_forms_are_wrong():
 
 def test_the_torque_reaches_the_accelerometer_at_once_and_the_yaw_rate_never():
     """(8.36)-(8.38): lim G Fbar_y in letters; r has one integration more than r' has."""
-    q, found = symbols(), direct_terms_in_letters()
+    q, found = symbols(), symbolic_direct_terms()
     ratio = found["a_s"] / found["p'"] - direct_term_a_s(q) / coefficients(q)["beta1"]
     assert sympy.cancel(ratio) == 0
     turn = found["r'"] / found["p'"]
