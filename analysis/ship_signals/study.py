@@ -317,7 +317,7 @@ def inputs(view: ClosedLoopView) -> Iterator[Target]:
         "(8.20) has both, so instruments again. In the roll subsystem alone r counts as external: "
         "that loop is seen in the whole ship only.",
         "v': would be as a_s, direct term and all; nobody measures it.",
-        "delta: in open loop it depends on no signal and no torque: input of every estimator and the "
+        "delta: in open loop it depends on no signal and no torque: input of every estimator, "
         "source of every instrument. Moved by an autopilot it is r's and psi's function, and "
         "no reference (analysis.kvlcc2_zigzag).",
         "y_O: the output. Its past values are regressors of least squares, which the coloured "
