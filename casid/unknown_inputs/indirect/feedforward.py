@@ -107,21 +107,14 @@ class Feedforward:
         return tuple(r for r in roots if not r.is_stable)
 
     def require_realisable(self) -> Feedforward:
-        """Itself, refused where (6.22) cannot be run.
-
-        Raises
-        ------
-        ModelError
-            With the zero, its frequency, and the approximations that there are.
-        """
-        reasons = self.obstacles
-        if not reasons:
+        """Itself; a ModelError with zeros and approximations where (6.22) cannot be run."""
+        if self.is_realisable:
             return self
         offers = "; ".join(str(a) for a in self.approximations())
         raise ModelError(
-            f"feedforward to {', '.join(self.G_KO.outputs)}: {'; '.join(reasons)}. Choose another "
-            "actuator or measurement, or estimate a realisable inverse model directly, (6.24)"
-            + (f"; or use an approximate inverse: {offers}" if offers else "")
+            f"feedforward to {', '.join(self.G_KO.outputs)}: {'; '.join(self.obstacles)}. Choose "
+            "another actuator or measurement, or estimate a realisable inverse model directly, "
+            "(6.24)" + (f"; or use an approximate inverse: {offers}" if offers else "")
         )
 
     def approximations(

@@ -89,14 +89,14 @@ def decision_map(
         "amse": first.amse(parameter, N) - second.amse(parameter, N),
     }
     axes = [sympy.Symbol(x[0]), sympy.Symbol(y[0])]
-    letters = {s for d in difference.values() for s in sympy.sympify(d).free_symbols}
-    absent = [str(a) for a in axes if a not in letters]
+    symbols = {s for d in difference.values() for s in sympy.sympify(d).free_symbols}
+    absent = [str(a) for a in axes if a not in symbols]
     if absent:
         raise ModelError(
             f"{', '.join(absent)} is no symbol of these estimators of {parameter}; they have "
-            f"{', '.join(sorted(map(str, letters)))}"
+            f"{', '.join(sorted(map(str, symbols)))}"
         )
-    left = letters - set(axes) - set(swap)
+    left = symbols - set(axes) - set(swap)
     if left:
         raise ModelError(
             f"no value of {', '.join(sorted(map(str, left)))}; give values={{..}} for every symbol "

@@ -97,7 +97,6 @@ def second_moments(
     system: LinearSignals,
     atoms: Sequence[Atom],
     prefilter: Filter | None = None,
-    letters: Sequence[Any] = (),
 ) -> SecondMoments:
     """The moments of these atoms.
 
@@ -105,7 +104,6 @@ def second_moments(
     ----------
     atoms : distinct.
     prefilter : L(q) of the atoms that are prefiltered.
-    letters : further expressions the field is to hold.
 
     Raises
     ------
@@ -118,11 +116,11 @@ def second_moments(
     is_static = system.is_static and prefilter is None and not any(k for _, k, _ in atoms)
     if is_static:
         G = system.gains(names)[[names.index(name) for name, _, _ in atoms]]
-        if not (system.symbols or letters):
+        if not system.symbols:
             G, weights = G.astype(float)[None], np.array(variances, dtype=float)
             second = G[0] @ (weights[:, None] * G[0].T)
             return SecondMoments(tuple(atoms), G, weights, np.array(kurtosis), second, None)
-        field = ExactField([*G.ravel(), *variances, *letters])
+        field = ExactField([*G.ravel(), *variances])
         G, weights = field.of(G), field.of(np.array(variances, dtype=object))
         second = G @ (weights[:, None] * G.T)
         extra = field.of(np.array(kurtosis, dtype=object))

@@ -67,9 +67,9 @@ def joint(
     model = prediction_error(outputs, records, plain, Ts=data.Ts, discard=0, solver=solver)
     notes = [n for n in model.notes if "offset" not in n and "discarded" not in n]
     if late := found.unsettled():
-        told = ", ".join(late)
+        names = ", ".join(late)
         notes.append(
-            f"the response of {told} to the references has not died out after {lags} samples; "
+            f"the response of {names} to the references has not died out after {lags} samples; "
             "where these are not white that biases it: raise lags="
         )
     # Linearised: theta_hat - theta = -H^-1 sum psi d eps, d eps = A dh_j - sum (B/F) dh_k.
