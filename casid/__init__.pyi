@@ -32,11 +32,11 @@ from .estimation.prediction_error.polynomial_orders import Orders
 from .estimation.reconciliation import Reconciliation
 from .estimation.regression import regress
 from .estimation.simulation.fit import FitSettings
-from .identifiability.assess import assess_identifiability
 from .identifiability.assessment import Assessment
 from .identifiability.equations.equation_file import EquationFile, parse_system, read_equations
 from .identifiability.equations.system import System
 from .identifiability.inputs.input_classes import Exosystem
+from .identifiability.procedure import assess_identifiability
 from .identifiability.question import Assumptions
 from .identifiability.rank.observability import observability
 from .identifiability.records.practical import practical_identifiability

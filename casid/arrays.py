@@ -1,5 +1,6 @@
-"""The array type of annotations, and the number below which a divisor is taken for zero."""
+"""The array type of annotations, and numbers: divisors next to zero, and what JSON can hold."""
 
+import math
 from typing import Any
 
 from numpy.typing import NDArray
@@ -8,3 +9,8 @@ Array = NDArray[Any]
 
 TINY = 1e-300
 """Added to, or the least of, a divisor that may vanish: far below any physical square."""
+
+
+def finite_or_none(value: float) -> float | None:
+    """The number, or None where it is infinite or not a number: what JSON can hold."""
+    return float(value) if math.isfinite(value) else None

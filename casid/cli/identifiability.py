@@ -59,7 +59,7 @@ def identifiability(problem: str, seed: int, **given: Any) -> None:
     else:
         subject = known_problem(problem, request)
     with output.work(subject.name) as (folder, progress):
-        from casid.identifiability.assess import assess_identifiability
+        from casid.identifiability.procedure import assess_identifiability
 
         experiments = None
         if not is_equation_file(problem) and (request.data or subject.example is not None):

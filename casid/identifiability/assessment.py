@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+from casid.arrays import finite_or_none
 from casid.deprecation import Grouped, renamed
 from casid.presentation import Presented, present, write
 
@@ -77,7 +78,7 @@ class Answer:
             "states": dict(self.states),
             "non_identifiable": list(self.not_identifiable),
             "unobservable_states": [x for x, v in self.states.items() if v == "not_observable"],
-            "error_bound": _finite(self.error_bound),
+            "error_bound": finite_or_none(self.error_bound),
             "partial": self.is_partial,
             **({"note": self.note} if self.note else {}),
         }
@@ -359,7 +360,7 @@ class Assessment(Presented):
             "experiments": list(self.experiments),
             "rank": a.rank,
             "unknowns": a.unknowns,
-            "error_bound": _finite(a.error_bound),
+            "error_bound": finite_or_none(a.error_bound),
             "partial": a.is_partial,
             "certified": self.is_certified,
             "parameters": dict(a.parameters),
@@ -446,7 +447,3 @@ def _acts(names: Sequence[str]) -> str:
 
 def _ways(fixing: FixingSets, group: tuple[str, ...]) -> int:
     return fixing.group_counts[fixing.groups.index(group)]
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -24,8 +24,8 @@ from casid.campaigns.monte_carlo import Accuracy, MonteCarlo
 from casid.data.files import plain
 from casid.diagnosis.advice.next_experiment import Advice
 from casid.estimation.reconciliation import Reconciliation
-from casid.identifiability.assess import assess_identifiability
 from casid.identifiability.assessment import Assessment
+from casid.identifiability.procedure import assess_identifiability
 from casid.linear.closed_loop import ClosedLoopView, closed_loop_view
 from casid.linear.linear_model import linearise
 from casid.model.model import Model

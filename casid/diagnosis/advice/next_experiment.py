@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from casid.arrays import finite_or_none
 from casid.data.problem import Problem
 from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.advice.isolability import (
@@ -90,9 +91,9 @@ class Proposal:
             "description": self.description,
             "pair": [list(k) for k in self.pair],
             "cosine": self.cosine,
-            "energy_needed": _finite(self.energy_needed),
-            "record_length": _finite(self.record_length),
-            "gain_factor": _finite(self.gain_factor),
+            "energy_needed": finite_or_none(self.energy_needed),
+            "record_length": finite_or_none(self.record_length),
+            "gain_factor": finite_or_none(self.gain_factor),
             "bands": [list(b) for b in self.bands],
         }
 
@@ -313,7 +314,3 @@ def _seconds(value: float) -> str:
     if value < 120:
         return f"{value:.2g} s"
     return f"{value / 60:.2g} min" if value < 7200 else f"{value / 3600:.2g} h"
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if isfinite(value) else None

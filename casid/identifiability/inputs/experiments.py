@@ -17,6 +17,7 @@ from casid.errors import ModelError
 from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.input_classes import as_harmonic, as_polynomial, as_zero
+from casid.identifiability.inputs.signals import unused_name
 
 Expr = Any  # a CasADi SX expression
 
@@ -179,9 +180,7 @@ def _new_outputs(
 
 
 def _free(wanted: str, taken: set[str]) -> str:
-    name, i = wanted, 2
-    while name in taken:
-        name, i = f"{wanted}_{i}", i + 1
+    name = unused_name(wanted, taken)
     taken.add(name)
     return name
 

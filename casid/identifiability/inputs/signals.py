@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Container, Mapping
 from typing import Any
 
 import casadi as ca
@@ -14,11 +15,13 @@ Expr = Any  # a CasADi SX expression
 
 def free_name(system: System, wanted: str, *more: str) -> str:
     """`wanted`, or `wanted_2`, `wanted_3`, ... where a symbol of the system (or `more`) has it."""
-    taken = {*system.declared, *more}
-    name, n = wanted, 2
-    while name in taken:
-        name, n = f"{wanted}_{n}", n + 1
-    return name
+    return unused_name(wanted, {*system.declared, *more})
+
+
+def unused_name(wanted: str, taken: Container[str]) -> str:
+    """`wanted`, or `wanted_2`, `wanted_3`, ... where it is taken."""
+    candidates = itertools.chain([wanted], (f"{wanted}_{n}" for n in itertools.count(2)))
+    return next(name for name in candidates if name not in taken)
 
 
 def derivative_name(signal: str, order: int) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
-from casid.arrays import Array
+from casid.arrays import Array, finite_or_none
 from casid.deprecation import Grouped, renamed
 from casid.identifiability.records.planned_experiment import Noise
 from casid.presentation import Presented
@@ -64,8 +64,8 @@ class Row:
             "unit": self.unit,
             "value": self.value,
             "kind": "initial state" if self.is_state else "parameter",
-            "std_error": _finite(self.std_error),
-            "relative": None if self.relative is None else _finite(self.relative),
+            "std_error": finite_or_none(self.std_error),
+            "relative": None if self.relative is None else finite_or_none(self.relative),
             "correlation": self.correlation,
             "partner": self.partner,
             "verdict": self.verdict,
@@ -95,7 +95,7 @@ class Direction:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {"error": _finite(self.error), "moves": dict(self.moves)}
+        return {"error": finite_or_none(self.error), "moves": dict(self.moves)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,7 +217,7 @@ class Practical(Presented):
         """Plain values; None for what is infinite or not a number."""
 
         def plain(matrix: Array) -> list[list[float | None]]:
-            return [[_finite(v) for v in row] for row in matrix.tolist()]
+            return [[finite_or_none(v) for v in row] for row in matrix.tolist()]
 
         return {
             "schema": "casid.practical/1",
@@ -230,7 +230,7 @@ class Practical(Presented):
             "covariance": plain(self.covariance),
             "correlation": plain(self.correlation),
             "singular_values": self.singular_values.tolist(),
-            "condition": _finite(self.condition),
+            "condition": finite_or_none(self.condition),
             "weakest": [d.to_json() for d in self.weakest],
             "rank": self.rank,
             "unknowns": self.unknowns,
@@ -245,7 +245,3 @@ class Practical(Presented):
             "assumes": self.assumes,
             "sources": list(self.sources),
         }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -145,7 +145,7 @@ class ObservabilityMatrix:
         return self._columns([*self.states, *parameters])
 
     def without(self, *columns: str) -> ObservabilityMatrix:
-        """The matrix without these columns: what they stand for is known."""
+        """The matrix without these columns: their states or parameters are known."""
         for c in columns:
             self._place(c)
         return self._columns([c for c in self.columns if c not in columns])
@@ -170,7 +170,7 @@ class ObservabilityMatrix:
         """Unobservable directions v, O v = 0: name -> component where not zero.
 
         Without common denominators and factors, in the system's symbols; as many as the rank
-        lacks. {"I_x": 1, "I_xm": -1} says that one inertia may grow as the other shrinks.
+        lacks. {"I_x": 1, "I_xm": -1} means that one inertia may grow as the other shrinks.
         """
         import sympy
 
@@ -247,13 +247,13 @@ def _check_system(system: System, orders: int | None) -> None:
     if system.unknown_inputs:
         raise ModelError(
             f"{system.name}: {system.unknown_inputs[0]!r} is an unknown input, and this matrix "
-            "takes known ones; eliminate it with an output (Model.eliminate), or ask "
+            "takes known ones; eliminate it with an output (Model.eliminate), or use "
             "casid.assess_identifiability, which distinguishes the classes of unknown inputs"
         )
     if not system.is_generic and orders is None:
         raise ModelError(
             f"{system.name}: values are special ({', '.join(_special(system))}), where no number "
-            "of derivatives is known to be enough; give orders=..., or ask "
+            "of derivatives is known to be enough; give orders=..., or use "
             "casid.assess_identifiability"
         )
 
