@@ -11,7 +11,7 @@ import numpy as np
 from casid.data.problem import Problem, experiments_of
 from casid.data.record import Experiment, Record
 from casid.diagnosis.advice.recommendation import recommend
-from casid.diagnosis.calibration.false_alarm_rate import Calibration, require_runs
+from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, require_runs
 from casid.diagnosis.calibration.false_alarm_rate import calibrate as run_calibration
 from casid.diagnosis.diagnosis import Diagnosis, Evidence, Gain, Limits
 from casid.diagnosis.evidence.baseline import fit_baseline
@@ -159,9 +159,7 @@ def _calibrated(
     )
     return run_calibration(
         problem,
-        found.baseline.split,
-        found.baseline.start,
-        found.base_fit,
+        Null(found.baseline.split, found.baseline.start, found.base_fit),
         diagnose_null=null,
         alpha=settings.alpha,
         runs=runs,

@@ -2,8 +2,8 @@
 
 The family-wise level that a user asks for rests on residuals that are stationary and a record that
 is long against their memory. Here it is tried: the fitted model draws records as it would give them
-(`null_records`), each is diagnosed as the recorded one is, and the share called deficient is what
-the level is worth. With p_b the level at which null record b of B becomes an alarm, and k the whole
+(`null_records`), each is diagnosed as the recorded one is, and the share called deficient is the
+actual level. With p_b the level at which null record b of B becomes an alarm, and k the whole
 part of alpha (B + 1), judging at
 
     threshold = min(alpha, the k-th smallest p_b)                                              (1)
@@ -87,8 +87,8 @@ class Calibration(Presented):
 
     Attributes
     ----------
-    alpha : the family-wise rate that was asked for.
-    asked : null records asked for; `runs` are those diagnosed.
+    alpha : the family-wise rate that was requested.
+    asked : null records requested; `runs` are those diagnosed.
     levels : (runs,) the level at which each null record becomes an alarm: its cause's p-value, or
         the smallest adjusted p, but no less than `alpha`, where there was none.
     smallest : (runs,) smallest adjusted p of each record's first table of scores, 1 without one.
@@ -96,7 +96,7 @@ class Calibration(Presented):
     seed : of all drawings.
     undecided : null records that could not support an answer.
     failures : message -> null records whose diagnosis failed with it; they count for nothing.
-    is_interrupted : True if fewer were done than asked for.
+    is_interrupted : True if fewer were done than requested.
     """
 
     problem: str
@@ -134,7 +134,7 @@ class Calibration(Presented):
 
     @property
     def is_corrected(self) -> bool:
-        """True if the threshold is stricter than the level asked for."""
+        """True if the threshold is stricter than the level requested."""
         return self.threshold < self.alpha
 
     @property
@@ -221,11 +221,25 @@ class Calibration(Presented):
         return SOURCES
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Null:
+    """The hypothesis that nothing is missing, for one problem and its records.
+
+    Attributes
+    ----------
+    split : what was recorded, fitted and held out, with what is to be left out marked missing.
+    at : the fitted model and its noise.
+    base_fit : the fit of the model as it is.
+    """
+
+    split: Split
+    at: Weighted
+    base_fit: Fit
+
+
 def calibrate(
     problem: Problem,
-    split: Split,
-    at: Weighted,
-    base_fit: Fit,
+    null: Null,
     *,
     diagnose_null: Diagnose,
     alpha: float = 0.05,
@@ -241,13 +255,11 @@ def calibrate(
 
     Parameters
     ----------
-    split : what was recorded, fitted and held out, with what is to be left out marked missing.
-    at : the fitted model and its noise.
-    base_fit : the fit of the model as it is.
+    null : what the records are drawn from.
     diagnose_null : what is run on every null record, with the settings of the diagnosis itself: a
         function at the top of a module, or a `functools.partial` of one.
-    alpha : the family-wise rate asked for.
-    runs : null records; the first one is timed, and the time that all need is told.
+    alpha : the family-wise rate requested.
+    runs : null records; the first one is timed, and the time that all need is printed.
     jobs : processes; default as joblib is told. A problem that no file defines as it is now cannot
         be sent to other processes and takes one.
 
@@ -260,19 +272,7 @@ def calibrate(
     """
     require_runs(runs)
     say = progress or (lambda _: None)
-    fit = at.unbiased or at.fit
-    c = base_fit.criterion
-    recipe = _Recipe(
-        whole=tuple(split.whole),
-        apart=tuple(split.apart),
-        hold_out=_share(split),
-        values=fit.values,
-        noise=null_noise(at.full, at.criterion.outputs, at.input_sd),
-        own=tuple(c.own),
-        weights=c.weights,
-        substeps=c.substeps,
-    )
-    run = NullRun(problem, recipe, diagnose_null, alpha)
+    run = NullRun(problem, _recipe(null), diagnose_null, alpha)
     table, is_interrupted = _table(run, runs, seed, jobs, say)
     done = table[table[FAILED].isna()] if len(table) else table
     if not len(done):
@@ -334,6 +334,20 @@ class _Recipe:
     own: tuple[str, ...]
     weights: Array
     substeps: int
+
+
+def _recipe(null: Null) -> _Recipe:
+    at, split, c = null.at, null.split, null.base_fit.criterion
+    return _Recipe(
+        whole=tuple(split.whole),
+        apart=tuple(split.apart),
+        hold_out=_share(split),
+        values=(at.unbiased or at.fit).values,
+        noise=null_noise(at.full, at.criterion.outputs, at.input_sd),
+        own=tuple(c.own),
+        weights=c.weights,
+        substeps=c.substeps,
+    )
 
 
 class NullRun:

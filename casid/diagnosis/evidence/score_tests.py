@@ -135,61 +135,119 @@ class Family:
         return min(bound, drawn) if drawn > SCORES.resolved / draws else bound
 
 
-def score_test(
-    fit: Fit,
-    effects: Sequence[Effect],
-    *,
-    input_sd: Mapping[str, float],
-    draws: int = SCORES.draws,
-    seed: int = 0,
-) -> ScoreTable:
-    """Test every effect against the fitted model (see the module's docstring).
+@dataclass(frozen=True, slots=True, eq=False)
+class _Columns:
+    """What the simulation of an extended model gives: residual, tangent and signatures."""
 
-    Parameters
-    ----------
-    fit : whitened simulation error of the model without the effects, near its minimum.
-    input_sd : standard deviation of the white noise of each measured input.
-    """
-    if not effects:
-        return ScoreTable((), np.empty((0, 0)), 0, Family(np.empty(0), 0))
+    wide: SimulationError  # with every effect at its null value
+    tangent: Sequence[int]  # columns of the baseline's own unknowns
+    candidate: Sequence[int] = ()  # columns of the effects' first parameters
+    clipped: Sequence[Effect] = ()  # effects without a derivative at their null value
+
+    def of_record(self, x: Array, k: int, added: Array | None = None) -> tuple[Array, Array, Array]:
+        """Whitened residual (M,), baseline tangent and candidate signatures of one record.
+
+        Samples by outputs are stacked; `added` (N, nu) is noise on the inputs.
+        """
+        wide, d = self.wide, self.wide.data[k]
+        if added is not None:
+            d = replace(d, u=d.u + added)
+        at = wide.simulated(x, k, signals=d)
+        extra = np.zeros((*at.y.shape, len(self.clipped)))
+        for j, effect in enumerate(self.clipped):
+            if effect.variant is None:
+                raise ModelError(f"{effect!r} has no level to test at")
+            i = wide.outputs.index(effect.where)
+            y = at.y[:, i]
+            extra[:, i, j] = (np.clip(y, -effect.variant, effect.variant) - y) * d.used[:, i]
+        ny, n = len(wide.outputs), len(self.candidate)
+        psi = np.empty((len(at.y), ny, n + len(self.clipped)))
+        for first in range(0, n, GROUP):
+            group = slice(first, min(first + GROUP, n))
+            psi[:, :, group] = _white(wide, at.jacobian[:, :, list(self.candidate[group])], k)
+        psi[:, :, n:] = _white(wide, extra, k)
+        tangent = at.jacobian[:, :, list(self.tangent)]
+        both = _white(wide, np.concatenate([at.residual[:, :, None], tangent], axis=2), k)
+        both = both.reshape(-1, 1 + len(self.tangent))
+        return both[:, 0].copy(), both[:, 1:].copy(), psi.reshape(len(both), psi.shape[2])
+
+    def antithetic(
+        self, x: Array, k: int, sd: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array, Array]:
+        """What one draw of noise on the inputs adds to `of_record`, its even part left out.
+
+        Channels without noise take no part in the draw: candidates that bring one leave it as it
+        is.
+        """
+        w = np.zeros(self.wide.data[k].u.shape)
+        noisy = np.flatnonzero(sd > 0)
+        w[:, noisy] = sd[noisy] * rng.standard_normal((len(w), len(noisy)))
+        up, down = (self.of_record(x, k, sign * w) for sign in (1.0, -1.0))
+        for above, below in zip(up, down, strict=True):
+            above -= below
+            above *= 0.5
+        return up
+
+
+def _extended_columns(fit: Fit, effects: Sequence[Effect]) -> _Columns:
+    """Columns of the fitted model with every effect in it, those of clippings last."""
     base = fit.criterion
-    smooth = [e for e in effects if e.test == "score"]
-    clipped = [e for e in effects if e.test == "clip"]
-    effects = [*smooth, *clipped]  # the order of the columns below
-    model, names = extend_all(base.model, smooth)
+    model, names = extend_all(base.model, [e for e in effects if e.test == "score"])
     wide = widened(fit, model)
-    x = wide.start
     position = {n: i for i, n in enumerate(wide.names)}
-    tangent = [position[n] for n in base.names]
-    candidate = [position[n] for n in names]
-    tangent_parts, psi_parts, e_parts = [], [], []
-    drawn: list[tuple[Array, Array, Array]] = []
+    return _Columns(
+        wide,
+        [position[n] for n in base.names],
+        [position[n] for n in names],
+        [e for e in effects if e.test == "clip"],
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Projected:
+    """Scores of K signatures of unit size, off the baseline's tangent."""
+
+    z: Array  # (K,) of (1)
+    left: Array  # (K,) squares of each signature outside the tangent
+    size: Array  # (K,) of each signature before it was scaled
+    gram: Array  # (K, K) of the projected signatures
+    covariance: Array  # (K, K) of z
+    visible: Array  # (K,) bool
+    lags: int
+    n: int  # samples
+
+
+def _projected(
+    name: str, columns: _Columns, input_sd: Mapping[str, float], seed: int
+) -> _Projected:
+    """(1) for every signature of a model by name, with the covariance of all."""
+    wide = columns.wide
+    x, ny = wide.start, len(wide.outputs)
+    sd = np.array([input_sd.get(n, 0.0) for n in wide.model.inputs])
     rng = np.random.default_rng(seed)
-    inputs = list(wide.model.inputs)
+    parts: list[tuple[Array, Array, Array]] = []
+    drawn: list[tuple[Array, Array, Array]] = []
     for k in range(len(wide.data)):
-        r, t, psi = _columns(wide, x, k, tangent, candidate, clipped, None)
-        e_parts.append(r)
-        tangent_parts.append(t)
-        psi_parts.append(psi)
-        sd = np.array([input_sd.get(n, 0.0) for n in inputs])
+        parts.append(columns.of_record(x, k))
         if np.any(sd > 0):
-            drawn.append(_antithetic(wide, x, k, tangent, candidate, clipped, sd, rng))
-    ny = len(wide.outputs)
-    e, t_all, rest = (_joined(p) for p in (e_parts, tangent_parts, psi_parts))
+            drawn.append(columns.antithetic(x, k, sd, rng))
+    e, tangent, rest = (_joined([part[i] for part in parts]) for i in range(3))
+    parts.clear()
     # Signatures are as long as all records: they are scaled and projected where they are.
     size = np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), TINY))
     rest /= size
-    if not np.all(np.isfinite(t_all)):
+    if not np.all(np.isfinite(tangent)):
         raise SolveError(
-            f"{base.model.name}: its sensitivities overflow; no effect can be tested. Shorten the "
+            f"{name}: its sensitivities overflow; no effect can be tested. Shorten the "
             "window, or change the parameters that make it grow"
         )
     # Columns of T may be nearly dependent: project by an orthonormal basis.
-    t_size = np.sqrt(np.maximum(np.einsum("ij,ij->j", t_all, t_all), TINY))
-    u, s, vt = np.linalg.svd(t_all / t_size, full_matrices=False)
+    t_size = np.sqrt(np.maximum(np.einsum("ij,ij->j", tangent, tangent), TINY))
+    tangent /= t_size
+    u, s, vt = np.linalg.svd(tangent, full_matrices=False)
     keep = s > 1e-8 * s[0]
     gamma = (vt[keep].T / s[keep]) @ (u[:, keep].T @ rest)
-    _take_out(rest, t_all / t_size, gamma)
+    _take_out(rest, tangent, gamma)
     left = np.einsum("ij,ij->j", rest, rest)
     z = rest.T @ e
     # Score of the baseline itself, zero at its minimum except for the bias just corrected.
@@ -210,21 +268,44 @@ def score_test(
         z -= given.sum(axis=0)
         # One draw is as far from its mean as chance has it: that is uncertainty, too.
         covariance = covariance + long_run_covariance(given, lags)
-    sd_z = np.sqrt(np.maximum(np.diag(covariance), TINY))
-    gram = rest.T @ rest
-    possible = _between_samples(base, effects, np.abs(gram) * size)
+    return _Projected(z, left, size, rest.T @ rest, covariance, visible, lags, n)
+
+
+def score_test(
+    fit: Fit,
+    effects: Sequence[Effect],
+    *,
+    input_sd: Mapping[str, float],
+    draws: int = SCORES.draws,
+    seed: int = 0,
+) -> ScoreTable:
+    """Test every effect against the fitted model (see the module's docstring).
+
+    Parameters
+    ----------
+    fit : whitened simulation error of the model without the effects, near its minimum.
+    input_sd : standard deviation of the white noise of each measured input.
+    """
+    if not effects:
+        return ScoreTable((), np.empty((0, 0)), 0, Family(np.empty(0), 0))
+    # The order of the columns.
+    effects = [e for test in ("score", "clip") for e in effects if e.test == test]
+    name = fit.criterion.model.name
+    at = _projected(name, _extended_columns(fit, effects), input_sd, seed)
+    z, left, size, visible = at.z, at.left, at.size, at.visible
+    sd_z = np.sqrt(np.maximum(np.diag(at.covariance), TINY))
+    possible = _between_samples(fit.criterion, effects, np.abs(at.gram) * size)
     ratio, bias = (np.where(visible, a / sd_z, 0.0) for a in (z, possible))
-    freedom = max(SCORES.freedom_per_lag * n / (lags + 1), SCORES.least_freedom)
+    freedom = max(SCORES.freedom_per_lag * at.n / (at.lags + 1), SCORES.least_freedom)
     one = np.array([eff.sided == "positive" or eff.test == "clip" for eff in effects])
     # P(|t + b| > |z|) at the largest bias b, whichever its sign.
     near, far = np.abs(ratio) - bias, np.abs(ratio) + bias
     both = student.sf(near, freedom) + student.sf(far, freedom)
     p = np.where(one, student.sf(ratio - bias, freedom), np.minimum(both, 1.0))
     p = np.where(visible, np.clip(p, TINY, 1.0), 1.0)
-    family = _family_of(covariance, visible, one, freedom, draws, seed)
+    family = _family_of(at.covariance, visible, one, freedom, draws, seed)
     adjusted = np.where(visible, [family(float(each)) for each in p], 1.0)
     norms = np.sqrt(np.maximum(left, TINY))
-    cosines = gram / np.outer(norms, norms)
     scores = tuple(
         Score(
             effect=eff,
@@ -238,9 +319,9 @@ def score_test(
             else 0.0,
             visible=float(left[j]),
         )
-        for j, eff in enumerate([*smooth, *clipped])
+        for j, eff in enumerate(effects)
     )
-    return ScoreTable(scores, cosines, lags, family)
+    return ScoreTable(scores, at.gram / np.outer(norms, norms), at.lags, family)
 
 
 def _between_samples(
@@ -269,15 +350,16 @@ def step_without_bias(
     step is held short rather than turned round.
     """
     n = len(x)
+    columns = _Columns(criterion, range(n))
     gradient, matrix, noise = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
     sd = np.array([input_sd.get(name, 0.0) for name in criterion.model.inputs])
     rng = np.random.default_rng(seed)
     for k in range(len(criterion.data)):
-        r, t, _ = _columns(criterion, x, k, range(n), [], [], None)
+        r, t, _ = columns.of_record(x, k)
         gradient += t.T @ r
         matrix += t.T @ t
         if np.any(sd > 0):
-            moved, turned, _ = _antithetic(criterion, x, k, range(n), [], [], sd, rng)
+            moved, turned, _ = columns.antithetic(x, k, sd, rng)
             gradient -= turned.T @ moved
             noise += turned.T @ turned
     size = np.sqrt(np.maximum(np.diag(matrix), TINY))
@@ -302,15 +384,9 @@ def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
     Linear in the effects, about a fit that already has one of their kind: the residual with that
     one taken out is regressed on each candidate's sensitivity and the other unknowns'.
     """
-    base = fit.criterion
-    model, names = extend_all(base.model, effects)
-    wide = widened(fit, model)
-    position = {n: i for i, n in enumerate(wide.names)}
-    tangent = [position[n] for n in base.names]
-    candidate = [position[n] for n in names]
-    parts = [
-        _columns(wide, wide.start, k, tangent, candidate, [], None) for k in range(len(wide.data))
-    ]
+    base, columns = fit.criterion, _extended_columns(fit, effects)
+    wide = columns.wide
+    parts = [columns.of_record(wide.start, k) for k in range(len(wide.data))]
     e, t_all, psi = (_joined([part[i] for part in parts]) for i in range(3))
     parts.clear()
     mine = base.names.index(own)
@@ -322,63 +398,6 @@ def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
     _take_out(psi, q, q.T @ psi)
     size = np.maximum(np.einsum("ij,ij->j", psi, psi), TINY)
     return np.asarray(e @ e - (psi.T @ e) ** 2 / size)
-
-
-def _antithetic(
-    wide: SimulationError,
-    x: Array,
-    k: int,
-    tangent: Sequence[int],
-    candidate: Sequence[int],
-    clipped: Sequence[Effect],
-    sd: Array,
-    rng: np.random.Generator,
-) -> tuple[Array, Array, Array]:
-    """What one draw of noise on the inputs adds to `_columns`, its even part left out.
-
-    Channels without noise take no part in the draw: candidates that bring one leave it as it is.
-    """
-    w = np.zeros(wide.data[k].u.shape)
-    noisy = np.flatnonzero(sd > 0)
-    w[:, noisy] = sd[noisy] * rng.standard_normal((len(w), len(noisy)))
-    up, down = (_columns(wide, x, k, tangent, candidate, clipped, sign * w) for sign in (1.0, -1.0))
-    for above, below in zip(up, down, strict=True):
-        above -= below
-        above *= 0.5
-    return up
-
-
-def _columns(
-    wide: SimulationError,
-    x: Array,
-    k: int,
-    tangent: Sequence[int],
-    candidate: Sequence[int],
-    clipped: Sequence[Effect],
-    added: Array | None,
-) -> tuple[Array, Array, Array]:
-    """Whitened residual, baseline tangent and candidate signatures, samples by outputs stacked."""
-    d = wide.data[k]
-    if added is not None:
-        d = replace(d, u=d.u + added)
-    at = wide.simulated(x, k, signals=d)
-    extra = np.zeros((*at.y.shape, len(clipped)))
-    for j, effect in enumerate(clipped):
-        if effect.variant is None:
-            raise ModelError(f"{effect!r} has no level to test at")
-        i = wide.outputs.index(effect.where)
-        y = at.y[:, i]
-        extra[:, i, j] = (np.clip(y, -effect.variant, effect.variant) - y) * d.used[:, i]
-    ny, n = len(wide.outputs), len(candidate)
-    psi = np.empty((len(at.y), ny, n + len(clipped)))
-    for first in range(0, n, GROUP):
-        group = slice(first, min(first + GROUP, n))
-        psi[:, :, group] = _white(wide, at.jacobian[:, :, list(candidate[group])], k)
-    psi[:, :, n:] = _white(wide, extra, k)
-    both = _white(
-        wide, np.concatenate([at.residual[:, :, None], at.jacobian[:, :, list(tangent)]], axis=2), k
-    ).reshape(-1, 1 + len(tangent))
-    return both[:, 0].copy(), both[:, 1:].copy(), psi.reshape(len(both), psi.shape[2])
 
 
 def _white(wide: SimulationError, columns: Array, k: int) -> Array:

@@ -450,34 +450,19 @@ class Regression:
         freedom = max(
             SCORES.freedom_per_lag * len(per_sample) / (lags + 1), SCORES.least_function_freedom
         )
-        values, vectors = np.linalg.eigh(covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        rng = np.random.default_rng(seed)
-        sample = rng.standard_normal((draws, len(score))) @ root.T
-        sample /= np.sqrt(rng.chisquare(freedom, draws) / freedom)[:, None]
-        p, chance = [], []
-        largest: dict[int, Array] = {}  # of the drawn statistics, by rank: p falls with them
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
-            own, rank = covariance[a:b, a:b], int(b - a)
-            inverse = np.linalg.pinv(own, rcond=1e-10, hermitian=True)
-            p.append(_hotelling(score[a:b] @ inverse @ score[a:b], rank, freedom))
-            quadratic = np.einsum("di,ij,dj->d", sample[:, a:b], inverse, sample[:, a:b])
-            largest[rank] = np.maximum(quadratic, largest.get(rank, 0.0))
-            chance.append(float(np.trace(own)))
-        smallest = np.sort(
-            np.min([_hotelling(most, rank, freedom) for rank, most in largest.items()], axis=0)
-        )
-        out = []
-        for k, i in enumerate(free):
-            own_p = max(float(p[k]), TINY)
-            share = (np.searchsorted(smallest, own_p, side="right") + 1) / (draws + 1)
-            adjusted = min(
-                1.0,
-                len(free) * own_p,
-                float(share) if share > SCORES.resolved / max(draws, 1) else 1.0,
+        slices = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        p, adjusted = _family_wise(score, covariance, slices, freedom, draws, seed)
+        return [
+            Tested(
+                group=i,
+                gain=gains[i],
+                chance=float(np.trace(covariance[part, part])),
+                rank=roots[i].shape[1],
+                p_value=p[k],
+                adjusted=adjusted[k],
             )
-            out.append(Tested(i, gains[i], chance[k], roots[i].shape[1], own_p, adjusted))
-        return out
+            for k, (i, part) in enumerate(zip(free, slices, strict=True))
+        ]
 
     def estimate(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Coefficients of the chosen groups' functions, together, and their covariance.
@@ -497,6 +482,35 @@ class Regression:
         covariance = long_run_covariance(per_sample, bartlett_lags(per_sample))
         map_back = root / self.size[index][:, None]
         return map_back @ score, map_back @ covariance @ map_back.T
+
+
+def _family_wise(
+    score: Array, covariance: Array, groups: Sequence[slice], freedom: float, draws: int, seed: int
+) -> tuple[list[float], list[float]]:
+    """p-value of each group's score, alone and for all groups together, by min-p draws."""
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(seed)
+    sample = rng.standard_normal((draws, len(score))) @ root.T
+    sample /= np.sqrt(rng.chisquare(freedom, draws) / freedom)[:, None]
+    p = []
+    largest: dict[int, Array] = {}  # of the drawn statistics, by rank: p falls with them
+    for part in groups:
+        rank = part.stop - part.start
+        inverse = np.linalg.pinv(covariance[part, part], rcond=1e-10, hermitian=True)
+        statistic = _hotelling(score[part] @ inverse @ score[part], rank, freedom)
+        p.append(max(float(statistic), TINY))
+        quadratic = np.einsum("di,ij,dj->d", sample[:, part], inverse, sample[:, part])
+        largest[rank] = np.maximum(quadratic, largest.get(rank, 0.0))
+    smallest = np.sort(
+        np.min([_hotelling(most, rank, freedom) for rank, most in largest.items()], axis=0)
+    )
+    adjusted = []
+    for one in p:
+        share = float(np.searchsorted(smallest, one, side="right") + 1) / (draws + 1)
+        drawn = share if share > SCORES.resolved / max(draws, 1) else 1.0
+        adjusted.append(min(1.0, len(p) * one, drawn))
+    return p, adjusted
 
 
 def _hotelling(statistic: Any, rank: int, freedom: float) -> Any:

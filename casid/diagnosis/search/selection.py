@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
+from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
 from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.search.alternatives import IMITATORS, p_value, rivals_of
@@ -26,13 +27,37 @@ def adopt_causes(
 
     Returns what was adopted, the last model under its noise, and its simulation-error fit.
     """
-    adopted: list[Adopted] = []
-    extended: Fit | None = None
-    start, once = at, replace(settings, starts=1, solver=settings.solver or EXACT)
-    before = held_out_error(base_fit, split)
-    while len(adopted) < search.max_causes:
-        search.progress(f"test every effect (round {len(adopted) + 1})")
-        named = [a.candidate for a in adopted]
+    once = replace(settings, starts=1, solver=settings.solver or EXACT)
+    error = held_out_error(base_fit, split)
+    state = _Selection(search, split, once, start=at, at=at, fit=base_fit, error=error)
+    while len(state.adopted) < search.max_causes and state.adopt_next():
+        state.exchange_last()
+    adopted, at = state.adopted, state.at
+    extended = state.fit if adopted else None
+    if extended is not None and len(adopted) > 1:
+        extended = _eliminated(search, adopted, extended, split, once)
+        at = search.weighing.weigh(extended.criterion.model, extended, rounds=1)
+    return adopted, at, extended
+
+
+@dataclass(slots=True)
+class _Selection:
+    """Forward selection: the model as extended so far."""
+
+    search: Search
+    split: Split
+    settings: FitSettings
+    start: Weighted  # the model as it is
+    at: Weighted
+    fit: Fit  # simulation error, whole records
+    error: Array  # held out
+    adopted: list[Adopted] = field(default_factory=list)
+
+    def adopt_next(self) -> bool:
+        """One round of the search; False where nothing was adopted."""
+        search, at = self.search, self.at
+        search.progress(f"test every effect (round {len(self.adopted) + 1})")
+        named = [a.candidate for a in self.adopted]
         table = search.table(at, named)
         if search.first_table is None:
             search.first_table = table
@@ -40,57 +65,63 @@ def adopt_causes(
         # shows in the residual's kind.
         is_scored = search.has_alarm(at, table)
         if not is_scored and not is_more_than_noise(at, search):
-            break
+            return False
         found = search.round(at, table, named)
         if not found:
-            break
-        if not adopted:
+            return False
+        if not self.adopted:
             search.first_candidates = found
-        taken: Adopted | None = None
+        # The first alarm has the rate that the user set, and is named unless the held-out data
+        # speak against it; a further cause has to earn its place there.
+        is_alarm = is_scored and not (self.adopted or at.is_hidden)
         for best in _named_first(at, found):
             p = p_value(table, best)
-            # The first alarm has the rate that the user set, and is named unless the held-out data
-            # speak against it; a further cause has to earn its place there.
-            is_alarm = is_scored and not (adopted or at.is_hidden)
             if p >= search.alpha or (best.merit <= 0 and not is_alarm):
                 continue
-            try:
-                fit = _whole_fit(best, split, once)
-                new_error = held_out_error(fit, split)
-            except SolveError as error:
-                search.refused.append((best, f"its simulation diverges ({error})"))
-                continue
-            refuse = why_worse if is_alarm else why_no_better
-            why = refuse(before, new_error)
-            if why and best.effect.kind not in ON_THE_CLOCK:
-                # The errors that an integrator has gathered say little: judge the end anew as well,
-                # where the cause means something on a clock that starts anew.
-                again = [held_out_error(f, split, anew=True) for f in (extended or base_fit, fit)]
-                why = refuse(*again)
-            if why:
-                search.refused.append((best, why))
-                continue
-            taken = Adopted(best, p, rivals_of(at, best, found), at)
-            before, extended = new_error, fit
-            at = search.weighing.weigh(best.model, fit, rounds=1)
-            break
-        if taken is None:
-            break
-        adopted.append(taken)
+            if self._adopt(best, is_alarm=is_alarm):
+                self.adopted.append(Adopted(best, p, rivals_of(at, best, found), at))
+                return True
+        return False
+
+    def _adopt(self, best: Candidate, *, is_alarm: bool) -> bool:
+        """Extend the model, unless the held-out data speak against it."""
+        try:
+            fit = _whole_fit(best, self.split, self.settings)
+            error = held_out_error(fit, self.split)
+        except SolveError as reason:
+            self.search.refused.append((best, f"its simulation diverges ({reason})"))
+            return False
+        refuse = why_worse if is_alarm else why_no_better
+        why = refuse(self.error, error)
+        if why and best.effect.kind not in ON_THE_CLOCK:
+            # The errors that an integrator has gathered say little: judge the end anew as well,
+            # where the cause means something on a clock that starts anew.
+            why = refuse(*(held_out_error(f, self.split, anew=True) for f in (self.fit, fit)))
+        if why:
+            self.search.refused.append((best, why))
+            return False
+        self.error, self.fit = error, fit
+        self.at = self.search.weighing.weigh(best.model, fit, rounds=1)
+        return True
+
+    def exchange_last(self) -> None:
+        """Take a rival of the last cause instead, where that leaves noise and the cause does not.
+
+        Only where the noise model absorbed misfit before the cause was adopted.
+        """
+        search, taken = self.search, self.adopted[-1]
         is_open = taken.rivals and taken.before is not None and taken.before.is_hidden
-        if is_open and not at.is_hidden and is_more_than_noise(at, search):
-            search.progress(f"judge the rivals of {taken.candidate.effect.kind} by what is left")
-            for other in better_rivals(search, adopted, start, at):
-                fit = _whole_fit(other, split, once)
-                instead = search.weighing.weigh(other.model, fit, rounds=1)
-                if not is_more_than_noise(instead, search):
-                    adopted[-1] = replace(taken, candidate=other, rivals=_others(taken, other))
-                    before, extended, at = held_out_error(fit, split), fit, instead
-                    break
-    if extended is not None and len(adopted) > 1:
-        extended = _eliminated(search, adopted, extended, split, once)
-        at = search.weighing.weigh(extended.criterion.model, extended, rounds=1)
-    return adopted, at, extended
+        if not is_open or self.at.is_hidden or not is_more_than_noise(self.at, search):
+            return
+        search.progress(f"compare the rivals of {taken.candidate.effect.kind} by their residuals")
+        for other in better_rivals(search, self.adopted, self.start, self.at):
+            fit = _whole_fit(other, self.split, self.settings)
+            instead = search.weighing.weigh(other.model, fit, rounds=1)
+            if not is_more_than_noise(instead, search):
+                self.adopted[-1] = replace(taken, candidate=other, rivals=_others(taken, other))
+                self.error = held_out_error(fit, self.split)
+                self.fit, self.at = fit, instead
+                return
 
 
 def _whole_fit(candidate: Candidate, split: Split, settings: FitSettings) -> Fit:

@@ -9,8 +9,9 @@ What the model's own parameters can absorb is in neither: a force is found up to
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -164,28 +165,78 @@ def missing_force(
     )
     line = over_time.spectrum.line if over_time is not None else None
     groups, knots = candidate_groups(fit, joined, balance, line)
+    under = partial(
+        Regression,
+        criterion,
+        x,
+        place=balance,
+        groups=groups,
+        experiments=experiments,
+        input_sd=at.input_sd,
+        recorded=recorded,
+        linearised=linearised,
+        seed=seed,
+    )
+    regression = under(noise=noise)
+    terms = _select_terms(
+        regression, lambda: under(noise=at.full), alpha=alpha, most=largest, seed=seed
+    )
+    chosen = terms.chosen
+    total = max(regression.misfit, sum(t.gain - t.chance for t in chosen), TINY)
+    dependences = _describe(regression, terms, joined, knots, total, at, seed)
+    units = units_of(criterion.model, recorded)
+    own = {v for g in groups for v in g.names}
+    is_balance = balance in criterion.model.balances
+    return MissingForce(
+        place=balance,
+        unit=criterion.model.balances[balance].unit
+        if is_balance
+        else criterion.model.outputs[balance][1],
+        is_balance=is_balance,
+        units={v: units.get(v, "") for v in own},
+        misfit=regression.misfit,
+        misfit_sd=regression.misfit_sd,
+        explained=float(min(sum(d.share for d in dependences), 1.0)),
+        score=sum(t.gain - terms.charge * t.rank for t in chosen),
+        dependences=dependences,
+        independent_of=tuple(
+            v
+            for v in joined
+            if v in own and v not in terms.dependent and not v.startswith("slope of ")
+        ),
+        over_time=over_time,
+    )
 
-    def under(noise: NoiseModel) -> Regression:
-        return Regression(
-            criterion,
-            x,
-            noise,
-            balance,
-            groups,
-            experiments,
-            input_sd=at.input_sd,
-            recorded=recorded,
-            linearised=linearised,
-            seed=seed,
-        )
 
-    regression = under(noise)
-    loud: Regression | None = None
+@dataclass(frozen=True, slots=True)
+class _Terms:
+    """Terms of the missing force, as selected."""
+
+    charge: float  # squares that one function costs
+    chosen: tuple[Tested, ...]
+    rivals: tuple[tuple[tuple[str, ...], ...], ...]  # of each, variables that explain as much
+    dependent: frozenset[str]  # variables of terms and rivals
+
+
+def _select_terms(
+    regression: Regression,
+    disturbed: Callable[[], Regression],
+    *,
+    alpha: float,
+    most: int,
+    seed: int,
+) -> _Terms:
+    """Forward selection at level `alpha`.
+
+    `disturbed` gives the regression under the noise with whatever passes for a disturbance.
+    """
+    groups = regression.groups
     charge = float(np.log(len(regression.e)))
+    loud: Regression | None = None
     chosen: list[Tested] = []
     rivals: list[tuple[tuple[str, ...], ...]] = []
     dependent: set[str] = set()
-    for _ in range(largest):
+    for _ in range(most):
         found = regression.test([t.group for t in chosen], seed=seed, charge=charge)
         if not found:
             break
@@ -196,44 +247,21 @@ def missing_force(
         if best.adjusted >= alpha or best.gain <= charge * best.rank or is_small:
             break
         # Under the sensors' noise alone a disturbance is coloured, and a few of its swings decide:
-        # a term has to stand where whatever passes for a disturbance counts as noise, too.
-        loud = loud or under(at.full)
+        # a term must be significant where whatever passes for a disturbance counts as noise, too.
+        loud = loud or disturbed()
         again = {t.group: t for t in loud.test([t.group for t in chosen], seed=seed)}
         if best.group not in again or again[best.group].adjusted >= alpha:
             break
         chosen.append(best)
+        merit = TERMS.near * (best.gain - charge * best.rank)
         near = [
             groups[t.group].names
             for t in sorted(found, key=lambda t: -t.gain)
-            if t is not best
-            and t.gain - charge * t.rank > TERMS.near * (best.gain - charge * best.rank)
+            if t is not best and t.gain - charge * t.rank > merit
         ]
         rivals.append(tuple(n for n in near if n)[: TERMS.rivals])
         dependent.update(groups[best.group].names, *near)
-    total = max(regression.misfit, sum(t.gain - t.chance for t in chosen), TINY)
-    dependences = _describe(regression, chosen, rivals, joined, knots, total, at, seed)
-    units = units_of(criterion.model, recorded)
-    own = {v for g in groups for v in g.names}
-    place_unit = (
-        criterion.model.balances[balance].unit
-        if balance in criterion.model.balances
-        else criterion.model.outputs[balance][1]
-    )
-    return MissingForce(
-        place=balance,
-        unit=place_unit,
-        is_balance=balance in criterion.model.balances,
-        units={v: units.get(v, "") for v in own},
-        misfit=regression.misfit,
-        misfit_sd=regression.misfit_sd,
-        explained=float(min(sum(d.share for d in dependences), 1.0)),
-        score=sum(t.gain - charge * t.rank for t in chosen),
-        dependences=dependences,
-        independent_of=tuple(
-            v for v in joined if v in own and v not in dependent and not v.startswith("slope of ")
-        ),
-        over_time=over_time,
-    )
+    return _Terms(charge, tuple(chosen), tuple(rivals), frozenset(dependent))
 
 
 def _simplest(found: Sequence[Tested], groups: Sequence[Group], charge: float) -> Tested:
@@ -329,14 +357,14 @@ def _columns(table: Table, last: str, knots: Array, carrier: str | None) -> Arra
 
 def _describe(
     regression: Regression,
-    chosen: Sequence[Tested],
-    rivals: Sequence[tuple[tuple[str, ...], ...]],
+    terms: _Terms,
     joined: Table,
     knots: Mapping[tuple[str, ...], Array],
     total: float,
     at: Weighted,
     seed: int,
 ) -> tuple[Dependence, ...]:
+    chosen = terms.chosen
     if not chosen:
         return ()
     coefficients, covariance = regression.estimate([t.group for t in chosen])
@@ -366,7 +394,7 @@ def _describe(
                 power=power,
                 size=size,
                 growth=growth,
-                rivals=rivals[k],
+                rivals=terms.rivals[k],
                 at=knots.get(group.names, np.zeros(1)),
                 value=coefficients[part],
                 sd=np.sqrt(np.maximum(np.diag(covariance)[part], 0.0)),

@@ -85,11 +85,12 @@ def smoothed_force(
     linearised = linearised or Linearised(criterion, x)
     ordinates = [_ordinates(criterion, x, noise, place, e) for e in range(len(criterion.data))]
     Ts = criterion.data[0].Ts
-    variance, memory, evidence = _levels(ordinates, Ts)
-    spectrum = _spectrum(ordinates, variance, memory, Ts)
+    process, evidence = _levels(ordinates, Ts)
+    variance, memory = process.variance, process.memory
+    spectrum = _spectrum(ordinates, process, Ts)
     series, seen = [], []
     for e in range(len(criterion.data)):
-        one = _smooth(criterion, x, noise, place, input_sd, linearised, e, variance, memory)
+        one = _smooth(linearised, noise, input_sd, place, process, e)
         series.append(one)
         seen.append(float(np.mean(one.sd**2)))
     share = 1.0 - float(np.mean(seen)) / variance if variance > 0 else 0.0
@@ -97,6 +98,14 @@ def smoothed_force(
 
 
 # -- levels ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Process:
+    """The first-order Gauss-Markov process (1)."""
+
+    variance: float
+    memory: float  # s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,11 +148,11 @@ def _process(omega: Array, memory: float, Ts: float) -> Array:
     return np.asarray((1 - a**2) / (1 - 2 * a * np.cos(omega) + a**2))
 
 
-def _levels(ordinates: list[list[_Ordinates]], Ts: float) -> tuple[float, float, float]:
-    """Variance, memory [s] and the log-likelihood they gain, on a grid that is then refined."""
+def _levels(ordinates: list[list[_Ordinates]], Ts: float) -> tuple[_Process, float]:
+    """The likeliest process and the log-likelihood it gains, on a grid that is then refined."""
     flat = [o for one in ordinates for o in one if np.any(o.gain2 > 0)]
     if not flat:
-        return 0.0, Ts, 0.0
+        return _Process(0.0, Ts), 0.0
     # In bands: the mean of exponentials is all that their common mean needs.
     rows = []
     for o in flat:
@@ -173,12 +182,10 @@ def _levels(ordinates: list[list[_Ordinates]], Ts: float) -> tuple[float, float,
             grid = top * np.geomspace(0.6, 1.7, 9)
         if found.max() > best[0]:
             best = (float(found.max()), top, float(memory))
-    return best[1], best[2], best[0]
+    return _Process(best[1], best[2]), best[0]
 
 
-def _spectrum(
-    ordinates: list[list[_Ordinates]], variance: float, memory: float, Ts: float
-) -> ForceSpectrum:
+def _spectrum(ordinates: list[list[_Ordinates]], process: _Process, Ts: float) -> ForceSpectrum:
     """Weighted over outputs and records by what each tells: |G|^4 / S^2, S with the force in it."""
     low = min(o.omega[0] for one in ordinates for o in one)
     edges = np.geomspace(low * 0.999, np.pi, SMOOTHING.bands + 1)
@@ -186,7 +193,7 @@ def _spectrum(
     largest, where, count = 0.0, 0.0, 0
     for one in ordinates:
         for o in one:
-            total = o.noise + variance * o.gain2 * _process(o.omega, memory, Ts)
+            total = o.noise + process.variance * o.gain2 * _process(o.omega, process.memory, Ts)
             weight = o.gain2**2 / total**2
             band = np.clip(np.searchsorted(edges, o.omega) - 1, 0, SMOOTHING.bands - 1)
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -224,18 +231,17 @@ def _spectrum(
 
 
 def _smooth(
-    criterion: SimulationError,
-    x: Array,
-    noise: NoiseModel,
-    place: str,
-    input_sd: Mapping[str, float],
     linearised: Linearised,
+    noise: NoiseModel,
+    input_sd: Mapping[str, float],
+    place: str,
+    process: _Process,
     e: int,
-    variance: float,
-    memory: float,
 ) -> ForceSeries:
+    """The force in one record, and the standard deviation of its error."""
+    criterion, variance = linearised.criterion, process.variance
     d, model = criterion.data[e], criterion.model
-    at = criterion.simulated(x, e)
+    at = criterion.simulated(linearised.x, e)
     path = linearised.path(e, at.x[: d.N], d)
     n, nx, ny = d.N, path.A.shape[1], len(criterion.outputs)
     if place in model.balances:
@@ -247,7 +253,7 @@ def _smooth(
         direct[:, criterion.outputs.index(place)] = 1.0
     if variance <= 0:
         return ForceSeries(d.name, d.t, np.zeros(n), np.zeros(n))
-    a = float(np.exp(-d.Ts / memory))
+    a = float(np.exp(-d.Ts / process.memory))
     F = np.zeros((n, nx + 1, nx + 1))
     F[:, :nx, :nx], F[:, :nx, nx], F[:, nx, nx] = path.A, b0 + a * b1, a
     push = np.concatenate([b1, np.ones((n, 1))], axis=1)

@@ -18,7 +18,7 @@ from scipy.stats import beta, chi2, kstest
 
 import casid
 from casid.data.problem import experiments_of
-from casid.diagnosis.calibration.false_alarm_rate import Calibration, calibrate, require_runs
+from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, calibrate, require_runs
 from casid.diagnosis.calibration.null_records import null_records
 from casid.diagnosis.diagnose import diagnose
 from casid.diagnosis.evidence.prewhitening import Weighing
@@ -74,7 +74,9 @@ def replace_record(experiment, y):
 
 
 def calibrated(diagnose_null, *, runs=200, **more) -> Calibration:
-    return calibrate(roll_decay.problem, *decay(), diagnose_null=diagnose_null, runs=runs, **more)
+    return calibrate(
+        roll_decay.problem, Null(*decay()), diagnose_null=diagnose_null, runs=runs, **more
+    )
 
 
 def test_null_records_have_the_noise_of_the_fit_and_an_exact_test_keeps_its_rate():
@@ -138,7 +140,8 @@ def mean_p(problem, experiments, *, false_alarm_rate, hold_out):
 def test_the_number_of_processes_changes_nothing():
     problem = casid.load_problem(ROOT / "problems" / "roll_decay.py")
     one, two = (
-        calibrate(problem, *decay(), diagnose_null=mean_p, runs=6, jobs=jobs) for jobs in (1, 2)
+        calibrate(problem, Null(*decay()), diagnose_null=mean_p, runs=6, jobs=jobs)
+        for jobs in (1, 2)
     )
     assert one.smallest.tolist() == two.smallest.tolist()
 
@@ -244,7 +247,7 @@ def test_the_diagnosis_itself_is_calibrated_on_a_record_of_the_pendulum():
     """20 null records of 30 s: P(more than 4 alarms | 5 %) = 0.3 % (binomial)."""
     split, at, fit = pieces(pendulum.problem, pendulum.simulate(duration=30.0))
     search = functools.partial(diagnose, starts=1, max_causes=1)
-    found = calibrate(pendulum.problem, split, at, fit, diagnose_null=search, runs=20)
+    found = calibrate(pendulum.problem, Null(split, at, fit), diagnose_null=search, runs=20)
     assert found.runs == 20
     assert found.alarms.sum() <= 4
     assert found.threshold <= 0.05
