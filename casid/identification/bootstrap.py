@@ -101,7 +101,7 @@ def bootstrap(estimate: MomentEstimate, *, runs: int = 500, seed: int = 0) -> Bo
         found.append(row)
     if len(found) < 2:
         raise SolveError(
-            f"bootstrap: {failed} of {runs} runs had no optimum; the estimate itself stands on "
+            f"bootstrap: {failed} of {runs} runs had no optimum; the estimate itself rests on "
             "weak moments, look at its canonical correlations"
         )
     return Bootstrap(estimate.names, np.array(found), failed)

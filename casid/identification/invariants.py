@@ -1,9 +1,9 @@
-"""What is left to report where the data leave a curve of parameters: a declared choice.
+"""Estimates where the data determine parameters only up to a curve: one is held, by choice.
 
-`casid.identify` and its kin refuse parameters that no data from the experiments can tell apart.
+`casid.identify` and its kin refuse parameters that are not identifiable from the experiments.
 `invariants` goes on instead: it holds one parameter of each family at a value, fits the others, and
-moves the estimate along the family (`along_family`). What the family does not move is told, with a
-standard error. What it moves is a range: whatever the choice was, the parameter is in there.
+moves the estimate along the family (`along_family`). What the family does not move is determined,
+with a standard error. What it moves is a range: whatever the choice was, the parameter is in there.
 """
 
 from __future__ import annotations
@@ -71,13 +71,13 @@ class Moving:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Invariants(Presented):
-    """What data tell whatever the choice, and how far the rest moves.
+    """What the data determine whatever the choice, and how far the rest moves.
 
     Attributes
     ----------
     told : parameters with a value and a standard error that no choice touches.
     moving : those that are a range.
-    combinations : of the moving ones, told in their place; in the names of the formulas.
+    combinations : of the moving ones, determined in their place; in the names of the formulas.
     held : parameter -> value that was chosen.
     along : one a family.
     estimate : with the held parameters taken as known; its errors are given the choice.
@@ -98,7 +98,7 @@ class Invariants(Presented):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def interval(self, name: str) -> tuple[float, float]:
-        """The interval of a parameter, told or moving; NaN where the estimate is at a bound.
+        """The interval of a parameter, determined or moving; NaN where the estimate is at a bound.
 
         Raises
         ------
@@ -151,7 +151,7 @@ def invariants(
     level: float = 0.95,
     families: Sequence[Family] | None = None,
 ) -> Invariants:
-    """Estimate what these experiments tell of parameters that they cannot tell apart.
+    """Estimate what these experiments determine of parameters that are not identifiable.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def invariants(
     Returns
     -------
     Invariants
-        Everything is told, and nothing held, where the problem is identifiable.
+        Everything is determined, and nothing held, where the problem is identifiable.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def _refuse_entangled(found: Sequence[Family]) -> None:
                 raise IdentifiabilityError(
                     f"{', '.join(shared)} move along two families, a surface and no curve; give "
                     f"one of {', '.join(dict.fromkeys((*f.moved, *g.moved)))} a known value and "
-                    "ask again"
+                    "try again"
                 )
 
 

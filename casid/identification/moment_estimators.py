@@ -35,7 +35,7 @@ def least_squares(
     """Least squares on the difference equations, (2.39) with the physics as constraints.
 
     Fast and of small variance, but biased where outputs or inputs carry noise, or a loop is closed:
-    a start for the others, and a measure of what instruments are worth. Parameters and errors as
+    a start for the others, and a measure of the benefit of instruments. Parameters and errors as
     `instrumental_variables`; where the records are not excited, which instruments refuse, the
     estimate has a warning.
     """
@@ -69,7 +69,7 @@ def instrumental_variables(
     Raises
     ------
     IdentifiabilityError
-        If the parameters cannot be told apart, or the instruments do not see a direction.
+        If the parameters are not identifiable, or the instruments not relevant in a direction.
     DataError, ModelError, SolveError
         For unusable records, models and programs without an optimum.
 

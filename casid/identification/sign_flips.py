@@ -1,4 +1,4 @@
-"""Channels that are taken the wrong way round: a sign flip is a scale of -1.
+"""Channels with the wrong sign, found from moments: a sign flip is a scale of -1.
 
 A flip of one channel changes the signs of some coefficients of the difference equation and leaves
 its misfit as it is, so no residual shows it where the parameters may have either sign. What shows
@@ -51,8 +51,8 @@ class SignFlip:
         it flipped. Where there is none as recorded, relative to the worst of the flips.
     is_suspected : the flip is clearly better.
     p_value : of (1) as recorded, corrected for the number of channels, at least 1e-16: its law
-        tells nothing further out. None without a reference, or without an estimate as recorded.
-    is_rival : (1) does not tell this flip from the one that is suspected.
+        is not reliable further out. None without a reference, or without an estimate as recorded.
+    is_rival : (1) does not distinguish this flip from the suspected one.
     """
 
     channel: str

@@ -1,4 +1,4 @@
-"""A channel recorded the wrong way round, found by what the simulation misses with it negated.
+"""A channel with the wrong sign, found by the simulation error with the channel negated.
 
 A sign flip is a scale of -1 of one channel. Equations whose coefficients may have either sign fit
 both; physical parameters with bounds, and those that several load cases share, fit one. So where a
@@ -9,7 +9,7 @@ number of channels (Bonferroni). Half the power is a heuristic: a channel that m
 wrong way round, costs far more.
 
 Where noise makes most of what the simulation misses, either sign misses by as much. Then an input
-that no noise reaches tells them apart: the moments of instruments made of it (`sign_flips`).
+that no noise reaches distinguishes them: the moments of instruments made of it (`sign_flips`).
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ class WrongSign:
 
     Attributes
     ----------
-    channel : of the model; the first of those that cannot be told apart, outputs before inputs.
+    channel : of the model; the first of those that are indistinguishable, outputs before inputs.
     unit : its SI unit.
     p_value : that it fits better by chance, corrected for the number of channels tried.
     before, after : rms simulation error by output, as recorded (NaN without any fit) and negated.
     rivals : channel -> p-value against the named one, of those that negated fit as well; 1 where
-        instruments do not tell them apart.
+        instruments do not distinguish them.
     start : values of the fit with the channel negated.
-    reference : input whose instruments told it, where the simulation errors did not.
+    reference : input whose instruments found it, where the simulation errors did not.
     left : share of the moments' J that is left with the channel negated, with a reference.
     """
 
@@ -124,14 +124,14 @@ def wrong_sign(
 ) -> WrongSign | None:
     """The channel to be suspected, if any: negated in turn, where the fit as recorded is poor.
 
-    Looks at the liveliest stretch of each record alone, 2000 samples, from one start: where nothing
-    is wrong that is one short fit. Nothing is suspected where an input rests in all records, or
+    Uses the most excited window of each record alone, 2000 samples, from one start: where nothing
+    is wrong that is one quick fit. Nothing is suspected where an input rests in all records, or
     where the simulation does not rise above what it misses.
 
     Parameters
     ----------
     problem : its inputs declared free of noise are references for instruments; without any, those
-        of unknown noise that past outputs do not tell.
+        of unknown noise that past outputs do not predict.
     experiments : as recorded, with their load cases.
     alpha : of the test, for all channels together.
     """
@@ -142,8 +142,8 @@ def wrong_sign(
     if any(all(_rests(e.record, n) for e in experiments) for n in inputs):
         return None
     channels = [n for n in (*model.outputs, *inputs) if all(n in e.record for e in experiments)]
-    short = [_lively(e, tuple(model.outputs)) for e in experiments]
-    quick = in_short_order(settings)
+    short = [_most_excited(e, tuple(model.outputs)) for e in experiments]
+    quick = quick_settings(settings)
     recorded = _fitted(model, short, quick)
     if recorded is not None and not is_poor(recorded):
         return None
@@ -196,7 +196,7 @@ def _by_reference(
     """The channel that instruments from a reference suspect, where the simulation is no worse."""
     from casid.identification.sign_flips import sign_flips
 
-    long = [_lively(e, tuple(problem.model.outputs), 10_000) for e in experiments]
+    long = [_most_excited(e, tuple(problem.model.outputs), 10_000) for e in experiments]
     for reference in _references(problem, long):
         try:
             flips = sign_flips(problem, long, reference=reference)
@@ -223,7 +223,7 @@ def _by_reference(
 
 
 def _references(problem: Problem, experiments: Sequence[Experiment]) -> list[str]:
-    """Inputs that no noise reaches: declared so, or else neither noisy nor told by past outputs."""
+    """Inputs that no noise reaches: declared so, or neither noisy nor predicted by outputs."""
     inputs = [
         n
         for n, u in problem.model.inputs.items()
@@ -276,7 +276,9 @@ def _fitted(model: Model, experiments: Sequence[Experiment], settings: FitSettin
     return fit if np.isfinite(fit.solution.value) else None
 
 
-def _lively(experiment: Experiment, outputs: tuple[str, ...], samples: int = 2000) -> Experiment:
+def _most_excited(
+    experiment: Experiment, outputs: tuple[str, ...], samples: int = 2000
+) -> Experiment:
     """The stretch of a record in which its outputs move the most."""
     r = experiment.record
     if r.N <= samples:
@@ -292,8 +294,8 @@ def _sum(values: Array) -> float:
     return float(values.sum())
 
 
-def in_short_order(settings: FitSettings) -> FitSettings:
-    """One start and few iterations: enough to tell a wrong sign, not to estimate."""
+def quick_settings(settings: FitSettings) -> FitSettings:
+    """One start and few iterations: enough to detect a wrong sign, not to estimate."""
     solver = settings.solver or Solver()
     return replace(
         settings,

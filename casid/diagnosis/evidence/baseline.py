@@ -21,7 +21,7 @@ from casid.errors import SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
-from casid.identification.wrong_signs import WrongSign, in_short_order, negated_split, wrong_sign
+from casid.identification.wrong_signs import WrongSign, negated_split, quick_settings, wrong_sign
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +117,7 @@ def _fit_as_recorded(
     problem: Problem, split: Split, settings: FitSettings, negated: WrongSign
 ) -> Fit:
     """The best quick fit with the sign as it was recorded."""
-    quick = in_short_order(settings)
+    quick = quick_settings(settings)
     try:
         return fit_model(problem.model, split.fitted, quick, check_rank=False, throw=False)
     except SolveError as error:

@@ -35,7 +35,7 @@ SLOWEST = 0.9999
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlackBoxReferences(Presented):
-    """Black-box models of every record, and the signals they make of the reference.
+    """Black-box models of every record, and their responses to the reference.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class BlackBoxReferences(Presented):
         return tuple(next(iter(self.filters.values())))
 
     def name(self, channel: str) -> str:
-        """The channel that holds what a black box makes of the reference."""
+        """The channel that holds the response of a black box to the reference."""
         return simulated_name(channel, self.reference)
 
     def __repr__(self) -> str:
@@ -67,7 +67,7 @@ class BlackBoxReferences(Presented):
 
 
 def simulated_name(channel: str, reference: str) -> str:
-    """Name of the channel that holds what a black box makes of the reference."""
+    """Name of the channel that holds the response of a black box to the reference."""
     return f"{channel} from {reference}"
 
 
@@ -86,7 +86,7 @@ def black_box_references(
     Parameters
     ----------
     reference : recorded channel that no disturbance and no output reaches
-        (`casid.estimation.moments.exogeneity` asks the record whether that is so).
+        (`casid.estimation.moments.exogeneity` tests this on the record).
     channels : those to be modelled.
     structure : ``"arx"``, or ``"oe"`` (nf = na), whose poles noise does not draw inwards.
     na, nb : coefficients of A and B.
@@ -100,7 +100,7 @@ def black_box_references(
         If no channel is named, or the reference is among them.
     IdentifiabilityError
         If the reference does not excite even a model of one pole. Fewer poles are fitted where a
-        record does not tell `na` (without noise it has one order only), with a note.
+        record does not determine `na` (without noise it has one order only), with a note.
 
     Notes
     -----
@@ -141,7 +141,8 @@ def black_box_references(
             b, a, order = _fitted(y, u, structure, na, nb, nk, record.Ts)
             if order < na:
                 notes.append(
-                    f"{e.name}: {channel} from {reference} tells no {na} poles; {order} were fitted"
+                    f"{e.name}: {channel} from {reference} does not determine {na} poles; {order} "
+                    "were fitted"
                 )
             stable, moved = _inside(a)
             if moved:
@@ -229,7 +230,7 @@ def black_box_instruments(
 def _fitted(
     y: Array, u: Array, structure: str, na: int, nb: int, nk: int, Ts: float
 ) -> tuple[Array, Array, int]:
-    """B, A and their order: the highest, up to na, that the record tells."""
+    """B, A and their order: the highest, up to na, that the record determines."""
     inputs = {"u": u, "offset": np.ones(len(u))}  # a mean that the record cuts off, or a bias
     for less in range(na):
         order, zeros = na - less, max(nb - less, 1)

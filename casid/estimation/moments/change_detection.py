@@ -37,7 +37,7 @@ WIDTHS = (1, 2, 3, 4, 6, 9, 15)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """The comparison that tells most at one step.
+    """The most significant comparison at one step.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class ChangeDetector:
     ----------
     rate : expected false alarms a step, at most; 1/1440 is one a day for one vector a minute.
     widths : steps that a change is looked for back in.
-    training : vectors before the first comparison; a change among them goes unseen.
+    training : vectors before the first comparison; a change among them is not detected.
     memory : vectors that are kept at most; None: all. It bounds the time a step takes.
 
     Raises
@@ -108,7 +108,7 @@ class ChangeDetector:
         self._scales = self._scales[len(self._scales) - kept :]
 
     def add(self, vector: ArrayLike, scale: float = 1.0) -> Change | None:
-        """Take the next vector and return the comparison that tells most, or None in training.
+        """Add a vector and return the most significant comparison, or None in training.
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class ChangeDetector:
         return change is not None and change.p_value < self.rate
 
     def _compare(self, widths: Array) -> Change:
-        """The width that tells most, all of them at once from sums over the vectors so far."""
+        """The most significant width, all of them at once from sums over the vectors so far."""
         from scipy.special import fdtrc
 
         X, w = np.stack(self._vectors), 1.0 / np.array(self._scales)

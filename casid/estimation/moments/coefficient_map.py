@@ -1,8 +1,8 @@
-"""What the free parameters of a stage can make of its coefficients: the image of g.
+"""The map g from the free parameters of a stage to its coefficients.
 
 All parts of a stage stacked, theta = g(theta_p; what is known of each part): values, slopes, the
-linear constraints that the image obeys, the way back, and a refusal where it folds parameters into
-one another, whatever the data.
+linear constraints that the image obeys, the inverse, and a refusal where parameters are not
+identifiable, whatever the data.
 """
 
 from __future__ import annotations
@@ -79,12 +79,12 @@ class CoefficientMap:
         )
 
     def require_identifiable(self, start: Array, values: Sequence[Mapping[str, float]]) -> None:
-        """Refuse parameters that the image of g cannot tell apart, whatever the data.
+        """Refuse parameters that g does not identify, whatever the data.
 
         Raises
         ------
         IdentifiabilityError
-            With the direction that changes nothing, and the mend.
+            With the direction that changes nothing, and the remedy.
         """
         rng = np.random.default_rng(11)
         best = None
@@ -196,7 +196,7 @@ def _least_squares(A: Array, b: Array) -> Array:
 
 
 class _AtOnce:
-    """What is left of theta at theta_p, metric (theta - g), and its slope, by buffers of CasADi."""
+    """The residual metric (theta - g) and its slope at theta_p, by buffers of CasADi."""
 
     def __init__(self, stack: Any, jacobian: Any) -> None:
         self._functions = stack, jacobian

@@ -2,7 +2,7 @@
 
 Two lists of columns on a few channels need the lagged products of the pairs of channels that meet,
 at the offsets that occur; entries that a shift of time relates share their sum but for the ends.
-`moments` keeps everything up to a lag, to be added and asked later; this is for one use.
+`moments` keeps everything up to a lag, to be added and evaluated later; this is for one use.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def column_means(columns: Sequence[Column], signals: Mapping[str, Array], start:
     return total / (len(next(iter(signals.values()))) - start)
 
 
-@functools.lru_cache(maxsize=256)  # campaigns ask for the same columns in every run
+@functools.lru_cache(maxsize=256)  # campaigns use the same columns in every run
 def _tables(columns: tuple[Column, ...]) -> dict[str, Array]:
     """Channel -> weight of each column on each lag, (len(columns), largest lag + 1)."""
     highest = max((c.order for c in columns), default=0)

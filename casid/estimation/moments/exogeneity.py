@@ -2,17 +2,17 @@
 
 Instruments made of a reference are correlated with no disturbance only if the reference is not. A
 heading that commands the rudder, or a pilot who watches the roll, feeds disturbances back into it.
-Granger's question (1969, Econometrica 37, 424-438) is put to the record: do past outputs tell more
-of the reference than its own past does?
+Granger's question (1969, Econometrica 37, 424-438) is: do past outputs predict the
+reference better than its own past alone?
 
     delta(k) = sum_i a_i delta(k-i) + sum_i b_i' y(k-i) + c + e(k),       b = 0 ?               (1)
 
 Innovations of a reference are nothing like Gaussian: steps and reversals are few and large. So the
-F statistic is not held against Fisher's F, but against its values with the signs of e turned at
+F statistic is not compared with Fisher's F, but with its values with the signs of e turned at
 random, block by block (wild bootstrap: Wu 1986, Annals of Statistics 14, 1261-1295; with fixed
 regressors, Goncalves & Kilian 2004, J. Econometrics 123, 89-120). A few large steps then cannot
-give a small p-value: n of them have 2^n patterns of signs. A reference that stands at two levels is
-asked for the times of its reversals instead (`casid.estimation.moments.relay_reversals`).
+give a small p-value: n of them have 2^n patterns of signs. Of a reference that is at one
+of two levels the times of its reversals are tested (`casid.estimation.moments.relay_reversals`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _STANDING = 0.7  # share of the record at two levels that makes a relay of it (a
 
 ASSUMES: Mapping[str, str] = {
     "regression": "a reference known without noise, whose own past, as far as the lags reach, "
-    "tells all that the past of the outputs tells of it if it is external; innovations of "
+    "predicts it as well as the past of the outputs does if it is external; innovations of "
     "symmetric distribution, independent from block to block",
     "switching": "thresholds symmetric about zero; if the reference is external, the times for "
     "which it holds a level are normal, of one mean, and no output is steered by them",
@@ -53,7 +53,7 @@ class Dependence:
     ----------
     p_value : of "the reference depends on none of the outputs", for all outputs together.
     by_output : output -> p-value of its own, before the account for their number.
-    method : "regression" (1), or "switching" for a reference that stands at two levels.
+    method : "regression" (1), or "switching" for a reference that is at one of two levels.
     lags : samples of the past used (regression).
     reversals : found in the reference (switching).
     thresholds : output -> its value where the reference leaves the upper level, and minus its value
@@ -149,11 +149,11 @@ def reference_depends_on(
     record : with the reference and the outputs; none of their samples missing.
     outputs : channels that the reference might be made of. With "switching", as deviations: its
         thresholds lie at +c and -c.
-    method : "regression" or "switching"; default by the reference, "switching" where it stands at
-        two levels for 70 % of the record and reverses at least twice.
+    method : "regression" or "switching"; default by the reference, "switching" where it is at
+        one of two levels for 70 % of the record and reverses at least twice.
     lags : of reference and outputs in (1); default by BIC for the reference's own past, up to 40.
-        They must reach over the reference's memory: a square wave of fixed period is told by its
-        own past only if the lags reach over half a period, and by the output before that.
+        They must reach over the reference's memory: a square wave of fixed period is predicted by
+        its own past only if the lags reach over half a period, and by the output before that.
     draws : of the bootstrap; the smallest p-value is 1/(draws + 1).
 
     Returns
@@ -206,7 +206,7 @@ def reference_depends_on(
             f"{record.name}: {len(r)} samples are too few for {n} lags of {1 + y.shape[1]} "
             "channels; give fewer lags (lags=), fewer outputs or a longer record"
         )
-    together, by_column, told = _regression(r, y, n, draws, seed)
+    together, by_column, is_exact = _regression(r, y, n, draws, seed)
     return Dependence(
         record.name,
         reference,
@@ -215,7 +215,7 @@ def reference_depends_on(
         method,
         level,
         lags=n,
-        note="the reference's own past tells all of it: nothing is left to test" if told else "",
+        note="the reference's own past predicts it exactly: nothing to test" if is_exact else "",
     )
 
 

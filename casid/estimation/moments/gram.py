@@ -1,4 +1,4 @@
-"""The Gram matrix of lagged channels: all that a criterion linear in its parameters sees."""
+"""The Gram matrix of lagged channels: the data of a criterion that is linear in its parameters."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class Moments:
         Raises
         ------
         DataError
-            If a channel is not here, or more lags are asked for than were kept.
+            If a channel is not here, or more lags are requested than were kept.
         """
         names = self.channels if channels is None else checked_channels(channels)
         order = self.lags if lags is None else checked_lags(lags)
@@ -227,8 +227,7 @@ class Moments:
                 return cls(channels, int(file["lags"]), *sums)
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise DataError(
-                f"{path}: no moments are to be read from it ({error}). Give a file written by "
-                "Moments.save."
+                f"{path}: it holds no moments ({error}). Give a file written by Moments.save."
             ) from error
 
 
@@ -236,15 +235,15 @@ def _place(channels: tuple[str, ...], lags: int, constant: bool, channel: str) -
     if channel == CONSTANT and constant:
         return len(channels) * (lags + 1)
     if channel not in channels:
-        mend = "constant=True" if channel == CONSTANT else "it"
+        remedy = "constant=True" if channel == CONSTANT else "it"
         raise DataError(
             f"no moments of channel {channel!r}; there are those of {', '.join(channels)}. Name "
-            f"one of them, or compute the moments with {mend}."
+            f"one of them, or compute the moments with {remedy}."
         )
     return channels.index(channel) * (lags + 1)
 
 
-@functools.lru_cache(maxsize=256)  # campaigns ask for the same columns in every run
+@functools.lru_cache(maxsize=256)  # campaigns use the same columns in every run
 def _weights(
     channels: tuple[str, ...], lags: int, constant: bool, columns: tuple[Column, ...]
 ) -> Array:

@@ -1,4 +1,4 @@
-"""Whether the instruments see what the free parameters move."""
+"""Relevance of instruments: are they correlated with what the free parameters affect?"""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def require_relevance(
     free: Sequence[str],
     theta_p: Array,
 ) -> list[Correlation]:
-    """Canonical correlations of every part; refused where a free parameter stays unseen.
+    """Canonical correlations of every part; refused where a free parameter is undetermined.
 
     What counts is not every coefficient but every direction that the free parameters move, and all
     parts together: the share of that motion's size that the instruments reproduce.
@@ -47,7 +47,7 @@ def require_relevance(
     size = np.where(theta_p == 0.0, 1.0, np.abs(theta_p))
     moves = np.diag(total) * size**2
     if not np.all(np.isfinite(total)) or np.min(moves) < 1e-16 * np.max(moves):
-        return correlations  # a special point, as a load of 0 kg: nothing can be said there
+        return correlations  # a special point, as a load of 0 kg: no conclusion there
     scale = 1 / np.sqrt(np.maximum(np.diag(total), TINY))
     values_, vectors = np.linalg.eigh(total * np.outer(scale, scale))
     root = vectors / np.sqrt(np.maximum(values_, 1e-14 * values_[-1]))

@@ -149,7 +149,7 @@ class Window:
         place, n, width = 0, rows[0].size, self.step + self.overlap
         while place < n:
             if self.fill <= self.overlap and place >= self.fill and n - place >= width - self.fill:
-                # The old samples stand before the new ones in the rows themselves: no copy.
+                # The old samples precede the new ones in the rows themselves: no copy.
                 start = place - self.fill
                 yield [row[start : start + width] for row in rows]
                 place = start + width

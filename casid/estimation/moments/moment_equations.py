@@ -1,4 +1,4 @@
-"""Moment equations: what least squares and instrumental variables know of a record.
+"""Moment equations: the data of least squares and instrumental variables.
 
 One output of one record gives the regression left_t = columns_t' theta + error_t, and instruments
 zeta_t turn it into
@@ -7,7 +7,7 @@ zeta_t turn it into
     Phi = mean zeta_t L columns_t',                                                          (1)
 
 Linder (2017), (2.42)-(2.43) and (5.2)-(5.3). Least squares is the case zeta = L columns. Estimators
-see the data through (1) alone, a few numbers whatever the length of the record.
+use the data through (1) alone, a few numbers whatever the length of the record.
 """
 
 from __future__ import annotations
@@ -190,10 +190,10 @@ class MomentEquations:
         """The first sample that enters the means."""
         return max(c.order for c in (self.equation.left, *self.equation.columns, *self.instruments))
 
-    # -- what the data tell ------------------------------------------------------------------
+    # -- relevance of instruments -------------------------------------------------------------
 
     def correlation(self, *, with_memory: bool = True) -> Correlation:
-        """How well the instruments see the regressors: canonical correlations and their rank.
+        """Relevance of the instruments: canonical correlations with the regressors, and their rank.
 
         `with_memory` counts independent samples, else every sample counts as one.
         """
@@ -229,8 +229,8 @@ class Correlation:
 
     Attributes
     ----------
-    weakest : coefficient -> share in the direction that the instruments see least.
-    effective_samples : independent samples that this direction is worth, given its memory.
+    weakest : coefficient -> share in the direction of the smallest correlation.
+    effective_samples : number of independent samples in this direction, given its memory.
     """
 
     canonical: Array
@@ -355,7 +355,7 @@ def _own_products(
 def _finite(sums: Array, signals: Mapping[str, Array]) -> Array:
     """The sums, refused where a sample is not finite."""
     if not np.isfinite(sums).all():
-        moments(signals, 0)  # says where, and how to mend it
+        moments(signals, 0)  # says where, and how to fix it
     return sums
 
 

@@ -1,9 +1,9 @@
-"""F_delta: from the external reference to the input that nobody measures.
+"""F_delta: the filter from the external reference to the unmeasured input.
 
 Instruments and validation simulate the loop from the reference, so they need a filter for the part
 between it and the unknown input: an actuator, a rider's hand, a cart's drive. A guess will do for
 instruments, since a wrong F_delta costs variance and not consistency (Linder 2017, section 5.1);
-for validation by simulation it has to be right. Where no guess is at hand it is estimated
+for validation by simulation it has to be right. Without a guess it is estimated
 (`casid.estimation.moments.reference_filter_estimate`).
 """
 
@@ -19,7 +19,7 @@ from casid.errors import DataError, ModelError
 
 
 class Filter(Protocol):
-    """Whatever turns a reference into an estimate of the unknown input."""
+    """A filter from a reference to an estimate of the unknown input."""
 
     def apply(self, reference: Array, Ts: float) -> Array:
         """F(q) reference for (N,) samples at sample time `Ts` [s]."""
@@ -45,7 +45,7 @@ class ReferenceFilter:
 
     @classmethod
     def nothing(cls) -> ReferenceFilter:
-        """F_delta = 0: what the reference does to this input is left out of the simulation."""
+        """F_delta = 0: the effect of the reference on this input is left out of the simulation."""
         return cls((0.0,))
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""F_delta where nobody knows it: estimated from one record, the model being what it is."""
+"""F_delta estimated from one record, with the parameters of the model given."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def estimate_reference_filter(
     nf: int = 1,
     method: str = "bilinear",
 ) -> SampledFilter:
-    """Estimate F_delta(q) from one record, the model being what it is at `values`.
+    """Estimate F_delta(q) from one record, the parameters of the model at `values`.
 
     The unknown input reaches a measured channel through the direct model G_c, so that
     y_c = F(q) [G_c(q) delta] + noise: an output-error problem in F with a filtered reference.
@@ -65,7 +65,7 @@ def estimate_reference_filter(
     except UnstableLoop as unstable:
         raise SolveError(
             f"{experiment.name}: the loop is unstable at these values ({unstable}); start from "
-            "values at which the system stands, or give F_delta"
+            "values at which the system is stable, or give F_delta"
         ) from None
     y = record[chosen] - record[chosen].mean()
     found = oe(y, simulated - simulated.mean(), nb=nb, nf=nf, nk=0, Ts=record.Ts)

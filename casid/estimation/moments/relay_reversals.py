@@ -1,6 +1,6 @@
-"""What switches a reference that stands at one of two levels: its own clock, or an output?
+"""What switches a reference between two levels: its own clock, or an output?
 
-A relay leaves little to a regression: all that happens are a few reversals. But each has a time. If
+A relay has only a few reversals, too few for a regression. But each has a time. If
 a threshold of an output y sets them off, reversals come when s y = c, s = +-1 the side that is
 left, and the times (s y - c)/(s dy/dt) by which they miss that instant hardly scatter; if the
 reference has a clock of its own, it is the times for which a level is held that scatter little:
@@ -32,7 +32,7 @@ class Reversals:
     start : (n,) last sample at the level that is left.
     side : (n,) +1 where that is the upper level, -1 where the lower.
     hold : (n,) samples since the reference came to that level.
-    standing : share of the record that it stands at either level.
+    standing : share of the record at either level.
     """
 
     start: NDArray[np.intp]
@@ -80,7 +80,7 @@ def switching_p_value(found: Reversals, output: FloatArray, span: int) -> tuple[
 
     Returns
     -------
-    (1, nan) where there are fewer than two reversals, or the output stands still at one.
+    (1, nan) where there are fewer than two reversals, or the output is constant at one.
     """
     from scipy.stats import f
 

@@ -39,7 +39,7 @@ SOURCES = (
 
 ASSUMES = {
     "white": "white equation errors of zero mean, independent of the instruments: a coloured "
-    "error makes them too large or too small, by a factor that the sums cannot tell",
+    "error makes them too large or too small, by a factor that the sums do not determine",
     "independent": "equation errors of zero mean and finite memory, independent of the external "
     "reference; the discretisation's own bias is not in it",
     "scores": "autocorrelation-robust (Newey-West): equation errors of zero mean, not correlated "
@@ -178,7 +178,7 @@ def _method(fits: Sequence[StageFit], settings: MomentSettings, kind: str) -> st
 NOISY = 0.5
 """Share of noise in a regressor from which least squares warns.
 
-White noise has all its power in its floor, and a signal of steps a third, so this tells them apart.
+White noise has all its power in its floor, and a signal of steps a third: this distinguishes them.
 """
 
 
@@ -208,7 +208,7 @@ def _mostly_noise(st: StageFit) -> list[str]:
 
 
 def _evidence(fits: Sequence[StageFit], p: Propagated) -> dict[str, str]:
-    """What the moments say of themselves, and what the instruments see of each part."""
+    """The overidentification test, and the relevance of the instruments of each part."""
     out = {
         "surplus": (
             f"{p.degrees} moments more than parameters, chi2 {p.statistic:.3g}, p = {p.p_value:.2g}"

@@ -1,4 +1,4 @@
-"""Instruments of a stage, made again only where their reference or parameters are others."""
+"""Instruments of a stage, simulated again only where references or parameters have changed."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class StageInstruments:
         Parameters
         ----------
         values : every parameter of each part.
-        j : the iteration, -1 for the start values; remarks tell it.
+        j : the iteration, -1 for the start values; as remarks name it.
         """
         out: list[Simulated | None] = []
         done: dict[str, Simulated] = {}

@@ -201,7 +201,7 @@ class StagePrograms:
             solution = self._linear[rows].solve(data, B, b, theta0)
         theta_p = self.map.inverse(solution.x, values, start, metric)
         low, high = self.low, self.high
-        # Coefficients outside the image of the box: theta_p stands at its wall.
+        # Coefficients outside the image of the box: theta_p is on its boundary.
         at_lower = tuple(f for f, held in zip(self.free, theta_p <= low, strict=True) if held)
         at_upper = tuple(f for f, held in zip(self.free, theta_p >= high, strict=True) if held)
         solution = replace(solution, at_lower=at_lower, at_upper=at_upper)

@@ -234,7 +234,7 @@ def on_simulated(columns: Sequence[Column], simulated: Mapping[str, str]) -> tup
     Parameters
     ----------
     columns : of a difference equation.
-    simulated : channel -> the channel that stands for it; others stay, as the reference itself.
+    simulated : channel -> the channel that replaces it; others stay, as the reference itself.
     """
     return tuple(
         Column(c.name, tuple((simulated.get(name, name), lag, w) for name, lag, w in c.taps))

@@ -1,6 +1,6 @@
 """Noise models D v = C e of a measured disturbance: autoregressive moving average.
 
-`arma` fits one to a residual, as refined instrumental variables ask for in every round (Linder
+`arma` fits one to a residual, as refined instrumental variables need in every round (Linder
 2017, (2.51)); `Arma.whiten` is their prefilter L = D/C.
 """
 
@@ -130,7 +130,7 @@ def arma(
     start : a previous estimate with the same orders, as inside an iteration.
     discard, solver, throw : as `prediction_error`. Inside an iteration
         ``throw=False`` keeps a short or overfitted residual, whose moving average runs to the unit
-        circle, from ending it: ask `is_converged`.
+        circle, from ending it: see `is_converged`.
 
     Raises
     ------

@@ -279,7 +279,7 @@ def smooth_track(
         )
     if found.undetermined:
         notes.append(
-            f"{', '.join(found.undetermined)}: as good as zero, or not to be told from these "
+            f"{', '.join(found.undetermined)}: as good as zero, or undetermined by these "
             "samples; state it with levels="
         )
     return Track(record.name, record.t, smoothed, found, tuple(notes))

@@ -1,4 +1,4 @@
-"""Persistent excitation: whether inputs move enough for the lags that a model asks of them."""
+"""Persistent excitation: whether inputs excite the lags that a model needs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from casid.estimation.local_rank import LocalRank, local_rank
 from casid.estimation.moments.moments import moments
 
 
-def unseen(gram: Array, names: Sequence[str]) -> tuple[LocalRank, str]:
+def dependent_columns(gram: Array, names: Sequence[str]) -> tuple[LocalRank, str]:
     """Rank of a Gram matrix Phi'Phi, and the combinations of columns that vanish, as equations."""
     length = np.sqrt(np.maximum(np.diag(gram), 0.0))
     scale = 1 / np.where(length > 0, length, 1.0)
@@ -29,12 +29,12 @@ def unseen(gram: Array, names: Sequence[str]) -> tuple[LocalRank, str]:
 def require_excitation(
     data: Sequence[tuple[Array, Mapping[str, Array]]],
     lags: Mapping[str, tuple[int, int]],
-    asked: str,
+    needed_by: str,
 ) -> None:
     """Refuse inputs whose lags (first, number) are linearly dependent over the records.
 
     An input is persistently exciting of order n if n of its lags are independent; B/F with nb and
-    nf coefficients asks for nb + nf (Ljung 1999, section 13.2).
+    nf coefficients needs nb + nf (Ljung 1999, section 13.2).
 
     Raises
     ------
@@ -55,7 +55,7 @@ def require_excitation(
         if len(y) > longest:
             channels = {f"s{c}": u[i] for c, i in enumerate(lags)}
             gram += moments(channels, longest).gram[np.ix_(place, place)]
-    rank, equations = unseen(gram, names)
+    rank, equations = dependent_columns(gram, names)
     if rank.is_full:
         return
     constant = [
@@ -65,7 +65,7 @@ def require_excitation(
         if not np.any(u[i] != u[i][0])
     ]
     raise IdentifiabilityError(
-        f"the inputs excite {rank.rank} of the {rank.unknowns} lags that {asked}: {equations} over "
-        f"the data{'; ' + ', '.join(constant) if constant else ''}. Record an experiment with a "
-        "richer input, or lower the orders"
+        f"the inputs excite {rank.rank} of the {rank.unknowns} lags that {needed_by}: {equations} "
+        f"over the data{'; ' + ', '.join(constant) if constant else ''}. Record an experiment "
+        "with a richer input, or lower the orders"
     )

@@ -30,7 +30,7 @@ class PredictionErrors:
 
     Parameters
     ----------
-    layout : where each coefficient stands.
+    layout : place of each coefficient in theta.
     data : (y (N_r,), {input: (N_r,)}) for each record.
     discard : for each record, the first residuals that do not count.
     """
@@ -45,7 +45,7 @@ class PredictionErrors:
         self.discard = tuple(discard)
         lags = [k + b for k, b in zip(layout.nk, layout.nb, strict=True)]
         self._pad = max([layout.na, layout.nc, layout.nd, *layout.nf, *lags])
-        # Zeros in front stand for what a shift brings in; a filter at rest leaves them zero.
+        # Zeros in front are what a shift brings in; a filter at rest leaves them zero.
         front = np.zeros(self._pad)
         self._data = [
             (np.concatenate([front, y]), [np.concatenate([front, u[i]]) for i in layout.inputs])

@@ -20,7 +20,7 @@ from casid.estimation.covariance import sandwich
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.nlp.solver import Solver, as_solver
-from casid.estimation.prediction_error.persistent_excitation import require_excitation, unseen
+from casid.estimation.prediction_error.persistent_excitation import dependent_columns, require_excitation
 from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
 from casid.estimation.prediction_error.polynomial_data import records_of
 from casid.estimation.prediction_error.polynomial_model import Misfit, PolynomialModel, Search
@@ -39,8 +39,8 @@ from casid.linear.stability import largest_root
 
 Errors = Literal["white", "robust"]
 NEAR = 0.999  # a root with this modulus or more is at the unit circle
-CANCEL = 0.5  # samples' worth of scaled information: with less, roots may cancel by accident
-NO_NOISE = 1e-24  # of the power of y: what is left is rounding
+CANCEL = 0.5  # of scaled information, in samples: with less, roots may cancel by accident
+NO_NOISE = 1e-24  # of the power of y: the rest is rounding
 ASSUMES = {
     "white": "white innovations, i.e. a true system in the model set: Linder 2017, (2.54)-(2.56) "
     "with Q = lambda V''",
@@ -299,7 +299,7 @@ def _given(start: PolynomialModel, layout: Layout, units: Units) -> Candidate:
         )
     if start.names != layout.names or tuple(start.nk.values()) != layout.nk:
         raise ModelError(
-            f"start has the coefficients {', '.join(start.names)}, the orders ask for "
+            f"start has the coefficients {', '.join(start.names)}, the orders need "
             f"{', '.join(layout.names)}; give a model of the same orders and inputs"
         )
     return "the model given", np.array(start.theta) / units.factors, ()
@@ -382,12 +382,13 @@ def _closed_form(criterion: PredictionErrors) -> Solution:
     """ARX and FIR: linear least squares by an orthogonal factorisation."""
     layout = criterion.layout
     jacobian, y = criterion.jacobian(np.zeros(layout.n))
-    rank, equations = unseen(jacobian.T @ jacobian, layout.names)
+    rank, equations = dependent_columns(jacobian.T @ jacobian, layout.names)
     if not rank.is_full:
         raise IdentifiabilityError(
-            f"{layout.structure}: the record tells {rank.rank} of {rank.unknowns} coefficients; "
-            f"the regressors of {', '.join(layout.names)} are dependent, {equations}. Lower the "
-            "orders (data without noise have one order only), or record a richer input"
+            f"{layout.structure}: the record determines {rank.rank} of {rank.unknowns} "
+            f"coefficients; the regressors of {', '.join(layout.names)} are dependent, "
+            f"{equations}. "
+            "Lower the orders (data without noise have one order only), or record a richer input"
         )
     theta = -np.linalg.lstsq(jacobian, y, rcond=None)[0]
     return _standing(criterion, theta, "closed form")

@@ -295,7 +295,7 @@ class PolynomialModel:
         if noise:
             pairs.append((self.C, np.convolve(self.A, self.D)))
         if not pairs:
-            raise ModelError("no input: ask for to_control(noise=True), the noise model")
+            raise ModelError("no input: call to_control(noise=True) for the noise model")
         num, den = [], []
         for b, a in pairs:
             length = max(len(a), len(b))

@@ -50,9 +50,9 @@ def reflected(polynomial: Array) -> tuple[Array, tuple[complex, ...]]:
     out = np.abs(roots) >= LAST_STABLE
     image = roots.copy()
     image[out] = np.minimum(1 / np.abs(roots[out]), 0.99) * roots[out] / np.abs(roots[out])
-    mended = np.real(np.poly(image))
-    trailing = len(polynomial) - len(mended)  # np.roots drops vanishing last coefficients
-    full = np.concatenate([mended, np.zeros(trailing)])
+    stable = np.real(np.poly(image))
+    trailing = len(polynomial) - len(stable)  # np.roots drops vanishing last coefficients
+    full = np.concatenate([stable, np.zeros(trailing)])
     return full, tuple(complex(r) for r in roots[out] if r.imag >= 0)
 
 
@@ -89,7 +89,7 @@ class Orders:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """Where each coefficient stands in theta = [a, b of each input, c, d, f of each input]."""
+    """The place of each coefficient in theta = [a, b of each input, c, d, f of each input]."""
 
     inputs: tuple[str, ...]
     na: int

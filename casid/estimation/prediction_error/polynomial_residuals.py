@@ -1,4 +1,4 @@
-"""Whether the residual still knows the input: cross-correlation with its bound.
+"""Cross-correlation of residual and input, with its bound.
 
 If the model of G is right, eps(t) and u(t - k) are uncorrelated, and their correlation over N
 samples is asymptotically normal with variance P / N,

@@ -1,14 +1,14 @@
 """Start values for the polynomial family, consistent where theory gives a consistent one.
 
-A long ARX model comes first: its residuals stand for e, and it whitens the noise. From it follow
+A long ARX model comes first: its residuals replace e, and it whitens the noise. From it follow
 
 - A, B, C by regression on past y, u and residuals (Hannan and Rissanen 1982; for ARMAX Mayne and
   Firoozan 1982);
 - B_i/F_i by Steiglitz-McBride on the prefiltered, noise-free response that the long model gives
   each input (Everitt, Galrinho and Hjalmarsson 2018), and on the data themselves;
-- C/D of what the inputs leave, by Hannan-Rissanen.
+- C/D of the remainder, by Hannan-Rissanen.
 
-Several candidates are returned; whoever asks takes the one with the smallest criterion.
+Several candidates are returned; the caller takes the one with the smallest criterion.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def _equation_error(data: Data, layout: Layout) -> list[Candidate]:
 
 
 def _with_own_dynamics(data: Data, layout: Layout) -> list[Candidate]:
-    """OE, BJ and all with F or D beside inputs: B/F first, then C/D of what is left."""
+    """OE, BJ and all with F or D beside inputs: B/F first, then C/D of the remainder."""
     from scipy.signal import lfilter
 
     shapes = list(zip(layout.inputs, layout.nb, layout.nf, layout.nk, strict=True))
@@ -182,7 +182,7 @@ def _with_own_dynamics(data: Data, layout: Layout) -> list[Candidate]:
     (a_long, *b_long), _, order = _long(records, layout.longest_lag)
 
     def complete(label: str, bs: list[Array], fs: list[Array], said: list[str]) -> list[Candidate]:
-        """C and D of what the inputs leave; A, whose roots G would share, starts at 1."""
+        """C and D of the remainder; A, whose roots G would share, starts at 1."""
         rest: list[tuple[Array, dict[str, Array]]] = []
         for y, u in data:
             total = y.copy()

@@ -90,7 +90,7 @@ def test_a_reference_that_its_own_past_tells_leaves_nothing_to_test():
     found = reference_depends_on(r, "d", ["y"], method="regression")
     assert found.p_value == 1.0
     assert not found.depends
-    assert "nothing is left to test" in found.note
+    assert "nothing to test" in found.note
 
 
 # -- switching -------------------------------------------------------------------------------------
