@@ -70,13 +70,7 @@ def estimate_from_moments(
             "noise_model= and alpha=, or estimate from records"
         )
     cases = dict(known or {})
-    foreign = [name for name in cases if name not in sums]
-    if foreign:
-        raise DataError(
-            f"known values for {foreign[0]!r}, which has no sums; there are {', '.join(sums)}"
-        )
-    if not sums:
-        raise DataError("no sums given; name at least one load case")
+    _refuse_cases(sums, cases)
     model = with_prior(problem, prior)
     names = tuple(free or (p.name for p in model.parameters.values() if not p.is_known))
     pairs = [
@@ -97,6 +91,17 @@ def estimate_from_moments(
     return moment_estimate(
         model, [fit], settings, prior, how="white", origin=(problem.name, provenance)
     )
+
+
+def _refuse_cases(sums: Mapping[str, Moments], known: Mapping[str, Mapping[str, float]]) -> None:
+    """Refuse no load case, and known values of one that has no sums."""
+    foreign = [name for name in known if name not in sums]
+    if foreign:
+        raise DataError(
+            f"known values for {foreign[0]!r}, which has no sums; there are {', '.join(sums)}"
+        )
+    if not sums:
+        raise DataError("no sums given; name at least one load case")
 
 
 def _equations(

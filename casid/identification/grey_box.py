@@ -27,7 +27,7 @@ from casid.estimation.estimate_builder import (
 )
 from casid.estimation.local_rank import describe_null, local_rank
 from casid.estimation.nlp.nlp import Nlp
-from casid.estimation.nlp.solution import Solution
+from casid.estimation.nlp.solution import Solution, not_converged
 from casid.estimation.nlp.solver import Solver, as_solver
 from casid.estimation.prediction_error.likelihood import CriterionOptions, PredictionError
 from casid.identifiability.requirement import require_identifiable
@@ -181,11 +181,7 @@ def minimize_prediction_error(
     _refuse_undetermined(criterion)
     solution = _minimum(criterion, solver)
     if throw and not solution.is_converged:
-        raise SolveError(
-            f"{model.name}: {solution.solver} stopped with {solution.status} after "
-            f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e}): "
-            f"{solution.mend}"
-        )
+        raise not_converged(model.name, solution)
     estimate = _estimate(criterion, solution, wanted)
     structural = _structure(model, chosen, options.get("own", ()))
     estimate = replace(

@@ -114,19 +114,7 @@ def sign_flips(
         recorded = misfit(experiments)
     except CasidError as error:
         failed = error
-    found: dict[str, Fitted] = {}
-    for channel in _channels(model):
-        flipped = [
-            replace(
-                e,
-                record=e.record.with_channel(channel, -e.record[channel], e.record.units[channel]),
-            )
-            for e in experiments
-        ]
-        try:
-            found[channel] = misfit(flipped)
-        except CasidError:
-            found[channel] = Fitted(np.inf, 0)
+    found = {c: _flipped(misfit, experiments, c) for c in _channels(model)}
     if failed is not None:
         finite = [f for f in found.values() if np.isfinite(f.value)]
         if not finite:
@@ -154,6 +142,24 @@ def sign_flips(
             for c, f in found.items()
         ]
     return tuple(sorted(rows, key=lambda f: f.ratio))
+
+
+def _flipped(
+    misfit: Callable[[Sequence[Experiment]], Fitted],
+    experiments: Sequence[Experiment],
+    channel: str,
+) -> Fitted:
+    """The misfit with one channel negated, infinite where there is no estimate."""
+    flipped = [
+        replace(
+            e, record=e.record.with_channel(channel, -e.record[channel], e.record.units[channel])
+        )
+        for e in experiments
+    ]
+    try:
+        return misfit(flipped)
+    except CasidError:
+        return Fitted(np.inf, 0)
 
 
 LAGS = 4

@@ -122,19 +122,7 @@ def black_box_references(
     notes: list[str] = []
     for e in experiments:
         record = e.record
-        for name in (reference, *channels):
-            if name not in record.names:
-                raise DataError(
-                    f"{e.name}: no channel {name!r} for a black-box model from {reference}; it has "
-                    f"{', '.join(record.names)}"
-                )
-        delta = record[reference]
-        if np.ptp(delta) == 0.0:
-            raise DataError(
-                f"{e.name}: the reference {reference} never moves, so nothing can be modelled from "
-                "it; use a record in which it is excited"
-            )
-        u = np.asarray(delta - delta.mean())
+        u = _centred_reference(e, reference, channels)
         own: dict[str, SampledFilter] = {}
         for channel in dict.fromkeys(channels):
             y = np.asarray(record[channel])
@@ -159,6 +147,24 @@ def black_box_references(
         made.append(replace(e, record=record))
         filters[e.name] = own
     return BlackBoxReferences(reference, tuple(made), filters, tuple(notes))
+
+
+def _centred_reference(e: Experiment, reference: str, channels: Sequence[str]) -> Array:
+    """The reference (N,) without its mean; refused where it rests, or a channel is missing."""
+    record = e.record
+    for name in (reference, *channels):
+        if name not in record.names:
+            raise DataError(
+                f"{e.name}: no channel {name!r} for a black-box model from {reference}; it has "
+                f"{', '.join(record.names)}"
+            )
+    delta = record[reference]
+    if np.ptp(delta) == 0.0:
+        raise DataError(
+            f"{e.name}: the reference {reference} never moves, so nothing can be modelled from "
+            "it; use a record in which it is excited"
+        )
+    return np.asarray(delta - delta.mean())
 
 
 def black_box_instruments(

@@ -28,7 +28,7 @@ from casid.arrays import TINY
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.estimation.covariance import bartlett_lags
-from casid.estimation.moments.relay_reversals import reversals, switching_p_value
+from casid.estimation.moments.relay_reversals import Reversals, reversals, switching_p_value
 
 FloatArray = NDArray[np.float64]
 Method = Literal["regression", "switching"]
@@ -183,20 +183,8 @@ def reference_depends_on(
         relay = turns.standing >= _STANDING and len(turns.start) >= 2
         method = "switching" if relay else "regression"
     if method == "switching":
-        span = max(1, int(np.median(turns.hold) / 50)) if len(turns.hold) else 1
-        tested = {n: switching_p_value(turns, y[:, i], span) for i, n in enumerate(outputs)}
-        by = {n: p for n, (p, _) in tested.items()}
-        few = len(turns.start) < 2
-        return Dependence(
-            record.name,
-            reference,
-            min(1.0, min(by.values()) * len(by)),
-            by,
-            method,
-            level,
-            reversals=len(turns.start),
-            thresholds={n: c for n, (_, c) in tested.items()},
-            note="fewer than two reversals: nothing could be tested" if few else "",
+        return _switching(
+            (record.name, reference), turns, dict(zip(outputs, y.T, strict=True)), level
         )
     if method != "regression":
         raise DataError(f"method = {method!r}; choose 'regression' or 'switching'")
@@ -216,6 +204,29 @@ def reference_depends_on(
         level,
         lags=n,
         note="the reference's own past predicts it exactly: nothing to test" if is_exact else "",
+    )
+
+
+def _switching(
+    names: tuple[str, str],
+    turns: Reversals,
+    outputs: Mapping[str, FloatArray],
+    level: float,
+) -> Dependence:
+    """The test of the times of reversals; `names` of record and reference."""
+    span = max(1, int(np.median(turns.hold) / 50)) if len(turns.hold) else 1
+    tested = {n: switching_p_value(turns, y, span) for n, y in outputs.items()}
+    by = {n: p for n, (p, _) in tested.items()}
+    few = len(turns.start) < 2
+    return Dependence(
+        *names,
+        min(1.0, min(by.values()) * len(by)),
+        by,
+        "switching",
+        level,
+        reversals=len(turns.start),
+        thresholds={n: c for n, (_, c) in tested.items()},
+        note="fewer than two reversals: nothing could be tested" if few else "",
     )
 
 

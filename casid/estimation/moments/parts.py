@@ -59,20 +59,8 @@ def parts_of(
     ModelError
         If the model cannot be linearised.
     """
-    if not experiments:
-        raise DataError("no record given; name at least one")
-    names = [e.name for e in experiments]
-    twice = sorted({n for n in names if names.count(n) > 1})
-    if twice:
-        raise DataError(
-            f"two records are called {twice[0]!r}; give the experiments names of their own"
-        )
     chosen = tuple(model.outputs) if outputs is None else tuple(outputs)
-    for output in chosen:
-        if output not in model.outputs:
-            raise ModelError(
-                f"{model.name} has no output {output!r}; it has {', '.join(model.outputs)}"
-            )
+    _refuse_names(model, experiments, chosen)
     found = {} if equations is None else equations
     parts = []
     for e in experiments:
@@ -110,3 +98,20 @@ def parts_of(
                 )
             )
     return parts
+
+
+def _refuse_names(model: Model, experiments: Sequence[Experiment], outputs: Sequence[str]) -> None:
+    """Refuse no records, records of one name, and outputs that the model does not have."""
+    if not experiments:
+        raise DataError("no record given; name at least one")
+    names = [e.name for e in experiments]
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise DataError(
+            f"two records are called {twice[0]!r}; give the experiments names of their own"
+        )
+    for output in outputs:
+        if output not in model.outputs:
+            raise ModelError(
+                f"{model.name} has no output {output!r}; it has {', '.join(model.outputs)}"
+            )

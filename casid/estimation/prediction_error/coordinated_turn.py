@@ -14,7 +14,7 @@ drifts. Linder (2017), section 9.6, has the surge speed of a model ship from suc
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -270,6 +270,11 @@ def smooth_track(
     found = smoother.fit(y, start, x0, P0, free=free, used=used, known=sd)
     smoothed = smoother.smooth(y, found.values, x0, P0, used=used, known=sd)
     track = Track(record.name, record.t, smoothed, found)
+    return replace(track, notes=_notes(track))
+
+
+def _notes(track: Track) -> tuple[str, ...]:
+    """What spoils the numbers of a track."""
     notes = []
     slow = int(np.sum(track.U < 2 * track.U_sd))
     if slow:
@@ -277,12 +282,12 @@ def smooth_track(
             f"{slow} samples have a speed below twice its standard deviation: course and drift "
             "mean little there"
         )
-    if found.undetermined:
+    if track.levels.undetermined:
         notes.append(
-            f"{', '.join(found.undetermined)}: as good as zero, or undetermined by these "
+            f"{', '.join(track.levels.undetermined)}: as good as zero, or undetermined by these "
             "samples; state it with levels="
         )
-    return Track(record.name, record.t, smoothed, found, tuple(notes))
+    return tuple(notes)
 
 
 def rounding_error(values: Array, digits: int = 3) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,61 +24,31 @@ from casid.estimation.prediction_error.persistent_excitation import dependent_co
 from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
 from casid.estimation.prediction_error.polynomial_data import records_of
 from casid.estimation.prediction_error.polynomial_model import Misfit, PolynomialModel, Search
+from casid.estimation.prediction_error.polynomial_notes import (
+    NEAR,
+    at_circle,
+    doubts,
+    failure,
+    long_transients,
+    offsets,
+)
 from casid.estimation.prediction_error.polynomial_orders import (
     Layout,
     Orders,
     PerInput,
-    Polynomials,
-    is_number,
     is_whole,
     settling,
 )
 from casid.estimation.prediction_error.polynomial_residuals import residual_input_correlation
+from casid.estimation.prediction_error.polynomial_settings import (
+    ASSUMES,
+    Errors,
+    PolynomialSettings,
+)
 from casid.estimation.prediction_error.polynomial_start import Candidate, Data, candidates
-from casid.linear.stability import largest_root
 
-Errors = Literal["white", "robust"]
-NEAR = 0.999  # a root with this modulus or more is at the unit circle
 CANCEL = 0.5  # of scaled information, in samples: with less, roots may cancel by accident
 NO_NOISE = 1e-24  # of the power of y: the rest is rounding
-ASSUMES = {
-    "white": "white innovations, i.e. a true system in the model set: Linder 2017, (2.54)-(2.56) "
-    "with Q = lambda V''",
-    "robust": "residuals of short memory, in the model set or not: Linder 2017, (2.54)-(2.56), Q "
-    "by a Bartlett sum",
-}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PolynomialSettings:
-    """How a polynomial model is estimated.
-
-    Attributes
-    ----------
-    Ts : sample time [s], for spectra and `to_control`.
-    discard : first residuals of each record that do not count, at most N - 1
-        The filters start from rest, which is wrong for a record cut out of a longer one; so by
-        default the longest lag and the time in which 1/(C F) settles to 1 % at the start values
-        (at most a fifth of the record) do not count. 0 takes signals as zero before the record
-        and counts every residual (conditional least squares).
-    errors : "white" for the classical covariance, "robust" for the sandwich
-    solver : or its name; default ``Solver("ipopt")``, closed-form least squares for C = D = F = 1.
-    start : a model of the same orders to start from; its own start values otherwise.
-    throw : raise if no optimum is reached; else return it with `is_converged` False.
-    """
-
-    Ts: float = 1.0
-    discard: int | None = None
-    errors: Errors = "white"
-    solver: Solver | str | None = None
-    start: PolynomialModel | None = None
-    throw: bool = True
-
-    def __post_init__(self) -> None:
-        if self.errors not in ASSUMES:
-            raise ModelError(f"errors = {self.errors!r}; choose 'white' or 'robust'")
-        if not is_number(self.Ts) or self.Ts <= 0:
-            raise DataError(f"sample time Ts = {self.Ts!r}; give a number of seconds above 0")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,15 +123,15 @@ def prediction_error(
             layout, data, _discards(data, layout, np.zeros(layout.n), s.discard)
         )
         best = _closed_form(criterion)
-        return _model(criterion, data, best, units, s, "none needed", _offsets(raw))
+        return _model(criterion, data, best, units, s, "none needed", offsets(raw))
     points = candidates(data, layout) if s.start is None else [_given(s.start, layout, units)]
     criterion = PredictionErrors(layout, data, _discards(data, layout, points[0][1], s.discard))
     best, label, notes = _best(criterion, points, solver)
     if s.throw and not best.is_converged:
-        raise SolveError(_failure(layout, best))
-    notes = (*notes, *_offsets(raw))
+        raise SolveError(failure(layout, best))
+    notes = (*notes, *offsets(raw))
     if s.discard is None:
-        notes = (*notes, *_long_transients(layout, best.x, raw, criterion.discard))
+        notes = (*notes, *long_transients(layout, best.x, raw, criterion.discard))
     return _model(criterion, data, best, units, s, label, notes)
 
 
@@ -256,39 +226,6 @@ def _discards(data: Data, layout: Layout, theta: Array, wanted: int | None) -> l
     return [layout.longest_lag + min(settle, (len(y) - layout.longest_lag) // 5) for y, _ in data]
 
 
-def _offsets(data: Data) -> tuple[str, ...]:
-    """Records whose mean is larger than their spread, which a model without an offset fits."""
-    said = []
-    for k, (y, u) in enumerate(data):
-        where = f" of record {k + 1}" if len(data) > 1 else ""
-        for name, x in (("y", y), *u.items()):
-            mean, spread = float(np.mean(x)), float(np.std(x))
-            if spread > 0 and abs(mean) > spread:
-                said.append(
-                    f"{name}{where} has mean {mean:.3g} and spread {spread:.3g}, and the model has "
-                    "no offset: take the means off, or give an input of ones"
-                )
-    return tuple(said)
-
-
-def _long_transients(
-    layout: Layout, theta: Array, data: Data, discarded: tuple[int, ...]
-) -> tuple[str, ...]:
-    """Records too short to discard the start-up transient of the estimate."""
-    name, radius = _at_circle(layout, theta)
-    p = layout.split(theta)
-    settle = settling(p.C, *p.F)
-    said = []
-    for k, ((y, _), d) in enumerate(zip(data, discarded, strict=True)):
-        if 0.1 < radius <= NEAR and radius ** (d - layout.longest_lag) > 0.1:
-            said.append(
-                f"the transient of 1/{name} needs {settle} samples to fall to 1 %, but only {d} of "
-                f"the {len(y)} of record {k + 1} are discarded: what came before it may bias the "
-                "estimate"
-            )
-    return tuple(said)
-
-
 # -- solving ------------------------------------------------------------------------------------
 
 
@@ -326,7 +263,7 @@ def _best(
     label, _, notes = points[chosen]
     lower = [s for s, _ in tried if s.value < best.value and not s.is_converged]
     if lower:
-        name, radius = _at_circle(criterion.layout, min(lower, key=lambda s: s.value).x)
+        name, radius = at_circle(criterion.layout, min(lower, key=lambda s: s.value).x)
         gain = 1 - min(s.value for s in lower) / best.value
         notes = (
             *notes,
@@ -346,7 +283,7 @@ def _minimise(criterion: PredictionErrors, theta: Array, solver: Solver | None) 
         nlp.variable(name, value, scale=max(abs(value), 1e-3))
     nlp.minimize(criterion)
     solution = nlp.solve(solver, theta.tolist(), throw=False, natural_scales=True)
-    if not solution.is_converged and _at_circle(layout, solution.x)[1] < NEAR:
+    if not solution.is_converged and at_circle(layout, solution.x)[1] < NEAR:
         again = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
         if again.value <= solution.value:
             return again
@@ -394,33 +331,6 @@ def _closed_form(criterion: PredictionErrors) -> Solution:
     return _standing(criterion, theta, "closed form")
 
 
-def _at_circle(layout: Layout, theta: Array) -> tuple[str, float]:
-    """The polynomial, C or an F, with the root nearest to the unit circle, and its modulus."""
-    p = layout.split(theta)
-    near = [("C", largest_root(p.C))]
-    near += [(f"F[{i}]", largest_root(f)) for i, f in zip(layout.inputs, p.F, strict=True)]
-    return max(near, key=lambda item: item[1])
-
-
-def _failure(layout: Layout, solution: Solution) -> str:
-    name, radius = _at_circle(layout, solution.x)
-    why = solution.mend
-    if radius > NEAR:
-        why = (
-            f"the search ran to a root of {name} of modulus {radius:.6f}, on the unit circle, "
-            "where the predictor is no longer stable. "
-        )
-        why += (
-            "Lower nc, or do not difference the data more than they need"
-            if name == "C"
-            else "Lower nf, or use A in place of F (ARMAX), which may be unstable"
-        )
-    return (
-        f"{layout.structure}: {solution.solver} stopped with {solution.status} after "
-        f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e}): {why}"
-    )
-
-
 # -- the result ---------------------------------------------------------------------------------
 
 
@@ -464,7 +374,7 @@ def _model(
             solution.scaled_gradient,
             label,
         ),
-        notes=(*notes, *_doubts(layout, p, smallest, no_noise)),
+        notes=(*notes, *doubts(layout, p, smallest, no_noise)),
     )
 
 
@@ -500,26 +410,3 @@ def _misfit(criterion: PredictionErrors, data: Data, solution: Solution, units: 
         discarded=criterion.discard,
         input_correlation=correlation,
     )
-
-
-def _doubts(layout: Layout, p: Polynomials, smallest: float, no_noise: bool) -> list[str]:
-    """What spoils numbers of the result, in sentences."""
-    said = []
-    if no_noise and (layout.nc or layout.nd):
-        said.append("the data hold no noise: C and D mean nothing")
-    elif smallest < 1e-7:
-        said.append(
-            "polynomials nearly cancel (smallest eigenvalue of the scaled information "
-            f"{smallest:.1e}): the orders are too high, and errors of single coefficients large"
-        )
-    stretch = [("C", p.C), *((f"F[{i}]", f) for i, f in zip(layout.inputs, p.F, strict=True))]
-    for name, polynomial in stretch:
-        if (radius := largest_root(polynomial)) > NEAR:
-            said.append(
-                f"{name} has a root of modulus {radius:.6f}: transients last longer than "
-                f"{int(1 / max(1 - radius, 1e-6))} samples, and normal errors are doubtful"
-            )
-    for name, polynomial in (("A", p.A), ("D", p.D)):
-        if (radius := largest_root(polynomial)) >= 1:
-            said.append(f"{name} has a root of modulus {radius:.4f}: the model itself is unstable")
-    return said
