@@ -59,6 +59,7 @@ def at_circle(layout: Layout, theta: Array) -> tuple[str, float]:
 
 
 def failure(layout: Layout, solution: Solution) -> str:
+    """Why a search ended without an optimum, and how to fix it."""
     name, radius = at_circle(layout, solution.x)
     why = solution.mend
     if radius > NEAR:

@@ -770,7 +770,8 @@ def test_two_inputs_that_are_one_cannot_be_told_apart():
 
 def test_orders_too_high_for_data_without_noise_are_refused():
     y, u, _, _ = record("ARX", 200, seed=33, noise=0.0)
-    with pytest.raises(IdentifiabilityError, match="determines 5 of 6 coefficients.*Lower the orders"):
+    refusal = "determines 5 of 6 coefficients.*Lower the orders"
+    with pytest.raises(IdentifiabilityError, match=refusal):
         arx(y, u, na=3, nb=3)
 
 
