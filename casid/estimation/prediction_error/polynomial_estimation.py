@@ -20,7 +20,10 @@ from casid.estimation.covariance import sandwich
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.nlp.solver import Solver, as_solver
-from casid.estimation.prediction_error.persistent_excitation import dependent_columns, require_excitation
+from casid.estimation.prediction_error.persistent_excitation import (
+    dependent_columns,
+    require_excitation,
+)
 from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
 from casid.estimation.prediction_error.polynomial_data import records_of
 from casid.estimation.prediction_error.polynomial_model import Misfit, PolynomialModel, Search

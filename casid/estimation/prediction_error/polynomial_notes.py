@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.nlp.nlp import Solution
+from casid.estimation.nlp.solution import Solution
 from casid.estimation.prediction_error.polynomial_orders import (
     Layout,
     Polynomials,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from casid.errors import DataError, ModelError
-from casid.estimation.nlp.nlp import Solver
+from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial_model import PolynomialModel
 from casid.estimation.prediction_error.polynomial_orders import is_number
 
