@@ -217,7 +217,7 @@ def test_without_json_the_answer_is_text(here):
     result = ask("mixing.toml", "--out", "found")
     assert result.exit_code == 0
     assert result.stdout.startswith("Identifiability of mixing: rank 6 of 7\n")
-    assert "no data will tell: p2, p4" in result.stdout
+    assert "structurally unidentifiable: p2, p4" in result.stdout
     assert "p2*p4" in result.stdout
     assert "wrote found" in result.stderr
 

@@ -510,10 +510,10 @@ def test_no_data_will_tell_and_not_with_these_records_are_two_verdicts():
     noisy = record.with_channel("y", 4 * np.exp(-0.5 * record.t), "m")
     noisy = noisy.with_channel("y", noisy["y"] + 2.0 * rng.standard_normal(record.N), "m")
     a = casid.assess_identifiability(model, noisy, symbolic=False)
-    assert verdict_words(a, "g1") == verdict_words(a, "g2") == "no data will tell"
+    assert verdict_words(a, "g1") == verdict_words(a, "g2") == "structurally unidentifiable"
     assert verdict_words(a, "p").startswith("identifiable, but not with these records")
     text = str(a)
-    assert "no data will tell: g1, g2" in text
+    assert "structurally unidentifiable: g1, g2" in text
     assert "identifiable, but not with these records: poorly determined: p" in text
 
 

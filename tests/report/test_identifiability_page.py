@@ -132,10 +132,10 @@ def test_the_answer_stands_first_in_words(each):
 def test_every_part_has_its_section_and_no_section_is_empty(mixing, gains, swing, force):
     always = ["Parameters", "States", "What the answer rests on", "Provenance", "References"]
     expected = {
-        "mixing": (mixing, ["What can be told instead", "What would mend it", "Poorer excitation"]),
-        "gains": (gains, ["What can be told instead", "What these records give"]),
+        "mixing": (mixing, ["Identifiable combinations", "Remedies", "Poorer excitation"]),
+        "gains": (gains, ["Identifiable combinations", "What these records give"]),
         "swing": (swing, ["Poorer excitation", "What these records give"]),
-        "force": (force, ["What can be told instead", "What would mend it", "Unknown inputs"]),
+        "force": (force, ["Identifiable combinations", "Remedies", "Unknown inputs"]),
     }
     for name, (assessment, own) in expected.items():
         page = assessment_page(assessment)
@@ -145,7 +145,7 @@ def test_every_part_has_its_section_and_no_section_is_empty(mixing, gains, swing
         bodies = re.split(r"<h2>.*?</h2>", page)[1:]
         assert all(Seen(b).text.strip() for b in bodies), name
     assert "Unknown inputs" not in sections(assessment_page(mixing))
-    assert "What would mend it" not in sections(assessment_page(swing))
+    assert "Remedies" not in sections(assessment_page(swing))
 
 
 def test_what_the_assessment_knows_stands_in_the_text(mixing, gains, swing, force):
@@ -153,11 +153,16 @@ def test_what_the_assessment_knows_stands_in_the_text(mixing, gains, swing, forc
         return Seen(assessment_page(assessment)).text
 
     shown = text(mixing)
-    for words in ("no data will tell", "p2*p4", "1/s", "sensor second", "not observable"):
+    for words in ("structurally unidentifiable", "p2*p4", "1/s", "sensor second", "not observable"):
         assert words in shown
     assert "give any one of p2, p4 a known value" in shown.replace("Give any", "give any")
     shown = text(gains)
-    for words in ("no data will tell", "g1*g2", "Cramer-Rao bound", "Expected errors from run"):
+    for words in (
+        "structurally unidentifiable",
+        "g1*g2",
+        "Cramer-Rao bound",
+        "Expected errors from run",
+    ):
         assert words in shown
     shown = text(swing)
     for words in ("a_y zero", "rank", "Profile likelihood", "Excitation orders"):
@@ -275,7 +280,7 @@ def test_the_text_says_what_the_json_says(each):
         content = each.to_json()
         lost = [p for p, v in content["parameters"].items() if v == "not_identifiable"]
         if lost:
-            assert f"no data will tell: {', '.join(lost)}" in text
+            assert f"structurally unidentifiable: {', '.join(lost)}" in text
         assert repr(each) == (
             f"<Assessment of {content['problem']}: rank {content['rank']} of {content['unknowns']}>"
         )

@@ -20,8 +20,8 @@ SECTIONS = (
     "What remains",
     "What is unknown",
     "Parameters that moved",
-    "What cannot be told apart",
-    "Invisible in this set-up",
+    "What cannot be distinguished",
+    "Undetectable in this set-up",
     "Next experiment",
     "Calibration",
 )
@@ -147,7 +147,7 @@ def headings(page: str) -> list[str]:
 
 
 def test_a_section_stands_only_where_there_is_something_to_say(page, rich):
-    assert [h for h in headings(page) if h in SECTIONS] == ["What cannot be told apart"]
+    assert [h for h in headings(page) if h in SECTIONS] == ["What cannot be distinguished"]
     assert [h for h in headings(rich) if h in SECTIONS] == list(SECTIONS)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import html
 import unicodedata
 
-# Okabe & Ito (2008), told apart by colour-blind readers; dashes and hatching say the same again.
+# Okabe & Ito (2008), distinct to colour-blind readers; dashes and hatching say the same again.
 MEASURED = "#8c8c8c"
 BEFORE = "#D55E00"
 AFTER = "#0072B2"

@@ -27,7 +27,7 @@ def comparison_figure(comparison: Comparison) -> Any:
     Raises
     ------
     ModelError
-        If letters are left in the comparison.
+        If the comparison is symbolic.
     """
     from plotly.subplots import make_subplots
 

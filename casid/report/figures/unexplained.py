@@ -1,4 +1,4 @@
-"""Figures of what is left unexplained: against variables, over time, and its spectrum."""
+"""Figures of the unexplained remainder: against variables, over time, and its spectrum."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def missing_time_figure(result: Unexplained, record: int = 0) -> Any:
     """
     best = _best(result)
     if best.over_time is None:
-        raise ValueError(f"{best.place} was not estimated over time; ask a place that was")
+        raise ValueError(f"{best.place} was not estimated over time; request a place that was")
     s, signals = best.over_time.series[record], result.signals[record]
     names = list(signals)
     figure = Panels(rows=1 + len(names), row_height=150, gap=20, shared_x=True)

@@ -1,4 +1,4 @@
-"""Parts of the page of a diagnosis that tell of its causes and candidates."""
+"""Parts of the page of a diagnosis: its causes and candidates."""
 
 from __future__ import annotations
 

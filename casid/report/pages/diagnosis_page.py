@@ -72,9 +72,9 @@ def diagnosis_page(diagnosis: Diagnosis) -> str:
     )
     page.section("Gain", gain_table(d), page.figure("gain"))
     page.section(
-        "What cannot be told apart", inseparable(d), page.figure("isolability"), pairs_part(d)
+        "What cannot be distinguished", inseparable(d), page.figure("isolability"), pairs_part(d)
     )
-    page.section("Invisible in this set-up", invisible_part(d))
+    page.section("Undetectable in this set-up", invisible_part(d))
     page.section("Next experiment", proposals_part(d))
     page.section("Calibration", calibration_part(d), page.figure("calibration"))
     page.section("Noise", mapping_table(d.noise, ("channel", "what is known of its noise")))

@@ -1,4 +1,4 @@
-"""Parts of a page that tell of estimates: parameters, evidence, provenance."""
+"""Parts of a page about estimates: parameters, evidence, provenance."""
 
 from __future__ import annotations
 

@@ -33,8 +33,8 @@ def assessment_page(assessment: Assessment) -> str:
     page = Page(figures(a))
     page.section("", _banner(a), _cards(a), notice(a.notes, ()))
     page.section("Parameters", _parameters(a), _advice(a))
-    page.section("What can be told instead", _groups(a), _families(a))
-    page.section("What would mend it", _fixing(a), _exclusions(a), _further(a))
+    page.section("Identifiable combinations", _groups(a), _families(a))
+    page.section("Remedies", _fixing(a), _exclusions(a), _further(a))
     page.section("States", _states(a))
     page.section("Unknown inputs", _classes(a))
     page.section("Poorer excitation", _excitation(a))
@@ -136,7 +136,7 @@ def _advice(a: Assessment) -> Html | str:
     if not mend:
         return ""
     text = mend[0].upper() + mend[1:] + "."
-    return element("div", element("h3", "To mend it") + paragraph(text), class_="advice")
+    return element("div", element("h3", "Remedy") + paragraph(text), class_="advice")
 
 
 def _groups(a: Assessment) -> Html:

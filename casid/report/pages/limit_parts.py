@@ -1,4 +1,4 @@
-"""Parts of the page of a diagnosis that tell its limits, and what would move them."""
+"""Parts of the page of a diagnosis: its limits, and experiments that would move them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def inseparable(d: Diagnosis) -> Html:
 
 
 def pairs_part(d: Diagnosis) -> Html:
-    """Causes that are the same in this record, and the pairs that are hardest to tell apart."""
+    """Causes that are the same in this record, and the pairs that are hardest to distinguish."""
     found = d.isolability
     if found is None:
         return Html("")
@@ -70,7 +70,7 @@ def pairs_part(d: Diagnosis) -> Html:
     if not rows:
         return bullets(same)
     return bullets(same) + table(
-        f"Hardest to tell apart. Energy: of the misfit, in units of the noise, at which the right "
+        f"Hardest to distinguish. Energy: of the misfit, in units of the noise, at which the right "
         f"one wins by {found.margin:g} units of BIC with probability {found.power:g}",
         ("cause", "or", "cosine", "energy needed"),
         rows,
@@ -79,7 +79,7 @@ def pairs_part(d: Diagnosis) -> Html:
 
 
 def invisible_part(d: Diagnosis) -> Html:
-    """Causes that this set-up or this record cannot show, why, and what would mend it."""
+    """Causes that this set-up or this record cannot show, why, and the remedy."""
     if not d.invisible:
         return Html("")
     rows = [
@@ -94,7 +94,7 @@ def invisible_part(d: Diagnosis) -> Html:
     ]
     return paragraph("That these were not found does not say that they are not there.") + table(
         "Effects that do nothing to the outputs which the model's own parameters could not do",
-        ("effect", "where", "invisible in", "why", "to mend it"),
+        ("effect", "where", "invisible in", "why", "remedy"),
         rows,
     )
 
@@ -116,23 +116,23 @@ def proposals_part(d: Diagnosis) -> Html:
         for i, p in enumerate(d.proposals, 1)
     ]
     return table(
-        "What to record next, by how soon it tells the tied causes apart. Tells: the pair that is "
-        "hardest in it; seconds: of record needed; gain: how many times less visible the misfit "
+        "What to record next, by how soon it separates the tied causes. Separates: the hardest pair "
+        "in it; seconds: of record needed; gain: how many times less visible the misfit "
         "may be than in this record",
-        ("", "experiment", "what to do", "tells", "seconds", "gain", "cosine"),
+        ("", "experiment", "what to do", "separates", "seconds", "gain", "cosine"),
         rows,
         numbers=(4, 5, 6),
     )
 
 
 def calibration_part(d: Diagnosis) -> Html:
-    """What the false-alarm rate is worth on this record."""
+    """The false-alarm rate found on records like this one."""
     c = d.calibration
     if c is None:
         return Html("")
     low, high = c.interval
     rows = [
-        ("false-alarm rate asked for", f"{100 * c.alpha:.3g} %"),
+        ("requested false-alarm rate", f"{100 * c.alpha:.3g} %"),
         ("rate found", f"{100 * c.rate:.3g} % ({100 * low:.2g} .. {100 * high:.2g} %)"),
         ("null records", f"{c.runs}"),
         ("level that this record is judged at", f"{c.threshold:.3g}"),

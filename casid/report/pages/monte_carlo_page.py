@@ -1,4 +1,4 @@
-"""The page of a Monte Carlo study: histograms, and what the intervals are worth."""
+"""The page of a Monte Carlo study: histograms, and how well the intervals cover."""
 
 from __future__ import annotations
 

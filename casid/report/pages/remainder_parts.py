@@ -1,4 +1,4 @@
-"""Parts of the page of a diagnosis that tell what naming the causes left, and set right."""
+"""Parts of the page of a diagnosis: the remainder, and parameters that moved."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def remaining_part(d: Diagnosis) -> Html:
         return Html("")
     parts = [paragraph(r.sentence)]
     if r.p_value is not None:
-        test = r.test or "test of what is left"
+        test = r.test or "test of the remainder"
         parts.append(element("p", f"{test}: p {p_text(r.p_value)}", class_="facts"))
     if r.explained:
         rows = [
@@ -58,7 +58,7 @@ def remaining_part(d: Diagnosis) -> Html:
     if r.over_floor:
         parts.append(
             table(
-                "Rms error that is left, in units of the noise floor",
+                "RMS error of the remainder, in units of the noise floor",
                 ("output", "error over floor"),
                 [(output, number_text(ratio)) for output, ratio in r.over_floor.items()],
                 numbers=(1,),

@@ -1,4 +1,4 @@
-"""Part of the page of a diagnosis that tells of a misfit without a name."""
+"""Part of the page of a diagnosis: a misfit without a name."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def unexplained_part(d: Diagnosis) -> Html:
         parts.append(
             table(
                 f"What is missing in {best.place} [{best.unit}], term by term",
-                ("depends on", "share of what is left", "family-wise p", "could also depend on"),
+                ("depends on", "share of the remainder", "family-wise p", "could also depend on"),
                 [
                     (x.words, _share(x.share), p_text(x.p_value), _rivals(x.rivals))
                     for x in best.dependences
@@ -63,7 +63,9 @@ def unexplained_part(d: Diagnosis) -> Html:
         ("do its mean or its power change in time?", p_text(t.p_time)),
     ]
     parts.append(
-        table(f"What is left, by tests of the residual: {t.verdict}", ("", "p"), rows, numbers=(1,))
+        table(
+            f"The remainder, by tests of the residual: {t.verdict}", ("", "p"), rows, numbers=(1,)
+        )
     )
     return join(parts)
 

@@ -18,7 +18,7 @@ def assessment_document(assessment: Assessment) -> Document:
         ("states", _states(a.states)),
         ("confounded", _groups(a)),
         ("equivalent", _families(a)),
-        ("to mend", _mends(a)),
+        ("remedies", _mends(a)),
         ("unknown", _classes(a)),
         ("poorer", _excitations(a)),
         ("records", [line for e in a.excitations for line in str(e).splitlines()]),
@@ -42,7 +42,7 @@ def verdict_words(a: Assessment, name: str) -> str:
     """Structural and practical verdict of a parameter together: never, not so, or how well."""
     verdict = a.parameters.get(name, "unknown")
     if verdict == "not_identifiable":
-        return "no data will tell"
+        return "structurally unidentifiable"
     if verdict == "unknown":
         return "undecided"
     if name in a.unexcited:

@@ -97,7 +97,7 @@ def isolability_document(found: Isolability) -> Document:
     ]
     head = ("cause", "or", "cosine", "energy")
     return Document(
-        f"Hardest to tell apart: energy for a margin of {found.margin:g} BIC with probability "
+        f"Hardest to distinguish: energy for a margin of {found.margin:g} BIC with probability "
         f"{found.power:g}",
         [
             Table(head, rows, numbers=(2, 3), widths=(40, 40, 8, 10)),
@@ -118,7 +118,7 @@ def advice_document(advice: Advice) -> Document:
     ]
     head = ("experiment", "cosine", "energy needed", "gain", "seconds")
     return Document(
-        f"To tell {' / '.join(label(k) for k in advice.tied)}",
+        f"To separate {' / '.join(label(k) for k in advice.tied)}",
         [
             Table(head, rows, numbers=(1, 2, 3, 4), widths=(26, 8, 15, 8, 10)),
             f"  {advice.sentence}",

@@ -136,7 +136,7 @@ def invariants_document(found: Invariants) -> Document:
         head = ("moves with the choice", "unit", percent, "to", "per unit held", "")
         parts.append(Table(head, moving, numbers=(2, 3, 4), widths=(28, 12, 11, 12, 15)))
     if found.combinations:
-        parts.append("  told in their place (constants of a load case carry its name)")
+        parts.append("  identifiable in their place (constants of a load case carry its name)")
     parts += [f"    {c.name} = {c.value:.5g} +- {c.std_error:.2g}" for c in found.combinations]
     return Document(f"What the data tell of {found.problem}", parts)
 

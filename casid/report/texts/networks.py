@@ -11,11 +11,11 @@ from casid.unknown_inputs.networks.nodes import edge_label, labels, node_label, 
 from casid.unknown_inputs.networks.prediction.predictors import INDIRECT, PredictorTable
 
 _LONGEST = 400  # characters beyond which an entry is left out
-_LOOPS = 5  # algebraic loops that are told
+_LOOPS = 5  # algebraic loops that are listed
 
 
 def network_text(network: Network) -> str:
-    """One line for each node's equation, then modules, sensors and what is told of stability."""
+    """One line for each node's equation, then modules, sensors and stability."""
     lines = [repr(network)]
     for n in network.nodes:
         terms = [f"{edge_label((n, k))} {node_label(k)}" for k in network.sources(n)]
@@ -44,9 +44,9 @@ def equations_text(equations: NodeEquations) -> str:
 
 
 def unrunnable(equations: NodeEquations) -> list[str]:
-    """What is to be told of filters that cannot be run forward in time, one line for each.
+    """Filters that cannot be run forward in time, and why, one line for each.
 
-    Of numbers nothing can be told; of filters with letters only whether they are improper.
+    Numbers have no such obstacle; symbolic filters are only checked for being improper.
     """
     if equations.field.name != "symbolic":
         return []

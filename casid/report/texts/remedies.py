@@ -17,7 +17,7 @@ LONGEST = 60
 
 
 def shown(value: Any) -> str:
-    """A number to five digits, or a formula; a long formula is told by its size."""
+    """A number to five digits, or a formula; a long formula is replaced by its size."""
     if isinstance(value, float | int):
         if math.isinf(value):
             return "never"
