@@ -116,9 +116,9 @@ def proposals_part(d: Diagnosis) -> Html:
         for i, p in enumerate(d.proposals, 1)
     ]
     return table(
-        "What to record next, by how soon it separates the tied causes. Separates: the hardest pair "
-        "in it; seconds: of record needed; gain: how many times less visible the misfit "
-        "may be than in this record",
+        "What to record next, by how soon it separates the tied causes. Separates: the hardest "
+        "pair in it; seconds: of record needed; gain: how many times less visible the misfit may "
+        "be than in this record",
         ("", "experiment", "what to do", "separates", "seconds", "gain", "cosine"),
         rows,
         numbers=(4, 5, 6),
