@@ -310,7 +310,7 @@ def test_sensors_are_weighed_by_their_cost(here):
     assert cheapest["cost"] == 1.5
     assert "second" in json.dumps(cheapest)
     text = ask("mixing.toml", "--structural", *sensors).stdout
-    assert "cheapest mend: sensor second (cost 1.5)" in text
+    assert "cheapest remedy: sensor second (cost 1.5)" in text
 
 
 def test_structural_leaves_out_closed_forms_and_expected_errors(here):
