@@ -250,7 +250,7 @@ def test_data_with_little_noise_are_solved_to_rounding(solver, noise):
         ({"gram": np.eye(2)}, r"gram has shape \(2, 2\); give \(3, 3\), as it was declared"),
         ({"gram": np.arange(9.0)}, r"gram has shape \(9,\); give \(3, 3\)"),
         ({"cross": 1.0}, r"cross has shape \(\); give \(3, 1\)"),
-        ({"cross": [1.0, np.nan, 0.0]}, "parameter cross holds values that are not finite; mend"),
+        ({"cross": [1.0, np.nan, 0.0]}, "parameter cross holds values that are not finite; fix"),
     ],
 )
 def test_values_that_do_not_fit_are_refused(change, words):

@@ -402,7 +402,9 @@ def test_a_direction_that_the_data_do_not_see_is_named_unless_it_is_constrained(
     Phi = rng.normal(size=(20, 2))
     Phi = np.column_stack([Phi, Phi[:, 0] + Phi[:, 1]])  # theta + (1, 1, -1) s gives the same Y
     Y = rng.normal(size=20)
-    with pytest.raises(IdentifiabilityError, match=r"rank 2 .*3 directions free; unseen") as caught:
+    with pytest.raises(
+        IdentifiabilityError, match=r"rank 2 .*3 directions free; undetermined"
+    ) as caught:
         null_space_least_squares(Phi, Y, np.zeros((0, 3)), np.zeros(0))
     assert "Excite the system there, or constrain" in str(caught.value)
     numbers = [float(v) for v in str(caught.value).partition("[")[2].partition("]")[0].split(",")]
