@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any, Generic, TypeVar
-
-T = TypeVar("T")
+from typing import Any
 
 
 def renamed(old: str, new: str) -> property:
@@ -24,24 +22,3 @@ def renamed(old: str, new: str) -> property:
 
     get.__doc__ = f"Old name of `{new}`."
     return property(get)
-
-
-class Grouped(Generic[T]):
-    """A read-only attribute that a nested group of fields has.
-
-    Example: ``rank: ClassVar[Grouped[int]] = Grouped("structure")`` in a class with a field
-    `structure` that has a `rank`.
-    """
-
-    def __init__(self, group: str) -> None:
-        self.group, self.name = group, ""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-        self.__doc__ = f"`{self.group}.{name}`."
-
-    def __get__(self, instance: Any, owner: type | None = None) -> T:
-        if instance is None:
-            return self  # type: ignore[return-value]
-        value: T = getattr(getattr(instance, self.group), self.name)
-        return value

@@ -48,7 +48,7 @@ __main__: cli
 """
 
 # Modules right below casid, of the standard library and NumPy alone, that every package may use.
-GROUND = {"arrays", "deprecation", "errors", "presentation", "versions"}
+GROUND = {"arrays", "deprecation", "errors", "presentation", "versions", "grouping"}
 
 
 def imports_of(path: Path, *, in_folder: bool = False) -> Iterator[tuple[str, bool]]:

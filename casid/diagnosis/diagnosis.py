@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from casid.diagnosis.advice.isolability import Isolability
 from casid.diagnosis.advice.next_experiment import Proposal
@@ -15,6 +15,7 @@ from casid.diagnosis.unexplained.description import Unexplained
 from casid.diagnosis.verdict.cause import Alternative, Cause, Ranked, Verdict
 from casid.diagnosis.verdict.remainder import Moved, Remaining
 from casid.estimation.estimate import Estimate, Origin, RecordView
+from casid.grouping import Grouped
 from casid.presentation import Presented, present, write
 
 __all__ = [
@@ -81,90 +82,23 @@ class Diagnosis(Presented):
     origin: Origin = Origin()
     settings: Mapping[str, str] = field(default_factory=dict)  # of the diagnosis, in words
 
-    @property
-    def baseline(self) -> Estimate:
-        """Fit of the model as it is."""
-        return self.evidence.baseline
-
-    @property
-    def extended(self) -> Estimate | None:
-        """Fit of the model with the causes; None where none was adopted."""
-        return self.evidence.extended
-
-    @property
-    def records(self) -> tuple[RecordView, ...]:
-        """Signals of every record, measured and simulated."""
-        return self.evidence.records
-
-    @property
-    def noise(self) -> Mapping[str, str]:
-        """Channel or balance -> the noise found there, in words."""
-        return self.evidence.noise
-
-    @property
-    def fitted(self) -> Mapping[str, Mapping[str, float]]:
-        """RMS errors of the fitted part: baseline_rmse, extended_rmse -> output -> value."""
-        return self.gain.fitted
-
-    @property
-    def held_out(self) -> Mapping[str, Mapping[str, float]]:
-        """The same of what was held out, with noise_floor."""
-        return self.gain.held_out
-
-    @property
-    def moved(self) -> tuple[Moved, ...]:
-        """Parameters that the missing causes had biased."""
-        return self.gain.moved
-
-    @property
-    def remaining(self) -> Remaining | None:
-        """What the causes leave unexplained."""
-        return self.gain.remaining
-
-    @property
-    def false_alarm_rate(self) -> float:
-        """Family-wise, for the whole catalogue."""
-        return self.limits.false_alarm_rate
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What bears on the trust in it."""
-        return self.limits.notes
-
-    @property
-    def unexplained(self) -> Unexplained | None:
-        """What a cause of kind "unknown" looks like."""
-        return self.limits.unexplained
-
-    @property
-    def isolability(self) -> Isolability | None:
-        """Which causes the records can separate."""
-        return self.limits.isolability
-
-    @property
-    def invisible(self) -> tuple[Invisible, ...]:
-        """Causes that the records cannot show."""
-        return self.limits.invisible
-
-    @property
-    def calibration(self) -> Calibration | None:
-        """False alarms counted on simulated records."""
-        return self.limits.calibration
-
-    @property
-    def provenance(self) -> tuple[str, ...]:
-        """Files and conversions that the records come from."""
-        return self.origin.provenance
-
-    @property
-    def versions(self) -> Mapping[str, str]:
-        """Versions of the packages used."""
-        return self.origin.versions
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """Papers behind the methods used."""
-        return self.origin.sources
+    baseline: ClassVar[Grouped[Estimate]] = Grouped("evidence")  # Fit of the model as it is
+    extended: ClassVar[Grouped[Estimate | None]] = Grouped("evidence")
+    records: ClassVar[Grouped[tuple[RecordView, ...]]] = Grouped("evidence")
+    noise: ClassVar[Grouped[Mapping[str, str]]] = Grouped("evidence")
+    fitted: ClassVar[Grouped[Mapping[str, Mapping[str, float]]]] = Grouped("gain")
+    held_out: ClassVar[Grouped[Mapping[str, Mapping[str, float]]]] = Grouped("gain")
+    moved: ClassVar[Grouped[tuple[Moved, ...]]] = Grouped("gain")
+    remaining: ClassVar[Grouped[Remaining | None]] = Grouped("gain")
+    false_alarm_rate: ClassVar[Grouped[float]] = Grouped("limits")
+    notes: ClassVar[Grouped[tuple[str, ...]]] = Grouped("limits")  # What bears on the trust in it
+    unexplained: ClassVar[Grouped[Unexplained | None]] = Grouped("limits")
+    isolability: ClassVar[Grouped[Isolability | None]] = Grouped("limits")
+    invisible: ClassVar[Grouped[tuple[Invisible, ...]]] = Grouped("limits")
+    calibration: ClassVar[Grouped[Calibration | None]] = Grouped("limits")
+    provenance: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
+    versions: ClassVar[Grouped[Mapping[str, str]]] = Grouped("origin")
+    sources: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
 
     def to_json(self) -> dict[str, Any]:
         """The content of `diagnosis.json` (schema casid.diagnosis/1)."""

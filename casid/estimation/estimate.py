@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.data.files import write_json
 from casid.estimation.covariance import Sampled, sample_through
+from casid.grouping import Grouped
 from casid.presentation import Presented, present
 
 if TYPE_CHECKING:
@@ -171,95 +172,24 @@ class Estimate(Presented):
         """Names of parameters and initial states."""
         return tuple(p.name for p in (*self.parameters, *self.initial_states))
 
-    @property
-    def covariance_names(self) -> tuple[str, ...]:
-        """Order of the covariance's rows."""
-        return self.uncertainty.names
-
-    @property
-    def covariance(self) -> Array:
-        """(n, n) in the order of `covariance_names`, SI units."""
-        return self.uncertainty.covariance
-
-    @property
-    def assumes(self) -> str:
-        """What the standard errors assume."""
-        return self.uncertainty.assumes
-
-    @property
-    def status(self) -> str:
-        """The solver's status."""
-        return self.solver.status
-
-    @property
-    def is_converged(self) -> bool:
-        """True if the values are an optimum."""
-        return self.solver.is_converged
-
-    @property
-    def iterations(self) -> int:
-        """The solver's iterations."""
-        return self.solver.iterations
-
-    @property
-    def scaled_gradient(self) -> float:
-        """Largest scaled gradient, 0 at an optimum."""
-        return self.solver.scaled_gradient
-
-    @property
-    def starts_tried(self) -> int:
-        """Number of starts."""
-        return self.solver.starts_tried
-
-    @property
-    def starts_agreeing(self) -> int:
-        """Number of starts that led to this optimum."""
-        return self.solver.starts_agreeing
-
-    @property
-    def rmse(self) -> Measure:
-        """Record -> output -> rms error."""
-        return self.fit.rmse
-
-    @property
-    def nrmse_fit(self) -> Measure:
-        """Record -> output -> fit, per cent."""
-        return self.fit.nrmse
-
-    @property
-    def held_out_rmse(self) -> Measure:
-        """Record -> output -> rms error of held-out data."""
-        return self.held_out.rmse
-
-    @property
-    def held_out_fit(self) -> Measure:
-        """Record -> output -> fit of held-out data, per cent."""
-        return self.held_out.nrmse
-
-    @property
-    def whiteness(self) -> Mapping[str, str]:
-        """Output -> how white its residual is, in words."""
-        return self.fit.whiteness
-
-    @property
-    def fit_is(self) -> str:
-        """What `rmse` and `nrmse_fit` measure."""
-        return self.fit.measured_by
-
-    @property
-    def provenance(self) -> tuple[str, ...]:
-        """Where the records come from, what was done to them."""
-        return self.origin.provenance
-
-    @property
-    def versions(self) -> Mapping[str, str]:
-        """Package -> version."""
-        return self.origin.versions
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """The papers behind the methods used."""
-        return self.origin.sources
+    covariance_names: ClassVar[Grouped[tuple[str, ...]]] = Grouped("uncertainty", "names")
+    covariance: ClassVar[Grouped[Array]] = Grouped("uncertainty")
+    assumes: ClassVar[Grouped[str]] = Grouped("uncertainty")  # What the standard errors assume
+    status: ClassVar[Grouped[str]] = Grouped("solver")  # The solver's status
+    is_converged: ClassVar[Grouped[bool]] = Grouped("solver")  # True if the values are an optimum
+    iterations: ClassVar[Grouped[int]] = Grouped("solver")  # The solver's iterations
+    scaled_gradient: ClassVar[Grouped[float]] = Grouped("solver")
+    starts_tried: ClassVar[Grouped[int]] = Grouped("solver")  # Number of starts
+    starts_agreeing: ClassVar[Grouped[int]] = Grouped("solver")
+    rmse: ClassVar[Grouped[Measure]] = Grouped("fit")  # Record -> output -> rms error
+    nrmse_fit: ClassVar[Grouped[Measure]] = Grouped("fit", "nrmse")
+    held_out_rmse: ClassVar[Grouped[Measure]] = Grouped("held_out", "rmse")
+    held_out_fit: ClassVar[Grouped[Measure]] = Grouped("held_out", "nrmse")
+    whiteness: ClassVar[Grouped[Mapping[str, str]]] = Grouped("fit")
+    fit_is: ClassVar[Grouped[str]] = Grouped("fit", "measured_by")
+    provenance: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
+    versions: ClassVar[Grouped[Mapping[str, str]]] = Grouped("origin")  # Package -> version
+    sources: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
 
     def sample(
         self,

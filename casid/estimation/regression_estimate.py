@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, ModelError, nearest
+from casid.grouping import Grouped
 from casid.presentation import Presented
 
 
@@ -80,55 +81,16 @@ class RegressionEstimate(Presented):
         """Residual standard deviation sqrt(rss / dof), response units; NaN without dof."""
         return float(np.sqrt(self.rss / self.dof)) if self.dof > 0 else float("nan")
 
-    @property
-    def rss(self) -> float:
-        """Sum of squared residuals, response units squared."""
-        return self.fit.rss
-
-    @property
-    def N(self) -> int:
-        """Number of data."""
-        return self.fit.N
-
-    @property
-    def dof(self) -> int:
-        """N minus the free directions."""
-        return self.fit.dof
-
-    @property
-    def residuals(self) -> Array:
-        """(N,) response - prediction."""
-        return self.fit.residuals
-
-    @property
-    def rank(self) -> int:
-        """Rank of J on the free directions."""
-        return self.optimum.rank
-
-    @property
-    def singular_values(self) -> Array:
-        """(rank,) of J there, columns scaled to length one, descending."""
-        return self.optimum.singular_values
-
-    @property
-    def relative_offset(self) -> float:
-        """|projection of r on the tangent plane| / |r|: 0 at an optimum."""
-        return self.optimum.relative_offset
-
-    @property
-    def constraint_violation(self) -> float:
-        """Largest, relative to the constraint's terms."""
-        return self.optimum.constraint_violation
-
-    @property
-    def at_bound(self) -> tuple[str, ...]:
-        """Parameters that a bound holds."""
-        return self.optimum.at_bound
-
-    @property
-    def solver(self) -> str:
-        """Name of the solver."""
-        return self.optimum.solver
+    rss: ClassVar[Grouped[float]] = Grouped("fit")
+    N: ClassVar[Grouped[int]] = Grouped("fit")  # Number of data
+    dof: ClassVar[Grouped[int]] = Grouped("fit")  # N minus the free directions
+    residuals: ClassVar[Grouped[Array]] = Grouped("fit")  # (N,) response - prediction
+    rank: ClassVar[Grouped[int]] = Grouped("optimum")  # Rank of J on the free directions
+    singular_values: ClassVar[Grouped[Array]] = Grouped("optimum")
+    relative_offset: ClassVar[Grouped[float]] = Grouped("optimum")
+    constraint_violation: ClassVar[Grouped[float]] = Grouped("optimum")
+    at_bound: ClassVar[Grouped[tuple[str, ...]]] = Grouped("optimum")
+    solver: ClassVar[Grouped[str]] = Grouped("optimum")  # Name of the solver
 
     @property
     def hessian(self) -> str:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from casid.arrays import finite_or_none
-from casid.deprecation import Grouped, renamed
+from casid.deprecation import renamed
+from casid.grouping import Grouped
 from casid.presentation import Presented, present, write
 
 if TYPE_CHECKING:

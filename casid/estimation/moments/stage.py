@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from casid.estimation.moments.robust_weights import robust_weights, weighted_equ
 from casid.estimation.moments.stage_instruments import StageInstruments
 from casid.estimation.moments.stage_programs import StagePrograms
 from casid.estimation.nlp.solution import Solution
+from casid.grouping import Grouped
 from casid.model.model import Model
 
 
@@ -71,40 +72,13 @@ class StageFit:
     correlations: tuple[Correlation, ...]
     refinement: Refinement
 
-    @property
-    def free(self) -> tuple[str, ...]:
-        """The parameters estimated here."""
-        return self.stage.free
-
-    @property
-    def iterations(self) -> int:
-        """Estimates made, one for each set of instruments and prefilters."""
-        return self.refinement.iterations
-
-    @property
-    def settled(self) -> bool:
-        """Whether the stopping rule was met."""
-        return self.refinement.is_settled
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What went otherwise than planned."""
-        return self.refinement.remarks
-
-    @property
-    def noise_models(self) -> tuple[Any, ...]:
-        """Arma or None of each part."""
-        return self.refinement.noise_models
-
-    @property
-    def history(self) -> tuple[Array, ...]:
-        """theta_p of each iteration."""
-        return self.refinement.history
-
-    @property
-    def prefilters(self) -> tuple[tuple[Any, ...], ...]:
-        """Noise models with which each iteration was estimated."""
-        return self.refinement.prefilters
+    free: ClassVar[Grouped[tuple[str, ...]]] = Grouped("stage")  # The parameters estimated here
+    iterations: ClassVar[Grouped[int]] = Grouped("refinement")
+    settled: ClassVar[Grouped[bool]] = Grouped("refinement", "is_settled")
+    remarks: ClassVar[Grouped[tuple[str, ...]]] = Grouped("refinement")
+    noise_models: ClassVar[Grouped[tuple[Any, ...]]] = Grouped("refinement")
+    history: ClassVar[Grouped[tuple[Array, ...]]] = Grouped("refinement")
+    prefilters: ClassVar[Grouped[tuple[tuple[Any, ...], ...]]] = Grouped("refinement")
 
 
 class Stage:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypedDict
+from typing import Any, ClassVar, TypedDict
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from casid.errors import DataError, ModelError
 from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.simulation.signals import signals_of
 from casid.estimation.unknowns import LastOf, Unknowns, Variable
+from casid.grouping import Grouped
 from casid.linear.kalman import (
     Predictor,
     covariance_scale,
@@ -182,20 +183,9 @@ class PredictionError:
                 return float(np.std(self.data[0].y[:, i])) or 1.0
         return 1.0
 
-    @property
-    def variables(self) -> list[Variable]:
-        """The NLP's variables."""
-        return self.unknowns.variables
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the NLP's variables."""
-        return self.unknowns.names
-
-    @property
-    def start(self) -> Array:
-        """(n,) start values."""
-        return self.unknowns.start
+    variables: ClassVar[Grouped[list[Variable]]] = Grouped("unknowns")  # The NLP's variables
+    names: ClassVar[Grouped[tuple[str, ...]]] = Grouped("unknowns")  # Names of the NLP's variables
+    start: ClassVar[Grouped[Array]] = Grouped("unknowns")  # (n,) start values
 
     @property
     def n_constraints(self) -> int:

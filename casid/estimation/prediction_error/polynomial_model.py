@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,7 @@ from casid.estimation.covariance import whiteness
 from casid.estimation.prediction_error.polynomial_data import one_record
 from casid.estimation.prediction_error.polynomial_orders import is_stable
 from casid.estimation.prediction_error.polynomial_residuals import LAGS
+from casid.grouping import Grouped
 from casid.linear.stability import largest_root
 
 
@@ -93,66 +94,18 @@ class PolynomialModel:
 
     # -- the groups' fields ------------------------------------------------------------------
 
-    @property
-    def noise_variance(self) -> float:
-        """sum eps^2 / (N - n), output unit squared."""
-        return self.misfit.noise_variance
-
-    @property
-    def loss(self) -> float:
-        """V_N of Linder 2017, (2.36)."""
-        return self.misfit.loss
-
-    @property
-    def fit(self) -> float:
-        """NRMSE fit of the one-step prediction [%]."""
-        return self.misfit.fit
-
-    @property
-    def N(self) -> int:
-        """Residuals that count, over all records."""
-        return self.misfit.N
-
-    @property
-    def residuals(self) -> tuple[Array, ...]:
-        """(N_r,) for each record, from the first sample on."""
-        return self.misfit.residuals
-
-    @property
-    def discarded(self) -> tuple[int, ...]:
-        """For each record, how many first residuals do not count."""
-        return self.misfit.discarded
-
-    @property
-    def input_correlation(self) -> Mapping[str, Array]:
-        """Input -> (lags + 1,) of `residual_input_correlation`."""
-        return self.misfit.input_correlation
-
-    @property
-    def status(self) -> str:
-        """How the search ended."""
-        return self.search.status
-
-    @property
-    def is_converged(self) -> bool:
-        """Whether the estimate is an optimum."""
-        return self.search.is_converged
-
-    @property
-    def iterations(self) -> int:
-        """Of the solver."""
-        return self.search.iterations
-
-    @property
-    def scaled_gradient(self) -> float:
-        """The largest at the estimate."""
-        return self.search.scaled_gradient
-
-    @property
-    def start(self) -> str:
-        """How the start values were found."""
-        return self.search.start
-
+    noise_variance: ClassVar[Grouped[float]] = Grouped("misfit")
+    loss: ClassVar[Grouped[float]] = Grouped("misfit")  # V_N of Linder 2017, (2.36)
+    fit: ClassVar[Grouped[float]] = Grouped("misfit")  # NRMSE fit of the one-step prediction [%]
+    N: ClassVar[Grouped[int]] = Grouped("misfit")  # Residuals that count, over all records
+    residuals: ClassVar[Grouped[tuple[Array, ...]]] = Grouped("misfit")
+    discarded: ClassVar[Grouped[tuple[int, ...]]] = Grouped("misfit")
+    input_correlation: ClassVar[Grouped[Mapping[str, Array]]] = Grouped("misfit")
+    status: ClassVar[Grouped[str]] = Grouped("search")  # How the search ended
+    is_converged: ClassVar[Grouped[bool]] = Grouped("search")  # Whether the estimate is an optimum
+    iterations: ClassVar[Grouped[int]] = Grouped("search")  # Of the solver
+    scaled_gradient: ClassVar[Grouped[float]] = Grouped("search")  # The largest at the estimate
+    start: ClassVar[Grouped[str]] = Grouped("search")  # How the start values were found
     # -- numbers -----------------------------------------------------------------------------
 
     @property

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from casid.estimation.simulation.sensor_dynamics import MEMORY, prepared_inputs,
 from casid.estimation.simulation.signals import Signals, signals_of
 from casid.estimation.simulation.simulator import Simulator
 from casid.estimation.unknowns import LastOf, Unknowns, Variable
+from casid.grouping import Grouped
 from casid.model.model import Model
 
 Whitener = Callable[[Array, int], Array]  # ((N, ny, m) columns, experiment) -> same shape
@@ -167,20 +169,9 @@ class SimulationError:
             self._index.append(rows)
             self._cuts.append(cuts)
 
-    @property
-    def variables(self) -> list[Variable]:
-        """The NLP's variables."""
-        return self.unknowns.variables
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the NLP's variables."""
-        return self.unknowns.names
-
-    @property
-    def start(self) -> Array:
-        """(n,) start values."""
-        return self.unknowns.start
+    variables: ClassVar[Grouped[list[Variable]]] = Grouped("unknowns")  # The NLP's variables
+    names: ClassVar[Grouped[tuple[str, ...]]] = Grouped("unknowns")  # Names of the NLP's variables
+    start: ClassVar[Grouped[Array]] = Grouped("unknowns")  # (n,) start values
 
     @property
     def n_constraints(self) -> int:

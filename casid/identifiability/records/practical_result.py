@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from casid.arrays import Array, finite_or_none
-from casid.deprecation import Grouped, renamed
+from casid.deprecation import renamed
+from casid.grouping import Grouped
 from casid.identifiability.records.planned_experiment import Noise
 from casid.presentation import Presented
 
