@@ -184,8 +184,6 @@ def equiripple(
     The design's own gain at DC differs from 1 by its ripple; the taps are divided by their sum.
     Parks & McClellan (1972), IEEE Trans. Circuit Theory 19, 189-194; Kaiser (1974) for the order.
     """
-    from scipy.signal import remez
-
     nyquist = 0.5 / Ts
     if order < 2 or order % 2:
         raise DataError(
@@ -201,15 +199,7 @@ def equiripple(
             f"cut-off {cutoff_hz:g} Hz and stop band from {stop_hz:g} Hz do not fit a sample time "
             f"of {Ts:g} s. Choose 0 < cutoff_hz < stop_hz < {nyquist:g} Hz, half the sample rate."
         )
-    try:
-        taps = remez(order + 1, [0.0, cutoff_hz, stop_hz, nyquist], [1.0, 0.0], fs=1 / Ts)
-    except ValueError:
-        taps = np.full(order + 1, np.nan)
-    if not np.isfinite(taps).all() or abs(taps.sum() - 1) > 0.5:
-        raise DataError(
-            f"no equiripple filter of order {order} with cut-off {cutoff_hz:g} Hz and stop band "
-            f"from {stop_hz:g} Hz was found. Widen the transition with stop_hz or change the order."
-        )
+    taps = _equiripple_taps(cutoff_hz, stop_hz, Ts, order)
     raw = float(taps.sum())
     return FirFilter(
         np.asarray(taps / raw),
@@ -217,6 +207,22 @@ def equiripple(
         f"equiripple low-pass {cutoff_hz:g} Hz, stop band from {stop_hz:.4g} Hz "
         f"(gain at DC set from {raw:.6g} to 1)",
     )
+
+
+def _equiripple_taps(cutoff_hz: float, stop_hz: float, Ts: float, order: int) -> FloatArray:
+    """Taps (order + 1,) of the design, refused where it does not converge."""
+    from scipy.signal import remez
+
+    try:
+        taps = remez(order + 1, [0.0, cutoff_hz, stop_hz, 0.5 / Ts], [1.0, 0.0], fs=1 / Ts)
+    except ValueError:
+        taps = np.full(order + 1, np.nan)
+    if not np.isfinite(taps).all() or abs(taps.sum() - 1) > 0.5:
+        raise DataError(
+            f"no equiripple filter of order {order} with cut-off {cutoff_hz:g} Hz and stop band "
+            f"from {stop_hz:g} Hz was found. Widen the transition with stop_hz or change the order."
+        )
+    return np.asarray(taps)
 
 
 def anti_alias(factor: int, Ts: float) -> FirFilter:

@@ -149,10 +149,6 @@ def affine_hull(
     coefficients : names of the n coefficients, for texts.
     seed : of the random draws.
 
-    Returns
-    -------
-    AffineHull
-
     Raises
     ------
     ModelError

@@ -403,17 +403,8 @@ def _step(model: StochasticModel) -> Any:
     R = model.variances(levels) + known
     x, P = carry[:n], ca.reshape(carry[n:], n, n)
     symbol = ca.SX.sym("s", n)
-    h = model.measurement(symbol)
-    for name, value, rows in (
-        ("measurement", h, ny),
-        ("transition", model.transition(symbol), n),
-        ("variances", R, ny),
-    ):
-        if value.shape != (rows, 1):
-            raise ModelError(
-                f"{model.name}: {name} returns {value.shape}; give a column of {rows} entries, "
-                "ca.vertcat(...)"
-            )
+    h, f = model.measurement(symbol), model.transition(symbol)
+    _require_columns(model, measurement=(h, ny), transition=(f, n), variances=(R, ny))
     measured = ca.Function("h", [symbol], [h, ca.jacobian(h, symbol)])
     log_likelihood, innovations, variances = ca.SX(0), [], []
     # One output after the other: as good as all at once for independent noise, and no inverse.
@@ -433,7 +424,6 @@ def _step(model: StochasticModel) -> Any:
         log_likelihood -= 0.5 * used[i] * (ca.log(2 * np.pi * S) + e**2 / S)
         innovations.append(e)
         variances.append(S)
-    f = model.transition(symbol)
     moved = ca.Function("f", [symbol], [f, ca.jacobian(f, symbol)])
     after, F = moved(x)
     ahead = F @ P @ F.T + model.process(x, levels)
@@ -447,6 +437,16 @@ def _step(model: StochasticModel) -> Any:
             ca.densify(ca.vertcat(log_likelihood, *innovations, *variances)),
         ],
     )
+
+
+def _require_columns(model: StochasticModel, **returned: tuple[Any, int]) -> None:
+    """Refuse functions of the model, name -> (value, rows), that return no column of that size."""
+    for name, (value, rows) in returned.items():
+        if value.shape != (rows, 1):
+            raise ModelError(
+                f"{model.name}: {name} returns {value.shape}; give a column of {rows} entries, "
+                "ca.vertcat(...)"
+            )
 
 
 def backward_pass(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from casid.data.reading.columns import Columns, ColumnSpec
+from casid.data.reading.faults import Survey
 from casid.data.reading.sources import source_of
 from casid.data.reading.survey import survey
 from casid.data.reading.tables import Table
@@ -71,6 +72,11 @@ def read_record(
         Ts=Ts,
         mark_missing=mark_missing,
     )
+    return _sound_record(found)
+
+
+def _sound_record(found: Survey) -> Record:
+    """The record of a file without faults; the first fault raised otherwise."""
     if found.faults:
         first, *others = found.faults
         more = f" ({len(others)} more: casid check {found.path.name} lists all.)" if others else ""

@@ -46,9 +46,7 @@ def survey(
     """
     source, own_window = source_of(path)
     window = own_window if window is None else window
-    for option, value in (("resample", resample), ("Ts", Ts)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise DataError(f"{option} = {value!r} s. Give a positive number of seconds.")
+    _require_positive(resample=resample, Ts=Ts)
     found = Survey(source)
     try:
         table, specs, clock, frame = _opened(source, columns, time, Ts)
@@ -79,15 +77,20 @@ def survey(
     channels = _channels(
         table, frame, specs, rows, found, steps, skip_text=columns is None, mark=mark_missing
     )
-    if (
-        found.times is None
-        or not _is_even(table, clock, rows, found, resample)
-        or not channels.values
-    ):
+    if found.times is None or not _is_even(table, clock, rows, found, resample):
+        return found
+    if not channels.values:
         return found
     label = name or source.stem + (f"@{_window_text(window)}" if window is not None else "")
     found.record = _record(channels, found, resample, label, steps)
     return found
+
+
+def _require_positive(**seconds: float | None) -> None:
+    """Refuse sample times [s], where given, that are not positive."""
+    for option, value in seconds.items():
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise DataError(f"{option} = {value!r} s. Give a positive number of seconds.")
 
 
 @dataclass(slots=True)

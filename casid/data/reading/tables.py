@@ -69,24 +69,9 @@ class Table:
                 f"{self.path.name}: not a text file (it holds zero bytes). "
                 "Give a CSV in UTF-8, or a Parquet file named .parquet."
             )
-        try:
-            with self.path.open("rb") as file:
-                for block in iter(lambda: file.read(1 << 20), b""):
-                    if not block.isascii():
-                        self.path.read_text(encoding="utf-8-sig")
-                        break
-        except UnicodeDecodeError:
+        if not self._is_utf8():
             self.encoding = "latin-1"
-        lines: list[str] = []
-        with self.path.open(encoding=self.encoding, newline=None) as text:
-            for line in text:
-                if not lines and (not line.strip() or line.lstrip().startswith("#")):
-                    self.header_line += 1
-                    continue
-                if line.strip():
-                    lines.append(line.rstrip("\n"))
-                if len(lines) == 2:
-                    break
+        lines = self._header_and_first_row()
         if not lines:
             raise DataError(
                 f"{self.path.name}: the file holds no header and no samples. "
@@ -119,6 +104,31 @@ class Table:
         ):
             self.decimal = ","
         return names
+
+    def _is_utf8(self) -> bool:
+        try:
+            with self.path.open("rb") as file:
+                for block in iter(lambda: file.read(1 << 20), b""):
+                    if not block.isascii():
+                        self.path.read_text(encoding="utf-8-sig")
+                        break
+        except UnicodeDecodeError:
+            return False
+        return True
+
+    def _header_and_first_row(self) -> list[str]:
+        """The first two lines that are not empty; `header_line` counts those above the header."""
+        lines: list[str] = []
+        with self.path.open(encoding=self.encoding, newline=None) as text:
+            for line in text:
+                if not lines and (not line.strip() or line.lstrip().startswith("#")):
+                    self.header_line += 1
+                    continue
+                if line.strip():
+                    lines.append(line.rstrip("\n"))
+                if len(lines) == 2:
+                    break
+        return lines
 
     def _split(self, line: str) -> list[str]:
         return [c.strip() for c in next(csv.reader([line], delimiter=self.separator))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from casid.model.effects.balance_effects import (
     coulomb_friction,
@@ -78,18 +78,24 @@ def catalogue(
     effects += channel_effects_of(model, sizes, recorded)
     effects += structure_effects_of(model, sizes)
     effects += missing_modes_of(model, sizes, sizes.Ts)
-    times = jump_times(sizes.window)
-    for name, p in model.parameters.items():
-        if not p.is_constant:
-            effects += [parameter_jump(model, name, float(t)) for t in times]
-            if p.is_known and p.value == 0.0:
-                continue  # what is not there does not vary
-            effects.append(parameter_drift(model, name, sizes.window))
-            effects += [
-                scheduled_parameter(model, name, c, recorded[c], spread)
-                for c, spread in sizes.channels.items()
-            ]
+    effects += _parameter_variations(model, sizes, recorded)
     effects += extra
     for channel, largest in sizes.largest.items():
         effects += [saturation(model, channel, share * largest) for share in (0.96, 0.98, 0.995)]
     return [e for e in effects if e.kind not in without]
+
+
+def _parameter_variations(
+    model: Model, sizes: Sizes, recorded: Mapping[str, str]
+) -> Iterator[Effect]:
+    """Jumps, drifts and schedules of the parameters that a record may determine."""
+    times = jump_times(sizes.window)
+    for name, p in model.parameters.items():
+        if p.is_constant:
+            continue
+        yield from (parameter_jump(model, name, float(t)) for t in times)
+        if p.is_known and p.value == 0.0:
+            continue  # what is not there does not vary
+        yield parameter_drift(model, name, sizes.window)
+        for c, spread in sizes.channels.items():
+            yield scheduled_parameter(model, name, c, recorded[c], spread)

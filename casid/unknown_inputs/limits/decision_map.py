@@ -90,18 +90,7 @@ def decision_map(
     }
     axes = [sympy.Symbol(x[0]), sympy.Symbol(y[0])]
     symbols = {s for d in difference.values() for s in sympy.sympify(d).free_symbols}
-    absent = [str(a) for a in axes if a not in symbols]
-    if absent:
-        raise ModelError(
-            f"{', '.join(absent)} is no symbol of these estimators of {parameter}; they have "
-            f"{', '.join(sorted(map(str, symbols)))}"
-        )
-    left = symbols - set(axes) - set(swap)
-    if left:
-        raise ModelError(
-            f"no value of {', '.join(sorted(map(str, left)))}; give values={{..}} for every symbol "
-            "that is not on an axis"
-        )
+    _require_plane(symbols, axes, swap, parameter)
     X, Y = np.meshgrid(np.asarray(x[1], dtype=float), np.asarray(y[1], dtype=float))
     found = {}
     for name, expression in difference.items():
@@ -121,3 +110,21 @@ def decision_map(
         found["amse"],
         N,
     )
+
+
+def _require_plane(
+    symbols: set[Any], axes: Sequence[Any], values: Mapping[Any, Any], parameter: str
+) -> None:
+    """Refuse axes that are no symbols of the estimators, and other symbols without value."""
+    absent = [str(a) for a in axes if a not in symbols]
+    if absent:
+        raise ModelError(
+            f"{', '.join(absent)} is no symbol of these estimators of {parameter}; they have "
+            f"{', '.join(sorted(map(str, symbols)))}"
+        )
+    left = symbols - set(axes) - set(values)
+    if left:
+        raise ModelError(
+            f"no value of {', '.join(sorted(map(str, left)))}; give values={{..}} for every symbol "
+            "that is not on an axis"
+        )

@@ -7,7 +7,7 @@ with a sensor that it acts on. One call gives each remedy's limit, covariance an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,17 +101,37 @@ def compare_remedies(
     _require_sound(regressors, absent, truth)
     if isinstance(measured, InputMeasurement):
         system, measured = measured.recover(system)
-    lists = explain if explain is not None else ([known] if known else [])
-    table = remedy_table(
-        absent, approximations, [(terms_text(t), t) for t in lists], measured, eliminated
-    )
+    table = _substitutions(absent, explain, known, approximations, measured, eliminated)
     task = _Task(output, regressors, absent, known, truth, prefilter)
     remedies = [*(remedy for row in table for remedy in task.remedies(row)), *extra]
     rows = [_row(system, remedy, truth) for remedy in remedies]
-    wanted = accuracy if isinstance(accuracy, Mapping) else {}
-    if accuracy is not None and not isinstance(accuracy, Mapping):
-        wanted = dict.fromkeys(regressors, float(accuracy))
-    return Comparison(tuple(rows), tuple(regressors), tuple(absent), N, dict(wanted))
+    wanted = _accuracies(accuracy, regressors)
+    return Comparison(tuple(rows), tuple(regressors), tuple(absent), N, wanted)
+
+
+def _substitutions(
+    absent: Sequence[str],
+    explain: Sequence[Sequence[Term]] | None,
+    known: Sequence[Term],
+    approximations: Mapping[str, str] | None,
+    measured: Mapping[str, str] | None,
+    eliminated: Mapping[str, str] | None,
+) -> list[Substitution]:
+    """The remedy table, in which all of `known` explain the inputs where no list of them does."""
+    lists = explain if explain is not None else ([known] if known else [])
+    explained = [(terms_text(t), t) for t in lists]
+    return remedy_table(absent, approximations, explained, measured, eliminated)
+
+
+def _accuracies(
+    accuracy: float | Mapping[str, float] | None, coefficients: Iterable[str]
+) -> dict[str, float]:
+    """Coefficient -> root mean square error wanted; empty where none is."""
+    if accuracy is None:
+        return {}
+    if isinstance(accuracy, Mapping):
+        return dict(accuracy)
+    return dict.fromkeys(coefficients, float(accuracy))
 
 
 def _require_sound(

@@ -60,8 +60,7 @@ def simulate_network(
     states = network_states(network)
     rng = np.random.default_rng(seed)
     if settle is None:
-        slowest = max((abs(r.value) for r in states.poles()), default=0.0)
-        settle = min(int(np.log(1e-8) / np.log(max(slowest, 1e-3))) + 1, 100_000)
+        settle = _settling_samples(states)
     total = N + _samples(settle, "settle", least=0)
     deltas = {n: _drawn(s, total, rng) for n, s in network.excitations.items()}
     deltas |= {n: x[np.arange(-settle, N) % N] for n, x in own.items()}
@@ -79,6 +78,12 @@ def simulate_network(
         name=network.name,
         provenance=(f"{network.name}, simulated",),
     )
+
+
+def _settling_samples(states: StateSpace) -> int:
+    """Samples in which the slowest mode decays to 1e-8, at most 100 000."""
+    slowest = max((abs(r.value) for r in states.poles()), default=0.0)
+    return min(int(np.log(1e-8) / np.log(max(slowest, 1e-3))) + 1, 100_000)
 
 
 def _readings(

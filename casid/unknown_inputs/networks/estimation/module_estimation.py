@@ -19,7 +19,7 @@ from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
 from casid.unknown_inputs.networks.equations import ordered
-from casid.unknown_inputs.networks.estimation.consistency import consistency
+from casid.unknown_inputs.networks.estimation.consistency import Consistency, consistency
 from casid.unknown_inputs.networks.estimation.direct_method import direct
 from casid.unknown_inputs.networks.estimation.joint_method import joint
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData, module_data
@@ -91,20 +91,32 @@ def estimate_module(
         If no optimum is reached.
     """
     refuse_continuous(network, "estimated from samples")
-    if method not in get_args(Method):
-        raise ModelError(f"method = {method!r}; choose one of {', '.join(get_args(Method))}")
+    _require_method(method)
     known = with_references(network, references)
     equation = _equation(known, module, method, inputs, elimination, orders)
     layout = Layout.of(orders, equation.names)
+    verdict = _accepted_consistency(equation, module, method, layout, accept_bias)
+    data = module_data(equation, record)
+    _refuse_short(data, layout)
+    fit = _fit(method, data, orders, layout, lags, prefilter_order, solver)
+    return ModuleEstimate(method, equation, verdict, fit, data)
+
+
+def _require_method(method: Method) -> None:
+    if method not in get_args(Method):
+        raise ModelError(f"method = {method!r}; choose one of {', '.join(get_args(Method))}")
+
+
+def _accepted_consistency(
+    equation: ModuleEquation, module: Edge, method: Method, layout: Layout, accept_bias: bool
+) -> Consistency:
+    """Whether the method is consistent; refused if not, unless bias is accepted knowingly."""
     verdict = consistency(equation, method, layout)
     if not verdict.is_consistent and not (accept_bias and verdict.has_references):
         kind = ModelError if verdict.has_references else IdentifiabilityError
         end = ". accept_bias=True estimates all the same" if verdict.has_references else ""
         raise kind(f"{edge_label(module)} from {equation}: {verdict}{end}")
-    data = module_data(equation, record)
-    _refuse_short(data, layout)
-    fit = _fit(method, data, orders, layout, lags, prefilter_order, solver)
-    return ModuleEstimate(method, equation, verdict, fit, data)
+    return verdict
 
 
 def with_references(network: Network, references: Collection[Node] | None) -> Network:

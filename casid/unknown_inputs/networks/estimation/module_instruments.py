@@ -100,15 +100,25 @@ def by_instruments(
         best = again
         if np.max(moved) < SETTLED:
             break
-    evidence = program.evidence(moments, best.x)
-    if (strength := program.strength(moments, best.x)) < WEAK:
-        remarks.append(
-            f"weak instruments (F = {strength:.3g} < {WEAK:g}): the estimate leans to least "
-            "squares and its errors are too small; excite more, or lower the orders"
-        )
-    evidence["instruments"] = f"{what}; weakest combination has F = {strength:.3g}"
+    evidence, weak = _evidence(program, moments, best.x, what)
     evidence["prefilter"] = f"AR({prefilter_order}), {rounds} rounds" if prefilter_order else "none"
-    return ModuleFit(layout, best.x, covariance, ASSUMES, tuple(remarks), evidence)
+    return ModuleFit(layout, best.x, covariance, ASSUMES, (*remarks, *weak), evidence)
+
+
+def _evidence(
+    program: _Program, moments: MomentEquations, x: Array, what: str
+) -> tuple[dict[str, str], list[str]]:
+    """The evidence of the moments and instruments at x, and a remark if these are weak."""
+    evidence = program.evidence(moments, x)
+    strength = program.strength(moments, x)
+    evidence["instruments"] = f"{what}; weakest combination has F = {strength:.3g}"
+    if strength >= WEAK:
+        return evidence, []
+    remark = (
+        f"weak instruments (F = {strength:.3g} < {WEAK:g}): the estimate leans to least "
+        "squares and its errors are too small; excite more, or lower the orders"
+    )
+    return evidence, [remark]
 
 
 def _from_all(
