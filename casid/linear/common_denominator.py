@@ -7,7 +7,7 @@ of SX expressions can, and zeros stay structural.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -21,8 +21,9 @@ from casid.model.model import Parameter
 Expr = Any  # a CasADi SX expression
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CommonDenominator:
-    """What `TransferMatrix` and `DiscreteTransfer`, both dataclasses, have in common."""
+    """Transfer functions of the parameters over one denominator, continuous or discrete."""
 
     name: str
     denominator: Expr
@@ -31,7 +32,7 @@ class CommonDenominator:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     parameters: tuple[str, ...]
-    description: tuple[Parameter, ...]
+    description: tuple[Parameter, ...] = ()
 
     @property
     def order(self) -> int:

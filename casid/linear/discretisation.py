@@ -31,7 +31,6 @@ from casid.linear.linear_model import (
     TransferMatrix,
     adjugate_polynomials,
 )
-from casid.model.model import Parameter
 
 Expr = Any  # a CasADi SX expression
 
@@ -45,7 +44,7 @@ _PADE_NORM = 0.95
 _MARGIN = 4.0  # how much faster than at the nominal parameters the system may get
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class DiscreteTransfer(CommonDenominator):
     """Transfer functions in x = q^-1 with a common denominator, functions of the parameters.
 
@@ -55,16 +54,8 @@ class DiscreteTransfer(CommonDenominator):
     numerators : [output][input] -> (n+1,) SX, ascending powers of q^-1.
     """
 
-    name: str
     Ts: float
     method: str
-    denominator: Expr
-    numerators: tuple[tuple[Expr, ...], ...]
-    p: Expr
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    parameters: tuple[str, ...]
-    description: tuple[Parameter, ...] = ()
 
     def poles(self, values: Mapping[str, float] | None = None) -> Array:
         """The poles in the q plane, (n,) complex."""

@@ -174,7 +174,7 @@ class LinearModel:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TransferMatrix(CommonDenominator, Presented):
     """Rational transfer functions with a common denominator, as expressions of the parameters.
 
@@ -184,15 +184,6 @@ class TransferMatrix(CommonDenominator, Presented):
     numerators : [output][input] -> (n+1,) SX, descending powers of s; longer than the denominator
         where a transfer function is improper. Coefficients that vanish are structural zeros.
     """
-
-    name: str
-    denominator: Expr
-    numerators: tuple[tuple[Expr, ...], ...]
-    p: Expr
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    parameters: tuple[str, ...]
-    description: tuple[Parameter, ...] = ()
 
     @property
     def is_proper(self) -> bool:

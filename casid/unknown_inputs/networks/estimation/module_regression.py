@@ -33,7 +33,13 @@ def module_regression(layout: Layout, output: str, Ts: float) -> DifferenceEquat
         theta += b
     g = ca.Function("g", [p], [ca.vertcat(*theta)])
     transfer = TransferMatrix(
-        output, ca.SX.ones(1), (), p, layout.inputs, (output,), layout.names, ()
+        name=output,
+        denominator=ca.SX.ones(1),
+        numerators=(),
+        p=p,
+        inputs=layout.inputs,
+        outputs=(output,),
+        parameters=layout.names,
     )
     return DifferenceEquation(
         name=output,
