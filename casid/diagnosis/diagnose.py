@@ -1,4 +1,4 @@
-"""`diagnose`: what the simulation gets wrong, why, and what including the cause gains."""
+"""`diagnose`: the simulation error, its causes, and the gain of including them."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def diagnose(
     -------
     Diagnosis
         Verdict "undecided" where the record cannot support an answer at all. A cause of kind
-        "unknown" is something that no effect of the catalogue explains; `unexplained` describes it.
+        "unknown" is a misfit that no effect of the catalogue explains; `unexplained` describes it.
 
     Raises
     ------
@@ -110,12 +110,12 @@ def diagnose(
     if calibrate and not found.baseline.why_undecided:
         calibration = _calibrated(problem, found, settings, calibrate)
         if calibration.is_corrected:
-            settings.progress(f"judge again at {calibration.threshold:.2g}")
+            settings.progress(f"repeat at level {calibration.threshold:.2g}")
             found = _searched(problem, split, replace(settings, alpha=calibration.threshold))
     # Verdict and advice.
     judged = judge(problem, found, false_alarm_rate)
     advice = recommend(problem, found, judged, plan=advise)
-    left = judged.left
+    remainder = judged.remainder
     return Diagnosis(
         problem=problem.name,
         verdict=judged.verdict,
@@ -129,7 +129,7 @@ def diagnose(
         limits=Limits(
             false_alarm_rate=false_alarm_rate,
             notes=notes_on(problem, found),
-            unexplained=left.unexplained if left is not None else None,
+            unexplained=remainder.unexplained if remainder is not None else None,
             isolability=advice.isolability,
             invisible=advice.invisible,
             calibration=calibration,

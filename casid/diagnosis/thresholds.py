@@ -103,7 +103,7 @@ class Outliers:
     )
     large: float = _is(
         5.0,
-        "standard deviations beyond which noise hardly hides what a spike leaves beside it",
+        "standard deviations beyond which noise hardly masks what a spike leaves beside it",
         _SPIKES,
     )
     farthest: float = _is(12.0, "standard deviations at which the mixture is cut off", _SPIKES)
@@ -411,7 +411,7 @@ class Rounds:
         "`Comparison.relative_gain`, as on the whole the shares are not quite the same",
         _PRESELECTION,
     )
-    fewest_compared: int = _is(3, "candidates that are worth comparing on a part", _PRESELECTION)
+    fewest_compared: int = _is(3, "fewest candidates that are compared on a part", _PRESELECTION)
     head_misfit: float = _is(
         0.5, "of its share of samples that a part must have of the misfit", _PRESELECTION
     )
@@ -445,7 +445,7 @@ _DESCRIPTION = f"{TESTS}/unexplained/test_description.py"
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What is said of a misfit without a name."""
+    """The description of a misfit outside the catalogue."""
 
     apart: float = _is(
         12.0,

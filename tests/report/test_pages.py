@@ -171,7 +171,7 @@ def test_what_a_rich_diagnosis_knows_stands_in_the_text(rich):
         "-62.2",  # standard errors
         "The same in this record: time_delay in gyro, sensor_lag in gyro",
         *(i.why for i in d.invisible),
-        *(i.mend for i in d.invisible),
+        *(i.remedy for i in d.invisible),
         "any record of these channels",
         *(p.description for p in d.proposals),
         "never",  # the same again does not tell

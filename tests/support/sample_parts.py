@@ -1,4 +1,4 @@
-"""Parts of made-up diagnoses: what cannot be told, what is unknown, what to record next."""
+"""Parts of made-up diagnoses: what is undetectable, what is unknown, what to record next."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def isolability(keys: tuple[tuple[str, str], ...] = KEYS) -> Isolability:
     ]
     pairs.sort(key=lambda p: -abs(p.cosine))
     groups = ((keys[3], keys[4]),) if len(keys) > 4 else ()
-    return Isolability(keys, c, tuple(pairs), groups, unseen=(("sensor_scale", "gyro"),))
+    return Isolability(keys, c, tuple(pairs), groups, undetectable=(("sensor_scale", "gyro"),))
 
 
 def invisible(kind: str = "sensor_scale", where: str = "gyro") -> tuple[Invisible, ...]:
@@ -61,8 +61,8 @@ def invisible(kind: str = "sensor_scale", where: str = "gyro") -> tuple[Invisibl
             1e-15,
             ("s", "I"),
             ("s/I",),
-            "Whatever is recorded, changes of s and I together give the same outputs; told all "
-            "the same: s/I.",
+            "Whatever is recorded, changes of s and I together give the same outputs; "
+            "identifiable all the same: s/I.",
             "Give one of s, I a known value, or calibrate gyro apart from these records.",
         ),
         Invisible(
@@ -71,7 +71,7 @@ def invisible(kind: str = "sensor_scale", where: str = "gyro") -> tuple[Invisibl
             "practical",
             3e-5,
             why="In this record the model's own parameters do 99.99 % of what it does.",
-            mend="Record speed while it moves: it rests in swing-07.",
+            remedy="Record speed while it moves: it is constant in swing-07.",
         ),
     )
 
@@ -171,7 +171,7 @@ def unexplained(
         places=(best, replace(best, place="gyro", is_balance=False, explained=0.31, score=40.0)),
         tests=tests,
         sentences=(
-            f"What is left is a missing {place} that depends on {variable} (odd, growing about as "
+            f"The remainder is a missing {place} that depends on {variable} (odd, growing about as "
             "the cube). This explains 93 % of it.",
             "It does not depend on phi, accel.",
         ),

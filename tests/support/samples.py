@@ -358,7 +358,7 @@ def hostile() -> Diagnosis:
         remaining=Remaining((Explained(h, h, 0.7),), 0.3, {h: 1.2}, 0.04, h, h),
         unexplained=replace(unexplained(view(N=400), h, h, h), sentences=(h,)),
         isolability=isolability(((h, h), ("k" * 300, h), ("offset", "torque"))),
-        invisible=tuple(replace(i, why=h, mend=h) for i in invisible(h, h)),
+        invisible=tuple(replace(i, why=h, remedy=h) for i in invisible(h, h)),
         proposals=tuple(replace(p, name=h, description=h) for p in proposals((h, h))),
         calibration=replace(calibration(h), failures={h: 2}),
     )

@@ -1,1 +1,1 @@
-"""What the record cannot separate or show, and which experiment would."""
+"""Causes that a record cannot separate or detect, and experiments that can."""

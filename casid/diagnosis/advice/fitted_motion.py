@@ -30,7 +30,7 @@ class FittedMotion:
 
     Parameters
     ----------
-    problem : tells the channels that are recorded beside the model's.
+    problem : has the channels that are recorded beside the model's.
     at : the fitted model under its noise.
     seed : of the noise that is drawn.
     """
@@ -49,7 +49,7 @@ class FittedMotion:
 
     @property
     def experiments(self) -> Sequence[Experiment]:
-        """The records at hand."""
+        """The records fitted."""
         return self.at.criterion.experiments
 
     @property
@@ -169,7 +169,7 @@ class FittedMotion:
         return Experiment(record, old.known, f"{old.name}{label}")
 
     def settling(self, record: Record) -> int:
-        """Samples until no output stands above its noise any more."""
+        """Samples until no output exceeds its noise any more."""
         last = shortest = EXPERIMENTS.shortest_decay
         for name, sd in zip(self.at.criterion.outputs, self.at.noise.output_sd, strict=True):
             y = record[name]

@@ -1,4 +1,4 @@
-"""Which causes a record can tell apart, and how visible one of them would have to be.
+"""Which causes a record can separate, and the misfit energy that this needs.
 
 Write e = sqrt(lambda) a + n for the whitened residual of the baseline when the cause A is at work:
 a is A's signature, the whitened sensitivity less its part in the baseline's tangent space, of unit
@@ -14,7 +14,7 @@ t = (a - b)'e / sqrt(2 (1 - c)) are independent normals of unit variance, so tha
 
     D = 2 sqrt(1 - c^2) s t,   E D = (1 - c^2) lambda,   var D = 4 (1 - c^2) (lambda + 1)      (2)
 
-A is told from B when D exceeds the margin m within which causes count as tied. With x^2 =
+A is separated from B when D exceeds the margin m within which causes count as tied. With x^2 =
 (1 - c^2) lambda and the 1 in the variance left out, that has the probability Phi(z) if
 
     x^2 - 2 z x - m = 0,   so   lambda = (z + sqrt(z^2 + m))^2 / (1 - c^2)                     (3)
@@ -38,6 +38,7 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 from casid.arrays import TINY, Array
+from casid.deprecation import renamed
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import DataError
@@ -48,7 +49,7 @@ Key = tuple[str, str]
 
 
 def separation_constant(*, margin: float = PLANNING.margin, power: float = PLANNING.power) -> float:
-    """Numerator of (3): energy that tells two causes apart whose signatures are at right angles.
+    """Numerator of (3): energy that separates two causes whose signatures are at right angles.
 
     Raises
     ------
@@ -67,7 +68,7 @@ def separation_constant(*, margin: float = PLANNING.margin, power: float = PLANN
 def separation_energy(
     cosine: float, *, margin: float = PLANNING.margin, power: float = PLANNING.power
 ) -> float:
-    """Energy (3) of the misfit at which the record tells the right one of two causes; may be inf.
+    """Energy (3) of the misfit that separates the right one of two causes; may be inf.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def likeness(first: Effect, second: Effect, cosine: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair:
-    """Two causes and what telling them apart takes."""
+    """Two causes and the energy that separates them."""
 
     first: Key
     second: Key
@@ -126,7 +127,7 @@ class Pair:
 
     @property
     def is_same(self) -> bool:
-        """True if this record cannot tell them apart at any size worth thinking of."""
+        """True if they are indistinguishable in this record at any realistic size."""
         return abs(self.cosine) > PLANNING.same
 
     def to_json(self) -> dict[str, Any]:
@@ -142,7 +143,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Isolability(Presented):
-    """What a record can tell apart: the angles of all causes' signatures, and what they cost.
+    """Causes that a record can separate: angles of all signatures, and energies needed.
 
     Attributes
     ----------
@@ -151,19 +152,21 @@ class Isolability(Presented):
     pairs : all of them, the hardest first.
     groups : causes that are indistinguishable in this record, two or more each: |cosine| above
         `PLANNING.same`.
-    unseen : causes that the baseline absorbs; `invisible` says why.
+    undetectable : causes that the baseline absorbs; `invisible` says why.
     """
 
     keys: tuple[Key, ...]
     cosines: Array
     pairs: tuple[Pair, ...]
     groups: tuple[tuple[Key, ...], ...]
-    unseen: tuple[Key, ...] = ()
+    undetectable: tuple[Key, ...] = ()
     margin: float = PLANNING.margin
     power: float = PLANNING.power
 
+    unseen = renamed("unseen", "undetectable")
+
     def of(self, key: Key) -> tuple[Pair, ...]:
-        """The pairs that a cause stands in, its hardest rival first.
+        """The pairs of a cause, its hardest rival first.
 
         Raises
         ------
@@ -173,7 +176,7 @@ class Isolability(Presented):
         if key not in self.keys:
             known = ", ".join(f"{k} in {w}" for k, w in self.keys)
             raise DataError(
-                f"{key!r} is not among the causes compared; ask for one of these: {known}"
+                f"{key!r} is not among the causes compared; request one of these: {known}"
             )
         return tuple(p for p in self.pairs if key in (p.first, p.second))
 
@@ -186,12 +189,12 @@ class Isolability(Presented):
             "cosines": np.round(self.cosines, 6).tolist(),
             "pairs": [p.to_json() for p in self.pairs],
             "groups": [[list(k) for k in g] for g in self.groups],
-            "unseen": [list(k) for k in self.unseen],
+            "unseen": [list(k) for k in self.undetectable],
         }
 
     def __repr__(self) -> str:
         return (
-            f"<Isolability: {len(self.keys)} causes, {len(self.groups)} groups that are the same>"
+            f"<Isolability: {len(self.keys)} causes, {len(self.groups)} indistinguishable groups>"
         )
 
     def plot(self) -> Any:
@@ -240,7 +243,7 @@ def isolability(
     """
     places = strongest_variants(table)
     seen = [i for i in places if table.scores[i].visible > SCORES.undetectable]
-    unseen = tuple(table.scores[i].effect.key for i in places if i not in seen)
+    undetectable = tuple(table.scores[i].effect.key for i in places if i not in seen)
     effects = [table.scores[i].effect for i in seen]
     cosines = np.clip(np.asarray(table.cosines)[np.ix_(seen, seen)], -1.0, 1.0)
     pairs = []
@@ -256,7 +259,7 @@ def isolability(
         cosines=cosines,
         pairs=tuple(pairs),
         groups=_groups([e.key for e in effects], pairs),
-        unseen=unseen,
+        undetectable=undetectable,
         margin=margin,
         power=power,
     )

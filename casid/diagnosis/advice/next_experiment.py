@@ -58,10 +58,10 @@ class Proposal:
     ----------
     pair : that pair.
     cosine : of its signatures, 0 where one would need an impossible sign to imitate the other.
-    energy_needed : of the misfit, (3) of `isolability`; inf where it does not tell them.
-    record_length : seconds of it (of all records analysed together) after which every pair is told
-        at the sizes estimated, whichever is the cause.
-    gain_factor : the energy needed in the record at hand over that needed here.
+    energy_needed : of the misfit, (3) of `isolability`; inf where it does not separate them.
+    record_length : seconds of it (of all records analysed together) after which every pair is
+        separated at the sizes estimated, whichever is the cause.
+    gain_factor : the energy needed in the present record over that needed here.
     seconds : length of what was predicted.
     bands : frequencies (from, to) that it excites [Hz], where it is an excitation of its own.
     """
@@ -79,13 +79,13 @@ class Proposal:
     def is_clearer(self, now: Proposal) -> bool:
         """True if it halves the energy needed, at least, and needs no longer record.
 
-        Signatures that are nearly the same are told by small differences, which a model that is
-        wrong elsewhere gets wrong first; so this goes before a short record.
+        Signatures that are nearly the same are separated by small differences, which a model with
+        other errors gets wrong first; so this goes before a short record.
         """
         return self.gain_factor >= PLANNING.clearer and self.record_length <= now.record_length
 
     def to_json(self) -> dict[str, Any]:
-        """Part of `diagnosis.json`; None where nothing of that length or energy tells."""
+        """Part of `diagnosis.json`; None where no length or energy separates the causes."""
         return {
             "name": self.name,
             "description": self.description,
@@ -100,7 +100,7 @@ class Proposal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Advice(Presented):
-    """Proposals beside the record at hand, the best first.
+    """Proposals beside the present record, the best first.
 
     Those that are clearer go before (`Proposal.is_clearer`), by what they gain in energy times what
     they gain in length; the others follow by length.
@@ -139,13 +139,13 @@ def next_experiment(
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Advice:
-    """Weigh feasible next experiments by how soon they tell tied causes apart.
+    """Compare feasible next experiments by how soon they separate tied causes.
 
     Parameters
     ----------
     problem : its load cases and recorded channels are what an experimenter may use.
     at : the model without the suspects, fitted under its noise (`Weighing.weigh`).
-    suspects : two or more causes that the record cannot tell, with their sizes.
+    suspects : two or more causes that the record cannot separate, with their sizes.
     margin, power : as in `isolability`.
     seed : of multisines.
 
@@ -154,7 +154,7 @@ def next_experiment(
     Advice
         Free decays, wider and slower bands, twice the amplitude, a longer record, other loads and
         further sensors, as far as the model allows each; those that diverge are left out. All but
-        the second load are analysed alone, without the record at hand.
+        the second load are analysed alone, without the present record.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def next_experiment(
 
     Notes
     -----
-    The noise of sensors, inputs and disturbances is taken to be that of the record at hand, and
+    The noise of sensors, inputs and disturbances is taken to be that of the present record, and
     independent from channel to channel.
     """
     keys = tuple(s.effect.key for s in suspects)
@@ -182,7 +182,7 @@ def next_experiment(
         try:
             proposals.append(rule.judged(planned, now))
         except CasidError:
-            continue  # cannot be simulated with sensitivities: nothing to promise
+            continue  # cannot be simulated with sensitivities: no prediction
     # Both gains count among those that are clearer; of the others, the shortest goes first.
     proposals.sort(
         key=lambda p: (
@@ -251,7 +251,7 @@ class _Rule:
                 energy = separation_energy(cosine, margin=self.margin, power=self.power)
                 given = [self._given(s, table, place) for s in (a, b)]
                 if min(given) <= 0.0:
-                    energy = inf  # one of them is not seen at all
+                    energy = inf  # one of them is undetectable
                 if worst is None or energy > worst[0]:
                     worst = energy, abs(cosine), (b.effect.key, a.effect.key)
                 long_enough = planned.seconds * energy / min(given) if isfinite(energy) else inf
@@ -289,19 +289,21 @@ def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal])
     able = [p for p in proposals if isfinite(p.record_length)]
     if not able:
         return (
-            f"No experiment that was weighed tells {who}: in all of them they do the same to the "
-            "outputs. What is left is to know one of them apart from these records."
+            f"No experiment considered separates {who}: their effects on the outputs are the "
+            "same in all of them. Determine one of them independently of these records."
         )
     best = able[0]
     shorter = best.is_clearer(now) or best.record_length <= PLANNING.shorter * now.record_length
     if isfinite(now.record_length) and not shorter:
         return (
-            f"To tell {who}, record the same for {_seconds(now.record_length)}: no other "
-            "experiment that was weighed is clearly shorter."
+            f"To separate {who}, record the same for {_seconds(now.record_length)}: no other "
+            "experiment considered is clearly shorter."
         )
-    text = f"To tell {who}: {best.description}. About {_seconds(best.record_length)} of it would do"
+    text = (
+        f"To separate {who}: {best.description}. About {_seconds(best.record_length)} would suffice"
+    )
     if isfinite(now.record_length):
-        text += f", where the same again would take {_seconds(now.record_length)}"
+        text += f", where the same experiment would need {_seconds(now.record_length)}"
     if best.gain_factor > PLANNING.notable:
         text += (
             f"; the energy needed falls by a factor of {best.gain_factor:.2g} (cosine "

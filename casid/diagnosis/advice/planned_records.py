@@ -1,7 +1,7 @@
-"""Records that could be made next, predicted from the record at hand.
+"""Records that could be made next, predicted from the present record.
 
 A next experiment changes what acts (nothing, more, over another band), how the system is released,
-its load, or what is measured; `FittedMotion` tells what the sensors would record.
+its load, or what is measured; `FittedMotion` predicts what the sensors would record.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Planner:
 
     @property
     def experiments(self) -> Sequence[Experiment]:
-        """The records at hand."""
+        """The records fitted."""
         return self.motion.experiments
 
     @property
@@ -182,7 +182,7 @@ class Planner:
         )
 
     def load(self, name: str, known: Mapping[str, float]) -> Planned | None:
-        """The record at hand together with as much under another load or known value."""
+        """The present record together with as much under another load or known value."""
         new, starts = [], []
         for e in range(len(self.experiments)):
             start = self.motion.initial(e)
@@ -198,7 +198,7 @@ class Planner:
         values = ", ".join(f"{k} = {v:g}" for k, v in known.items())
         return Planned(
             f"second load: {name}",
-            f"a second record under the load {name} ({values}), analysed with the one at hand",
+            f"a second record under the load {name} ({values}), analysed with the present one",
             (*old.experiments, *new),
             (*old.initial, *starts),
             self.model,

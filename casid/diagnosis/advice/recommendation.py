@@ -1,4 +1,4 @@
-"""What to do next, and what the records cannot separate or show at all."""
+"""The next step, and the causes that the records cannot separate or detect."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from casid.errors import CasidError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recommendation:
-    """Advice in a sentence, with the experiments and the limits that it rests on."""
+    """Advice in a sentence, with the experiments and limits behind it."""
 
     sentence: str
     isolability: Isolability | None
@@ -73,7 +73,7 @@ def _planned(problem: Problem, found: Findings, causes: Sequence[Cause]) -> Advi
             Suspect(c.effect, c.fit.values[c.names[0]])
             for c in (a.candidate, *rivals[: PLANNING.suspects])
         ]
-        say("plan the experiment that would separate the tied causes")
+        say("plan an experiment that separates the tied causes")
         try:
             return next_experiment(problem, a.before, suspects, progress=say)
         except CasidError as error:
@@ -81,8 +81,8 @@ def _planned(problem: Problem, found: Findings, causes: Sequence[Cause]) -> Advi
     return None
 
 
-_MENDS = (": check ", ": fit ", ": diagnose ")
-"""How a reason goes on that says what to do itself (`refusals`, `gain`)."""
+_REMEDIES = (": check ", ": fit ", ": diagnose ")
+"""The continuation of a reason that names its own remedy (`refusals`, `gain`)."""
 
 
 def advice(
@@ -90,14 +90,14 @@ def advice(
 ) -> str:
     """What to do next, in a sentence."""
     if verdict == "undecided":
-        if any(mend in why_undecided for mend in _MENDS):
-            return "Mend what the reason names, then diagnose again."
+        if any(remedy in why_undecided for remedy in _REMEDIES):
+            return "Correct what the reason names, then diagnose again."
         return "Record longer, or excite the system more strongly over a wider band."
     tied = [c for c in causes if c.alternatives]
     if tied:
         c = tied[0]
         others = ", ".join(a.name for a in c.alternatives)
-        return f"To tell {c.kind} in {c.where} from {others}: {separates(c.kind)}."
+        return f"To separate {c.kind} in {c.where} from {others}: {separates(c.kind)}."
     if verdict == "deficient":
         return (
             "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
@@ -109,7 +109,7 @@ def advice(
     invisible = {s.effect.key for s in scores} - seen
     if invisible:
         names = ", ".join(sorted(f"{k} in {w}" for k, w in invisible))
-        return f"The model may be used. This set-up cannot show: {names}."
+        return f"The model may be used. Undetectable in this set-up: {names}."
     return "The model may be used for motions like those recorded."
 
 
@@ -119,8 +119,8 @@ def bound_advice(problem: Problem, bounds: Mapping[str, str]) -> str:
     p = problem.model.parameters[name.partition("@")[0]]
     return (
         "A wrong sign of a channel drives a parameter to its bound: compare the sensors' axes with "
-        "the model's, channel by channel (casid.identification.sign_flips.sign_flips asks each). "
-        f"Where the signs are right and the bound is no physics, widen it (lower={p.lower:g}, "
+        "the model's, channel by channel (casid.identification.sign_flips.sign_flips tests each). "
+        f"Where the signs are right and the bound is not physical, widen it (lower={p.lower:g}, "
         f"upper={p.upper:g} of {p.name} in the problem file); where it is, give {p.name} that "
         f"value (--set {p.name}=VALUE) and diagnose again."
     )

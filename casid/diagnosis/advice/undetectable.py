@@ -1,10 +1,10 @@
-"""Causes that a set-up or a record cannot show, and why.
+"""Causes that are undetectable in a set-up or a record, and why.
 
 An effect whose signature lies in the baseline's tangent space is absorbed: parameters and initial
 states change a little, and the simulation is what it was. That has one of two reasons. Either no
 record of these channels can show the effect, whatever moves: the parameter that it adds is not
-identifiable in the extended model, which is asked exactly (Sedoglavic 2002; Linder 2017, section
-2.7). Or a record could show it, and this one does not.
+identifiable in the extended model, which is tested exactly (Sedoglavic 2002; Linder 2017, section
+2.7). Or another record could show it, and this one does not.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from casid.data.record import Experiment
+from casid.deprecation import renamed
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.thresholds import PLANNING, SCORES
 from casid.errors import CasidError
@@ -32,17 +33,18 @@ Reason = Literal["structural", "practical", "practical (not asked structurally)"
 
 @dataclass(frozen=True, slots=True)
 class Invisible:
-    """One cause that cannot be seen.
+    """One undetectable cause.
 
     Attributes
     ----------
     reason : "structural", where no record of these channels shows it; "practical", where another
-        record could; the latter unasked, where the effect has no exact algebra (delays, clipping,
-        generated signals) or the rank was not found in time.
+        record could; the latter not tested structurally, where the effect has no exact algebra
+        (delays, clipping, generated signals) or the rank was not found in time.
     visible : share of the signature outside the baseline's tangent space, of this record.
-    absorbed_by : parameters, and initial states as ``phi(0)``, that take the effect up (structural
+    absorbed_by : parameters, and initial states as ``phi(0)``, that absorb the effect (structural
         ones alone).
-    told : combinations of them that are told all the same, where a closed form was found in time.
+    identifiable : identifiable combinations of them, where a closed form was found in time.
+    remedy : how to make the cause detectable.
     """
 
     kind: str
@@ -50,9 +52,12 @@ class Invisible:
     reason: Reason
     visible: float
     absorbed_by: tuple[str, ...] = ()
-    told: tuple[str, ...] = ()
+    identifiable: tuple[str, ...] = ()
     why: str = ""
-    mend: str = ""
+    remedy: str = ""
+
+    told = renamed("told", "identifiable")
+    mend = renamed("mend", "remedy")
 
     @property
     def is_structural(self) -> bool:
@@ -67,13 +72,13 @@ class Invisible:
             "reason": self.reason,
             "visible": self.visible,
             "absorbed_by": list(self.absorbed_by),
-            "told": list(self.told),
+            "told": list(self.identifiable),
             "why": self.why,
-            "mend": self.mend,
+            "mend": self.remedy,
         }
 
     def __str__(self) -> str:
-        return f"{self.kind} in {self.where}: {self.reason}. {self.why} {self.mend}"
+        return f"{self.kind} in {self.where}: {self.reason}. {self.why} {self.remedy}"
 
 
 def invisible(
@@ -99,25 +104,25 @@ def invisible(
     absorbed = [(v, e) for v, e in largest.values() if v <= threshold]
     if not absorbed:
         return ()
-    asked = _Asked(model, experiments)
-    found = [asked.about(effect, visible) for visible, effect in absorbed]
+    tested = _RankTests(model, experiments)
+    found = [tested.about(effect, visible) for visible, effect in absorbed]
     return tuple(sorted(found, key=lambda i: (not i.is_structural, i.kind, i.where)))
 
 
-class _Asked:
-    """Ranks of extended models, with the baseline's own asked once."""
+class _RankTests:
+    """Ranks of extended models, with the baseline's own computed once."""
 
     def __init__(self, model: Model, experiments: Sequence[Experiment]) -> None:
         self.model = model
         self.experiments = [replace(e, name=word(e.name)) for e in experiments]
         self.formulas = PLANNING.formula_limit
         base = self._rank(model)
-        self.unseen = set() if base is None else _unobservable(base)
+        self.unobservable = set() if base is None else _unobservable(base)
 
     def about(self, effect: Effect, visible: float) -> Invisible:
         new, names = effect.extended(self.model)
         found = self._rank(new) if self._has_exact_algebra(effect, new) else None
-        share = f"{100 * (1 - visible):.4g} % of what it does"
+        share = f"{100 * (1 - visible):.4g} % of its effect on the outputs"
         if found is None or found.identifiable.get(names[0], True):
             reason: Reason = "practical" if found else "practical (not asked structurally)"
             return Invisible(
@@ -125,25 +130,25 @@ class _Asked:
                 effect.key[1],
                 reason,
                 visible,
-                why=f"In this record the model's own parameters and initial state do {share}"
-                + (" to the outputs; a richer record would show it." if found else "."),
-                mend=_practical_mend(effect, self.model, self.experiments),
+                why=f"In this record the model's own parameters and initial state reproduce {share}"
+                + ("; a more informative record would show it." if found else "."),
+                remedy=_practical_remedy(effect, self.model, self.experiments),
             )
         point = found.points[0]
         groups = confounded_groups(point.information, found.parameters, point.prime)
         with_it = next((g for g in groups if names[0] in g), names[:1])
         parameters = tuple(n for n in with_it if n not in names)
-        states = tuple(sorted(_unobservable(found) - self.unseen))
-        told = self._told(new, found, with_it) if parameters else ()
+        states = tuple(sorted(_unobservable(found) - self.unobservable))
+        combinations = self._combinations(new, found, with_it) if parameters else ()
         return Invisible(
             effect.kind,
             effect.key[1],
             "structural",
             visible,
             absorbed_by=(*parameters, *states),
-            told=told,
-            why=_structural_why(parameters, states, told),
-            mend=_structural_mend(effect, parameters, states),
+            identifiable=combinations,
+            why=_structural_why(parameters, states, combinations),
+            remedy=_structural_remedy(effect, parameters, states),
         )
 
     def _has_exact_algebra(self, effect: Effect, new: Model) -> bool:
@@ -167,8 +172,10 @@ class _Asked:
             return None
         return None if found.is_partial else found
 
-    def _told(self, model: Model, found: Observability, group: Sequence[str]) -> tuple[str, ...]:
-        """What is told of the group instead, as formulas, while there is time for them."""
+    def _combinations(
+        self, model: Model, found: Observability, group: Sequence[str]
+    ) -> tuple[str, ...]:
+        """Identifiable combinations of the group, as formulas, while there is time for them."""
         if self.formulas <= 0:
             return ()
         started = time.perf_counter()
@@ -177,15 +184,15 @@ class _Asked:
             fixing = fixing_sets(point.information, found.parameters, point.prime, limit=20)
             systems = translated(model, self.experiments, generic=True, use_samples=False).systems
             curves = families(systems, fixing, time_limit=self.formulas)[0]
-            told = joint_invariants([f for f in curves if f.free in group])[0]
+            invariants = joint_invariants([f for f in curves if f.free in group])[0]
         except CasidError:
-            told = ()
+            invariants = ()
         self.formulas -= time.perf_counter() - started
-        return tuple(str(t) for t in told)
+        return tuple(str(t) for t in invariants)
 
 
 def _unobservable(found: Observability) -> set[str]:
-    """Initial states that no output tells, of any experiment."""
+    """Initial states that are unobservable from the outputs, of any experiment."""
     several = len(found.systems) > 1
     return {
         f"{x}(0)@{s.name}" if several else f"{x}(0)"
@@ -199,23 +206,25 @@ def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def _structural_why(parameters: Sequence[str], states: Sequence[str], told: Sequence[str]) -> str:
+def _structural_why(
+    parameters: Sequence[str], states: Sequence[str], combinations: Sequence[str]
+) -> str:
     both = [*parameters, *states]
     if not both:
-        return "It does not move any output, whatever is recorded."
+        return "It does not affect any output, whatever is recorded."
     text = (
         f"Whatever is recorded, a change of {_listed(both)} gives the same outputs"
         if len(both) == 1
         else f"Whatever is recorded, changes of {_listed(both)} together give the same outputs"
     )
-    if told:
-        text += f"; told all the same: {', '.join(told)}"
+    if combinations:
+        text += f"; identifiable all the same: {', '.join(combinations)}"
     return text + "."
 
 
-def _structural_mend(effect: Effect, parameters: Sequence[str], states: Sequence[str]) -> str:
+def _structural_remedy(effect: Effect, parameters: Sequence[str], states: Sequence[str]) -> str:
     own = (
-        f"calibrate {effect.where} apart from these records"
+        f"calibrate {effect.where} independently of these records"
         if effect.kind.startswith("sensor") or effect.kind == "cross_axis"
         else f"measure the {effect.where} itself"
     )
@@ -225,10 +234,10 @@ def _structural_mend(effect: Effect, parameters: Sequence[str], states: Sequence
     if states:
         first = states[0].partition("(")[0]
         return f"Add a sensor of {first}, make its initial value known, or {own}."
-    return f"Add a sensor that feels it, or {own}."
+    return f"Add a sensor that responds to it, or {own}."
 
 
-def _practical_mend(effect: Effect, model: Model, experiments: Sequence[Experiment]) -> str:
+def _practical_remedy(effect: Effect, model: Model, experiments: Sequence[Experiment]) -> str:
     channel = effect.where.rpartition("~")[2]
     resting = [
         e.name
@@ -236,6 +245,6 @@ def _practical_mend(effect: Effect, model: Model, experiments: Sequence[Experime
         if channel in e.record.channels and float(e.record[channel].std()) == 0.0
     ]
     if resting:
-        return f"Record {channel} while it moves: it rests in {', '.join(resting)}."
+        return f"Record {channel} while it moves: it is constant in {', '.join(resting)}."
     how = "excite the system over a wider band, or add a sensor" if model.inputs else "add a sensor"
-    return f"{how[0].upper()}{how[1:]}: `next_experiment` weighs what helps."
+    return f"{how[0].upper()}{how[1:]}: `next_experiment` compares the options."

@@ -1,6 +1,6 @@
 """The false-alarm rate of a diagnosis, measured for its own problem and record.
 
-The family-wise level that a user asks for rests on residuals that are stationary and a record that
+The requested family-wise level rests on residuals that are stationary and a record that
 is long against their memory. Here it is tried: the fitted model draws records as it would give them
 (`null_records`), each is diagnosed as the recorded one is, and the share called deficient is the
 actual level. With p_b the level at which null record b of B becomes an alarm, and k the whole
@@ -11,7 +11,7 @@ part of alpha (B + 1), judging at
 makes the rate at most alpha: the recorded one's rank among its like is uniform under the null
 (G. A. Barnard, J. R. Stat. Soc. B 25 (1963) 294; A. C. Davison, D. V. Hinkley, Bootstrap Methods
 and their Application, Cambridge 1997, section 4.2). A rate below alpha is left as it is: the runs
-do not tell what a search at a looser threshold would name.
+do not show what a search at a looser threshold would name.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from casid.campaigns.manifest import manifest_of
 from casid.campaigns.monte_carlo import digest
 from casid.campaigns.parquet_parts import FAILED, Parts
 from casid.data.problem import Problem, load_problem
+from casid.deprecation import renamed
 from casid.diagnosis.calibration.null_records import NullNoise, NullRecords, null_noise
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import CALIBRATING
@@ -83,12 +84,12 @@ SOURCES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration(Presented):
-    """What a false-alarm level is worth on one record.
+    """The actual rate of a false-alarm level on one record.
 
     Attributes
     ----------
     alpha : the family-wise rate that was requested.
-    asked : null records requested; `runs` are those diagnosed.
+    requested : null records requested; `runs` are those diagnosed.
     levels : (runs,) the level at which each null record becomes an alarm: its cause's p-value, or
         the smallest adjusted p, but no less than `alpha`, where there was none.
     smallest : (runs,) smallest adjusted p of each record's first table of scores, 1 without one.
@@ -101,7 +102,7 @@ class Calibration(Presented):
 
     problem: str
     alpha: float
-    asked: int
+    requested: int
     levels: Array
     smallest: Array
     alarms: Array
@@ -109,6 +110,8 @@ class Calibration(Presented):
     undecided: int = 0
     failures: Mapping[str, int] = field(default_factory=dict)
     is_interrupted: bool = False
+
+    asked = renamed("asked", "requested")
 
     @property
     def runs(self) -> int:
@@ -162,7 +165,7 @@ class Calibration(Presented):
         text = (
             f"Of {self.runs} null records drawn like this one, {int(np.sum(self.alarms))} "
             f"({100 * self.rate:.3g} %, 95 % interval {low:.2g} to {high:.2g} %) were called "
-            f"deficient at the family-wise level of {100 * self.alpha:g} % asked for"
+            f"deficient at the family-wise level of {100 * self.alpha:g} % requested"
         )
         if not self._rank:
             needed = math.ceil(1 / self.alpha - 1e-9) - 1
@@ -179,7 +182,7 @@ class Calibration(Presented):
         """What bears on the trust in it."""
         out = []
         if self.is_interrupted:
-            out.append(f"interrupted: {self.runs} of {self.asked} null records were done")
+            out.append(f"interrupted: {self.runs} of {self.requested} null records were done")
         if self.undecided:
             out.append(f"{self.undecided} null records were undecided, which is no alarm")
         out += [f"{n} null records failed: {message}" for message, n in self.failures.items()]
@@ -189,7 +192,7 @@ class Calibration(Presented):
         """Every number, for `diagnosis.json`."""
         return {
             "alpha": self.alpha,
-            "asked": self.asked,
+            "asked": self.requested,
             "runs": self.runs,
             "alarms": int(np.sum(self.alarms)),
             "rate": self.rate,
@@ -260,7 +263,7 @@ def calibrate(
         function at the top of a module, or a `functools.partial` of one.
     alpha : the family-wise rate requested.
     runs : null records; the first one is timed, and the time that all need is printed.
-    jobs : processes; default as joblib is told. A problem that no file defines as it is now cannot
+    jobs : processes; default as joblib's. A problem that no file defines as it is now cannot
         be sent to other processes and takes one.
 
     Raises
@@ -287,7 +290,7 @@ def calibrate(
     return Calibration(
         problem=problem.name,
         alpha=alpha,
-        asked=runs,
+        requested=runs,
         levels=done["level"].to_numpy(float),
         smallest=done["smallest"].to_numpy(float),
         alarms=np.array([v == "deficient" for v in verdicts]),
@@ -404,9 +407,9 @@ class NullRun:
         if self.problem.source is None:
             raise ModelError(f"problem {self.problem.name} was not loaded from a file")
         known = {n: p.value for n, p in self.problem.model.parameters.items() if p.is_known}
-        source, told = str(self.problem.source), tuple(known.items())
+        source, given = str(self.problem.source), tuple(known.items())
         return _run_again, (
-            (source, told, digest(self.problem)),
+            (source, given, digest(self.problem)),
             self.recipe,
             self.diagnose_null,
             self.alpha,
@@ -502,7 +505,7 @@ def _told(say: Callable[[str], None]) -> Callable[[str], None]:
 def _interruptible(stop: threading.Event, *, is_serial: bool) -> Iterator[None]:
     """The first Ctrl-C ends the runs, the next one whatever it ended before.
 
-    In one process the run at hand is finished: compiled solvers swallow an exception.
+    In one process the current run is finished: compiled solvers swallow an exception.
     """
     before: Any = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(before):

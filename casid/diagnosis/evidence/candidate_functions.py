@@ -2,7 +2,7 @@
 
 They are the same for every model and whatever its catalogue: powers, signs and products of states
 and inputs, channels recorded beside them, each growing in time or other in its second half, and
-the slope of the output itself. Which of them is an effect with a name is not asked here.
+the slope of the output itself. Which of them is a named effect is not decided here.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def regressions(
 ) -> Iterator[tuple[str, list[str], Regression]]:
     """Every balance and output with the names of its functions and their regression.
 
-    `places` are those asked for; all without.
+    `places` are those requested; all without.
     """
     fit = at.unbiased or at.fit
     model, outputs = fit.criterion.model, fit.criterion.outputs

@@ -1,4 +1,4 @@
-"""Effects that make a simulation run away before they explain anything."""
+"""Effects that make a simulation diverge before they explain anything."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
 
 
-def destabilises(fit: Fit, effect: Effect) -> float | None:
-    """The tiny value of an effect's first parameter at which the simulation runs away, or None.
+def diverging_size(fit: Fit, effect: Effect) -> float | None:
+    """The tiny value of an effect's first parameter at which the simulation diverges, or None.
 
     Tiny is what adds, along the simulation without the effect, a hundredth of its own rms to a
     state's derivative or to an output. A simulation that is not finite there, or whose outputs move

@@ -1,4 +1,4 @@
-"""Clipping: samples of a channel that stand exactly at its limit while the motion goes beyond it.
+"""Clipping: samples of a channel that lie exactly at its limit while the motion goes beyond it.
 
 Values of a continuous channel hardly ever repeat. Many equal ones at the very top are a limit of
 the sensor or logger, unless the system itself rests there.

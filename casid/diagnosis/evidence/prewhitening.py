@@ -40,7 +40,7 @@ class Weighted:
     noise: NoiseModel  # what it is fitted under
     full: NoiseModel  # with whatever passes for a disturbance
     input_sd: Mapping[str, float]
-    is_hidden: bool  # much is unexplained by sensors and measured inputs
+    noise_absorbs_misfit: bool  # much of it is explained by neither sensors nor measured inputs
     unbiased: Fit | None = None  # where the noise of the inputs has no part in the estimate
 
     @property
@@ -67,13 +67,13 @@ class Weighing:
     def weigh(self, model: Model, fit: Fit, *, rounds: int = PREWHITENING.rounds) -> Weighted:
         """Estimate the noise at a fit and fit again under it.
 
-        Where much is unexplained by sensors and measured inputs, misfit would pass for a
-        disturbance and hide its own cause: the fit is then made under the sensors' noise alone.
+        Where sensors and measured inputs leave much unexplained, misfit would pass for a
+        disturbance and mask its own cause: the fit is then made under the sensors' noise alone.
         """
         found = self._estimated(fit)
-        if found.is_hidden:
+        if found.noise_absorbs_misfit:
             at = self._without_bias(found)
-            if at is None or at.is_hidden:
+            if at is None or at.noise_absorbs_misfit:
                 noise = _not_below(found.full.quiet(found.input_sd), found.criterion, fit.x)
                 criterion = self.criterion(model, noise, fit.values, fit.criterion)
                 return replace(found, fit=self.minimum(criterion), noise=noise)
@@ -87,7 +87,7 @@ class Weighing:
             at,
             fit=self.minimum(criterion),
             noise=at.full,
-            is_hidden=False,
+            noise_absorbs_misfit=False,
             unbiased=None if at is found else at.fit,
         )
 
@@ -102,7 +102,7 @@ class Weighing:
         at = found
         shortest, since = np.inf, 0
         for _ in range(PREWHITENING.steps):
-            noise = at.full.quiet(at.input_sd) if at.is_hidden else at.full
+            noise = at.full.quiet(at.input_sd) if at.noise_absorbs_misfit else at.full
             criterion = self.criterion(at.model, noise, at.fit.values, found.criterion)
             use_samples_of(criterion, found.criterion)
             x, length = step_without_bias(criterion, criterion.start, at.input_sd, seed=self.seed)
@@ -125,8 +125,8 @@ class Weighing:
         quiet = full.quiet(input_sd)
         ratio, spread = full.excess(quiet, [d.N for d in fit.criterion.data])
         limit = max(PREWHITENING.absorbs_misfit**2, 1 + PREWHITENING.absorbs_spreads * spread)
-        is_hidden = ratio > limit
-        return Weighted(fit.criterion.model, fit, full, full, input_sd, is_hidden)
+        noise_absorbs_misfit = ratio > limit
+        return Weighted(fit.criterion.model, fit, full, full, input_sd, noise_absorbs_misfit)
 
     def noise(self, fit: Fit) -> NoiseModel:
         """The noise that the residual of a fit shows."""

@@ -97,7 +97,7 @@ def left_out_by_clock(
         if signal in problem.recorded and signal not in mapping:
             gone[signal] = (
                 f"channel {signal} was left out: column {spec.column!r} {at}; fill its rows, or "
-                "merge it from a file of its own (casid.align), to have it asked"
+                "merge it from a file of its own (casid.align), to have it tested"
             )
         elif step:
             raise DataError(
@@ -109,7 +109,7 @@ def left_out_by_clock(
 
 
 def rate_of(empty: Array) -> int | None:
-    """k, where a value stands in every k-th row alone (give or take one); None otherwise."""
+    """k, where a value is given in every k-th row alone (give or take one); None otherwise."""
     steps = np.diff(np.flatnonzero(~empty))
     if steps.size < SUFFICIENCY.clock_gaps:
         return None
@@ -140,7 +140,7 @@ def channels_held_out_too(
             continue
         where = f"{', '.join(lacking or holes)}, held out, {'lacks' if lacking else 'has gaps in'}"
         notes.append(
-            f"{name} was not asked as a cause: {where} it; record it there, or hold out a share "
+            f"{name} was not tested as a cause: {where} it; record it there, or hold out a share "
             "of the fitted records (--hold-out 0.3)"
         )
     return kept, tuple(notes)

@@ -32,17 +32,17 @@ from casid.diagnosis.evidence.signatures import Regression
 from casid.diagnosis.thresholds import RESIDUAL, SCORES
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 
-Left = Literal[
+ResidualKind = Literal[
     "noise as estimated",
     "a disturbance (random, uncorrelated with inputs and states)",
     "deterministic (depends on inputs or states)",
     "changes in time (mean or power)",
 ]
 
-NOISE: Left = "noise as estimated"
-DISTURBANCE: Left = "a disturbance (random, uncorrelated with inputs and states)"
-DETERMINISTIC: Left = "deterministic (depends on inputs or states)"
-IN_TIME: Left = "changes in time (mean or power)"
+NOISE: ResidualKind = "noise as estimated"
+DISTURBANCE: ResidualKind = "a disturbance (random, uncorrelated with inputs and states)"
+DETERMINISTIC: ResidualKind = "deterministic (depends on inputs or states)"
+IN_TIME: ResidualKind = "changes in time (mean or power)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class Correlated:
 class ResidualTests:
     """What is left, in kind, with the p-values that say so."""
 
-    verdict: Left
+    verdict: ResidualKind
     p_spectrum: float
     p_dependence: float
     p_time: float
@@ -183,7 +183,7 @@ def residual_tests(
 
 def _verdict(
     p_spectrum: float, p_dependence: float, p_time: float, share: float, alpha: float
-) -> Left:
+) -> ResidualKind:
     is_spectral, is_dependent, is_changing = _holm([p_spectrum, p_dependence, p_time], alpha)
     if is_dependent and share >= RESIDUAL.share:
         return DETERMINISTIC

@@ -5,7 +5,7 @@ baseline's own sensitivities T, and e the whitened residual,
 
     z_j = (psi_j - T Gamma_j)' e + c_j - Gamma_j' c_T                                          (1)
 
-is a Lagrange multiplier score that does not feel small errors of the baseline's estimate. The
+is a Lagrange multiplier score that is orthogonal to small errors of the baseline's estimate. The
 corrections c remove what noise on a measured input gives to sensitivity and residual alike:
 E[psi' e] = -E[(d psi w)' (G w)], estimated by simulating with antithetic noise added to the inputs.
 (1) is linear in the baseline's error, and the noise of an input biases the baseline itself: a least

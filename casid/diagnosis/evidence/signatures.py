@@ -8,7 +8,7 @@ fitted trajectory,
 or an output, where it is added to what the sensor says. Signals are functions of what is known:
 states, inputs, recorded channels, time. Regressing the whitened residual on their signatures, off
 the baseline's own tangent and less what the inputs' noise gives to signature and residual alike
-((1) in `scores`), tells on what the missing part depends.
+((1) in `scores`), shows on what the missing part depends.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ def knots_of(name: str, values: Array, count: int) -> Array:
         size = np.abs(values)
         levels = np.append(
             np.linspace(*FUNCTIONS.levels, count), 1.0
-        )  # the ends tell most of growth
+        )  # the ends determine the growth best
         half = np.unique(np.quantile(size, levels))
         return np.concatenate([-half[::-1], [0.0], half])
     return np.asarray(np.unique(np.quantile(values, np.linspace(*FUNCTIONS.ends, count + 2))))

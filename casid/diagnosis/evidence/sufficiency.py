@@ -1,6 +1,6 @@
-"""What a record cannot support: data that hold no answer.
+"""Records that do not determine an answer.
 
-A record that is read without fault and yet says nothing (no excitation, noise alone, too few
+A record that is read without fault and yet is uninformative (no excitation, noise alone, too few
 samples) is no error: its verdict is "undecided", with the reason in words.
 """
 
@@ -28,16 +28,16 @@ from casid.model.model import Model
 
 
 def why_uninformative(model: Model, split: Split) -> str:
-    """Why the fitted part says nothing of the system, or an empty text.
+    """Why the fitted part is uninformative about the system, or an empty text.
 
-    Asked before the fit, which has nothing to go by: every output stands still, or is white noise
-    that no measured input has a part in. White and independent of an input, an output has
+    Checked before the fit, which would be meaningless: every output is constant, or is white noise
+    that no measured input contributes to. White and independent of an input, an output has
     correlations with it of variance 1/N at every lag, whatever the input's colour; a system that
     the samples resolve colours what it passes on, and its decay too.
     """
     outputs = _moving(split.fitted, model.outputs)
     if any(n not in e.record for e in split.fitted for n in (*model.outputs, *_measured(model))):
-        return ""  # refused with its mend as it is fitted
+        return ""  # refused with its remedy as it is fitted
     inputs = _measured(model)
     if not outputs:
         values = [float(e.record[n][0]) for e in split.fitted for n in model.outputs]
@@ -53,7 +53,7 @@ def why_uninformative(model: Model, split: Split) -> str:
                 return ""
     still = [n for n in inputs if not _moving(split.fitted, [n])]
     text = f"{' and '.join(outputs)}, as far as fitted, {'is' if len(outputs) == 1 else 'are'}"
-    text += " noise alone: white" + (f", and without a part of {', '.join(inputs)}" * bool(inputs))
+    text += " noise alone: white" + (f", and uncorrelated with {', '.join(inputs)}" * bool(inputs))
     if any(
         np.std(e.record[n][held]) > SUFFICIENCY.held_motion * np.std(e.record[n][~held])
         for e, held in zip(split.whole, split.held, strict=True)
@@ -65,7 +65,7 @@ def why_uninformative(model: Model, split: Split) -> str:
 
 
 _ELSEWHERE = (
-    "what moves lies in the held-out part: fit the part that moves (--window, or --hold-out 0)"
+    "the motion lies in the held-out part: fit the part that moves (--window, or --hold-out 0)"
 )
 
 
@@ -88,7 +88,7 @@ def _moving(experiments: Sequence[Experiment], names: Iterable[str]) -> list[str
 
 
 def _is_noise(e: Experiment, output: str, inputs: Sequence[str], tests: int) -> bool:
-    """True if an output is white and uncorrelated with every input, or stands still."""
+    """True if an output is white and uncorrelated with every input, or constant."""
     y = e.record[output]
     y = np.where(e.record.is_missing(output), np.nan, y - np.nanmedian(y))
     # A few outliers must neither make noise of a motion nor a motion of noise.
@@ -142,19 +142,17 @@ def why_undecided(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> 
             loudest = max(loudest, float(np.std(y[d.used[:, i], i])) / max(noise, TINY))
     if loudest < 1.0:
         return (
-            f"the simulated outputs move by {loudest:.2g} of the noise only: nothing excites the "
+            f"the simulated outputs move by only {loudest:.2g} of the noise: nothing excites the "
             f"system enough to show what the model lacks{_still_inputs(c)}"
         )
     relative = _relative_errors(at, std_error)
     if relative and min(relative.values()) > 1.0:
-        return (
-            f"no parameter is known to better than its own size from this record{_still_inputs(c)}"
-        )
+        return f"no parameter has a standard error below its own size{_still_inputs(c)}"
     return ""
 
 
 def why_too_few(criterion: SimulationError) -> str:
-    """Why the samples cannot pay for the unknowns, or an empty text."""
+    """Why the samples are too few for the unknowns, or an empty text."""
     n, unknowns = criterion.n_samples, len(criterion.variables)
     if n >= SUFFICIENCY.per_unknown * unknowns:
         return ""
@@ -165,18 +163,18 @@ def why_too_few(criterion: SimulationError) -> str:
 
 
 def weak_parameters(at: Weighted, std_error: Callable[[str], float]) -> tuple[str, ...]:
-    """A note on parameters that the record does not know to better than their own size.
+    """A note on parameters whose standard errors exceed their own size.
 
-    The model may still be judged: what such a parameter does cannot be seen, and so cannot be
-    missed either. But neither can an effect that acts as it does.
+    The model may still be judged: the effect of such a parameter on the outputs is undetectable.
+    But so is an effect that acts like it.
     """
     weak = [n for n, r in _relative_errors(at, std_error).items() if not r <= 1.0]
     if not weak:
         return ()
     names = " and ".join(weak)
     return (
-        f"this record does not know {names} to better than {'its' if len(weak) == 1 else 'their'} "
-        "own size: what is missing and acts alike cannot be seen in it either",
+        f"this record does not determine {names} to within {'its' if len(weak) == 1 else 'their'} "
+        "own size: a missing effect that acts alike is undetectable in it too",
     )
 
 

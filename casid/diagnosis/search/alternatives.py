@@ -4,7 +4,7 @@ Under a noise that is known they are ranked by
 
     gain - k log N                                                                             (1)
 
-with the gain of `refitting`; where misfit hides the noise, by what each of them leaves.
+with the gain of `refitting`; where the noise model absorbs misfit, by the remainder of each.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ IMITATORS = (*ON_THE_CLOCK, "missing_mode")
 """Kinds with a time or a frequency of their own."""
 
 
-def by_what_is_left(refitting: Refitting, at: Weighted, found: list[Candidate]) -> list[Candidate]:
+def ranked_by_remainder(
+    refitting: Refitting, at: Weighted, found: list[Candidate]
+) -> list[Candidate]:
     """Rank by n log(S_model / S_extended), S the sums of squares, n the samples that count.
 
     The noise's size is then not known, only what each candidate leaves. n is the number of
@@ -67,7 +69,7 @@ def rejudge(
 ) -> list[Candidate]:
     """Compare the leaders again under the noise that the best of them leaves.
 
-    Under the first whitening the unexplained misfit counts as noise and hides differences.
+    Under the first whitening the unexplained misfit counts as noise and masks differences.
     """
     best = found[0]
     weighing = refitting.weighing
@@ -95,8 +97,8 @@ def rejudge(
 def p_value(table: ScoreTable, candidate: Candidate) -> float:
     """Family-wise p: of the score, or of the refit once something is known to be wrong.
 
-    A closed test: the family's smallest p, or misfit beyond the noise, tells that something is
-    missing; its refits then tell what. A large effect is far from its linearised size, and its
+    A closed test: the family's smallest p, or misfit beyond the noise, shows that an effect is
+    missing; its refits then show which. A large effect is far from its linearised size, and its
     own score may be small.
     """
     score = table.adjusted(candidate.effect.key)
@@ -116,7 +118,7 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
     """Candidates that the record cannot reject against the best one (Vuong 1989, (5.6)).
 
     Where the noise is known, six units of BIC are Kass and Raftery's (1995) "strong" evidence;
-    where misfit hides it, gains are no likelihoods, and Vuong's test counts as well.
+    where it absorbs misfit, gains are no likelihoods, and Vuong's test counts as well.
     """
     out = []
     mine = _losses(best)
@@ -129,7 +131,7 @@ def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tupl
         total = float(difference.sum()) + 0.5 * (c.cost - best.cost)
         p = float(norm.sf(total / sd)) if sd > 0 else 1.0
         is_near = c.merit > COMPARISON.vuong_share * best.merit
-        is_open = at.is_hidden and p > COMPARISON.vuong_p and is_near
+        is_open = at.noise_absorbs_misfit and p > COMPARISON.vuong_p and is_near
         if c.merit > best.merit - COMPARISON.strong or is_open:
             out.append(Rival(c, max(p, TINY)))
     return tuple(sorted(out, key=lambda r: -r.p_value))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from casid.diagnosis.evidence.divergence import destabilises
+from casid.diagnosis.evidence.divergence import diverging_size
 from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted, use_samples_of
 from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.search.candidates import Candidate, found_values
@@ -29,7 +29,7 @@ class Refitting:
 
     weighing: Weighing
     left_out: dict[tuple[str, str], str] = field(default_factory=dict)  # a user's effect -> why
-    _before: tuple[Weighted, float] | None = None  # J of the last model asked for
+    _before: tuple[Weighted, float] | None = None  # J of the last model requested
 
     def refit(
         self,
@@ -104,19 +104,19 @@ class Refitting:
         )
 
     def value(self, at: Weighted) -> float:
-        """J of a model as it was weighed; that of the last one asked for is kept."""
+        """J of a model as it was weighed; that of the last one requested is kept."""
         if self._before is None or self._before[0] is not at:
             self._before = at, self.weighing.compensated(at, at.criterion, at.fit.x)
         return self._before[1]
 
     def _runs_away(self, at: Weighted, effect: Effect) -> bool:
-        """True if a user's effect makes the simulation run away; `left_out` then says it."""
+        """True if a user's effect makes the simulation diverge; `left_out` then notes it."""
         if effect.kind in KINDS:
             return False
         if effect.key not in self.left_out:
-            size, first = destabilises(at.fit, effect), effect.parameters[0]
+            size, first = diverging_size(at.fit, effect), effect.parameters[0]
             self.left_out[effect.key] = (
-                f"{effect.kind} in {effect.where} was left out: its simulation runs away already "
+                f"{effect.kind} in {effect.where} was left out: its simulation diverges already "
                 f"at {first.name} = {size:.2g} {first.unit}: turn its sign round, bound it, or "
                 "state it so that it stays small"
                 if size is not None
@@ -139,7 +139,7 @@ def _starts(
     Ts = at.criterion.data[0].Ts
     if effect.limit is not None:
         # A large delay or lag is far from its linearised size, and the fit has local minima.
-        factors = REFITS.factors if at.is_hidden or abs(step) > Ts else (1.0,)
+        factors = REFITS.factors if at.noise_absorbs_misfit or abs(step) > Ts else (1.0,)
         factors = (1.0,) if near else factors
         grid = {min(max(k * abs(step), REFITS.least_delay * Ts), effect.limit) for k in factors}
         return [

@@ -1,6 +1,6 @@
-"""Which candidates are worth a refit on long records, told by refits on their first part.
+"""Which candidates are refitted on long records, chosen by refits on their first part.
 
-A refit simulates every sample dozens of times, and 20 000 samples tell a hopeless candidate as well
+A refit simulates every sample dozens of times, and 20 000 samples reject a poor candidate as well
 as ten times as many. The part is the records' beginning: there known initial states hold, those of
 a cause that starts at rest among them. What the candidates gain is compared there under the noise
 of the whole.

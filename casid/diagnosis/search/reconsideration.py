@@ -30,9 +30,11 @@ def reconsidered(
     """
     out = []
     for a in adopted:
-        judged_under_misfit = len(adopted) > 1 or (a.before is not None and a.before.is_hidden)
+        judged_under_misfit = len(adopted) > 1 or (
+            a.before is not None and a.before.noise_absorbs_misfit
+        )
         rivals = a.rivals
-        if rivals and judged_under_misfit and not at.is_hidden:
+        if rivals and judged_under_misfit and not at.noise_absorbs_misfit:
             search.progress(f"judge the rivals of {a.candidate.effect.kind} again")
             others = [b.candidate for b in adopted if b is not a]
             try:
@@ -53,10 +55,10 @@ def reconsidered(
 def better_rivals(
     search: Search, adopted: Sequence[Adopted], start: Weighted, at: Weighted
 ) -> list[Candidate]:
-    """Rivals of the last cause that are better under the noise found with it, famous ones first.
+    """Rivals of the last cause that are better under the noise found with it, named effects first.
 
     Where misfit passed for noise, gains were no likelihoods: one that imitates the cause, and
-    leaves a little, may have come first. Which of these to take is told by what it leaves.
+    leaves a little, may have come first. Which of these to take is decided by its remainder.
     """
     last = adopted[-1]
     try:

@@ -45,15 +45,15 @@ def record_specific(
 ) -> tuple[tuple[Specific, ...], Fit, Weighted]:
     """Causes that no one size explains, the fit with sizes of their own, and its noise.
 
-    Causes are asked together, and those that one size does explain keep it. A clipping or the
-    frequency of a line is not asked: neither is a size.
+    Causes are tested together, and those that one size does explain keep it. A clipping or the
+    frequency of a line is not tested: neither is a size.
     """
-    asked = {
+    tested = {
         a.candidate.effect.key: a.candidate.names[:1]
         for a in adopted
         if a.candidate.effect.test == "score"
     }
-    own = [n for names in asked.values() for n in names if n in fit.criterion.model.parameters]
+    own = [n for names in tested.values() for n in names if n in fit.criterion.model.parameters]
     if not own:
         return (), fit, at
     once = replace(settings, starts=1)
@@ -61,18 +61,18 @@ def record_specific(
         apart = _fit(fit, own, weighing, once)
     except SolveError:
         return (), fit, at
-    different = {key: _wald(apart, names[0]) for key, names in asked.items()}
+    different = {key: _wald(apart, names[0]) for key, names in tested.items()}
     level = ROUNDS.record_alpha / max(len(different), 1)
     kept = {key: p for key, (p, _) in different.items() if p < level}
     if not kept:
         return (), fit, at
-    own = [asked[key][0] for key in kept]
+    own = [tested[key][0] for key in kept]
     try:
         apart = _fit(fit, own, weighing, once)
     except SolveError:
         return (), fit, at
     specific = tuple(
-        Specific(key, max(p, TINY), _values(apart, asked[key][0])) for key, p in kept.items()
+        Specific(key, max(p, TINY), _values(apart, tested[key][0])) for key, p in kept.items()
     )
     return specific, apart, weighing.weigh(apart.criterion.model, apart, rounds=1)
 

@@ -20,7 +20,7 @@ def is_more_than_noise(at: Weighted, search: Search) -> bool:
 
 
 def tested_residual(at: Weighted, search: Search, level: float) -> ResidualTests:
-    """The residual's tests; those of the last model asked for are kept."""
+    """The residual's tests; those of the last model requested are kept."""
     if search.tested is None or search.tested[0] is not at:
         of = search.weighing
         found = residual_tests(at, of.experiments, search.recorded, alpha=level, seed=of.seed)

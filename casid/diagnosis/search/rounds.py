@@ -1,6 +1,6 @@
 """The search for causes, round by round: score every effect, then refit the best of them.
 
-Each round tests every effect against the model as it stands (`scores`), refits the most promising
+Each round tests every effect against the present model (`scores`), refits the most promising
 ones jointly with all parameters under one whitening (`refitting`), places jumps in time (`jumps`)
 and ranks what was found (`comparing`). What is adopted of it, `adoption` decides.
 """
@@ -17,7 +17,7 @@ from casid.diagnosis.evidence.residual_tests import ResidualTests
 from casid.diagnosis.evidence.score_tests import Score, ScoreTable, score_test
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_candidates
-from casid.diagnosis.search.alternatives import by_what_is_left, rejudge
+from casid.diagnosis.search.alternatives import ranked_by_remainder, rejudge
 from casid.diagnosis.search.candidates import Candidate, is_plausible
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
@@ -79,7 +79,7 @@ class Search:
     def has_alarm(self, at: Weighted, table: ScoreTable) -> bool:
         """True if something is wrong: much is unexplained, or a test is significant."""
         best = table.smallest
-        return at.is_hidden or (best is not None and best.adjusted < self.alpha)
+        return at.noise_absorbs_misfit or (best is not None and best.adjusted < self.alpha)
 
     def round(
         self, at: Weighted, table: ScoreTable, adopted: Sequence[Candidate]
@@ -102,7 +102,7 @@ class Search:
             return found
         found = placed(refitting, at, found, events_of(adopted), self.progress)
         found.sort(key=lambda c: -c.merit)
-        ranked = by_what_is_left if at.is_hidden else rejudge
+        ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
         return ranked(refitting, at, found)
 
 
@@ -112,7 +112,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
     Neighbours without a name come beside them, four of each order: they crowd out nobody.
     """
     visible = [s for s in table.tested if s.unrobust > 0.0]
-    if not at.is_hidden:
+    if not at.noise_absorbs_misfit:
         # Under the right noise the score predicts what a refit of a small effect gains. A line is
         # an estimate at its best frequency already, which a score at a guessed one is far from.
         scored = [s.unrobust for s in visible if s.effect.test != "peak"]
@@ -120,7 +120,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
         visible = [s for s in visible if s.unrobust > least]
     strongest: dict[tuple[str, str], Score] = {}
     for s in sorted(visible, key=lambda s: -s.unrobust):
-        strongest.setdefault(s.effect.key, s)  # the variant that stands for its kind
+        strongest.setdefault(s.effect.key, s)  # the variant that represents its kind
     chosen: dict[tuple[str, str], Score] = {}
     for order in (
         sorted(visible, key=lambda s: (s.p_value, -s.unrobust)),

@@ -73,7 +73,7 @@ class _Selection:
             search.first_candidates = found
         # The first alarm has the rate that the user set, and is named unless the held-out data
         # speak against it; a further cause has to earn its place there.
-        is_alarm = is_scored and not (self.adopted or at.is_hidden)
+        is_alarm = is_scored and not (self.adopted or at.noise_absorbs_misfit)
         for best in _named_first(at, found):
             p = p_value(table, best)
             if p >= search.alpha or (best.merit <= 0 and not is_alarm):
@@ -110,8 +110,8 @@ class _Selection:
         Only where the noise model absorbed misfit before the cause was adopted.
         """
         search, taken = self.search, self.adopted[-1]
-        is_open = taken.rivals and taken.before is not None and taken.before.is_hidden
-        if not is_open or self.at.is_hidden or not is_more_than_noise(self.at, search):
+        is_open = taken.rivals and taken.before is not None and taken.before.noise_absorbs_misfit
+        if not is_open or self.at.noise_absorbs_misfit or not is_more_than_noise(self.at, search):
             return
         search.progress(f"compare the rivals of {taken.candidate.effect.kind} by their residuals")
         for other in better_rivals(search, self.adopted, self.start, self.at):
@@ -165,11 +165,11 @@ def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
     """By merit; of those that are the same thing in this model, the one named by convention.
 
     A neighbour without a name goes behind the best named one that the record cannot reject against
-    it: famous effects are famous for being met.
+    it: catalogued effects have higher prior plausibility.
     """
     order = list(found)
     likely = COMPARISON.likely
-    if at.is_hidden:
+    if at.noise_absorbs_misfit:
         likely = max(
             COMPARISON.likely, COMPARISON.likely_share * max((c.merit for c in order), default=0.0)
         )
@@ -180,7 +180,7 @@ def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
                 order[j - 1], order[j] = order[j], order[j - 1]
     if order and order[0].effect.kind == "unknown" and order[0].effect.priority > 0:
         open_ = {id(r.candidate) for r in rivals_of(at, order[0], order)}
-        famous = [c for c in order if c.effect.kind not in ("unknown", *IMITATORS)]
-        named = [c for c in famous if id(c) in open_]
+        catalogued = [c for c in order if c.effect.kind not in ("unknown", *IMITATORS)]
+        named = [c for c in catalogued if id(c) in open_]
         order = [*named[:1], *[c for c in order if c not in named[:1]]]
     return order

@@ -1,8 +1,8 @@
-"""What is left when no cause of the catalogue fits: where it acts, on what it depends, and when.
+"""The unexplained remainder: where it acts, on what it depends, and when.
 
-Every balance and every output is asked what force, or what error of the sensor, the residual would
-need there (`missing_force`); the place whose functions explain most for their number is told first.
-Tests of the residual say whether it is more than noise at all, and of what kind (`residual_tests`).
+For every balance and every output, the force or the sensor error that would explain the residual is
+estimated (`missing_force`); the place whose functions explain most for their number comes first.
+Tests of the residual decide whether it is more than noise, and of what kind (`residual_tests`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from casid.diagnosis.unexplained.smoothed_force import ForceSeries, smoothed_for
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Occurrence:
-    """A stretch in which much more is left than elsewhere."""
+    """An interval in which the residual is much larger than elsewhere."""
 
     record: str
     start: float  # s
@@ -36,9 +36,9 @@ class Occurrence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unexplained:
-    """What is known of a misfit without a name."""
+    """The description of a misfit that no effect of the catalogue explains."""
 
-    where: str  # balance or output, empty where nothing is left or the place is open
+    where: str  # balance or output, empty where nothing remains or the place is undetermined
     places: tuple[MissingForce, ...]  # best first
     tests: ResidualTests
     sentences: tuple[str, ...]
@@ -53,12 +53,12 @@ class Unexplained:
 
     @property
     def best(self) -> MissingForce | None:
-        """The place told first."""
+        """The place that explains most."""
         return self.places[0] if self.places else None
 
     @property
     def sentence(self) -> str:
-        """All that is known, in plain words."""
+        """The description in words."""
         return " ".join(self.sentences)
 
     def to_json(self) -> dict[str, Any]:
@@ -192,7 +192,7 @@ def _signals(
 def _when(
     at: Weighted, tests: ResidualTests, signals: Sequence[Mapping[str, Array]], alpha: float
 ) -> tuple[tuple[Occurrence, ...], tuple[tuple[str, float], ...]]:
-    """Stretches in which much is left, and variables whose size goes with how much."""
+    """Intervals with a large residual, and variables whose size is correlated with its power."""
     blocks, power = tests.blocks, tests.blocks[:, 2]
     usual = float(np.median(power))
     rows: list[Occurrence] = []
@@ -219,7 +219,7 @@ def _when(
         if float(r.pvalue) < alpha / len(sizes):
             found.append((name, float(r.statistic)))
     found.sort(key=lambda row: -abs(row[1]))
-    # Loud stretches that are many are no occurrences: it is then simply there.
+    # Many intervals of large residual are no occurrences: it is then always present.
     is_rare = sum(o.stop - o.start for o in rows) < DESCRIPTION.rare * before
     return (tuple(rows) if is_rare else ()), tuple(found)
 
@@ -237,32 +237,34 @@ def _sentences(
 ) -> list[str]:
     best = found[0]
     if not is_something:
-        return [f"Nothing is left beyond the noise (p = {tests.adjusted:.2g}).".replace("..", ".")]
+        return [
+            f"The remainder is consistent with noise (p = {tests.adjusted:.2g}).".replace("..", ".")
+        ]
     out = []
     if best.dependences:
         what = f"a missing {best.place}" if best.is_balance else f"an error of {best.place}"
         out.append(
-            f"What is left is {what} that depends on "
+            f"The remainder is {what} that depends on "
             + "; and on ".join(d.words for d in best.dependences)
             + f". This explains {100 * best.explained:.0f} % of it."
         )
         rivals = best.dependences[0].rivals
         if rivals:
-            told = ", ".join(" times a function of ".join(r) for r in rivals)
-            out.append(f"In this record {told} would explain nearly as much.")
+            listed = ", ".join(" times a function of ".join(r) for r in rivals)
+            out.append(f"In this record {listed} would explain nearly as much.")
         near = [m for m in found[1:] if m.dependences and best.score - m.score < DESCRIPTION.apart]
         if near:
             out.append(
-                "That it acts there is not certain: "
+                "The place is not certain: "
                 + ", ".join(m.place for m in near)
-                + " would do as well."
+                + " would explain it as well."
             )
         if best.independent_of and not rivals:
             out.append(f"It does not depend on {', '.join(best.independent_of)}.")
     else:
         kind = {
-            IN_TIME: "Something is left whose mean or power changes in time",
-        }.get(tests.verdict, "What is left looks like a disturbance")
+            IN_TIME: "The mean or the power of the remainder changes in time",
+        }.get(tests.verdict, "The remainder resembles a disturbance")
         place = f", acting in {where}" if where else ""
         out.append(
             f"{kind}{place}: no function of states, inputs or recorded channels explains it."
@@ -281,7 +283,7 @@ def _sentences(
             out.append(f"Its spectrum has a line at {force.spectrum.line:.3g} Hz.")
         if not force.is_seen:
             out.append(
-                "Over time it cannot be estimated better than its noise; only its averages are."
+                "Its time series cannot be estimated better than the noise; only its averages can."
             )
     if occurrences:
         ranges = ", ".join(

@@ -79,10 +79,10 @@ class Dependence:
         shape = ", ".join(
             w for w in (self.parity if self.parity != "neither" else "", self.growth) if w
         )
-        told = f" ({shape})" if shape else ""
+        label = f" ({shape})" if shape else ""
         if len(self.variables) == 1:
-            return f"{self.variables[0]}{told}"
-        return f"{self.variables[0]}, by a factor that depends on {self.variables[1]}{told}"
+            return f"{self.variables[0]}{label}"
+        return f"{self.variables[0]}, by a factor that depends on {self.variables[1]}{label}"
 
     def to_json(self) -> dict[str, Any]:
         """Numbers and words, with the curve."""
@@ -139,7 +139,7 @@ def missing_force(
     at : a model fitted under its noise.
     balance : a balance of the model, or one of its outputs: then an error of that sensor.
     recorded : channels beside the model's on which it may depend, name -> unit.
-    alpha : family-wise rate at which a term is taken in by chance.
+    alpha : family-wise rate at which a term is selected by chance.
     largest : number of terms.
     with_series : whether to smooth it over time as well.
 
@@ -308,7 +308,7 @@ def candidate_groups(
     """Functions of each variable, and of each state or input times functions of another.
 
     Of slopes the linear function alone: a late or early channel. With a `line` [Hz] in the
-    spectrum, sines there as well, as far apart as the record tells apart.
+    spectrum, sines there as well, as far apart as the record resolves.
     """
     model = fit.criterion.model
     is_balance = place in model.balances
@@ -427,7 +427,7 @@ def _shape(
 ) -> tuple[str, float | None, float]:
     """Parity, power and coefficient of the function that fits best, the other terms given.
 
-    Each candidate is fitted alone beside the tangent: a shape is told by what it explains.
+    Each candidate is fitted alone beside the tangent: a shape is chosen by what it explains.
     """
     last, values = group.names[-1], joined[group.names[-1]]
     carrier = group.names[0] if len(group.names) > 1 else None
@@ -452,25 +452,25 @@ def _shape(
 
         return Group(group.names, made)
 
-    asked = [column(*s) for s in shapes]
+    candidates = [column(*s) for s in shapes]
     again = Regression(
         regression.criterion,
         regression.x,
         regression.noise,
         regression.place,
-        [*asked, group, *others],
+        [*candidates, group, *others],
         regression.experiments,
         input_sd=at.input_sd,
         recorded=regression.recorded,
         linearised=regression.linearised,
         seed=seed,
     )
-    given = list(range(len(asked) + 1, len(again.groups)))
+    given = list(range(len(candidates) + 1, len(again.groups)))
     gains = {t.group: t.gain for t in again.test(given, draws=SCORES.few_draws, seed=seed)}
-    if not any(i in gains for i in range(len(asked))):
+    if not any(i in gains for i in range(len(candidates))):
         return "", None, 0.0
-    best = max((i for i in gains if i < len(asked)), key=lambda i: gains[i])
-    whole = max(gains.get(len(asked), 0.0), gains[best])
+    best = max((i for i in gains if i < len(candidates)), key=lambda i: gains[i])
+    whole = max(gains.get(len(candidates), 0.0), gains[best])
     parity, power = shapes[best]
     if gains[best] < TERMS.shape * whole:
         return ("neither" if parity else ""), None, 0.0

@@ -133,7 +133,7 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
 
 
 def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fit) -> list[Cause]:
-    """The wrong sign in front of what was found with it mended."""
+    """The causes with the wrong sign first: the others were found with the sign corrected."""
     lost = max(before.solution.value - after.solution.value, 0.0)
     share = lost / max(before.solution.value, TINY)
     alternatives = tuple(

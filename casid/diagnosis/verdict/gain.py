@@ -70,7 +70,7 @@ def unlike_held_out(
         floor = fitted["noise_floor"][output]
         if error > JUDGING.unlike * max(inside, floor):
             return (
-                f"the fitted part hides nothing, but the simulation of {output} is wrong by "
+                f"the fitted part shows no model error, but the simulation of {output} is wrong by "
                 f"{error:.3g} where it was not fitted, against {inside:.3g} where it was: "
                 "diagnose the whole record (--hold-out 0), or that part of it (--window)"
             )
@@ -91,7 +91,7 @@ def bounds_met(problem: Problem, fit: Fit) -> dict[str, str]:
 def views(
     base: Fit, extended: Fit | None, split: Split, recorded: Split, turned: WrongSign | None
 ) -> tuple[RecordView, ...]:
-    """Signals for figures; with a wrong sign mended, the baseline is turned like the record."""
+    """Signals for figures; with a wrong sign corrected, the baseline is turned like the record."""
     if turned is None or extended is None:
         return record_views(base, extended, split)
     before, after = record_views(base, None, recorded), record_views(extended, None, split)

@@ -19,9 +19,9 @@ from casid.diagnosis.verdict.gain import (
     views,
 )
 from casid.diagnosis.verdict.open_set import (
-    Left,
+    Remainder,
     described,
-    what_is_left,
+    tested_remainder,
     with_the_open_rival,
     with_the_unknown,
 )
@@ -42,7 +42,7 @@ class Judgement:
     ----------
     fitted, held_out : RMS errors before and after, and the noise floor, see `Diagnosis`.
     bounds : parameters that the fit holds at a bound, where they decide the verdict.
-    left : the test of the residual, and its description.
+    remainder : the test of the residual, and its description.
     """
 
     verdict: Verdict
@@ -57,12 +57,12 @@ class Judgement:
     held_out: Errors
     moved: tuple[Moved, ...]
     remaining: Remaining | None
-    left: Left | None
+    remainder: Remainder | None
     bounds: dict[str, str]
 
 
 def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgement:
-    """Name the causes, say how much they explain, and decide."""
+    """Name the causes, compute how much they explain, and decide."""
     base_fit, extended_fit, start = found.base_fit, found.extended_fit, found.baseline
     baseline = estimate_of(problem, base_fit, validation(base_fit, start.recorded))
     extended = None
@@ -71,22 +71,22 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     fitted, held = errors_of(found)
     part = held if held.get("extended_rmse") else fitted
     causes = causes_of(found, extended or baseline)
-    left = None
+    remainder = None
     if not start.why_undecided:
         found.search.progress("test the residual")
-        left = what_is_left(found.at, found.search, found.adopted)
+        remainder = tested_remainder(found.at, found.search, found.adopted)
     remaining = what_remains(
         [(c.kind, c.where, c.share) for c in causes],
         part,
-        p_value=left.p_value if left is not None else None,
+        p_value=remainder.p_value if remainder is not None else None,
         test="kind of the residual: spectrum, dependence on states and inputs, change in time",
-        false_alarm_rate=left.level if left is not None else false_alarm_rate,
+        false_alarm_rate=remainder.level if remainder is not None else false_alarm_rate,
     )
     bounds = bounds_met(problem, found.best_fit)
-    if left is not None and left.unexplained is not None and not (bounds and not causes):
+    if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):
         # A parameter held at its bound leaves misfit of its own: it is named first.
-        causes = with_the_unknown(causes, left, remaining)
-    causes, left = _compared_with_functions(found, causes, left)
+        causes = with_the_unknown(causes, remainder, remaining)
+    causes, remainder = _compared_with_functions(found, causes, remainder)
     if start.negated is not None:
         causes = with_the_sign(start.negated, causes, base_fit, found.best_fit)
     why_undecided = start.why_undecided or unlike_held_out(fitted, held)
@@ -107,32 +107,32 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         fitted=fitted,
         held_out=held,
         moved=moved_parameters(baseline, extended) if extended is not None else (),
-        remaining=remaining if extended is not None or left is not None else None,
-        left=left,
+        remaining=remaining if extended is not None or remainder is not None else None,
+        remainder=remainder,
         bounds=bounds,
     )
 
 
 def _compared_with_functions(
-    found: Findings, causes: list[Cause], left: Left | None
-) -> tuple[list[Cause], Left | None]:
-    """The causes, if what was named is no worse than functions without a name."""
-    if left is None or any(c.kind == "unknown" for c in causes):
-        return causes, left
-    found.search.progress("compare the causes with functions that the catalogue does not have")
+    found: Findings, causes: list[Cause], remainder: Remainder | None
+) -> tuple[list[Cause], Remainder | None]:
+    """The causes, if they explain the misfit no worse than functions outside the catalogue."""
+    if remainder is None or any(c.kind == "unknown" for c in causes):
+        return causes, remainder
+    found.search.progress("compare the causes with functions outside the catalogue")
     start = found.baseline.start
     rivals = open_rivals(found.search, start, found.at, found.adopted)
     if not rivals:
-        return causes, left
+        return causes, remainder
     best = rivals[0]
     if not best.is_better:
-        return with_the_open_rival(causes, best), left
-    whole = described(start, found.search, left.level, left.p_value)
+        return with_the_open_rival(causes, best), remainder
+    whole = described(start, found.search, remainder.level, remainder.p_value)
     return with_the_open_rival(causes, best, whole), whole
 
 
 def notes_on(problem: Problem, found: Findings) -> tuple[str, ...]:
-    """What bears on the trust in a diagnosis."""
+    """Notes that qualify a diagnosis."""
     search, base, negated = found.search, found.baseline, found.baseline.negated
     notes = standing_channels(problem.model, [*base.recorded.whole, *base.recorded.apart])
     notes += base.notes
@@ -140,9 +140,9 @@ def notes_on(problem: Problem, found: Findings) -> tuple[str, ...]:
         notes += weak_parameters(found.at, partial(std_error, found.at.fit))
     if negated is not None and negated.reference:
         notes.append(
-            f"the sign of {negated.channel} was told by instruments from {negated.reference}: "
-            f"negated, Hansen's J falls to {100 * negated.left:.2g} %; the simulation error alone, "
-            "most of it noise or disturbance, does not tell it"
+            f"the sign of {negated.channel} was determined with instruments from "
+            f"{negated.reference}: negated, Hansen's J falls to {100 * negated.left:.2g} %; "
+            "the simulation error alone, most of it noise or disturbance, does not determine it"
         )
     notes += [
         f"{c.effect.kind} in {c.effect.where} was significant but refused: {why}"

@@ -1,9 +1,9 @@
-"""The open set: what is left when no effect of the catalogue explains more.
+"""The open set: the remainder when no effect of the catalogue explains more.
 
-What is left is tested in kind (`residual_tests`). Where it depends on states and inputs, or changes
-in time, something is missing that has no name here. It is then described instead of being called by
-the name of its nearest relative: a single named cause that leaves a good part of the misfit stands
-among the alternatives only.
+The remainder is tested for its kind (`residual_tests`). Where it depends on states and inputs, or
+changes in time, the missing effect is not in the catalogue. It is then described instead of being
+given the name of the nearest effect: a single named cause that leaves a good part of the misfit is
+listed among the alternatives only.
 """
 
 from __future__ import annotations
@@ -26,48 +26,48 @@ from casid.model.effects.effect import OF_SAMPLES
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Left:
-    """The test of what is left, and its description where that is more than noise."""
+class Remainder:
+    """The test of the remainder, and its description where it is more than noise."""
 
     p_value: float
     level: float
     unexplained: Unexplained | None = None
 
 
-def what_is_left(at: Weighted, search: Search, adopted: Sequence[Adopted]) -> Left:
+def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -> Remainder:
     """Test the residual of the last model; describe it where it is deterministic or changes."""
     level = (2 if adopted else 1) * ROUNDS.residual_share * search.alpha
     tests = tested_residual(at, search, level)
-    if tests.verdict in (NOISE, DISTURBANCE) and not (at.is_hidden and not adopted):
-        return Left(tests.adjusted, level)
-    search.progress("describe what is left unexplained")
-    told = _description(at, search, level)
-    return Left(tests.adjusted, level, told)
+    if tests.verdict in (NOISE, DISTURBANCE) and not (at.noise_absorbs_misfit and not adopted):
+        return Remainder(tests.adjusted, level)
+    search.progress("describe the unexplained remainder")
+    description = _description(at, search, level)
+    return Remainder(tests.adjusted, level, description)
 
 
-def described(start: Weighted, search: Search, level: float, p_value: float) -> Left:
-    """All that the model as it is leaves, described: what was named explains it worse."""
-    search.progress("describe what no effect of the catalogue explains as well")
-    told = _description(start, search, level)
-    return Left(p_value, level, told)
+def described(start: Weighted, search: Search, level: float, p_value: float) -> Remainder:
+    """Describe the whole misfit of the model as it is: the named causes explain it worse."""
+    search.progress("describe the misfit by functions outside the catalogue")
+    description = _description(start, search, level)
+    return Remainder(p_value, level, description)
 
 
 def _description(at: Weighted, search: Search, level: float) -> Unexplained | None:
-    """What a model leaves, in words and figures, if it is anything."""
+    """The description of a model's misfit, if it is more than noise."""
     of = search.weighing
-    told = unexplained(at, of.experiments, search.recorded, alpha=level, seed=of.seed)
-    return told if told.is_something else None
+    found = unexplained(at, of.experiments, search.recorded, alpha=level, seed=of.seed)
+    return found if found.is_something else None
 
 
 def with_the_open_rival(
-    causes: Sequence[Cause], rival: OpenRival, left: Left | None = None
+    causes: Sequence[Cause], rival: OpenRival, remainder: Remainder | None = None
 ) -> list[Cause]:
-    """The causes with a function of no name among the alternatives of the first, or before them.
+    """The causes with an unnamed function among the alternatives of the first, or before them.
 
     Parameters
     ----------
-    left : the description of the whole, where the function is better: what was named then stands
-        among the alternatives only.
+    remainder : the description of the whole misfit, where the function is better: the named
+        causes are then listed among the alternatives only.
     """
     named = [c for c in causes if c.kind not in OF_SAMPLES]
     others = [c for c in causes if c not in named]
@@ -77,7 +77,7 @@ def with_the_open_rival(
         return [with_it if c is first else c for c in causes]
     why = f"{rival.function}, which is no effect of the catalogue, explains more"
     alternatives = tuple(Alternative(c.kind, c.where, c.p_value, why) for c in named)
-    found = left.unexplained if left is not None else None
+    found = remainder.unexplained if remainder is not None else None
     cause = Cause(
         kind="unknown",
         where=rival.place,
@@ -85,18 +85,18 @@ def with_the_open_rival(
         parameters=(),
         alternatives=alternatives,
         share=sum(c.share for c in named),
-        sentence=f"{rival.place} lacks something that no effect of the catalogue explains as well "
-        f"as {rival.function} does",
+        sentence=f"unidentified {rival.place}: {rival.function} explains it better than any effect "
+        "of the catalogue",
         description=found.sentence if found is not None else "",
     )
     return [cause, *others]
 
 
 def with_the_unknown(
-    causes: Sequence[Cause], left: Left, remaining: Remaining | None
+    causes: Sequence[Cause], remainder: Remainder, remaining: Remaining | None
 ) -> list[Cause]:
-    """The causes with one of kind "unknown", where what is left is too much for a name to hold."""
-    found = left.unexplained
+    """The causes with one of kind "unknown", where the remainder is too large for a named cause."""
+    found = remainder.unexplained
     assert found is not None
     share = remaining.unexplained if remaining is not None else 1.0
     named = [c for c in causes if c.kind not in OF_SAMPLES]
@@ -109,26 +109,26 @@ def with_the_unknown(
         nearest = named[0]
         others.remove(nearest)
         why = (
-            f"the nearest of the catalogue: it explains {100 * (1 - share):.0f} % of the excess "
-            "misfit, and what it leaves is no noise"
+            f"the nearest effect of the catalogue: it explains {100 * (1 - share):.0f} % of the "
+            "excess misfit, and the remainder is not noise"
         )
         alternatives = (Alternative(nearest.kind, nearest.where, nearest.p_value, why),)
-        unknown = _unknown(where, left, alternatives, share=nearest.share)
+        unknown = _unknown(where, remainder, alternatives, share=nearest.share)
         return [unknown, *others]
-    return [*others, _unknown(where, left, alternatives, share=share)]
+    return [*others, _unknown(where, remainder, alternatives, share=share)]
 
 
 def _unknown(
-    where: str, left: Left, alternatives: tuple[Alternative, ...], *, share: float
+    where: str, remainder: Remainder, alternatives: tuple[Alternative, ...], *, share: float
 ) -> Cause:
-    assert left.unexplained is not None
+    assert remainder.unexplained is not None
     return Cause(
         kind="unknown",
         where=where,
-        p_value=max(left.p_value, TINY),
+        p_value=max(remainder.p_value, TINY),
         parameters=(),
         alternatives=alternatives,
         share=share,
-        sentence=f"{where} lacks something that no effect of the catalogue explains",
-        description=left.unexplained.sentence,
+        sentence=f"unidentified {where}: no effect of the catalogue explains it",
+        description=remainder.unexplained.sentence,
     )

@@ -1,4 +1,4 @@
-"""What naming the causes leaves unexplained, and which parameters it has set right."""
+"""The remainder of the misfit with the causes included, and the parameters that they moved."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from casid.estimation.estimate import Estimate
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A parameter of the baseline that moved when the missing causes were named. SI units."""
+    """A parameter of the baseline that moved when the missing causes were included. SI units."""
 
     name: str
     unit: str
@@ -24,7 +24,7 @@ class Moved:
 
     @property
     def bias(self) -> float:
-        """What leaving the causes out had added to the estimate."""
+        """The bias of the estimate that omitting the causes gave."""
         return self.before - self.after
 
     @property
@@ -63,7 +63,7 @@ class Explained:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Remaining:
-    """What is left of the misfit when every named cause is in the model.
+    """The remainder of the misfit when every named cause is in the model.
 
     The excess misfit is the baseline's squared error above the noise floor, in units of the floor
     and added over the outputs.
@@ -72,7 +72,7 @@ class Remaining:
     explained: tuple[Explained, ...]  # in the order of contribution
     unexplained: float  # share of the excess misfit, 0..1
     over_floor: Mapping[str, float] = field(default_factory=dict)  # output -> rms after over floor
-    p_value: float | None = None  # of the test of what is left; None: not tested
+    p_value: float | None = None  # of the test of the remainder; None: not tested
     test: str = ""  # which test that was
     sentence: str = ""
 
@@ -102,7 +102,7 @@ def moved_parameters(
 
     Returns
     -------
-    Parameters at a bound after the extension have no standard error; they stand last, and only
+    Parameters at a bound after the extension have no standard error; they come last, and only
     where their value has changed.
     """
     after = {p.name: p for p in extended.parameters if not p.known}
@@ -128,7 +128,7 @@ def what_remains(
     test: str = "",
     false_alarm_rate: float = 0.05,
 ) -> Remaining | None:
-    """What is left of the misfit, from the rms errors of one part of the records.
+    """The remainder of the misfit, from the RMS errors of one part of the records.
 
     Parameters
     ----------
@@ -136,8 +136,8 @@ def what_remains(
         the misfit that all causes together removed (`Cause.share`).
     part : `Diagnosis.held_out`, or `Diagnosis.fitted` where nothing was held out: output -> value
         under "baseline_rmse", "extended_rmse" (empty where nothing was named) and "noise_floor".
-    p_value, test : of the test of the residual that is left, and the test's name.
-    false_alarm_rate : below it, the test says that something is left.
+    p_value, test : of the test of the remaining residual, and the test's name.
+    false_alarm_rate : below it, the test rejects that the remainder is noise.
 
     Returns
     -------
@@ -178,13 +178,13 @@ def _sentence(
         share = "more than 99.5 %" if 0 < left < JUDGING.nearly_all else f"{100 * (1 - left):.0f} %"
         text = f"The named {many} {share} of the excess misfit, and {ends}."
     else:
-        text = f"Nothing is named; {ends}."
+        text = f"No cause is named; {ends}."
     is_left = p_value is not None and p_value < alpha
     if is_left:
-        return f"{text} What is left is more than noise: something remains unexplained."
+        return f"{text} The remainder is more than noise: part of the misfit is unexplained."
     if over[worst] > JUDGING.at_floor:
         why = " that no effect of the catalogue explains" if p_value is not None else ""
-        return f"{text} Above the floor, there is an error left{why}."
+        return f"{text} An error above the floor remains{why}."
     if p_value is None:
-        return f"{text} Nothing is left above the floor."
-    return f"{text} Nothing is left that noise would not leave."
+        return f"{text} No error remains above the floor."
+    return f"{text} The remainder is consistent with noise."

@@ -1,4 +1,4 @@
-"""What a diagnosis says in words: of each kind, of the verdict, and of what to do next."""
+"""Sentences of a diagnosis: each kind of effect, the verdict, and the next experiment."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _SAYS = {
     "cubic_stiffness": "the restoring {where} is not linear: it has a cubic term",
     "deadzone": "the restoring {where} has play (a dead zone)",
     "offset": "a constant {where} acts on the system",
-    "periodic_disturbance": "a periodic force that nobody recorded acts in the {where} balance",
+    "periodic_disturbance": "an unrecorded periodic force acts in the {where} balance",
     "parameter_drift": "the parameter {where} drifts during the record",
-    "extra_input": "the recorded channel {where} acts on the system, which the model leaves out",
+    "extra_input": "the recorded channel {where}, which the model omits, acts on the system",
     "parameter_jump": "the parameter {where} changes during the record",
-    "scheduled_parameter": "a parameter depends on a channel that the model leaves out: {where}",
+    "scheduled_parameter": "a parameter depends on a channel that the model omits: {where}",
     "sensor_bias": "the channel {where} has a constant bias",
-    "time_delay": "the channel {where} arrives late",
-    "sensor_scale": "the sensor of {where} has another gain than the model takes it to have",
-    "sensor_lag": "the sensor of {where} follows with a first-order lag",
-    "cross_axis": "the sensor of {where} also feels another channel",
-    "hold": "the input {where} does not move between its samples as the model says",
-    "actuator_lag": "the command {where} acts through a lag",
-    "missing_mode": "a part that swings along acts back in the {where} balance",
+    "time_delay": "the channel {where} is delayed",
+    "sensor_scale": "the gain of the sensor of {where} differs from the model's",
+    "sensor_lag": "the sensor of {where} has a first-order lag",
+    "cross_axis": "the sensor of {where} is also sensitive to another channel",
+    "hold": "the input {where} moves between its samples in another way than the model assumes",
+    "actuator_lag": "the command {where} acts with a first-order lag",
+    "missing_mode": "an unmodelled oscillating part reacts on the {where} balance",
     "saturation": "the channel {where} is clipped",
     "outliers": "the channel {where} has isolated outliers",
 }
@@ -40,24 +40,24 @@ _SAYS = {
 
 _SEPARATES = {
     "quadratic_damping": "free decays from a large and a small amplitude",
-    "coulomb_friction": "slow motion and free decays to rest, where dry friction is all there is",
+    "coulomb_friction": "slow motion and free decays to rest, where dry friction dominates",
     "cubic_stiffness": "excitation at two clearly different amplitudes",
     "deadzone": "motion well inside the play and far beyond it",
     "offset": "a stretch at rest, or the same manoeuvre mirrored",
-    "periodic_disturbance": "a record without excitation, where a line stands alone",
+    "periodic_disturbance": "a record without excitation, whose spectrum shows the line alone",
     "parameter_drift": "a second record, begun when the first has ended",
     "unknown": "excitation at several amplitudes and frequencies",
     "extra_input": "a record in which that channel moves while everything else rests",
     "parameter_jump": "a second record with all conditions held, and a note of when loads move",
     "scheduled_parameter": "records in each of which that channel is held, at different values",
     "sensor_bias": "a stretch at rest with the sensor turned over",
-    "time_delay": "wide-band excitation, and a knock that all loggers see",
+    "time_delay": "wide-band excitation, and a knock that every logger records",
     "sensor_scale": "a known motion or load: the sensor against a reference",
     "sensor_lag": "excitation well above 1/tau, where a lag also attenuates and a delay does not",
     "cross_axis": "a record in which only the other channel moves",
     "hold": "excitation near a third of the sampling rate, or a look at what drives the actuator",
     "actuator_lag": "fast steps of the command, with the actuator's own position recorded",
-    "missing_mode": "a slow sweep across the frequency found, or the part held fast",
+    "missing_mode": "a slow sweep across the frequency found, or the part locked",
     "saturation": "a record at half the amplitude",
     "outliers": "a look at the logger: cable, range, radio link",
 }
@@ -74,21 +74,21 @@ def says(effect: Effect) -> str:
         return says_kind(effect.kind, effect.where)
     what = effect.description or f"{effect.kind} acts"
     if effect.kind == "unknown":
-        return f"{effect.where} lacks something that has no name here, like {what}"
+        return f"unidentified {effect.where}, best described as: {what}"
     return f"{what} ({effect.kind} in {effect.where})"
 
 
 def separates(kind: str) -> str:
-    """What would tell a kind from its rivals; a user's kind is told as any shape is."""
+    """The experiment that separates a kind from its rivals; of a user's kind, that of any shape."""
     return _SEPARATES.get(kind, _SEPARATES["unknown"])
 
 
 def why_alternative(best: Candidate, other: Candidate) -> str:
-    """Why a rival cannot be rejected, and what would tell it from the named cause."""
+    """Why a rival cannot be rejected, and what would separate it from the named cause."""
     gap = best.merit - other.merit
     return (
         f"explains the misfit as well (BIC {abs(gap):.1f} {'worse' if gap >= 0 else 'better'}); "
-        f"{separates(best.effect.kind)} would tell them apart"
+        f"{separates(best.effect.kind)} would separate them"
     )
 
 
@@ -101,11 +101,11 @@ def verdict_sentence(
 ) -> str:
     """The diagnosis in one or two sentences."""
     if verdict == "undecided":
-        return f"This record cannot tell whether the model is adequate: {why_undecided}."
+        return f"This record does not determine whether the model is adequate: {why_undecided}."
     if verdict == "adequate":
         return (
             "Nothing in this record contradicts the model: no effect of the catalogue is "
-            "significant and improves what was held out."
+            "significant and improves the held-out part."
         )
     text = "; ".join(c.sentence for c in causes)
     gains = []
@@ -114,7 +114,8 @@ def verdict_sentence(
         if after is not None:
             unit = problem.model.outputs[output][1]
             gains.append(f"{output} from {before:.3g} to {after:.3g} {unit}")
-    gain = f" Naming it brings the rms error of {', '.join(gains)}." if gains else ""
+    what = "it" if len(causes) == 1 else "them"
+    gain = f" Including {what} lowers the RMS error of {', '.join(gains)}." if gains else ""
     return f"{text[0].upper()}{text[1:]}.{gain}"
 
 
@@ -133,11 +134,11 @@ def noise_text(at: Weighted) -> dict[str, str]:
             moves = max(float(np.std(e.record[source])) for e in at.criterion.experiments)
             if sd > moves:
                 text += (
-                    f"; the residual shows more than {source} itself moves ({moves:.3g} {unit}): "
-                    f"it is no noise of {source}, but a misfit"
+                    f"; the residual implies more than the motion of {source} itself "
+                    f"({moves:.3g} {unit}): it is model error, not noise of {source}"
                 )
             elif sd > JUDGING.more_noise * max(own, TINY):
-                text += f"; the residual shows as much as {sd:.3g}, a disturbance or a misfit"
+                text += f"; the residual implies as much as {sd:.3g}, a disturbance or model error"
         else:
             text = f"disturbance {sd:.3g} {at.model.balances[source].unit} a sample"
         out[source] = text

@@ -1,8 +1,8 @@
 """Functions without a name that explain the misfit as well as what was named, or better.
 
-A cause that is not in the catalogue may lie so near to one that is that nothing is left beside it.
+A cause that is not in the catalogue may lie so near to one that is that no remainder shows it.
 The record may still say that a function which the catalogue does not have explains as much. Every
-function of states, inputs, channels and time (`functions`) is therefore held against the causes
+function of states, inputs, channels and time (`functions`) is therefore compared with the causes
 that were adopted, on the model as it was, by
 
     gain - k log N                                                                             (1)
@@ -61,13 +61,13 @@ def open_rivals(
 ) -> tuple[OpenRival, ...]:
     """Functions that the record cannot reject against the causes together, best first.
 
-    None where misfit passes for noise: (1) is no likelihood there, and what is left tells more.
+    None where the noise model absorbs misfit: (1) is no likelihood there; the remainder decides.
 
     Parameters
     ----------
     start, at : the model as it is and with the causes, under the noise found there.
     """
-    if not adopted or start.is_hidden or adopted[0].candidate.effect.kind == "unknown":
+    if not adopted or start.noise_absorbs_misfit or adopted[0].candidate.effect.kind == "unknown":
         return ()
     table = adopted[0].candidate.score
     linear = table.unrobust if table is not None else 0.0

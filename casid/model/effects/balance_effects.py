@@ -1,4 +1,4 @@
-"""Effects in a balance: forces and torques that a model of mechanics usually lacks."""
+"""Effects in a balance: forces and torques that a mechanical model often omits."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def effective_stiffness(model: Model, balance: str, position: str) -> Any | None
 
     f is the rate's derivative in the explicit equations, q the position, and tau a force added to
     the balance: K q is the force that acts as the restoring force does. Where an unknown input has
-    been eliminated it is the stiffness that is left: k of the indirect pendulum, not k + S g.
+    been eliminated it is the remaining stiffness: k of the indirect pendulum, not k + S g.
     """
     probe = model.copy()
     tau = ca.SX.sym("tau")

@@ -85,7 +85,7 @@ def sensor_scale(model: Model, channel: str) -> Effect:
     """A sensor whose gain is 1 + s in place of 1; s = -2 is a wrong sign, and not searched here.
 
     What a measured input did is its record over 1 + s. A parameter often absorbs it, and the effect
-    is then invisible.
+    is then undetectable.
     """
     if channel in model.outputs:
 
@@ -156,9 +156,9 @@ def hold(model: Model, channel: str) -> Effect:
 
     The blend b moves it by (1 - b) of the declared hold and b of the other: b = 0 is the model, an
     estimate near 1 says that a held input is joined by straight lines, or the other way round. In a
-    slow model it is a delay of b Ts / 2. Where the record cannot tell, the hold is named for an
-    input that is said to be held, as a delay of just half a sample is rare; the delay for one that
-    is joined by straight lines, as sensors are late.
+    slow model it is a delay of b Ts / 2. Where the record cannot separate them, the hold is named
+    for an input that is declared as held, as a delay of just half a sample is rare; the delay for
+    one that is joined by straight lines, as sensors are late.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def hold(model: Model, channel: str) -> Effect:
         raise ModelError(
             f"{model.name}: input {channel} "
             + (f"has the blend {entry.ramp} already" if entry.ramp else f"is {entry.kind}")
-            + "; ask for the hold of a recorded input that has none"
+            + "; request the hold of a recorded input that has none"
         )
     p = Parameter(f"ramp_{channel}", "1", 0.0, lower=0.0, upper=1.0)
 

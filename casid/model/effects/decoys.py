@@ -1,4 +1,4 @@
-"""Effects without a famous name: neighbours of the named ones, called "unknown" with their shape.
+"""Effects without an established name: neighbours of named ones, called "unknown" with a shape.
 
 Where the truth is none of the named effects, the nearest named one would explain part of it and be
 taken for the cause. These stand beside them in every test: one that wins says that something acts,
@@ -19,7 +19,7 @@ from casid.model.model import Model, Parameter
 from casid.model.units import unit_quotient
 
 PRIORITY = 3
-"""Of a named effect and one without a name that do the same, the named one is told."""
+"""Of a named effect and one without a name that do the same, the named one is reported."""
 
 
 def decoys(model: Model, balance: str, speed: float) -> list[Effect]:
@@ -43,11 +43,11 @@ def decoys(model: Model, balance: str, speed: float) -> list[Effect]:
             q = new.symbol(position) if position is not None else None
             new.add_term(balance, -new.symbol(names[0]) * of(new.symbol(rate), q))
 
-        letters = "".join(c for c in shape.replace("^", "") if c.isalnum() or c == "_")
+        suffix = "".join(c for c in shape.replace("^", "") if c.isalnum() or c == "_")
         return Effect(
             "unknown",
             balance,
-            (Parameter(f"c_{letters}", unit, 0.0),),
+            (Parameter(f"c_{suffix}", unit, 0.0),),
             apply,
             priority=PRIORITY,
             shape=shape,
@@ -90,7 +90,7 @@ def power_law(model: Model, state: str, typical: float) -> Effect | None:
     of the flow's coefficient and of n then hardly depend on each other. Near x = 0 the power is
     rounded at a thousandth of x_ref. The null value is n = 1.
 
-    None where x has a position, is one (a spring is no flow), or stands in no such equation.
+    None where x has a position, is one (a spring is no flow), or is in no such equation.
     """
     is_rate = model.position_of(state) is not None
     is_position = any(model.position_of(rate) == state for rate in model.states)

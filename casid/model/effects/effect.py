@@ -55,7 +55,7 @@ class Effect:
     test : "score" where the simulation is differentiable in the first parameter at its null value;
         "clip" for a limit that is met or not; "peak" for a line in the residual's spectrum.
     variant : the value of what is searched rather than differentiated (the instant of a jump).
-    shape : what tells effects of one kind in one place apart ("p^3").
+    shape : what distinguishes effects of one kind in one place ("p^3").
     description : the effect in words, where its kind is no name of `KINDS` that says it.
     """
 
@@ -67,7 +67,7 @@ class Effect:
     test: Test = "score"
     variant: float | None = None
     priority: int = 0  # of two that are the same thing in this model, the lower is named
-    limit: float | None = None  # largest |value| of the first parameter worth trying
+    limit: float | None = None  # largest |value| of the first parameter tried
     cost: int = 1  # parameters that it is charged for
     span: tuple[float, float] | None = None  # of the signal that moves a parameter
     shape: str = ""
@@ -114,7 +114,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sizes:
-    """How large signals are in the records at hand: what smoothing and search ranges go by."""
+    """How large signals are in the records: they set smoothing and search ranges."""
 
     rates: Mapping[str, float]  # state -> rms
     largest: Mapping[str, float]  # output -> largest |measured|: a clipping cannot be below

@@ -38,7 +38,7 @@ def actuator_lag(model: Model, channel: str, longest: float) -> Effect:
     if entry.kind not in ("measured", "known") or channel not in _commands(model):
         raise ModelError(
             f"{model.name}: {channel} is no recorded command (it is {entry.kind}, or was an output "
-            "before an elimination); ask for sensor_lag of such a channel"
+            "before an elimination); request sensor_lag of such a channel"
         )
     if is_lagging(model, channel):
         raise ModelError(

@@ -7,7 +7,7 @@
         ),
     ])
 
-They stand in the catalogue beside its own: tested, refitted, ranked and named alike.
+They join the catalogue beside its own: tested, refitted, ranked and named alike.
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ def balance_effect(
 
     Parameters
     ----------
-    kind : a name of the user's own, in lower case; it stands in `diagnosis.json`.
+    kind : a name of the user's own, in lower case; it appears in `diagnosis.json`.
     term : of the symbols, in the balance's unit; zero where `parameter` is zero.
     parameter, unit : what the effect is sized by, and what is tested; SI unit.
     further : shapes (a width, an exponent) that do nothing at the null value: estimated too, or
         known where they have a value, `Parameter("width", "rad/s", value=0.5)`.
     channels : recorded channels that the model does not use but the effect does, name -> unit.
     sided : "positive" where physics allows no negative size.
-    description : the effect in words, as it stands in the report.
+    description : the effect in words, as in the report.
     """
 
     def apply(new: Model, own: Mapping[str, str]) -> None:
@@ -155,7 +155,7 @@ def _effect(
             new.add_input(Input(channel, unit, "known", "foh"))
         change(new, {p.name: n for p, n in zip(parameters, names, strict=True)})
 
-    # A name of the user's choice is told before a nameless neighbour, after the textbook's.
+    # A user's name comes before an unnamed neighbour, after the catalogue's.
     return Effect(
         kind,
         where,

@@ -1,4 +1,4 @@
-"""What is asked of an effect before it stands in a catalogue: a null value, units, a name."""
+"""Requirements of an effect before it joins a catalogue: a null value, units, a name."""
 
 from __future__ import annotations
 

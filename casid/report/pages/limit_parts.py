@@ -88,7 +88,7 @@ def invisible_part(d: Diagnosis) -> Html:
             element("code", i.where),
             "any record of these channels" if i.is_structural else "this record",
             i.why,
-            i.mend,
+            i.remedy,
         )
         for i in d.invisible
     ]

@@ -103,7 +103,7 @@ def test_pairs_stand_by_their_angle_and_equals_in_one_group():
     signatures = np.column_stack([a, b, a + 0.02 * b, a + b, b])
     names = ["a", "b", "nearly a", "between", "hidden"]
     found = isolability(table([effect(n) for n in names], signatures, [1.0, 1.0, 1.0, 1.0, 1e-9]))
-    assert found.unseen == (("hidden", "torque"),)
+    assert found.undetectable == (("hidden", "torque"),)
     assert found.groups == ((("a", "torque"), ("nearly a", "torque")),)
     first = found.pairs[0]
     assert {first.first[0], first.second[0]} == {"a", "nearly a"}
@@ -136,7 +136,7 @@ def test_the_strongest_variant_stands_for_its_kind():
 
 def test_asking_for_a_cause_that_was_not_compared_names_those_that_were():
     found = isolability(table([effect("a"), effect("b")], np.eye(2)))
-    with pytest.raises(DataError, match="ask for one of these: a in torque, b in torque"):
+    with pytest.raises(DataError, match="request one of these: a in torque, b in torque"):
         found.of(("c", "torque"))
 
 

@@ -185,7 +185,7 @@ def test_two_names_of_one_thing_are_told_by_no_experiment(at):
     other = replace(one, kind="drag")
     advice = next_experiment(pendulum.problem, at, [Suspect(one, 0.01), Suspect(other, 0.01)])
     assert all(p.record_length == np.inf for p in advice.proposals)
-    assert "No experiment that was weighed tells" in advice.sentence
+    assert "No experiment considered separates" in advice.sentence
     assert json.loads(json.dumps(advice.to_json()))["now"]["energy_needed"] is None
 
 

@@ -68,7 +68,7 @@ def test_a_constant_torque_and_a_bias_of_the_accelerometer_are_the_initial_angle
     for i in found.values():
         assert i.reason == "structural"
         assert i.absorbed_by == ("phi(0)",)
-        assert "Add a sensor of phi, make its initial value known" in i.mend
+        assert "Add a sensor of phi, make its initial value known" in i.remedy
 
 
 @pytest.mark.parametrize("channel", ["gyro", "accel"])
@@ -77,15 +77,15 @@ def test_the_scale_of_a_sensor_is_stiffness_damping_and_inertia_together(fitted,
     assert i.is_structural
     assert i.visible < 1e-4
     assert {"k", "d", "I_x"} <= set(i.absorbed_by)
-    assert "Give one of k, d, I_x a known value, or calibrate" in i.mend
+    assert "Give one of k, d, I_x a known value, or calibrate" in i.remedy
 
 
 def test_what_is_told_of_the_confounded_parameters_stands_with_them(fitted, monkeypatch):
     patient = replace(PLANNING, formula_limit=20.0)  # a slow machine's time
     monkeypatch.setattr("casid.diagnosis.advice.undetectable.PLANNING", patient)
     i = asked(fitted, [scale(fitted.criterion.model, "gyro")])["sensor_scale", "gyro"]
-    assert "d/k" in i.told
-    assert "told all the same" in i.why
+    assert "d/k" in i.identifiable
+    assert "identifiable all the same" in i.why
 
 
 def test_a_known_stiffness_makes_the_scale_of_the_gyro_visible(fitted, experiments):
@@ -100,7 +100,7 @@ def test_a_channel_that_rests_hides_what_depends_on_it_in_this_record_alone(fitt
     effect = extra_input(model, "torque", "speed", "m/s")
     i = asked(fitted, [effect])["extra_input", "speed"]
     assert i.reason == "practical"
-    assert i.mend == "Record speed while it moves: it rests in record."
+    assert i.remedy == "Record speed while it moves: it is constant in record."
 
 
 def test_a_delay_is_not_asked_structurally(fitted):
@@ -108,7 +108,7 @@ def test_a_delay_is_not_asked_structurally(fitted):
     model = fitted.criterion.model
     i = asked(fitted, [time_delay(model, "gyro", 0.2)], threshold=0.5)["time_delay", "gyro"]
     assert i.reason == "practical (not asked structurally)"
-    assert "wider band" in i.mend
+    assert "wider band" in i.remedy
 
 
 def test_what_is_visible_is_not_listed_and_structural_causes_come_first(fitted):

@@ -52,7 +52,7 @@ def left_out(notes: list[str]) -> list[str]:
     return [
         n
         for n in notes
-        if n.startswith("fed in force was left out: its simulation runs away already at c = 0.")
+        if n.startswith("fed in force was left out: its simulation diverges already at c = 0.")
         and "turn its sign round, bound it" in n
     ]
 

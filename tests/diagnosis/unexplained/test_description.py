@@ -74,14 +74,14 @@ def test_a_white_disturbance_has_a_place_but_no_dependence():
     assert found.best is not None
     assert not found.best.dependences
     assert found.where == "force"
-    assert "looks like a disturbance" in found.sentence
+    assert "resembles a disturbance" in found.sentence
 
 
 def test_a_record_without_an_effect_yields_nothing():
     found = of("none", 22)
     assert not found.is_something
     assert found.where == ""
-    assert found.sentence.startswith("Nothing is left beyond the noise")
+    assert found.sentence.startswith("The remainder is consistent with noise")
     with pytest.raises(ValueError, match="nothing is left beyond the noise"):
         dependence_figure(found)
 

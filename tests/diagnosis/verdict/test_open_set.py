@@ -12,7 +12,7 @@ import pytest
 import casid
 from casid.diagnosis.diagnosis import Cause
 from casid.diagnosis.thresholds import JUDGING
-from casid.diagnosis.verdict.open_set import Left, with_the_unknown
+from casid.diagnosis.verdict.open_set import Remainder, with_the_unknown
 from casid.diagnosis.verdict.remainder import Remaining
 from problems import pendulum
 from tests.diagnosis.test_diagnose import record_of
@@ -23,9 +23,9 @@ from tests.support.sample_parts import unexplained
 
 
 @functools.cache
-def left() -> Left:
+def left() -> Remainder:
     """Something that acts in the torque, found with p = 1e-12."""
-    return Left(1e-12, 0.01, unexplained(samples.view(N=600)))
+    return Remainder(1e-12, 0.01, unexplained(samples.view(N=600)))
 
 
 def cause(kind: str, where: str = "torque") -> Cause:

@@ -41,11 +41,11 @@ def test_shares_do_not_depend_on_the_outputs_units():
 @pytest.mark.parametrize(
     ("p_value", "after", "words"),
     [
-        (None, 1.01, "Nothing is left above the floor"),
-        (0.5, 1.01, "Nothing is left that noise would not leave"),
-        (1e-6, 1.01, "something remains unexplained"),
-        (0.5, 1.6, "there is an error left that no effect of the catalogue explains"),
-        (None, 1.6, "there is an error left."),
+        (None, 1.01, "No error remains above the floor"),
+        (0.5, 1.01, "The remainder is consistent with noise"),
+        (1e-6, 1.01, "part of the misfit is unexplained"),
+        (0.5, 1.6, "An error above the floor remains that no effect of the catalogue explains"),
+        (None, 1.6, "An error above the floor remains."),
     ],
 )
 def test_the_sentence_says_what_the_numbers_say(p_value, after, words):
@@ -65,7 +65,7 @@ def test_an_error_below_the_floor_is_no_negative_excess():
     }
     r = what_remains([], part)
     assert r.unexplained == 0.0
-    assert "Nothing is named" in r.sentence
+    assert "No cause is named" in r.sentence
 
 
 @pytest.mark.parametrize("floor", [{}, {"gyro": 0.0}])

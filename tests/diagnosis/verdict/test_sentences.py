@@ -26,7 +26,7 @@ from tests.support.samples import deficient as small
 )
 def test_where_the_reason_carries_its_own_mend_no_longer_record_is_asked_for(why):
     said = advice("undecided", [], None, why)
-    assert said == "Mend what the reason names, then diagnose again."
+    assert said == "Correct what the reason names, then diagnose again."
 
 
 def test_where_the_record_says_too_little_more_of_it_is_asked_for():
@@ -52,7 +52,7 @@ def test_the_text_describes_what_has_no_name_and_tells_the_notes_of_a_calibratio
     calibration = Calibration(
         problem="a",
         alpha=0.05,
-        asked=200,
+        requested=200,
         levels=np.full(40, 0.5),
         smallest=np.full(40, 0.5),
         alarms=np.zeros(40, bool),

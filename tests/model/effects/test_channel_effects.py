@@ -172,7 +172,7 @@ def test_a_blend_of_one_is_the_other_hold(declared, other):
 def test_an_input_has_one_blend():
     m = oscillator()
     extended = hold(m, "force").extend(m)
-    with pytest.raises(casid.ModelError, match="blend ramp_force already; ask for the hold of a"):
+    with pytest.raises(casid.ModelError, match="blend ramp_force already; request the hold of a"):
         hold(extended, "force")
     assert "hold" not in {e.kind for e in channel_effects_of(extended, SIZES, {})}
 

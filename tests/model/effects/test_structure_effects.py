@@ -128,7 +128,7 @@ def test_only_recorded_commands_lag_and_only_once():
     with pytest.raises(casid.ModelError, match="through a lag already; extend the model before"):
         actuator_lag(extended, "force", 0.5)
     assert structure_effects_of(extended, SIZES) == []
-    with pytest.raises(casid.ModelError, match="ask for sensor_lag of such a channel"):
+    with pytest.raises(casid.ModelError, match="request sensor_lag of such a channel"):
         actuator_lag(pendulum.problem.model, "accel", 0.5)
     assert structure_effects_of(pendulum.problem.model, SIZES) == []
 

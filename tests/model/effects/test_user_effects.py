@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.divergence import destabilises
+from casid.diagnosis.evidence.divergence import diverging_size
 from casid.errors import ModelError
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulator import Simulator
@@ -240,7 +240,7 @@ def test_an_effect_that_runs_away_at_a_tiny_size_is_told_and_a_tame_one_is_not()
         )
 
     expected = 0.01 * 5.0 * 2.0
-    assert destabilises(fit, fed(1.0)) == pytest.approx(expected, rel=0.02)
-    assert destabilises(fit, fed(-1.0)) is None
+    assert diverging_size(fit, fed(1.0)) == pytest.approx(expected, rel=0.02)
+    assert diverging_size(fit, fed(-1.0)) is None
     bias = channel_effect("bias", "position", lambda s: s.position + s.c, unit="m")
-    assert destabilises(fit, bias) is None
+    assert diverging_size(fit, bias) is None
