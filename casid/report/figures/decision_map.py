@@ -26,35 +26,8 @@ def decision_map_figure(
     import plotly.graph_objects as go
 
     figure = go.Figure()
-    steps = [[k / 4, c] for i, c in enumerate(_COLOURS) for k in (i, i + 1)]
-    figure.add_heatmap(
-        x=found.x_values,
-        y=found.y_values,
-        z=found.regions,
-        zmin=-0.5,
-        zmax=3.5,
-        colorscale=steps,
-        colorbar={
-            "tickvals": [0, 1, 2, 3],
-            "ticktext": list(REGIONS),
-            "title": f"{figure_text(found.first)} better",
-        },
-        name="regions",
-    )
-    for values, name, dash in (
-        (found.variance, "equal variance", "solid"),
-        (found.amse, f"equal mean square error, N = {found.N:g}", "dash"),
-    ):
-        figure.add_contour(
-            x=found.x_values,
-            y=found.y_values,
-            z=values,
-            contours={"start": 0, "end": 0, "size": 1, "coloring": "none"},
-            line={"color": "black", "width": 2, "dash": dash},
-            showscale=False,
-            showlegend=True,
-            name=name,
-        )
+    _add_regions(figure, found)
+    _add_boundaries(figure, found)
     for name, (x, y) in (curves or {}).items():
         figure.add_scatter(
             x=np.asarray(x),
@@ -76,3 +49,40 @@ def decision_map_figure(
         meta={"caption": caption},
     )
     return figure
+
+
+def _add_regions(figure: Any, found: DecisionMap) -> None:
+    """Colour the map by which estimator is better in what."""
+    steps = [[k / 4, c] for i, c in enumerate(_COLOURS) for k in (i, i + 1)]
+    figure.add_heatmap(
+        x=found.x_values,
+        y=found.y_values,
+        z=found.regions,
+        zmin=-0.5,
+        zmax=3.5,
+        colorscale=steps,
+        colorbar={
+            "tickvals": [0, 1, 2, 3],
+            "ticktext": list(REGIONS),
+            "title": f"{figure_text(found.first)} better",
+        },
+        name="regions",
+    )
+
+
+def _add_boundaries(figure: Any, found: DecisionMap) -> None:
+    """Draw where both estimators have equal variance and equal mean square error."""
+    for values, name, dash in (
+        (found.variance, "equal variance", "solid"),
+        (found.amse, f"equal mean square error, N = {found.N:g}", "dash"),
+    ):
+        figure.add_contour(
+            x=found.x_values,
+            y=found.y_values,
+            z=values,
+            contours={"start": 0, "end": 0, "size": 1, "coloring": "none"},
+            line={"color": "black", "width": 2, "dash": dash},
+            showscale=False,
+            showlegend=True,
+            name=name,
+        )

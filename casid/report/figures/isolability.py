@@ -40,9 +40,7 @@ def isolability_figure(isolability: Isolability) -> Any:
     """
     if not isolability.keys:
         raise ValueError("no cause is visible in this record, so there are no angles to draw")
-    size = np.abs(isolability.cosines - np.diag(np.diag(isolability.cosines)))
-    nearest = np.argsort(-size.max(axis=1, initial=0.0), kind="stable")[:_SHOWN]
-    order = _side_by_side(isolability.cosines, np.sort(nearest))
+    order = _side_by_side(isolability.cosines, _nearest(isolability.cosines))
     values = isolability.cosines[np.ix_(order, order)]
     names = [isolability.keys[i] for i in order]
     full = [figure_text(f"{kind} in {where}", 80) for kind, where in names]
@@ -69,14 +67,21 @@ def isolability_figure(isolability: Isolability) -> Any:
         hovertemplate="%{customdata[0]}<br>and %{customdata[1]}<br>cosine %{z:.3f}<extra></extra>",
         colorbar=_COLOUR_BAR,
     )
-    figure = panel.figure
     caption = (
-        "Angles between the causes' signatures in this record: a pair near +1 or -1 cannot be told "
-        "apart, and costs 1/(1 - cosine^2) times the energy of a pair at 0."
+        "Angles between the causes' signatures in this record: a pair near +1 or -1 is "
+        "indistinguishable, and costs 1/(1 - cosine^2) times the energy of a pair at 0."
     )
     if len(names) < len(isolability.keys):
         caption += f" The {len(names)} of {len(isolability.keys)} with the nearest rivals."
     done = panel.done(caption, ())
+    _label_axes(panel.figure, numbers, rows)
+    top = done.layout.margin.t + 14  # the numbers are above the map
+    done.update_layout(margin={"t": top, "b": 56, "r": 14}, height=panel.inside + top + 56)
+    return done
+
+
+def _label_axes(figure: Any, numbers: list[int], rows: list[str]) -> None:
+    """Number the columns above the map, name the rows, the first on top."""
     figure.update_xaxes(
         side="top",
         tickvals=numbers,
@@ -91,9 +96,12 @@ def isolability_figure(isolability: Isolability) -> Any:
         tickfont={"size": 10},
         showgrid=False,
     )
-    top = done.layout.margin.t + 14  # numbers stand above the map
-    done.update_layout(margin={"t": top, "b": 56, "r": 14}, height=panel.inside + top + 56)
-    return done
+
+
+def _nearest(cosines: Array) -> Array:
+    """The indices of the `_SHOWN` causes with the nearest rivals, ascending."""
+    size = np.abs(cosines - np.diag(np.diag(cosines)))
+    return np.sort(np.argsort(-size.max(axis=1, initial=0.0), kind="stable")[:_SHOWN])
 
 
 def _side_by_side(cosines: Array, chosen: Array) -> list[int]:

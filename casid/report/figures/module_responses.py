@@ -34,15 +34,7 @@ def response_figure(
     """
     from plotly.subplots import make_subplots
 
-    if not estimates:
-        raise ModelError("no estimate to draw; give one or more of one module")
-    first = estimates[0]
-    other = [e for e in estimates if e.module != first.module]
-    if other:
-        raise ModelError(
-            f"estimates of {edge_label(first.module)} and of {edge_label(other[0].module)}; draw "
-            "each module in a figure of its own"
-        )
+    first = _first_of_one_module(estimates)
     nyquist = np.pi / first.data.Ts
     omega = np.geomspace(nyquist / 1000, nyquist * (1 - 1e-9), points)
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
@@ -83,6 +75,19 @@ def response_figure(
     caption = f"{what} from {first.data.name}, with 95 % bands at each frequency"
     figure.update_layout(title=figure_text(caption, 120), meta={"caption": caption})
     return figure
+
+
+def _first_of_one_module(estimates: Sequence[ModuleEstimate]) -> ModuleEstimate:
+    if not estimates:
+        raise ModelError("no estimate to draw; give one or more of one module")
+    first = estimates[0]
+    other = [e for e in estimates if e.module != first.module]
+    if other:
+        raise ModelError(
+            f"estimates of {edge_label(first.module)} and of {edge_label(other[0].module)}; draw "
+            "each module in a figure of its own"
+        )
+    return first
 
 
 def _lines(figure: Any, omega: Any, value: Any, name: str, colour: str, dash: str) -> None:

@@ -26,44 +26,7 @@ def moved_figure(moved: Sequence[Moved], problem: str) -> Any:
     shown = moved[:_SHOWN]
     figure = Panels(rows=len(shown), row_height=52, gap=44)
     for k, m in enumerate(shown):
-        figure.add(
-            k,
-            in_legend=False,
-            x=[m.before, m.after],
-            y=[0.0, 0.0],
-            name="moved",
-            mode="lines",
-            line={"color": MEASURED, "width": 3},
-            hoverinfo="skip",
-        )
-        ends = (
-            ("before", m.before, m.std_error_before, BEFORE, "circle-open"),
-            ("after", m.after, m.std_error_after, AFTER, "circle"),
-        )
-        reach = [m.before, m.after]
-        for label, value, error, colour, symbol in ends:
-            half = 1.96 * error if error is not None and math.isfinite(error) else None
-            # An interval far wider than the move would hide the move.
-            reach += [value + s * min(half, 3 * abs(m.bias)) for s in (-1, 1)] if half else []
-            figure.add(
-                k,
-                x=[value],
-                y=[0.0],
-                name=label,
-                mode="markers",
-                marker={
-                    "color": colour,
-                    "size": 11,
-                    "symbol": symbol,
-                    "line": {"width": 2, "color": colour},
-                },
-                error_x={"type": "data", "array": [half], "color": colour, "thickness": 2},
-                hovertemplate=f"%{{x:.5g}} {figure_text(m.unit)}",
-            )
-        low, high = min(reach), max(reach)
-        room = 0.12 * (high - low) or 0.1 * abs(high) or 1.0
-        figure.x_range(k, [low - room, high + room])
-        figure.y_range(k, [-1.0, 1.0])
+        _move(figure, k, m)
     figure.ticks = 6
     figure.figure.update_yaxes(tickvals=[0.0], showgrid=False, zeroline=False)
     for k, m in enumerate(shown):
@@ -77,3 +40,45 @@ def moved_figure(moved: Sequence[Moved], problem: str) -> Any:
     if len(moved) > len(shown):
         caption += f" The first {len(shown)} of {len(moved)}."
     return figure.done(caption, ())
+
+
+def _move(figure: Panels, k: int, m: Moved) -> None:
+    """Draw one parameter's move in panel `k`: a line between two points with intervals."""
+    figure.add(
+        k,
+        in_legend=False,
+        x=[m.before, m.after],
+        y=[0.0, 0.0],
+        name="moved",
+        mode="lines",
+        line={"color": MEASURED, "width": 3},
+        hoverinfo="skip",
+    )
+    ends = (
+        ("before", m.before, m.std_error_before, BEFORE, "circle-open"),
+        ("after", m.after, m.std_error_after, AFTER, "circle"),
+    )
+    reach = [m.before, m.after]
+    for label, value, error, colour, symbol in ends:
+        half = 1.96 * error if error is not None and math.isfinite(error) else None
+        # An interval far wider than the move would hide the move.
+        reach += [value + s * min(half, 3 * abs(m.bias)) for s in (-1, 1)] if half else []
+        figure.add(
+            k,
+            x=[value],
+            y=[0.0],
+            name=label,
+            mode="markers",
+            marker={
+                "color": colour,
+                "size": 11,
+                "symbol": symbol,
+                "line": {"width": 2, "color": colour},
+            },
+            error_x={"type": "data", "array": [half], "color": colour, "thickness": 2},
+            hovertemplate=f"%{{x:.5g}} {figure_text(m.unit)}",
+        )
+    low, high = min(reach), max(reach)
+    room = 0.12 * (high - low) or 0.1 * abs(high) or 1.0
+    figure.x_range(k, [low - room, high + room])
+    figure.y_range(k, [-1.0, 1.0])

@@ -13,7 +13,7 @@ from casid.report.figures.panels import Panels
 def by_record_figure(cause: Cause) -> Any:
     """One panel a parameter, one row a record: the value with its 95 % interval.
 
-    Where the cause has a value for all records together, it stands as a dashed line.
+    Where the cause has a value for all records together, a dashed line marks it.
 
     Raises
     ------
@@ -24,7 +24,6 @@ def by_record_figure(cause: Cause) -> Any:
         raise ValueError("one value explains all records, so there is nothing to draw")
     records = list(cause.by_record)
     names = list(dict.fromkeys(n for found in cause.by_record.values() for n in found))
-    common = {p.name: p.value for p in cause.parameters if math.isfinite(p.value)}
     figure = Panels(
         panels=len(names),
         columns=min(2, len(names)),
@@ -34,30 +33,7 @@ def by_record_figure(cause: Cause) -> Any:
     )
     last = len(records) - 1
     for k, name in enumerate(names):
-        rows = [i for i, r in enumerate(records) if name in cause.by_record[r]]
-        found = [cause.by_record[records[i]][name] for i in rows]
-        halves = [1.96 * p.std_error if p.std_error is not None else None for p in found]
-        figure.add(
-            k,
-            x=[p.value for p in found],
-            y=rows,
-            name="value in this record",
-            mode="markers",
-            marker={"color": AFTER, "size": 10},
-            error_x={"type": "data", "array": halves, "color": AFTER, "thickness": 2, "width": 5},
-            hovertemplate=f"%{{x:.5g}} {figure_text(found[0].unit)}<extra></extra>",
-        )
-        if name in common:
-            figure.add(
-                k,
-                x=[common[name]] * 2,
-                y=[-0.5, last + 0.5],
-                name="one value for all",
-                mode="lines",
-                line={"color": MEASURED, "width": 2, "dash": "dash"},
-                hovertemplate="one value for all %{x:.5g}<extra></extra>",
-            )
-        figure.label(k, x=axis_text(name, found[0].unit))
+        _parameter_panel(figure, k, name, cause)
     figure.figure.update_yaxes(
         tickvals=list(range(len(records))),
         ticktext=[figure_text(r, 16) for r in records],
@@ -73,3 +49,33 @@ def by_record_figure(cause: Cause) -> Any:
         f"{visible_text(cause.where)}. One value does not explain all records.",
         (),
     )
+
+
+def _parameter_panel(figure: Panels, k: int, name: str, cause: Cause) -> None:
+    """Draw one parameter's values in panel `k`, and its common value where there is one."""
+    records = list(cause.by_record)
+    common = {p.name: p.value for p in cause.parameters if math.isfinite(p.value)}
+    rows = [i for i, r in enumerate(records) if name in cause.by_record[r]]
+    found = [cause.by_record[records[i]][name] for i in rows]
+    halves = [1.96 * p.std_error if p.std_error is not None else None for p in found]
+    figure.add(
+        k,
+        x=[p.value for p in found],
+        y=rows,
+        name="value in this record",
+        mode="markers",
+        marker={"color": AFTER, "size": 10},
+        error_x={"type": "data", "array": halves, "color": AFTER, "thickness": 2, "width": 5},
+        hovertemplate=f"%{{x:.5g}} {figure_text(found[0].unit)}<extra></extra>",
+    )
+    if name in common:
+        figure.add(
+            k,
+            x=[common[name]] * 2,
+            y=[-0.5, len(records) - 0.5],
+            name="one value for all",
+            mode="lines",
+            line={"color": MEASURED, "width": 2, "dash": "dash"},
+            hovertemplate="one value for all %{x:.5g}<extra></extra>",
+        )
+    figure.label(k, x=axis_text(name, found[0].unit))

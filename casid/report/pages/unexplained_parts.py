@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from casid.diagnosis.diagnosis import Diagnosis
+from casid.diagnosis.evidence.residual_tests import ResidualTests
 from casid.report.pages.markup import Html, join, paragraph, table
 from casid.report.pages.numbers import number_text, p_text
 
@@ -56,18 +57,19 @@ def unexplained_part(d: Diagnosis) -> Html:
                 numbers=(1, 2, 3),
             )
         )
-    t = u.tests
+    parts.append(_tests_table(u.tests))
+    return join(parts)
+
+
+def _tests_table(t: ResidualTests) -> Html:
     rows = [
         ("does its spectrum differ from the noise's?", p_text(t.p_spectrum)),
         ("does it depend on states or inputs?", p_text(t.p_dependence)),
         ("do its mean or its power change in time?", p_text(t.p_time)),
     ]
-    parts.append(
-        table(
-            f"The remainder, by tests of the residual: {t.verdict}", ("", "p"), rows, numbers=(1,)
-        )
+    return table(
+        f"The remainder, by tests of the residual: {t.verdict}", ("", "p"), rows, numbers=(1,)
     )
-    return join(parts)
 
 
 def _share(share: float) -> str:
