@@ -22,7 +22,7 @@ class Table:
     widths : least widths of the columns in a terminal with the space before a number or behind a
         text; without them, columns are as wide as their cells and stand two spaces apart.
     caption : above the table on a page; a terminal shows none.
-    is_ruled : whether a line stands below the header in a terminal.
+    is_ruled : whether a line is drawn below the header in a terminal.
     indent : of the lines in a terminal, in spaces.
     widest : characters of a line; columns that do not fit follow in a table below, beside the
         first column again. None: any number.
@@ -93,7 +93,7 @@ Labelled = tuple[str, str]
 
 @dataclass(frozen=True)
 class Document:
-    """A title with what stands below it.
+    """A title with its parts below it.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ def terminal_text(document: Document) -> str:
 
 
 def labelled(label: str, texts: Sequence[str]) -> list[Labelled]:
-    """Texts under one label, which stands before the first."""
+    """Texts under one label, which precedes the first."""
     return [(label if not i else "", text) for i, text in enumerate(texts)]
 
 

@@ -366,7 +366,7 @@ def test_what_is_told_of_a_group_that_moves_along_several_curves_stays_along_all
             slopes = [sympy.diff(c, names[n]) * v for n, v in f.direction.entries.items()]
             assert sympy.simplify(sum(slopes)) == 0
     text = " ".join(str(a).split())
-    assert f"told of {', '.join(told_of.group)}: " in text
+    assert f"identifiable combinations of {', '.join(told_of.group)}: " in text
     assert "on this curve alone, unchanged: " in text
     content = a.to_json()["told_instead"]
     assert {tuple(t["group"]) for t in content} == {t.group for t in a.identifiable_combinations}

@@ -169,7 +169,7 @@ def test_what_a_rich_diagnosis_knows_stands_in_the_text(rich):
         "0.3300 \u00b1 0.0040",  # d before,
         "0.0810 \u00b1 0.0040",  # and after
         "-62.2",  # standard errors
-        "The same in this record: time_delay in gyro, sensor_lag in gyro",
+        "Indistinguishable in this record: time_delay in gyro, sensor_lag in gyro",
         *(i.why for i in d.invisible),
         *(i.remedy for i in d.invisible),
         "any record of these channels",

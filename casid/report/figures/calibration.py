@@ -42,7 +42,7 @@ def calibration_figure(result: Calibration) -> Any:
         hovertemplate="uniform: %{y:.3g} records<extra></extra>",
     )
     for name, at, dash in (
-        ("level asked for", result.alpha, "dash"),
+        ("requested level", result.alpha, "dash"),
         ("corrected threshold", result.threshold, "dot"),
     ):
         if name == "corrected threshold" and not result.is_corrected:

@@ -101,7 +101,7 @@ class Panels:
         in_legend: bool = True,
         **trace: Any,
     ) -> None:
-        """Add a trace to panel k; each name stands once in the legend, for every record."""
+        """Add a trace to panel k; each name is in the legend once, for every record."""
         import plotly.graph_objects as go
 
         owner = len(self.menu) if view is not None else 0

@@ -152,7 +152,7 @@ def residual_time_figure(records: Sequence[RecordView]) -> Any:
 
 
 def _readable_range(measured: Array, simulated: Sequence[Array]) -> tuple[list[float] | None, bool]:
-    """An axis range that keeps the data readable when a simulation runs away; None: automatic."""
+    """An axis range that keeps the data readable when a simulation diverges; None: automatic."""
     data = measured[np.isfinite(measured)]
     runs = np.concatenate([s[np.isfinite(s)] for s in simulated]) if simulated else np.empty(0)
     if not data.size or not runs.size:

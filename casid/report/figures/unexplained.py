@@ -71,8 +71,8 @@ def dependence_figure(result: Unexplained) -> Any:
         figure.label(k, x=axis_text(last, best.units[last]), y=axis_text(label, unit))
     return figure.done(
         f"What is missing in {best.place}, as a function of what it depends on: "
-        f"{100 * best.explained:.0f} % of what is left. The model's own parameters may absorb part "
-        "of each curve.",
+        f"{100 * best.explained:.0f} % of the remainder. The model's own parameters may absorb "
+        "part of each curve.",
         (),
     )
 

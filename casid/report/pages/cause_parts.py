@@ -59,7 +59,7 @@ def cause_part(i: int, c: Cause, figure: Html) -> Html:
 
 
 def _as_sentence(text: str) -> str:
-    """Diagnoses join the words of several causes to one sentence; here each stands alone."""
+    """Diagnoses join the words of several causes to one sentence; here each has its own."""
     text = text[:1].upper() + text[1:]
     return text if not text or text.endswith((".", "!", "?")) else f"{text}."
 
@@ -91,11 +91,11 @@ def no_cause(d: Diagnosis) -> str:
 
 
 def ranking_table(d: Diagnosis) -> Html:
-    """The catalogue as the first round saw it."""
+    """The catalogue as tested in the first round."""
     if not d.ranking:
         return Html("")
     return table(
-        "Every candidate as the first round saw it. p: of the candidate alone; family-wise: for "
+        "Every candidate as tested in the first round. p: of the candidate alone; family-wise: for "
         "the whole catalogue; gain: fall of the criterion after a refit",
         ("", "effect", "where", "p", "family-wise p", "gain", "status", "why"),
         [

@@ -61,7 +61,7 @@ DRAW = """
   document.querySelectorAll(".plot").forEach(function (place) {
     try { draw(place); } catch (error) {
       console.error("error in " + place.id + ": " + error);
-      place.textContent = "This figure could not be drawn; its numbers stand in the tables.";
+      place.textContent = "This figure could not be drawn; its numbers are in the tables.";
     }
   });
 })();

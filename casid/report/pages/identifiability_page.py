@@ -1,4 +1,4 @@
-"""The page of an assessment: the answer, what can be told instead, and what would mend it."""
+"""The page of an assessment: the answer, what is identifiable instead, and the remedies."""
 
 from __future__ import annotations
 
@@ -70,13 +70,13 @@ def _banner(a: Assessment) -> Html:
 
 
 def _cards(a: Assessment) -> Html:
-    told = sum(v == "identifiable" for v in a.parameters.values())
+    identifiable = sum(v == "identifiable" for v in a.parameters.values())
     seen = sum(v == "observable" for v in a.states.values())
     bound = a.answer.error_bound
     sure = "a proof" if bound == 0.0 else f"error probability below {bound:.1e}"
     cards = [
         ("Rank", f"{a.rank} of {a.unknowns}", "partial" if a.answer.is_partial else sure),
-        ("Parameters", f"{told} of {len(a.parameters)}", "identifiable"),
+        ("Parameters", f"{identifiable} of {len(a.parameters)}", "identifiable"),
         ("Initial states", f"{seen} of {len(a.states)}", "observable"),
     ]
     if a.fixing is not None and a.fixing.size:
@@ -109,16 +109,16 @@ def _parameters(a: Assessment) -> Html:
     for name in a.parameters:
         partners = [n for n in group.get(name, ()) if n != name]
         row = expected.get(name)
-        told = "\u2013"
+        error = "\u2013"
         if row is not None and a.parameters[name] == "identifiable":
-            told = number_text(row.std_error)
+            error = number_text(row.std_error)
         rows.append(
             (
                 element("code", name),
                 a.units.get(name, ""),
                 verdict_words(a, name),
                 ", ".join(partners),
-                told,
+                error,
             )
         )
     header = ["parameter", "unit", "verdict", "confounded with", "expected std. error"]
@@ -132,10 +132,10 @@ def _parameters(a: Assessment) -> Html:
 
 
 def _advice(a: Assessment) -> Html | str:
-    mend = a.remedy()
-    if not mend:
+    remedy = a.remedy()
+    if not remedy:
         return ""
-    text = mend[0].upper() + mend[1:] + "."
+    text = remedy[0].upper() + remedy[1:] + "."
     return element("div", element("h3", "Remedy") + paragraph(text), class_="advice")
 
 
@@ -153,7 +153,7 @@ def _families(a: Assessment) -> Html:
             0,
             paragraph(
                 "All values on such a curve give the same outputs; what stays the same along all "
-                "curves of a group is what the data tell. Primes mark new values."
+                "curves of a group is what the data determine. Primes mark new values."
             ),
         )
     return join(parts)

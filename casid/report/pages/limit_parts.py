@@ -18,15 +18,15 @@ def inseparable(d: Diagnosis) -> Html:
         (
             element("code", a.kind),
             element("code", a.where),
-            Html(f"not told from {element('code', c.kind)} in {element('code', c.where)}"),
+            Html(f"indistinguishable from {element('code', c.kind)} in {element('code', c.where)}"),
             a.why,
         )
         for c in d.causes
         for a in c.alternatives
     ]
-    told = {(a.kind, a.where) for c in d.causes for a in c.alternatives}
+    listed = {(a.kind, a.where) for c in d.causes for a in c.alternatives}
     for r in d.ranking:
-        if r.status == "cannot be rejected" and (r.kind, r.where) not in told:
+        if r.status == "cannot be rejected" and (r.kind, r.where) not in listed:
             rows.append((element("code", r.kind), element("code", r.where), r.status, r.why))
     for r in d.ranking:
         if r.status == "invisible" and not d.invisible:  # else they have a section of their own
@@ -34,7 +34,7 @@ def inseparable(d: Diagnosis) -> Html:
                 (
                     element("code", r.kind),
                     element("code", r.where),
-                    "invisible to this record",
+                    "undetectable in this record",
                     r.why,
                 )
             )
@@ -55,7 +55,8 @@ def pairs_part(d: Diagnosis) -> Html:
     if found is None:
         return Html("")
     same = [
-        "The same in this record: " + ", ".join(f"{kind} in {where}" for kind, where in group)
+        "Indistinguishable in this record: "
+        + ", ".join(f"{kind} in {where}" for kind, where in group)
         for group in found.groups
     ]
     rows = [

@@ -79,7 +79,7 @@ def table(
     scroll = element(
         "div", content, class_="scroll", tabindex="0", role="region", aria_label=caption
     )
-    # The caption stands outside of what scrolls: on a phone it must not run off the side.
+    # The caption is outside of what scrolls: on a phone it must not run off the side.
     return element("div", element("p", caption, class_="caption") + scroll, class_="table")
 
 

@@ -85,7 +85,7 @@ class Page:
                     element("p", f"casid \u00b7 {kind}", class_="kicker") + element("h1", problem),
                 ),
                 element("nav", links, aria_label="Sections") if links else "",
-                "<noscript><p>The figures need JavaScript; every number also stands in a table."
+                "<noscript><p>The figures need JavaScript; every number is also in a table."
                 "</p></noscript>",
                 element("main", body),
                 *self.data,
@@ -101,7 +101,7 @@ def _figure_json(figure: Any) -> str:
     content = json.loads(figure.to_json(engine="json"))
     content["layout"].pop("title", None)
     content["layout"]["margin"]["t"] = 40
-    # The mode bar stands beside the plot, never on it.
+    # The mode bar is beside the plot, never on it.
     content["layout"]["margin"]["r"] = max(content["layout"]["margin"].get("r", 0), 44)
     content["layout"]["height"] = figure.layout.height - figure.layout.margin.t + 40
     text = json.dumps(content, separators=(",", ":"), ensure_ascii=True)

@@ -18,7 +18,7 @@ def assessment_document(assessment: Assessment) -> Document:
         ("states", _states(a.states)),
         ("confounded", _groups(a)),
         ("equivalent", _families(a)),
-        ("remedies", _mends(a)),
+        ("remedies", _remedies(a)),
         ("unknown", _classes(a)),
         ("poorer", _excitations(a)),
         ("records", [line for e in a.excitations for line in str(e).splitlines()]),
@@ -96,16 +96,17 @@ def family_lines(a: Assessment) -> list[tuple[str, list[str]]]:
             if f.free in several:
                 lines = [x.replace("invariants:", "on this curve alone, unchanged:") for x in lines]
             out.append((f.free, lines))
-    for told in a.identifiable_combinations:
-        if several & set(told.group) and told.combinations:
-            more = "" if told.is_complete else ", and more"
-            names = ", ".join(told.group)
-            words = f"told of {names}: {', '.join(map(str, told.combinations))}{more}"
+    for found in a.identifiable_combinations:
+        if several & set(found.group) and found.combinations:
+            more = "" if found.is_complete else ", and more"
+            names = ", ".join(found.group)
+            combinations = ", ".join(map(str, found.combinations))
+            words = f"identifiable combinations of {names}: {combinations}{more}"
             out.append((names, [words]))
     return out
 
 
-def _mends(a: Assessment) -> list[str]:
+def _remedies(a: Assessment) -> list[str]:
     if a.is_identifiable:
         return []
     lines = [a.remedy()] if a.remedy() else []

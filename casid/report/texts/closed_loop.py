@@ -151,24 +151,24 @@ def _polynomial(q: Algebra) -> str:
         coefficient = sympy.factor(value)
         negative = bool(coefficient.could_extract_minus_sign())
         coefficient = -coefficient if negative else coefficient
-        letters = str(coefficient)
+        written = str(coefficient)
         if coefficient.is_Add and (power or text or negative):
-            letters = f"({letters})"
+            written = f"({written})"
         term = {0: "", 1: f"{q.gen}"}.get(power, f"{q.gen}^{power}")
         if term:
-            letters = term if letters == "1" else f"{letters} {term}"
+            written = term if written == "1" else f"{written} {term}"
         if text:
-            text += f" {'-' if negative else '+'} {letters}"
+            text += f" {'-' if negative else '+'} {written}"
         else:
-            text = f"-{letters}" if negative else letters
+            text = f"-{written}" if negative else written
     return text.replace("**", "^").replace("*", " ") or "0"
 
 
 def _bracket(text: str) -> str:
-    """Brackets where a sum stands outside of brackets."""
+    """Brackets where a sum is outside of brackets."""
     depth = 0
-    for i, letter in enumerate(text):
-        depth += (letter == "(") - (letter == ")")
+    for i, sign in enumerate(text):
+        depth += (sign == "(") - (sign == ")")
         if depth == 0 and i > 0 and text[i : i + 3] in (" + ", " - "):
             return f"({text})"
     return text

@@ -118,7 +118,7 @@ def invariants_document(found: Invariants) -> Document:
         )
         for p in found.told.values()
     ]
-    head: tuple[str, ...] = ("told whatever the choice", "unit", "estimate", "std. error", "")
+    head: tuple[str, ...] = ("the same for every choice", "unit", "estimate", "std. error", "")
     rows = rows or ["  no single parameter"]
     parts.append(Table(head, rows, numbers=(2, 3), widths=(28, 12, 11, 12)))
     if found.moving:
@@ -138,7 +138,7 @@ def invariants_document(found: Invariants) -> Document:
     if found.combinations:
         parts.append("  identifiable in their place (constants of a load case carry its name)")
     parts += [f"    {c.name} = {c.value:.5g} +- {c.std_error:.2g}" for c in found.combinations]
-    return Document(f"What the data tell of {found.problem}", parts)
+    return Document(f"What the data determine of {found.problem}", parts)
 
 
 def _span(a: AlongFamily) -> str:

@@ -40,7 +40,7 @@ def equations_text(equations: NodeEquations) -> str:
                 terms.append(name(k) if entry == "1" else f"({entry}) {name(k)}")
         lines.append(f"  {node_label(n)} = {' + '.join(terms) or '0'}")
     lines.append("  e = delta + tau")
-    return "\n".join(lines + [f"  {told}" for told in unrunnable(equations)])
+    return "\n".join(lines + [f"  {reason}" for reason in unrunnable(equations)])
 
 
 def unrunnable(equations: NodeEquations) -> list[str]:
@@ -50,25 +50,25 @@ def unrunnable(equations: NodeEquations) -> list[str]:
     """
     if equations.field.name != "symbolic":
         return []
-    told = []
+    reasons = []
     for n in equations.nodes:
         for rows, name in ((equations.G, node_label), (equations.F, lambda k: f"e_{k}")):
             for k in rows[n]:
                 why = obstacle(equations.field.back(rows[n][k]))
                 if why:
-                    told.append(f"the filter of {name(k)} in {node_label(n)} is {why}")
-    return told
+                    reasons.append(f"the filter of {name(k)} in {node_label(n)} is {why}")
+    return reasons
 
 
 def obstacle(g: Rational) -> str:
     """Why a filter cannot be run forward in time: IMPROPER, UNSTABLE; empty if it can be."""
-    said = []
+    reasons = []
     if not g.is_proper:
         step = "order of derivatives" if g.variable == "s" else "samples it looks ahead"
-        said.append(f"IMPROPER ({step}: {-g.relative_degree})")
+        reasons.append(f"IMPROPER ({step}: {-g.relative_degree})")
     if not g.parameters and not g.is_stable:
-        said.append(f"UNSTABLE (pole {next(r for r in g.poles() if not r.is_stable)})")
-    return " and ".join(said)
+        reasons.append(f"UNSTABLE (pole {next(r for r in g.poles() if not r.is_stable)})")
+    return " and ".join(reasons)
 
 
 def _loops(network: Network) -> str:
@@ -77,9 +77,9 @@ def _loops(network: Network) -> str:
     if network.parameters:
         return ""
     loops = algebraic_loops(network, most=_LOOPS + 1)
-    told = "; ".join(path_text((*loop, loop[0])) for loop in loops[:_LOOPS])
+    cycles = "; ".join(path_text((*loop, loop[0])) for loop in loops[:_LOOPS])
     more = " and more" if len(loops) > _LOOPS else ""
-    return f"algebraic loops: {told}{more}" if loops else "no algebraic loop"
+    return f"algebraic loops: {cycles}{more}" if loops else "no algebraic loop"
 
 
 def _stability(network: Network) -> str:
@@ -101,8 +101,8 @@ def predictors_document(found: PredictorTable) -> Document:
     head = ("predictor", "uses", "plain", "+ own past", "")
     notes = []
     if found.observations is not None:
-        told = (str(found.observations), found.observations.obstacle())
-        notes = [f"  {INDIRECT}: {note}" for note in told if note]
+        remarks = (str(found.observations), found.observations.obstacle())
+        notes = [f"  {INDIRECT}: {note}" for note in remarks if note]
     return Document(
         f"Predictors of {node_label(found.target)}: exact variance of the one-step error",
         [Table(head, rows, numbers=(2, 3), widths=(24, 34, 10, 12)), *notes],

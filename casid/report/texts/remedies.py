@@ -41,9 +41,9 @@ def comparison_document(comparison: Comparison) -> Document:
                 lines.append(f"  best: {choice.remedy} ({choice.why})")
             if what:
                 lines.append(f"  {comparison.cost_of_neglecting(name)}")
-    told = dict.fromkeys((r.name.rpartition(", ")[0] or r.name, r.remark)
+    remarks = dict.fromkeys((r.name.rpartition(", ")[0] or r.name, r.remark)
                          for r in comparison.rows if r.remark)  # fmt: skip
-    lines += ["", *(f"{name}: {remark}" for name, remark in told)] if told else []
+    lines += ["", *(f"{name}: {remark}" for name, remark in remarks)] if remarks else []
     noted = [(r.name, n) for r in comparison.rows if r.result for n in r.result.notes]
     lines += ["", *(f"note on {name}: {note}" for name, note in noted)] if noted else []
     refused = [r for r in comparison.rows if r.result is None]
@@ -69,9 +69,9 @@ def asymptotics_document(limit: Asymptotics) -> Document:
 
 def _of_parameter(comparison: Comparison, name: str) -> Table:
     wanted = comparison.accuracy.get(name)
-    N, letters = comparison.N, comparison.is_symbolic
+    N, is_symbolic = comparison.N, comparison.is_symbolic
     head = ["remedy", "limit", "bias", "N x variance"]
-    if not letters:
+    if not is_symbolic:
         head += [f"s.e. at {N:g}", f"AMSE at {N:g}", "AMSE at 1"]
         head += [f"N for {wanted:g}"] if wanted is not None else []
     rows = []
@@ -79,8 +79,8 @@ def _of_parameter(comparison: Comparison, name: str) -> Table:
         if row.result is None or not row.estimates(name):
             continue
         r = row.result
-        cells = [r[name], r.bias(name) if letters else row.bias(name), r.variance(name)]
-        if not letters:
+        cells = [r[name], r.bias(name) if is_symbolic else row.bias(name), r.variance(name)]
+        if not is_symbolic:
             cells += [r.std_error(name, N), r.amse(name, N), r.amse(name)]
             if wanted is not None:
                 samples = r.samples_for(name, wanted)

@@ -214,7 +214,7 @@ def test_the_figure_shows_every_run_and_the_thresholds():
     traces = {t.name: t for t in figure.data}
     assert sum(traces["null records"].y) == 60
     assert list(traces["corrected threshold"].x) == [found.threshold] * 2
-    assert list(traces["level asked for"].x) == [0.05, 0.05]
+    assert list(traces["requested level"].x) == [0.05, 0.05]
 
 
 # -- what null records are ------------------------------------------------------------------------
