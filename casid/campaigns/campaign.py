@@ -168,23 +168,12 @@ def campaign(
     KeyboardInterrupt
         On Ctrl-C, saying what is kept.
     """
-    for name, value in (("runs", runs), ("seed", seed), ("batch", batch), ("retries", retries)):
-        is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-        if not is_whole and not (name == "batch" and value is None):
-            raise DataError(f"{name} = {value!r}; give a whole number, for example {name}=10")
-    if runs < 1 or seed < 0 or retries < 1 or (batch is not None and batch < 1):
-        raise DataError(
-            f"runs = {runs}, seed = {seed}, batch = {batch}, retries = {retries}: give at least "
-            "one run, batch and retry, and a seed of zero or more"
-        )
-    folder = None if out is None else Path(out)
-    if folder is not None and folder.exists() and not folder.is_dir():
-        raise DataError(f"{folder} is a file, not a folder; name a folder")
+    _require_counts(runs, seed, batch, retries)
+    folder = _folder(out)
     manifest = manifest_of(function, seed, settings)
     with _locked(folder):
         parts = Parts(folder, manifest, resume=resume)
-        done = parts.runs
-        todo = [run for run in range(runs) if run not in done]
+        todo = _left_to_do(parts, runs)
         found = runs - len(todo)
         with reported(progress, runs, found) as told:
             work = _Work(function, seed, parts, told, batch, stop_on_failure, retries)
@@ -195,6 +184,30 @@ def campaign(
     return Campaign(
         manifest["function"], seed, chosen.to_pandas(), folder, found=found, deaths=work.deaths
     )
+
+
+def _require_counts(runs: int, seed: int, batch: int | None, retries: int) -> None:
+    for name, value in (("runs", runs), ("seed", seed), ("batch", batch), ("retries", retries)):
+        is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not is_whole and not (name == "batch" and value is None):
+            raise DataError(f"{name} = {value!r}; give a whole number, for example {name}=10")
+    if runs < 1 or seed < 0 or retries < 1 or (batch is not None and batch < 1):
+        raise DataError(
+            f"runs = {runs}, seed = {seed}, batch = {batch}, retries = {retries}: give at least "
+            "one run, batch and retry, and a seed of zero or more"
+        )
+
+
+def _left_to_do(parts: Parts, runs: int) -> list[int]:
+    done = parts.runs
+    return [run for run in range(runs) if run not in done]
+
+
+def _folder(out: str | Path | None) -> Path | None:
+    folder = None if out is None else Path(out)
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise DataError(f"{folder} is a file, not a folder; name a folder")
+    return folder
 
 
 # ---------------------------------------------------------------------- the work

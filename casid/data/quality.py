@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from casid.arrays import TINY
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.columns import Columns, ColumnSpec
+from casid.data.reading.faults import Survey
 from casid.data.reading.survey import survey
 from casid.data.record import BoolArray, FloatArray, Record
 from casid.presentation import Presented
@@ -166,34 +167,18 @@ def check(
     median of its five neighbours by eight robust standard deviations and five times the 98 %
     quantile of that distance.
     """
-    findings: list[Finding] = []
     if isinstance(data, Record):
-        record: Record | None = data
-        name, times = data.name, None
+        found = _Read(data, data.name)
     else:
-        found = survey(data, columns, time=time, window=window, resample=resample, Ts=Ts)
-        record, times = found.record, found.times
-        name = record.name if record else found.path.name
-        findings += [Finding("error", f.column, f.text, f.mend) for f in found.faults]
+        found = _read(survey(data, columns, time=time, window=window, resample=resample, Ts=Ts))
+    record, name, times, findings = found.record, found.name, found.times, list(found.findings)
     clock = _clock(times) if times is not None and times.size > 1 else None
-    if clock and record is not None and clock.off_grid > 0.5 * record.Ts and resample is None:
-        findings.append(
-            Finding(
-                "warning",
-                None,
-                f"the clock drifts: a stamp lies {clock.off_grid:.4g} s off the uniform grid.",
-                f"Resample onto Ts = {clock.interval_median:.6g} s, or use a shorter window.",
-            )
-        )
     if record is None:
         return CheckReport(name, None, None, None, None, clock, (), tuple(findings))
-    channels = []
-    for channel in record.names:
-        numbers, noticed = _channel(record, channel)
-        channels.append(numbers)
-        findings += noticed
-    findings += _twins(record)
-    rank = {"error": 0, "warning": 1, "note": 2}
+    if clock and clock.off_grid > 0.5 * record.Ts and resample is None:
+        findings.append(_drifting(clock))
+    channels, noticed = _channels(record)
+    findings += [*noticed, *_twins(record)]
     return CheckReport(
         name,
         record.N,
@@ -201,12 +186,13 @@ def check(
         record.t0,
         record.duration,
         clock,
-        tuple(channels),
-        tuple(sorted(findings, key=lambda f: rank[f.severity])),
+        channels,
+        tuple(sorted(findings, key=lambda f: _RANK[f.severity])),
         record.provenance,
     )
 
 
+_RANK = {"error": 0, "warning": 1, "note": 2}
 _CONSTANT, _CLIPPED = "constant at", "possibly clipped."
 
 
@@ -240,6 +226,37 @@ def _clock(times: FloatArray) -> Clock:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Read:
+    """What there is to look over; the time stamps [s] and findings of a file."""
+
+    record: Record | None
+    name: str
+    times: FloatArray | None = None
+    findings: tuple[Finding, ...] = ()
+
+
+def _read(found: Survey) -> _Read:
+    faults = tuple(Finding("error", f.column, f.text, f.mend) for f in found.faults)
+    name = found.record.name if found.record else found.path.name
+    return _Read(found.record, name, found.times, faults)
+
+
+def _drifting(clock: Clock) -> Finding:
+    return Finding(
+        "warning",
+        None,
+        f"the clock drifts: a stamp lies {clock.off_grid:.4g} s off the uniform grid.",
+        f"Resample onto Ts = {clock.interval_median:.6g} s, or use a shorter window.",
+    )
+
+
+def _channels(record: Record) -> tuple[tuple[ChannelCheck, ...], list[Finding]]:
+    """The numbers of every channel, and what is noticed of them."""
+    found = [_channel(record, name) for name in record.names]
+    return tuple(numbers for numbers, _ in found), [f for _, noticed in found for f in noticed]
+
+
 def _channel(record: Record, name: str) -> tuple[ChannelCheck, list[Finding]]:
     """The numbers of one channel, and what is noticed of it."""
     mask, unit = record.is_missing(name), record.units[name]
@@ -255,15 +272,7 @@ def _channel(record: Record, name: str) -> tuple[ChannelCheck, list[Finding]]:
     rms = float(np.sqrt(np.mean(kept**2)))
     findings: list[Finding] = []
     if gone:
-        findings.append(
-            Finding(
-                "note",
-                name,
-                f"{gone} samples are marked missing.",
-                "They take no part in an estimation; cut them off with a window where they "
-                "cluster.",
-            )
-        )
+        findings.append(_some_missing(name, gone))
     if low == high:
         findings.append(
             Finding(
@@ -292,15 +301,7 @@ def _channel(record: Record, name: str) -> tuple[ChannelCheck, list[Finding]]:
     findings += trend
     noise, bandwidth, reaches = _spectrum(x - mean, record.Ts)
     if reaches and not few:
-        findings.append(
-            Finding(
-                "note",
-                name,
-                "the spectrum does not fall towards the Nyquist frequency: noise, or a signal that "
-                "is aliased.",
-                "Check the logger's anti-alias filter; what is called noise here may be signal.",
-            )
-        )
+        findings.append(_wide_band(name))
     numbers = ChannelCheck(
         name, unit, low, high, mean, rms, gone, noise, step, run, plateau, int(spikes.size), drift,
         bandwidth,
@@ -341,6 +342,25 @@ def _equal_samples(
             )
         )
     return run, plateau, findings
+
+
+def _some_missing(name: str, count: int) -> Finding:
+    return Finding(
+        "note",
+        name,
+        f"{count} samples are marked missing.",
+        "They take no part in an estimation; cut them off with a window where they cluster.",
+    )
+
+
+def _wide_band(name: str) -> Finding:
+    return Finding(
+        "note",
+        name,
+        "the spectrum does not fall towards the Nyquist frequency: noise, or a signal that "
+        "is aliased.",
+        "Check the logger's anti-alias filter; what is called noise here may be signal.",
+    )
 
 
 def _coarse(name: str, unit: str, step: float, span: float) -> Finding:

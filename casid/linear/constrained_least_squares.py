@@ -62,17 +62,22 @@ def null_space_least_squares(Phi: Array, Y: Array, B: Array, b: Array) -> Array:
     theta = Q1 @ w
     if Q2.shape[1]:
         reduced = Phi @ Q2
-        values, directions = np.linalg.svd(reduced, full_matrices=False)[1:]
-        seen = int(np.sum(values > 1e-12 * max(values.max(initial=0.0), TINY)))
-        if seen < Q2.shape[1]:
-            V = np.linalg.svd(reduced)[2] if len(values) < Q2.shape[1] else directions
-            lost = Q2 @ V[-1] / size
-            shown = ", ".join(f"{v:.3g}" for v in lost / np.abs(lost).max())
-            raise IdentifiabilityError(
-                f"constrained least squares: the regressors have rank {seen} where the constraints "
-                f"leave {Q2.shape[1]} directions free; undetermined: [{shown}]. Excite the system "
-                "there, or constrain that direction"
-            )
+        _require_full_rank(reduced, Q2, size)
         Qr, Rr = np.linalg.qr(reduced)
         theta = theta + Q2 @ solve_triangular(Rr, Qr.T @ (Y - Phi @ theta))
     return np.asarray(theta / size)
+
+
+def _require_full_rank(reduced: Array, Q2: Array, size: Array) -> None:
+    """Refuse regressors (N, k) of the free directions Q2 (d, k) that leave one undetermined."""
+    values, directions = np.linalg.svd(reduced, full_matrices=False)[1:]
+    rank = int(np.sum(values > 1e-12 * max(values.max(initial=0.0), TINY)))
+    if rank < Q2.shape[1]:
+        V = np.linalg.svd(reduced)[2] if len(values) < Q2.shape[1] else directions
+        lost = Q2 @ V[-1] / size
+        shown = ", ".join(f"{v:.3g}" for v in lost / np.abs(lost).max())
+        raise IdentifiabilityError(
+            f"constrained least squares: the regressors have rank {rank} where the constraints "
+            f"leave {Q2.shape[1]} directions free; undetermined: [{shown}]. Excite the system "
+            "there, or constrain that direction"
+        )

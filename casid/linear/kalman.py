@@ -303,11 +303,7 @@ def time_varying(
     whole = used is None or bool(np.all(used))
     mask = np.ones((N, s.ny), dtype=bool) if used is None else np.asarray(used, dtype=bool)
     P = _initial_covariance(s, P0)
-    limit: Predictor | None
-    try:
-        limit = steady_state(s)
-    except ModelError:
-        limit = None  # the time-varying predictor exists all the same
+    limit = _steady_state_or_none(s)
     last_gap = -1 if whole else int(np.flatnonzero(~mask.all(axis=1))[-1])
 
     x = np.zeros((N + 1, s.nx))
@@ -325,11 +321,7 @@ def time_varying(
                 break
         now = s if whole or mask[t].all() else _without(s, mask[t])
         F[t], K, after = step(now, P)
-        if not np.all(np.isfinite(F[t])) or np.linalg.eigvalsh(F[t])[0] <= 0.0:
-            raise ModelError(
-                f"the innovation covariance at sample {t} is singular; give every output some "
-                "measurement noise, or a P0 that is positive definite"
-            )
+        _refuse_singular(F[t], t)
         e[t] = np.where(mask[t], y[t] - s.C @ x[t] - known[t], 0.0)
         x[t + 1] = s.A @ x[t] + driven[t] + K @ e[t]
         P = after
@@ -338,6 +330,21 @@ def time_varying(
         e[converged:], x[converged:], F[converged:] = rest.innovations, rest.x, limit.F
         P = limit.P
     return Filtered(e, F, x, P, converged, log_likelihood(e, F, int(mask.sum())))
+
+
+def _steady_state_or_none(s: NoisySystem) -> Predictor | None:
+    try:
+        return steady_state(s)
+    except ModelError:
+        return None  # the time-varying predictor exists all the same
+
+
+def _refuse_singular(F: Array, t: int) -> None:
+    if not np.all(np.isfinite(F)) or np.linalg.eigvalsh(F)[0] <= 0.0:
+        raise ModelError(
+            f"the innovation covariance at sample {t} is singular; give every output some "
+            "measurement noise, or a P0 that is positive definite"
+        )
 
 
 def log_likelihood(innovations: Array, covariances: Array, count: int | None = None) -> float:

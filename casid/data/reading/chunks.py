@@ -13,7 +13,7 @@ from casid.data.reading.clocks import GAP, UNIFORM, time_faults
 from casid.data.reading.columns import Columns, ColumnSpec, resolve
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.tables import Table
-from casid.data.record import FloatArray
+from casid.data.record import BoolArray, FloatArray
 from casid.errors import DataError
 from casid.model.units import to_si
 
@@ -59,31 +59,18 @@ def iter_chunks(
         chunk: dict[str, FloatArray] = {}
         for channel, spec in specs.items():
             numbers = numbers_of(table, frame, channel, spec, found, skip_text=columns is None)
-            if numbers is not None and not gaps and not np.isfinite(numbers).all():
+            if numbers is None:
+                continue
+            if not gaps and not np.isfinite(numbers).all():
                 found.faults.append(non_finite(table, channel, spec, numbers, rows, None))
-            if numbers is not None:
-                chunk[channel] = to_si(numbers, spec.unit or "1", spec.target)
+            chunk[channel] = to_si(numbers, spec.unit or "1", spec.target)
         times = None if clock is None else times_of(table, frame, clock, found)
         holes: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
         if times is not None and times.size > (last is None):
             joined = times if last is None else np.concatenate(([last], times))
             median = float(np.median(np.diff(times))) if median is None else median
-            clock_faults = time_faults(joined, table.path.name)
-            found.faults += [f for f in clock_faults if f.kind == "order" or not gaps]
-            slow = np.abs(np.diff(joined) - median) > UNIFORM * median * (1 + 1e-9)
-            if gaps:
-                long = np.diff(joined) > GAP * median
-                slow &= ~long
-                holes = np.flatnonzero(long) + (1 if last is None else 0)
-            if slow.any() and not found.faults:
-                found.faults.append(
-                    Fault(
-                        "irregular",
-                        f"{table.path.name}: intervals leave 1 % of {median:.6g} s from "
-                        f"t = {joined[int(np.argmax(slow))]:.6g} s on.",
-                        "Read the part before and the part after by themselves.",
-                    )
-                )
+            long = _judge_clock(joined, median, gaps, found)
+            holes = np.flatnonzero(long) + (1 if last is None else 0)
             last = float(times[-1])
         if found.faults:
             raise DataError(str(found.faults[0]))
@@ -93,3 +80,28 @@ def iter_chunks(
             chunk = {name: np.insert(values, holes, np.nan) for name, values in chunk.items()}
         start += len(frame)
         yield chunk
+
+
+def _judge_clock(times: FloatArray, median: float, gaps: bool, found: Survey) -> BoolArray:
+    """Add the faults of the time stamps (n,) [s], compared with the first chunk's median interval.
+
+    Returns
+    -------
+    (n - 1,) intervals that are gaps let through; none where gaps are faults.
+    """
+    name = found.path.name
+    found.faults += [f for f in time_faults(times, name) if f.kind == "order" or not gaps]
+    intervals = np.diff(times)
+    slow = np.abs(intervals - median) > UNIFORM * median * (1 + 1e-9)
+    long = (intervals > GAP * median) & gaps
+    slow &= ~long
+    if slow.any() and not found.faults:
+        found.faults.append(
+            Fault(
+                "irregular",
+                f"{name}: intervals leave 1 % of {median:.6g} s from "
+                f"t = {times[int(np.argmax(slow))]:.6g} s on.",
+                "Read the part before and the part after by themselves.",
+            )
+        )
+    return np.asarray(long)

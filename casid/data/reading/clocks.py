@@ -54,22 +54,7 @@ def time_faults(
         return faults
     gaps = np.flatnonzero(intervals > GAP * median)
     if gaps.size:
-        shown = "; ".join(
-            f"{intervals[k]:.4g} s from t = {times[k]:.6g} s ({place(int(k))})" for k in gaps[:3]
-        )
-        edges = [0, *(int(k) + 1 for k in gaps), times.size]
-        longest = int(np.argmax(np.diff(edges)))
-        a, b = edges[longest], edges[longest + 1] - 1
-        faults.append(
-            Fault(
-                "gap",
-                f"{name}: {gaps.size} gap{'' if gaps.size == 1 else 's'} longer than {GAP:g} times "
-                f"the median interval of {median:.6g} s: {shown}{' ...' if gaps.size > 3 else ''}.",
-                f"Take the longest stretch with the window {times[a]:.6g}:{times[b]:.6g}, or "
-                f"resample with resample={median:.6g} (--resample {median:.6g}), which marks the "
-                "gaps missing.",
-            )
-        )
+        faults.append(_gap_fault(times, gaps, median, name, place))
     rest = off & ~(intervals > GAP * median)
     if rest.any():
         faults.append(
@@ -83,6 +68,31 @@ def time_faults(
             )
         )
     return faults
+
+
+def _gap_fault(
+    times: FloatArray,
+    gaps: NDArray[np.intp],
+    median: float,
+    name: str,
+    place: Callable[[int], str],
+) -> Fault:
+    """The fault of intervals `gaps`, the first three shown, and the longest stretch without one."""
+    shown = "; ".join(
+        f"{times[k + 1] - times[k]:.4g} s from t = {times[k]:.6g} s ({place(int(k))})"
+        for k in gaps[:3]
+    )
+    edges = [0, *(int(k) + 1 for k in gaps), times.size]
+    longest = int(np.argmax(np.diff(edges)))
+    a, b = edges[longest], edges[longest + 1] - 1
+    return Fault(
+        "gap",
+        f"{name}: {gaps.size} gap{'' if gaps.size == 1 else 's'} longer than {GAP:g} times "
+        f"the median interval of {median:.6g} s: {shown}{' ...' if gaps.size > 3 else ''}.",
+        f"Take the longest stretch with the window {times[a]:.6g}:{times[b]:.6g}, or "
+        f"resample with resample={median:.6g} (--resample {median:.6g}), which marks the "
+        "gaps missing.",
+    )
 
 
 def window_rows(

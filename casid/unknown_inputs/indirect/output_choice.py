@@ -120,16 +120,7 @@ def choose_output(
     unknown = transfer_matrix(G_I, Ts=Ts, values=values)
     m, n = unknown.shape
     names = tuple(measurements) or tuple(f"y{i + 1}" for i in range(m))
-    if len(names) != m:
-        raise ModelError(f"{len(names)} measurements are named, G_I has {m} rows; name each")
-    if m <= n:
-        raise ModelError(
-            f"{n} unknown inputs and {m} measurements leave no output; measure more signals than "
-            "there are unknown inputs"
-        )
-    for name in (*(noise or {}), *wanted):
-        if name not in names:
-            raise ModelError(f"no measurement {name!r}{nearest(name, names)}")
+    _require_measurements(names, unknown, (*(noise or {}), *wanted))
     known = None if G_K is None else transfer_matrix(G_K, Ts=Ts, values=values)
     loud = transfer_matrix(np.eye(m)) if H is None else transfer_matrix(H, Ts=Ts, values=values)
     for label, block in (("G_K", known), ("H", loud)):
@@ -138,15 +129,7 @@ def choose_output(
     sd = [float((noise or {}).get(name, 1.0)) for name in names]
     if H is not None and loud.shape[1] != m:
         sd = [1.0] * loud.shape[1]
-    forms, left_out = [], []
-    for inputs in combinations(range(m), n):
-        outputs = [i for i in range(m) if i not in inputs]
-        if any(names[i] in wanted for i in inputs):
-            continue
-        try:
-            forms.append(_form(unknown, known, loud, list(inputs), outputs, names, sd))
-        except ModelError as why:
-            left_out.append(f"inputs {', '.join(names[i] for i in inputs)}: {why}")
+    forms, left_out = _all_forms(unknown, known, loud, names, sd, wanted)
     if not forms:
         raise ModelError(
             f"no choice of inputs among {', '.join(names)} determines the unknown ones: "
@@ -154,6 +137,45 @@ def choose_output(
         )
     forms.sort(key=lambda f: (_rank(f.model), f.amplification))
     return OutputChoice(tuple(forms), tuple(left_out), _reason(forms))
+
+
+def _require_measurements(
+    names: tuple[str, ...], unknown: RationalMatrix, used: Sequence[str]
+) -> None:
+    """Refuse names that do not fit G_I, no more measurements than inputs, and strange names."""
+    m, n = unknown.shape
+    if len(names) != m:
+        raise ModelError(f"{len(names)} measurements are named, G_I has {m} rows; name each")
+    if m <= n:
+        raise ModelError(
+            f"{n} unknown inputs and {m} measurements leave no output; measure more signals than "
+            "there are unknown inputs"
+        )
+    for name in used:
+        if name not in names:
+            raise ModelError(f"no measurement {name!r}{nearest(name, names)}")
+
+
+def _all_forms(
+    unknown: RationalMatrix,
+    known: RationalMatrix | None,
+    H: RationalMatrix,
+    names: tuple[str, ...],
+    sd: list[float],
+    wanted: Sequence[str],
+) -> tuple[list[Form], list[str]]:
+    """The forms of all choices that keep the wanted outputs, and why the other choices are none."""
+    m, n = unknown.shape
+    forms, left_out = [], []
+    for inputs in combinations(range(m), n):
+        outputs = [i for i in range(m) if i not in inputs]
+        if any(names[i] in wanted for i in inputs):
+            continue
+        try:
+            forms.append(_form(unknown, known, H, list(inputs), outputs, names, sd))
+        except ModelError as why:
+            left_out.append(f"inputs {', '.join(names[i] for i in inputs)}: {why}")
+    return forms, left_out
 
 
 def _form(

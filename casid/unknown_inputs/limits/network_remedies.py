@@ -89,14 +89,10 @@ def network_remedies(
         If there is no such module, its output has no sensor, or the network has symbols, is
         continuous or unstable.
     """
-    strange = [w for w in ways if w not in WAYS]
-    if strange:
-        raise ModelError(f"ways has {strange[0]!r}; choose among {', '.join(WAYS)}")
+    _refuse_strange(ways)
     sets, relations, refused = network_relations(network, module, known)
     system = network_signals(network)
-    Ts = system.Ts or 1.0
-    omega = (0.0, 0.1 * math.pi / Ts) if frequencies is None else tuple(map(float, frequencies))
-    points = ResponsePoints(edge_label(module), omega, Ts)
+    points = _response_points(module, frequencies, system.Ts or 1.0)
     truth = points.truth(network.module(*module))
     task = _Task(network, module, system, points, truth, lags, random_starts, solver)
     rows = []
@@ -107,6 +103,20 @@ def network_remedies(
     wanted = {} if accuracy is None else dict.fromkeys(points.names, accuracy)
     unknown = tuple(map(node_label, sets.sU))
     return Comparison(tuple(rows), points.names, unknown, N, wanted)
+
+
+def _refuse_strange(ways: Collection[str]) -> None:
+    strange = [w for w in ways if w not in WAYS]
+    if strange:
+        raise ModelError(f"ways has {strange[0]!r}; choose among {', '.join(WAYS)}")
+
+
+def _response_points(
+    module: Edge, frequencies: Sequence[float] | None, Ts: float
+) -> ResponsePoints:
+    """The frequencies given [rad/s], or 0 and a tenth of half the sampling frequency."""
+    omega = (0.0, 0.1 * math.pi / Ts) if frequencies is None else tuple(map(float, frequencies))
+    return ResponsePoints(edge_label(module), omega, Ts)
 
 
 def _for_all(orders: Orders, relation: Relation) -> Orders:

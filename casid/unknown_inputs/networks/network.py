@@ -176,15 +176,7 @@ def dynamic_network(
         If there is no node, a module is a self loop or joins an unknown node, variables or sample
         times differ, a module is improper, or the network is ill-posed (the minor is named).
     """
-    if not isinstance(modules, Mapping):
-        raise ModelError(
-            f"{name}: modules is a {type(modules).__name__}; give a mapping of (to, from) to a "
-            "transfer function, {('y', 'u'): G}"
-        )
-    read = {_checked_edge(edge, name): _module(edge, g, Ts, name) for edge, g in modules.items()}
-    if values:
-        _refuse_unknown_values(read.values(), values, name)
-        read = {edge: g.substitute(values) for edge, g in read.items()}
+    read = _read_modules(modules, Ts, values, name)
     known = _names(nodes, read, name)
     if not known:
         raise ModelError(
@@ -210,6 +202,22 @@ def dynamic_network(
     )
     require_well_posed(known, kept, name)
     return network
+
+
+def _read_modules(
+    modules: Mapping[Edge, Any], Ts: float | None, values: Mapping[str, Any] | None, name: str
+) -> dict[Edge, Rational]:
+    """The modules as rational functions, with numbers for the parameters that have values."""
+    if not isinstance(modules, Mapping):
+        raise ModelError(
+            f"{name}: modules is a {type(modules).__name__}; give a mapping of (to, from) to a "
+            "transfer function, {('y', 'u'): G}"
+        )
+    read = {_checked_edge(edge, name): _module(edge, g, Ts, name) for edge, g in modules.items()}
+    if values:
+        _refuse_unknown_values(read.values(), values, name)
+        read = {edge: g.substitute(values) for edge, g in read.items()}
+    return read
 
 
 def _checked_edge(edge: Any, name: str) -> Edge:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from casid.errors import ModelError
@@ -99,21 +99,10 @@ def node_sets(
     named_direct = qualified if direct is None else as_nodes(direct)
     claimed = as_nodes(indirect) if indirect is not None else None
     _refuse_both(named_direct if direct is not None else (), claimed or ())
-    for n in named_direct:
-        if n not in A or refused[n]:
-            raise ModelError(
-                f"{node_label(n)} is no direct observation of {labels(sU)}: "
-                f"{refused[n] if n in A else f'it is not among the additional nodes {labels(A)}'}"
-            )
+    _refuse_not_direct(named_direct, refused, sU)
     D = tuple(n for n in A if n in named_direct and n not in (claimed or ()))
     reached = tuple(n for n in A if n not in D and any((n, k) in network.modules for k in sU))
-    for n in claimed or ():
-        if n not in reached:
-            raise ModelError(
-                f"{node_label(n)} is no indirect observation: none of {labels(sU)} has a module "
-                f"into it, or it is not observable and additional. Those that are: "
-                f"{labels(reached)}"
-            )
+    _refuse_not_indirect(claimed or (), reached, sU)
     indirect_nodes = reached if claimed is None else tuple(n for n in reached if n in claimed)
     return NodeSets(
         target=target,
@@ -220,6 +209,29 @@ def _refuse_both(direct: Iterable[Node], indirect: Iterable[Node]) -> None:
             f"{labels(both)} is named both direct and indirect; a node whose modules from the "
             "unknown inputs are known is direct, any other indirect: name it in one of them"
         )
+
+
+def _refuse_not_direct(
+    named: Iterable[Node], refused: Mapping[Node, str], sU: tuple[Node, ...]
+) -> None:
+    """Refuse named direct nodes that are not additional (in A), or are refused for a reason."""
+    for n in named:
+        if n not in refused or refused[n]:
+            additional = tuple(refused)
+            why = refused.get(n, f"it is not among the additional nodes {labels(additional)}")
+            raise ModelError(f"{node_label(n)} is no direct observation of {labels(sU)}: {why}")
+
+
+def _refuse_not_indirect(
+    claimed: Iterable[Node], reached: tuple[Node, ...], sU: tuple[Node, ...]
+) -> None:
+    for n in claimed:
+        if n not in reached:
+            raise ModelError(
+                f"{node_label(n)} is no indirect observation: none of {labels(sU)} has a module "
+                f"into it, or it is not observable and additional. Those that are: "
+                f"{labels(reached)}"
+            )
 
 
 def _not_direct(network: Network, n: Node, sU: tuple[Node, ...], known: Collection[Edge]) -> str:

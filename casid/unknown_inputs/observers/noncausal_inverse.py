@@ -129,16 +129,8 @@ class NoncausalInverse:
         x = self.split.run(window @ self.drive.T)
         values = (window - x @ self.O.T) @ self.K.T
         start, end = self._transients(x, values, 0.1 * sd, cut)
-        if start + end >= N:
-            raise DataError(
-                f"{record.name}: {record.N} samples, but transients of the inverse take {start} "
-                f"from the start and {end} from the end; give a longer record, a lower band, or "
-                "use reconstruct_input"
-            )
-        if cut is not None:
-            from scipy.signal import sosfiltfilt
-
-            values = np.asarray(sosfiltfilt(cut, values, axis=0))
+        _refuse_short(record, start, end, N)
+        values = _band_limited(values, cut)
         pad = ((0, self.delay), (0, 0))
         values, x = np.pad(values, pad), np.pad(x, pad)
         valid = np.zeros(record.N, dtype=bool)
@@ -309,6 +301,24 @@ def _through(cut: Array, z: Array) -> Array:
     """The filter's transfer function at points z that are not zero."""
     powers = z[:, None] ** -np.arange(3.0)
     return np.asarray(np.prod((powers @ cut[:, :3].T) / (powers @ cut[:, 3:].T), axis=1))
+
+
+def _refuse_short(record: Record, start: int, end: int, N: int) -> None:
+    """Refuse a record of which transients from start and end leave none of the N estimates."""
+    if start + end >= N:
+        raise DataError(
+            f"{record.name}: {record.N} samples, but transients of the inverse take {start} "
+            f"from the start and {end} from the end; give a longer record, a lower band, or "
+            "use reconstruct_input"
+        )
+
+
+def _band_limited(values: Array, cut: Array | None) -> Array:
+    if cut is None:
+        return values
+    from scipy.signal import sosfiltfilt
+
+    return np.asarray(sosfiltfilt(cut, values, axis=0))
 
 
 def _cut(band: float | None, Ts: float) -> Array | None:

@@ -19,7 +19,10 @@ from casid.estimation.prediction_error.polynomial_estimation import prediction_e
 from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData
 from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit, without_noise
-from casid.unknown_inputs.networks.estimation.reference_responses import settled_responses
+from casid.unknown_inputs.networks.estimation.reference_responses import (
+    ReferenceResponses,
+    settled_responses,
+)
 
 OUTPUT = "output"
 ASSUMES = (
@@ -43,8 +46,6 @@ def joint(
     DataError, IdentifiabilityError, SolveError
         As `reference_responses` and `prediction_error`.
     """
-    from scipy.signal import lfilter
-
     nodes = {n: x for n, x in data.inputs.items() if n not in data.references}
     found = settled_responses({OUTPUT: data.y, **nodes}, data.references, lags, data.name)
     lags = found.lags
@@ -75,19 +76,8 @@ def joint(
     # Linearised: theta_hat - theta = -H^-1 sum psi d eps, d eps = A dh_j - sum (B/F) dh_k.
     criterion = PredictionErrors(layout, list(zip(outputs, records, strict=True)), [0] * len(size))
     psi, _ = criterion.jacobian(model.theta)
-    p = layout.split(model.theta)
-    filters: dict[str, tuple[Array, Array]] = {OUTPUT: (p.A, np.ones(1))}
-    for n, b, f in zip(layout.inputs, p.B, p.F, strict=True):
-        if n in nodes:
-            filters[n] = (-b, f)
-    scores = np.zeros((len(found.Z), layout.n))
     parts = psi.reshape(len(size), len(rest) + lags, layout.n)
-    for signal, (above, below) in filters.items():
-        # psi' times the Toeplitz matrix of the filter is the filter run backwards in time.
-        back = lfilter(above, below, parts[:, ::-1], axis=1)[:, ::-1][:, len(rest) :]
-        weights = back * np.array(size)[:, None, None]
-        moved = found.influence(weights.reshape(-1, layout.n).T)
-        scores += moved * found.residuals[signal][:, None]
+    scores = _scores(found, layout, model.theta, parts, np.array(size))
     change = np.linalg.solve(psi.T @ psi, scores.T).T
     return ModuleFit(
         layout,
@@ -97,3 +87,31 @@ def joint(
         tuple(notes),
         {"responses": f"{lags} lags of {', '.join(found.references)}; fit {model.fit:.1f} %"},
     )
+
+
+def _scores(
+    found: ReferenceResponses, layout: Layout, theta: Array, psi: Array, size: Array
+) -> Array:
+    """Sum psi d eps of every sample of the record, (N, n).
+
+    Parameters
+    ----------
+    psi : (references, samples at rest and lags, n) gradient of the prediction errors.
+    size : (references,) standard deviations of the references.
+    """
+    from scipy.signal import lfilter
+
+    p = layout.split(theta)
+    filters: dict[str, tuple[Array, Array]] = {OUTPUT: (p.A, np.ones(1))}
+    for n, b, f in zip(layout.inputs, p.B, p.F, strict=True):
+        if n in found.residuals:
+            filters[n] = (-b, f)
+    scores = np.zeros((len(found.Z), layout.n))
+    rest = psi.shape[1] - found.lags
+    for signal, (above, below) in filters.items():
+        # psi' times the Toeplitz matrix of the filter is the filter run backwards in time.
+        back = lfilter(above, below, psi[:, ::-1], axis=1)[:, ::-1][:, rest:]
+        weights = back * size[:, None, None]
+        moved = found.influence(weights.reshape(-1, layout.n).T)
+        scores += moved * found.residuals[signal][:, None]
+    return scores
