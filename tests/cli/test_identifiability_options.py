@@ -420,7 +420,7 @@ BAD_EQUATIONS = {
     ),
     "division by zero": (
         'equations = { x = "a*x/(u - u)" }\noutputs = { y = "x" }',
-        ["equations.x", "division by zero", "mend the denominator"],
+        ["equations.x", "division by zero", "correct the denominator"],
     ),
     "division by a zero that no simplification shows": (
         'equations = { x = "a*x/((x + u)**2 - x**2 - 2*x*u - u**2)" }\noutputs = { y = "x" }',
@@ -429,7 +429,7 @@ BAD_EQUATIONS = {
     "an algebraic loop": (
         'equations = { x = "a*p" }\noutputs = { y = "x" }\n'
         'definitions = { p = "q + 1", q = "p*x" }',
-        ["algebraic loop p -> q -> p", "solve it by hand"],
+        ["algebraic loop p -> q -> p", "solve it for one of them"],
     ),
     "an output in a formula": (
         'equations = { x = "a*x" }\noutputs = { y = "2*y + x" }',
@@ -452,7 +452,7 @@ BAD_EQUATIONS = {
         f'equations = {{ x = "{"(" * 5000}x{")" * 5000}" }}\noutputs = {{ y = "x" }}',
         ["equations.x", "nested", "substitute it"],
     ),
-    "half a file": ('equations = { x = "a*x"', ["not TOML", "line", "mend that line"]),
+    "half a file": ('equations = { x = "a*x"', ["not TOML", "line", "correct that line"]),
 }
 
 
@@ -472,7 +472,7 @@ def test_a_file_that_is_absent_is_refused_with_the_nearest_one(here):
 
 def test_broken_json_is_refused_with_its_line(here):
     Path("broken.json").write_text('{"states": ["x"],\n "params": [a]}')
-    refused(ask("broken.json"), "broken.json, line 2", "mend that line")
+    refused(ask("broken.json"), "broken.json, line 2", "correct that line")
 
 
 def test_profiles_of_what_is_not_unknown_are_refused(here):

@@ -186,7 +186,7 @@ def test_a_prepared_record_has_50_samples_a_second_and_no_mean():
 
 def test_asking_for_more_than_was_recorded_is_refused():
     run = rig.record(duration=2.0)
-    with pytest.raises(DataError, match=r"60 s are asked for.*record for longer"):
+    with pytest.raises(DataError, match=r"60 s are requested.*record for longer"):
         rig.prepared(run, duration=60.0)
 
 
