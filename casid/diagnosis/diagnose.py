@@ -105,16 +105,36 @@ def diagnose(
     )
     require_identifiable(problem.model, split.fitted, problem=problem, progress=settings.progress)
     # Evidence and search: the baseline, then rounds of candidates.
+    found, calibration = _found(problem, split, settings, calibrate)
+    return _concluded(problem, found, calibration, settings, plan=advise)
+
+
+def _found(
+    problem: Problem, split: Split, settings: DiagnosisSettings, runs: int
+) -> tuple[Findings, Calibration | None]:
+    """The findings, at the calibrated level where null records are requested and it differs."""
     found = _searched(problem, split, settings)
-    calibration: Calibration | None = None
-    if calibrate and not found.baseline.why_undecided:
-        calibration = _calibrated(problem, found, settings, calibrate)
-        if calibration.is_corrected:
-            settings.progress(f"repeat at level {calibration.threshold:.2g}")
-            found = _searched(problem, split, replace(settings, alpha=calibration.threshold))
-    # Verdict and advice.
+    if not runs or found.baseline.why_undecided:
+        return found, None
+    calibration = _calibrated(problem, found, settings, runs)
+    if calibration.is_corrected:
+        settings.progress(f"repeat at level {calibration.threshold:.2g}")
+        found = _searched(problem, split, replace(settings, alpha=calibration.threshold))
+    return found, calibration
+
+
+def _concluded(
+    problem: Problem,
+    found: Findings,
+    calibration: Calibration | None,
+    settings: DiagnosisSettings,
+    *,
+    plan: bool,
+) -> Diagnosis:
+    """Verdict and advice; `plan` as in `recommend`, `settings` with the requested level."""
+    false_alarm_rate = settings.alpha
     judged = judge(problem, found, false_alarm_rate)
-    advice = recommend(problem, found, judged, plan=advise)
+    advice = recommend(problem, found, judged, plan=plan)
     remainder = judged.remainder
     return Diagnosis(
         problem=problem.name,
@@ -135,7 +155,7 @@ def diagnose(
             calibration=calibration,
         ),
         origin=Origin(judged.baseline.provenance, versions(), SOURCES),
-        settings=_settings_in_words(found, fit_settings, false_alarm_rate),
+        settings=_settings_in_words(found, settings.fit, false_alarm_rate),
     )
 
 

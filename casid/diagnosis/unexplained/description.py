@@ -275,6 +275,17 @@ def _sentences(
                 f"Most of it lies between {b.low:.3g} and {b.high:.3g} Hz of {b.output}, "
                 f"{b.ratio:.2g} times the noise."
             )
+    return out + _sentences_in_time(found, occurrences, goes_with)
+
+
+def _sentences_in_time(
+    found: Sequence[MissingForce],
+    occurrences: Sequence[Occurrence],
+    goes_with: Sequence[tuple[str, float]],
+) -> list[str]:
+    """The line in the spectrum, the intervals, and the variable that the power goes with."""
+    best = found[0]
+    out = []
     force = best.over_time
     if force is None:
         force = next((m.over_time for m in found if m.over_time is not None), None)

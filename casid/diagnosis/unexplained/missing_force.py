@@ -186,12 +186,11 @@ def missing_force(
     dependences = _describe(regression, terms, joined, knots, total, at, seed)
     units = units_of(criterion.model, recorded)
     own = {v for g in groups for v in g.names}
-    is_balance = balance in criterion.model.balances
+    model = criterion.model
+    is_balance = balance in model.balances
     return MissingForce(
         place=balance,
-        unit=criterion.model.balances[balance].unit
-        if is_balance
-        else criterion.model.outputs[balance][1],
+        unit=model.balances[balance].unit if is_balance else model.outputs[balance][1],
         is_balance=is_balance,
         units={v: units.get(v, "") for v in own},
         misfit=regression.misfit,
