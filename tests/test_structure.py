@@ -1,4 +1,4 @@
-"""The shape of the code stays within its ceilings; `python -m tests.structure` lists what counts."""
+"""The shape of the code stays within its ceilings; `python -m tests.structure` lists entries."""
 
 from __future__ import annotations
 
