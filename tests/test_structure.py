@@ -8,7 +8,7 @@ from tests import structure
 
 # What was reached on 2026-11-22. A change that needs more is a change that wants another structure.
 CEILINGS = {
-    f"functions over {structure.LONG} lines": 45,
+    f"functions over {structure.LONG} lines": 40,
     f"functions over {structure.TOO_LONG} lines": 0,
     f"functions with more than {structure.MANY_PARAMETERS} parameters": 0,
     f"dataclasses with more than {structure.MANY_FIELDS} fields": 1,  # `Problem`, a public door

@@ -74,7 +74,8 @@ def _loaded(path: Path) -> Mapping[str, Any]:
     except json.JSONDecodeError as error:
         raise DataError(
             f"{path}, line {error.lineno}, column {error.colno}: not JSON ({error.msg}); correct "
-            "that line: names and formulas in double quotes, commas between entries, none at the end"
+            "that line: names and formulas in double quotes, commas between entries, none at the "
+            "end"
         ) from error
     except tomllib.TOMLDecodeError as error:
         raise DataError(
