@@ -23,7 +23,7 @@ class ModelError(CasidError):
 
 
 class IdentifiabilityError(CasidError):
-    """The model and experiments cannot give the parameters asked for."""
+    """The model and experiments do not identify the requested parameters."""
 
 
 class SolveError(CasidError):

@@ -70,7 +70,7 @@ class Campaign:
     name : of the function.
     table : pandas.DataFrame, one row a run in their order: `run`, the results, and `failed`, why a
         run has no results (missing where it has).
-    folder : where `results.parquet` lies, None where none was asked for.
+    folder : where `results.parquet` lies, None where none was requested.
     found : runs that an earlier call had done.
     deaths : workers that died on the way; their runs were done again.
     """
@@ -137,7 +137,7 @@ def campaign(
     stop_on_failure: bool = False,
     retries: int = 3,
 ) -> Campaign:
-    """Call `function` with the seed of every run, on the workers that joblib is told to use.
+    """Call `function` with the seed of every run, on the workers that joblib is configured to use.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def campaign(
     settings : what else the results depend on, plain values: kept in `campaign.json`, and held
         against it when a campaign is continued. Those of a `functools.partial` or of a dataclass
         are found by themselves.
-    progress : True draws a bar with the time left on standard error; a function is told a line now
+    progress : True draws a bar with the time left on standard error; a function gets a line now
         and then.
     batch : runs that a worker does in one go; by default as many as take two seconds.
     stop_on_failure : stop at the first run that raises, instead of recording it as failed.
@@ -175,8 +175,8 @@ def campaign(
         parts = Parts(folder, manifest, resume=resume)
         todo = _left_to_do(parts, runs)
         found = runs - len(todo)
-        with reported(progress, runs, found) as told:
-            work = _Work(function, seed, parts, told, batch, stop_on_failure, retries)
+        with reported(progress, runs, found) as report:
+            work = _Work(function, seed, parts, report, batch, stop_on_failure, retries)
             if todo:
                 work.do(todo)
         table = parts.end()
@@ -261,15 +261,15 @@ def _run_batch(function: Function | bytes, seed: int, runs: Sequence[int], stop:
 @contextlib.contextmanager
 def _interrupts() -> Iterator[Callable[[], None]]:
     """Remember a Ctrl-C that compiled code swallows, as solvers do; what is yielded raises it."""
-    asked = False
+    interrupted = False
 
     def remember(number: int, frame: Any) -> None:
-        nonlocal asked
-        asked = True
+        nonlocal interrupted
+        interrupted = True
         before(number, frame)
 
     def check() -> None:
-        if asked:
+        if interrupted:
             raise KeyboardInterrupt
 
     before: Any = signal.getsignal(signal.SIGINT)
@@ -291,13 +291,13 @@ class _Work:
         function: Function,
         seed: int,
         parts: Parts,
-        told: Callable[[int, int], None],
+        report: Callable[[int, int], None],
         batch: int | None,
         stop: bool,
         retries: int,
     ) -> None:
         self.function: Function | bytes = function
-        self.seed, self.parts, self.told = seed, parts, told
+        self.seed, self.parts, self.report = seed, parts, report
         self.stop, self.retries = stop, retries
         self.fixed = batch is not None
         self.size = batch or 1
@@ -420,7 +420,7 @@ class _Work:
             )
         self.handed.pop(done.rows[0][RUN], None)
         self.in_a_row = 0
-        self.told(len(done.rows), len(failed))
+        self.report(len(done.rows), len(failed))
         if not self.fixed and done.seconds > 0:
             fitting = int(_SECONDS * len(done.rows) / done.seconds)
             self.size = max(1, min(fitting, 2 * self.size, _LARGEST))

@@ -60,7 +60,7 @@ class Accuracy:
 
     Attributes
     ----------
-    truth : the simulator's value, None where it is not told.
+    truth : the simulator's value, None where it is not given.
     n : runs with an estimate.
     mean, spread : mean and standard deviation (divisor n - 1) of the estimates.
     mean_std_error : mean of the standard errors that the estimates report.

@@ -15,8 +15,8 @@ def reported(
     """How far the campaign is: called with the runs done and failed since the last call."""
     is_terminal = sys.stderr is not None and sys.stderr.isatty()
     if progress is True and is_terminal:
-        with _bar(runs, found) as told:
-            yield told
+        with _bar(runs, found) as report:
+            yield report
         return
     say = progress if callable(progress) else _say if progress else None
     start = last = time.monotonic()
@@ -64,13 +64,13 @@ def _bar(runs: int, found: int) -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=Console(stderr=True), speed_estimate_period=120) as shown:
         task = shown.add_task("runs", total=runs, completed=found)
 
-        def told(n: int, failed: int) -> None:
+        def report(n: int, failed: int) -> None:
             nonlocal failures
             failures += failed
             text = f"runs, {failures} failed" if failures else "runs"
             shown.update(task, advance=n, description=text)
 
-        yield told
+        yield report
 
 
 def _say(line: str) -> None:

@@ -243,7 +243,7 @@ def _agreement(a: FloatArray, b: FloatArray) -> tuple[NDArray[np.intp], FloatArr
     in_b = energy_b[k1 - lags] - energy_b[k0 - lags]
     overlap = (k1 - k0).astype(np.float64)
     # One gain for all lags, from the root mean squares: a decay shifted by a period keeps its
-    # shape but not its size, and is told apart by that.
+    # shape but not its size, which separates it.
     g = np.sqrt(np.mean(a**2) / np.mean(b**2))
     total = in_a + g**2 * in_b
     # A tenth of all the energy at least: two quiet stretches agree on nothing.

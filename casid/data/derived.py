@@ -137,7 +137,7 @@ def derive(
     ----------
     derived : name -> how to compute it.
     noise : source -> standard deviation of its white noise, SI; what it gives the derived channels
-        is told in the provenance.
+        is noted in the provenance.
 
     Returns
     -------

@@ -33,7 +33,7 @@ class Problem:
     name : short, for folders and reports.
     model : no unknown inputs left (see `Model.eliminate`).
     channels : model signal -> column of the file, with its unit after a colon ("roll_deg:deg")
-        where the column's name does not tell; signals not named have columns of their own name.
+        where the column's name has none; signals not named have columns of their own name.
     recorded : channels recorded beside the model's, name -> unit; candidate extra inputs. Columns
         of the same name are read where the file has them.
     derived : channels of the model, or recorded beside it, that no file has -> how they are
@@ -43,7 +43,7 @@ class Problem:
     time : the time column; found by name where not given.
     load_cases : name -> values of parameters known in that case.
     noise : channel -> standard deviation of its white noise, where known (SI units); that of a
-        derived channel's sources is carried through and told in the record's provenance.
+        derived channel's sources is propagated and noted in the record's provenance.
     example : returns the example experiments, or one record (their effect is for the diagnosis to
         find).
     simulate : takes a seed and returns experiments with noise drawn from it, for Monte Carlo

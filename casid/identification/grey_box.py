@@ -120,8 +120,8 @@ class Prediction:
         return f"<Prediction {self.estimate!r}>"
 
     def __str__(self) -> str:
-        said = ", ".join(f"{name} {sd:.4g}" for name, (sd, _) in self.noise.items())
-        return f"{self.estimate}\n  noise         standard deviations: {said}"
+        noise = ", ".join(f"{name} {sd:.4g}" for name, (sd, _) in self.noise.items())
+        return f"{self.estimate}\n  noise         standard deviations: {noise}"
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(str(self))}</pre>"

@@ -58,7 +58,7 @@ def identify(
     chosen = experiments_of(problem, experiments)
     split = split_records(chosen, hold_out)
     settings = settings or FitSettings(starts=problem.starts)
-    structural = "not asked, as there are constraints"
+    structural = "not checked, as there are constraints"
     if not settings.constraints:
         structural = require_identifiable(
             problem.model, split.fitted, own=settings.own, problem=problem, progress=progress

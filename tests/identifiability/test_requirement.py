@@ -238,7 +238,7 @@ def test_constraints_may_tell_what_the_records_do_not():
     """F/m = 4/3 from the record and F = 2 from the constraint: nobody asks the rank without it."""
     settings = casid.FitSettings(starts=1, constraints=[lambda p: p["F"] - 2.0])
     estimate = casid.identify(push(), both()[:1], settings=settings)
-    assert estimate.identifiability.structural == "not asked, as there are constraints"
+    assert estimate.identifiability.structural == "not checked, as there are constraints"
     assert estimate["F"] == pytest.approx(2.0)
     assert estimate["m"] == pytest.approx(1.5, rel=0.05)
 

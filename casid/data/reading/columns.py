@@ -45,7 +45,7 @@ Columns = Mapping[str, "ColumnSpec | str | Sequence[str | None]"]
 def unit_from_name(column: str) -> str | None:
     """Return the unit a column's name ends with: `phi_deg`, `phi [deg]`, `u (V)`; None without one.
 
-    Only units that can be read in one way count; `x_g` tells nothing.
+    Only units that can be read in one way count; `x_g` says nothing.
     """
     bracket = _BRACKET.fullmatch(column)
     if bracket and bracket[1]:

@@ -1,4 +1,4 @@
-"""Irregular samples onto a uniform grid, when asked for."""
+"""Irregular samples onto a uniform grid, on request."""
 
 from __future__ import annotations
 

@@ -181,7 +181,7 @@ def _is_even(
 def _record(
     channels: _Channels, found: Survey, resample: float | None, name: str, steps: list[str]
 ) -> Record | None:
-    """The record, resampled where that is asked for; None, with a fault noted, where it fails."""
+    """The record, resampled on request; None, with a fault noted, where it fails."""
     values, units, missing, times = channels.values, channels.units, channels.missing, found.times
     assert times is not None
     if resample is None:

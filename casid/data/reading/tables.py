@@ -144,7 +144,7 @@ class Table:
             "encoding": self.encoding,
             "skiprows": self.header_line + 1,
             "header": None,
-            # All columns are read: told to take a few, pandas drops surplus cells without a word,
+            # All columns are read: if it takes a few, pandas drops surplus cells without a word,
             # and a decimal comma in a comma file would pass.
             "names": [*self.columns, *(f"\0{i}" for i in range(self.trailing))],
             "skipinitialspace": True,
