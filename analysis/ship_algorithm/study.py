@@ -46,7 +46,7 @@ from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.nlp.solver import Solver
 from casid.identifiability.combinations.family import Family
 from casid.identifiability.combinations.family_estimate import AlongFamily, along_family
-from casid.identification.iterative_joint import (
+from casid.identification.iterative_joint_instruments import (
     BlackBoxSettings,
     IterativeJoint,
     family_values,

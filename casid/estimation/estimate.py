@@ -27,7 +27,7 @@ class Estimated:
     value: float
     unit: str
     known: bool = False
-    std_error: float | None = None  # None: known, or at a bound
+    std_error: float | None = None  # None: known, at a bound, or not identifiable
     start: float | None = None
     note: str = ""
 

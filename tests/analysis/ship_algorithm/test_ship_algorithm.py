@@ -34,7 +34,7 @@ from analysis.ship_algorithm.study import (
 from casid.errors import IdentifiabilityError
 from casid.estimation.moments.parts import parts_of
 from casid.identifiability.combinations.family_estimate import along_family
-from casid.identification.iterative_joint import family_values
+from casid.identification.iterative_joint_instruments import family_values
 from casid.identification.moment_estimators import least_squares
 from casid.identification.profile_interval import profile
 from problems.ship import TABLE_8_2
