@@ -331,7 +331,7 @@ def _equal_samples(
                 "Check the sensor's range; mark the plateau missing or cut it off with a window.",
             )
         )
-    is_new = run_start != plateau_start or not (findings or record.is_missing(name).any())
+    is_new = run_start != plateau_start or not (findings or mask.any())
     if run >= max(20, 0.01 * record.N) and is_new:
         findings.append(
             Finding(
