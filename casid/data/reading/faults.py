@@ -1,11 +1,14 @@
-"""What keeps a file from being a record."""
+"""What is found in a file: its columns, its record, and what keeps it from being one."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from casid.data.record import FloatArray, Record
+
+Kind = Literal["numeric", "time", "text", "empty"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,14 +24,46 @@ class Fault:
         return f"{self.text} {self.mend}"
 
 
+@dataclass(frozen=True, slots=True)
+class ColumnSurvey:
+    """One column of a file.
+
+    Attributes
+    ----------
+    name : as written in the file.
+    unit : the unit read from its name or the file, as written; None where there is none that can
+        be read in one way.
+    kind : "numeric", "time" (the time stamps, and dates), "text" or "empty".
+    Ts : sample time [s] of its values, longer than the file's where only every k-th row has one;
+        None where there are no time stamps, or they are irregular.
+    remarks : sentences: constant, a copy of another column, cells without a value ...
+    """
+
+    name: str
+    unit: str | None
+    kind: Kind
+    Ts: float | None
+    remarks: tuple[str, ...] = ()
+
+
 @dataclass(slots=True)
 class Survey:
-    """What was found in a file: the record where there is one, and every fault met on the way."""
+    """What was found in a file: its columns, the record where there is one, and every fault.
+
+    Attributes
+    ----------
+    record : None where the clock cannot be used.
+    times : the time stamps [s], None where they cannot be read.
+    columns : every column of the file, in order; empty where the file is no table.
+    clock : name of the time column; None where there is none.
+    """
 
     path: Path
     record: Record | None = None
     faults: list[Fault] = field(default_factory=list)
     times: FloatArray | None = None
+    columns: tuple[ColumnSurvey, ...] = ()
+    clock: str | None = None
 
     def with_fault(self, fault: Fault) -> Survey:
         """Itself, one fault more noted."""

@@ -71,6 +71,7 @@ def read_record(
         resample=resample,
         Ts=Ts,
         mark_missing=mark_missing,
+        describe=False,
     )
     return _sound_record(found)
 

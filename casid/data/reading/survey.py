@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from casid.data.reading.cells import non_finite, numbers_of, times_of
 from casid.data.reading.clocks import time_faults, window_rows
+from casid.data.reading.column_survey import column_surveys
 from casid.data.reading.columns import Columns, ColumnSpec, resolve
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.resampling import resampled
@@ -35,8 +36,13 @@ def survey(
     resample: float | None = None,
     Ts: float | None = None,
     mark_missing: bool = False,
+    describe: bool = True,
 ) -> Survey:
     """Read a file as `read_record` does, but collect the faults instead of raising at the first.
+
+    Parameters
+    ----------
+    describe : whether the columns are described (`Survey.columns`), used or not.
 
     Returns
     -------
@@ -49,11 +55,20 @@ def survey(
     _require_positive(resample=resample, Ts=Ts)
     found = Survey(source)
     try:
-        table, specs, clock, frame = _opened(source, columns, time, Ts)
-    except UnitError as error:
-        return found.with_fault(Fault("unit", str(error), ""))
+        table = Table(source)
+        frame = table.read(table.columns) if describe else None
     except DataError as error:
         return found.with_fault(Fault("file", str(error), ""))
+    try:
+        specs, clock = _resolved(table, columns, time, Ts)
+        if frame is None:
+            frame = table.read(_used(specs, clock))
+    except DataError as error:
+        if frame is not None:
+            found.columns = column_surveys(table, frame, None, None)
+        return found.with_fault(
+            Fault("unit" if isinstance(error, UnitError) else "file", str(error), "")
+        )
     N = len(frame)
     if N < 2:
         count = f"{N} sample{'' if N == 1 else 's'}"
@@ -65,8 +80,10 @@ def survey(
         found.times = Ts * np.arange(N, dtype=np.float64)
         steps.append(f"no time column; Ts = {Ts:g} s given, clock starts at 0")
     else:
-        found.times = times_of(table, frame, clock, found)
+        found.times, found.clock = times_of(table, frame, clock, found), clock.column
         steps.append(f"time column {clock.column} [{clock.unit}]")
+    if describe:
+        found.columns = column_surveys(table, frame, found.clock, found.times)
     rows: NDArray[np.intp] = np.arange(N)
     if found.times is not None and window is not None:
         inside = window_rows(source.name, found.times, window, found)
@@ -102,24 +119,27 @@ class _Channels:
     missing: dict[str, BoolArray] = field(default_factory=dict)
 
 
-def _opened(
-    source: Path,
+def _resolved(
+    table: Table,
     columns: Columns | None,
     time: str | ColumnSpec | Sequence[str | None] | None,
     Ts: float | None,
-) -> tuple[Table, dict[str, ColumnSpec], ColumnSpec | None, pd.DataFrame]:
-    """The table, the channels to read from it, its clock, and their cells."""
-    table = Table(source)
+) -> tuple[dict[str, ColumnSpec], ColumnSpec | None]:
+    """The channels to read from a table, and its clock; refused where there is none."""
     specs, clock = resolve(table, columns, time)
     if clock is None and Ts is None:
         alone = len(table.columns) == 1
         raise DataError(
-            f"{source.name}: no time column found among {', '.join(table.columns)}. "
+            f"{table.path.name}: no time column found among {', '.join(table.columns)}. "
             + ("Separate columns by comma, semicolon or tab. " if alone else "")
             + "Name it with time='column', or give the sample time with Ts=0.01."
         )
-    wanted = dict.fromkeys(s.column for s in (*specs.values(), *([clock] if clock else ())))
-    return table, specs, clock, table.read(list(wanted))
+    return specs, clock
+
+
+def _used(specs: Mapping[str, ColumnSpec], clock: ColumnSpec | None) -> list[str]:
+    """The columns that are read, each once."""
+    return list(dict.fromkeys(s.column for s in (*specs.values(), *([clock] if clock else ()))))
 
 
 def _channels(

@@ -15,6 +15,7 @@ from casid.data.reading.columns import ColumnSpec, unit_from_name
 from casid.data.reading.record_file import column_names, read_record
 from casid.data.reading.resampling import resample
 from casid.data.reading.sources import parse_case, parse_source, parse_window
+from casid.data.reading.survey import survey
 from casid.errors import DataError, UnitError
 from tests.support.shared import shared
 
@@ -452,3 +453,28 @@ def test_a_fault_between_two_chunks_is_seen(csv):
         list(iter_chunks(csv(rows(T, values, T)), {"phi": "phi_deg"}, size=10))
     with pytest.raises(DataError, match="size of at least 2"):
         next(iter_chunks(csv(rows(T)), size=1))
+
+
+# ---------------------------------------------------------------------- the columns
+
+
+def test_a_survey_says_what_every_column_is(csv):
+    """Also of a file that is no record: here the time stamps stand still."""
+    lines = [f"{k // 2},{k},{2 * k + 1},{k if k % 3 == 0 else ''},7,a," for k in range(12)]
+    path = csv("t_s,x [mm],twice,slow_V,flat,note,none\n" + "\n".join(lines) + "\n")
+    found = survey(path)
+    assert found.record is None
+    assert found.clock == "t_s"
+    kinds = {c.name: c.kind for c in found.columns}
+    assert list(kinds.values()) == ["time", *4 * ["numeric"], "text", "empty"]
+    named = {c.name: c for c in found.columns}
+    assert (named["x [mm]"].unit, named["slow_V"].unit, named["flat"].unit) == ("mm", "V", None)
+    assert named["twice"].remarks == ("a copy of column 'x [mm]', up to scale and offset",)
+    assert named["slow_V"].remarks == ("8 of 12 rows have no value",)
+    assert named["flat"].remarks == ("constant",)
+
+
+def test_a_slow_column_has_its_own_sample_time(csv):
+    lines = [f"{k / 10},{k},{k if k % 5 == 0 else ''}" for k in range(51)]
+    found = survey(csv("t,x,slow\n" + "\n".join(lines) + "\n"))
+    assert [c.Ts for c in found.columns] == pytest.approx([0.1, 0.1, 0.5])

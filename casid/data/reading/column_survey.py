@@ -1,0 +1,86 @@
+"""What each column of a table is: unit, kind, sample time, and remarks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casid.data.reading.cells import numbers_of
+from casid.data.reading.clocks import UNIFORM
+from casid.data.reading.columns import ColumnSpec, unit_from_name
+from casid.data.reading.faults import ColumnSurvey, Survey
+from casid.data.reading.tables import Table
+from casid.data.record import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+COPY = 1 - 1e-9
+"""Correlation from which a column is a copy of another, up to scale and offset."""
+
+
+def column_surveys(
+    table: Table, frame: pd.DataFrame, clock: str | None, times: FloatArray | None
+) -> tuple[ColumnSurvey, ...]:
+    """Survey every column of `frame`; `times` are the time stamps [s], where they can be read."""
+    numbers: dict[str, FloatArray] = {}
+    found = []
+    for name in table.columns:
+        if name == clock:
+            found.append(ColumnSurvey(name, unit_from_name(name), "time", _step(times)))
+            continue
+        entry = _survey_of(table, frame, name, times, numbers)
+        found.append(entry)
+    return tuple(found)
+
+
+def _survey_of(
+    table: Table,
+    frame: pd.DataFrame,
+    name: str,
+    times: FloatArray | None,
+    numbers: dict[str, FloatArray],
+) -> ColumnSurvey:
+    column = frame[name]
+    there = column.notna().to_numpy()
+    if not there.any():
+        return ColumnSurvey(name, None, "empty", None)
+    if column.dtype.kind in "mM":
+        return ColumnSurvey(name, None, "time", _step(times))
+    values = numbers_of(table, frame, name, ColumnSpec(name), Survey(table.path))
+    if values is None:
+        return ColumnSurvey(name, None, "text", None)
+    remarks = []
+    finite = np.isfinite(values)
+    if not finite.all():
+        remarks.append(f"{int((~finite).sum())} of {values.size} rows have no value")
+    if not finite.any() or np.ptp(values[finite]) == 0:
+        remarks.append("constant")
+    else:
+        twin = next((n for n, other in numbers.items() if _is_copy(values, other)), None)
+        if twin is not None:
+            remarks.append(f"a copy of column {twin!r}, up to scale and offset")
+        numbers[name] = values
+    step = None if times is None or times.size != values.size else _step(times[finite])
+    return ColumnSurvey(name, unit_from_name(name), "numeric", step, tuple(remarks))
+
+
+def _step(times: FloatArray | None) -> float | None:
+    """The sample time [s] of even time stamps."""
+    if times is None or times.size < 2:
+        return None
+    intervals = np.diff(times)
+    median = float(np.median(intervals))
+    if median <= 0 or np.any(np.abs(intervals - median) > UNIFORM * median * (1 + 1e-9)):
+        return None
+    return float(times[-1] - times[0]) / (times.size - 1)
+
+
+def _is_copy(a: FloatArray, b: FloatArray) -> bool:
+    """True where one is the other up to scale and offset."""
+    if a.size != b.size or not np.array_equal(np.isfinite(a), np.isfinite(b)):
+        return False
+    kept = np.isfinite(a)
+    x, y = a[kept] - a[kept].mean(), b[kept] - b[kept].mean()
+    return abs(float(x @ y)) >= COPY * float(np.sqrt((x @ x) * (y @ y)))
