@@ -1,4 +1,4 @@
-"""The errors casid raises on purpose: what went wrong, where, and how to mend it."""
+"""The errors casid raises on purpose: what went wrong, where, and how to correct it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class CasidError(Exception):
 
 
 class DataError(CasidError, ValueError):
-    """A record, file or channel cannot be used as it stands."""
+    """A record, file or channel cannot be used."""
 
 
 class UnitError(DataError):

@@ -1,4 +1,4 @@
-"""The manifest of a campaign: what its results depend on, held against what a folder has."""
+"""The manifest of a campaign: what its results depend on, compared with what a folder has."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 
 
 def difference(folder: Path, there: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """What a folder's manifest has otherwise than a new one, as a refusal with its mend."""
+    """What a folder's manifest has otherwise than a new one, as a refusal with its remedy."""
     a, b = _flat(there), _flat(new)
     differ = [
         f"{name} is {a.get(name, 'not given')} there and {b.get(name, 'not given')} now"
@@ -117,7 +117,7 @@ def _plain(name: str, value: Any) -> Any:
     if not _is_plain(value):
         raise DataError(
             f"setting {name!r} is {type(value).__name__}; give numbers, strings, and lists or "
-            "mappings of them, so that a later call can be held against it"
+            "mappings of them, so that a later call can be compared with it"
         )
     if isinstance(value, Mapping):
         return {str(k): _plain(name, v) for k, v in value.items()}

@@ -433,7 +433,7 @@ def _estimate_in(result: Any) -> Estimate:
 
 
 def accuracy(problem: Problem, done: Campaign) -> list[Accuracy]:
-    """The columns of a study, held against the problem's truth."""
+    """The columns of a study, compared with the problem's truth."""
     out = []
     for column in done.table.columns:
         if column + STD_ERROR not in done.table.columns:

@@ -164,7 +164,7 @@ class Parts:
     Raises
     ------
     DataError
-        If the folder cannot be used, saying what differs and how to mend it.
+        If the folder cannot be used, saying what differs and how to correct it.
     """
 
     def __init__(
@@ -297,7 +297,7 @@ def _told(folder: Path, state: str) -> Iterator[None]:
     except OSError as error:
         full = error.errno in _FULL
         why = "the disk is full" if full else error.strerror or str(error)
-        mend = "make room" if full else "mend that"
+        remedy = "make room" if full else "correct that"
         raise DataError(
-            f"{folder}: {why}; {state}. To continue, {mend} and repeat the same call"
+            f"{folder}: {why}; {state}. To continue, {remedy} and repeat the same call"
         ) from error

@@ -17,7 +17,7 @@ from casid.errors import DataError
 
 def say(text: str) -> None:
     """Write to standard error, where there is one."""
-    # Not click.echo: told of an ASCII stream, it writes UTF-8 all the same.
+    # Not click.echo: it writes UTF-8 to an ASCII stream all the same.
     with contextlib.suppress(OSError):
         if sys.stderr is not None:
             print(text, file=sys.stderr, flush=True)

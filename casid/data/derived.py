@@ -86,7 +86,7 @@ class Derived:
             raise DataError(
                 f"{record.name}: what derives {name} returned shape {values.shape} with "
                 f"{int(np.sum(~np.isfinite(values)))} samples that are not finite, where "
-                f"({record.N},) are needed; mend the function of casid.data.derived.Derived"
+                f"({record.N},) are needed; correct the function of casid.data.derived.Derived"
             )
         return values
 

@@ -16,6 +16,7 @@ from casid.data.reading.columns import Columns, ColumnSpec
 from casid.data.reading.faults import Survey
 from casid.data.reading.survey import survey
 from casid.data.record import BoolArray, FloatArray, Record
+from casid.deprecation import renamed
 from casid.presentation import Presented
 
 Severity = Literal["error", "warning", "note"]
@@ -29,11 +30,21 @@ class Finding:
     severity: Severity
     channel: str | None
     text: str
-    mend: str
+    remedy: str
+    mend = renamed("mend", "remedy")
 
     def __str__(self) -> str:
         where = f"{self.channel}: " if self.channel else ""
-        return f"{self.severity:<8} {where}{self.text} {self.mend}".rstrip()
+        return f"{self.severity:<8} {where}{self.text} {self.remedy}".rstrip()
+
+    def to_json(self) -> dict[str, str | None]:
+        """Return the finding as a dict of plain values."""
+        return {
+            "severity": self.severity,
+            "channel": self.channel,
+            "text": self.text,
+            "mend": self.remedy,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +70,7 @@ class ChannelCheck:
     drift : float
         Change of the least-squares straight line over the record.
     bandwidth_hz : float
-        Highest frequency at which the spectrum stands four times above the noise; 0 for none.
+        Highest frequency at which the spectrum is four times above the noise; 0 for none.
     """
 
     name: str
@@ -121,7 +132,7 @@ class CheckReport(Presented):
             "duration_s": self.duration,
             "clock": asdict(self.clock) if self.clock else None,
             "channels": [asdict(c) for c in self.channels],
-            "findings": [asdict(f) for f in self.findings],
+            "findings": [f.to_json() for f in self.findings],
             "provenance": list(self.provenance),
         }
 
@@ -237,7 +248,7 @@ class _Read:
 
 
 def _read(found: Survey) -> _Read:
-    faults = tuple(Finding("error", f.column, f.text, f.mend) for f in found.faults)
+    faults = tuple(Finding("error", f.column, f.text, f.remedy) for f in found.faults)
     name = found.record.name if found.record else found.path.name
     return _Read(found.record, name, found.times, faults)
 

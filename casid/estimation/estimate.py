@@ -11,6 +11,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.files import write_json
+from casid.deprecation import renamed
 from casid.estimation.covariance import Sampled, sample_through
 from casid.grouping import Grouped
 from casid.presentation import Presented, present
@@ -58,8 +59,9 @@ class Identifiability:
     rank: int
     unknowns: int
     smallest_singular_value: float  # columns scaled to length one
-    unseen: str = ""
+    undetermined: str = ""
     structural: str = ""  # exact rank of model and experiments, determined before the fit
+    unseen = renamed("unseen", "undetermined")
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -67,7 +69,7 @@ class Identifiability:
             "rank": self.rank,
             "unknowns": self.unknowns,
             "smallest_singular_value": self.smallest_singular_value,
-            "unseen": self.unseen,
+            "unseen": self.undetermined,
             "structural": self.structural,
         }
 

@@ -125,7 +125,7 @@ class EstimateBuilder:
         """A warning with the solver's status where it found no optimum."""
         if not solution.is_converged:
             self.warnings.append(
-                f"{solution.solver} stopped with {solution.status}: {solution.mend}"
+                f"{solution.solver} stopped with {solution.status}: {solution.remedy}"
             )
 
     def add_fit(self, record: str, output: str, rmse: float, nrmse: float) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from casid.data.problem import Problem
 from casid.data.record import Experiment
+from casid.deprecation import renamed
 from casid.errors import CasidError, IdentifiabilityError, SolveError
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.nlp.solver import Solver
@@ -75,7 +76,7 @@ class Invariants(Presented):
 
     Attributes
     ----------
-    told : parameters with a value and a standard error that no choice touches.
+    identifiable : parameters with a value and a standard error that no choice touches.
     moving : those that are a range.
     combinations : of the moving ones, determined in their place; in the names of the formulas.
     held : parameter -> value that was chosen.
@@ -85,16 +86,17 @@ class Invariants(Presented):
     """
 
     problem: str
-    told: Mapping[str, Estimated]
+    identifiable: Mapping[str, Estimated]
     moving: Mapping[str, Moving]
     combinations: tuple[Estimated, ...]
     held: Mapping[str, float]
     along: tuple[AlongFamily, ...]
     estimate: Any
     level: float
+    told = renamed("told", "identifiable")
 
     def __post_init__(self) -> None:
-        for name in ("told", "moving", "held"):
+        for name in ("identifiable", "moving", "held"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def interval(self, name: str) -> tuple[float, float]:
@@ -107,11 +109,11 @@ class Invariants(Presented):
         """
         if name in self.moving:
             return self.moving[name].interval
-        if name not in self.told:
+        if name not in self.identifiable:
             raise KeyError(
-                f"no parameter {name!r}; there are {', '.join((*self.told, *self.moving))}"
+                f"no parameter {name!r}; there are {', '.join((*self.identifiable, *self.moving))}"
             )
-        p = self.told[name]
+        p = self.identifiable[name]
         width = _width(self.level) * (np.nan if p.std_error is None else p.std_error)
         return p.value - width, p.value + width
 
@@ -121,7 +123,7 @@ class Invariants(Presented):
             "schema": "casid.invariants/1",
             "problem": self.problem,
             "level": self.level,
-            "told": {n: self._told(n) for n in self.told},
+            "told": {n: self._estimated_json(n) for n in self.identifiable},
             "combinations": [
                 {"formula": c.name, "value": c.value, "std_error": c.std_error}
                 for c in self.combinations
@@ -130,16 +132,15 @@ class Invariants(Presented):
             "held": dict(self.held),
         }
 
-    def _told(self, name: str) -> dict[str, Any]:
-        p = self.told[name]
+    def _estimated_json(self, name: str) -> dict[str, Any]:
+        p = self.identifiable[name]
         known = p.std_error is not None
         return {**p.to_json(), "interval": list(self.interval(name)) if known else None}
 
     def __repr__(self) -> str:
-        told = ", ".join(self.told) or "no parameter"
-        return (
-            f"<Invariants {self.problem}: told {told}; moving {', '.join(self.moving) or 'none'}>"
-        )
+        identifiable = ", ".join(self.identifiable) or "no parameter"
+        moving = ", ".join(self.moving) or "none"
+        return f"<Invariants {self.problem}: identifiable {identifiable}; moving {moving}>"
 
 
 def invariants(
@@ -345,12 +346,12 @@ def _report(
                 held=a.held,
                 ends=a.stopped_by,
             )
-    told = {
+    identifiable = {
         p.name: p for p in e.parameters if p.name in free and not p.known and p.name not in moving
     }
     return Invariants(
         problem=problem.name,
-        told=told,
+        identifiable=identifiable,
         moving={n: moving[n] for n in model.parameters if n in moving},
         combinations=_combinations(found, values, free, covariance),
         held=held,

@@ -23,6 +23,7 @@ import numpy as np
 from casid.arrays import TINY, Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment, Record
+from casid.deprecation import renamed
 from casid.errors import CasidError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance, whiteness
 from casid.estimation.fit_statistics import nrmse_fit, rms
@@ -67,7 +68,7 @@ class WrongSign:
     left: float = float("nan")
 
     @property
-    def mend(self) -> str:
+    def remedy(self) -> str:
         """What to do about it."""
         c = self.channel
         return (
@@ -77,6 +78,8 @@ class WrongSign:
             f"{self.unit!r}, {{'{c}_recorded': {self.unit!r}}}, "
             f"lambda record: -record['{c}_recorded'])}}, the file's column mapped to {c}_recorded"
         )
+
+    mend = renamed("mend", "remedy")
 
     def __str__(self) -> str:
         gains = ", ".join(
@@ -91,7 +94,7 @@ class WrongSign:
         others = f" (or {', '.join(self.rivals)}, which fits as well)" if self.rivals else ""
         return (
             f"the channel {self.channel} probably has the wrong sign, a scale of -1{others}: "
-            f"negated, it brings the rms error of {gains}. {self.mend}"
+            f"negated, it brings the rms error of {gains}. {self.remedy}"
         )
 
 

@@ -130,7 +130,7 @@ def check_units(model: Model) -> None:
     Raises
     ------
     ModelError
-        Naming the equation, the term, both dimensions, and the mend.
+        Naming the equation, the term, both dimensions, and the remedy.
     """
     units: dict[str, str] = {s.name: s.unit for s in model.states.values()}
     units |= {u.name: u.unit for u in model.inputs.values()}

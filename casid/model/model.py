@@ -345,7 +345,7 @@ class Model:
         new.eliminated_units[name] = new.inputs.pop(name).unit
         new.inputs[using] = Input(using, unit, "measured", "foh")
         new._eliminations.append((name, using, residual))
-        new.explicit()  # refuse here, where the user can mend it
+        new.explicit()  # refuse here, where the user can correct it
         return new
 
     def direct(self) -> Model:
@@ -454,7 +454,7 @@ class Model:
         return self._declare(entry.name)
 
     def substitute_symbol(self, name: str, expression: Expr) -> None:
-        """Replace a parameter or input by an expression wherever it stands (used by effects)."""
+        """Replace a parameter or input by an expression wherever it occurs (used by effects)."""
         self._swap(self._symbols[name], expression)
 
     def _swap(self, old: Any, expression: Expr) -> None:

@@ -282,7 +282,7 @@ def _parse(text: str) -> Unit:
         if entry.offset:
             if len(terms) > 1 or power != 1:
                 raise UnitError(
-                    f"unit {text!r}: {name} has an offset and stands for itself only. "
+                    f"unit {text!r}: {name} has an offset and can only be used alone. "
                     "Write K for temperature differences in products, quotients and powers."
                 )
             offset = entry.offset
@@ -437,7 +437,7 @@ def _with_power(name: str, power: Fraction) -> str:
 
 
 def same_dimension(a: str, b: str) -> bool:
-    """Tell whether two unit texts measure the same dimension (angles are dimensionless).
+    """Return whether two unit texts measure the same dimension (angles are dimensionless).
 
     Raises
     ------
@@ -508,7 +508,7 @@ def unit_names() -> tuple[str, ...]:
 
 
 def unit_aliases() -> dict[str, str]:
-    """Return the aliases and what each stands for."""
+    """Return the aliases and their meanings."""
     return dict(_ALIASES)
 
 

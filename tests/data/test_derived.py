@@ -134,7 +134,7 @@ def test_sources_that_cannot_be_used_are_named_with_the_mend():
     with pytest.raises(DataError, match="widen the window"):
         derive(record(21), {"a": ENTRY})
     short = Derived("m/s", {"v": "m/s"}, lambda r: r["v"][1:])
-    with pytest.raises(DataError, match=r"shape \(399,\).*mend the function"):
+    with pytest.raises(DataError, match=r"shape \(399,\).*correct the function"):
         derive(record(), {"a": short})
     with pytest.raises(ModelError, match="needs sources"):
         Derived("m/s", {}, lambda r: r["v"])

@@ -60,7 +60,7 @@ def test_a_clipped_signal_is_found_at_its_plateau():
     (finding,) = [f for f in check(record(y)).findings if "clipped" in f.text]
     assert finding.severity == "warning"
     assert "equal samples at the m" in finding.text
-    assert "mark the plateau missing" in finding.mend
+    assert "mark the plateau missing" in finding.remedy
 
 
 def test_the_flat_top_of_a_rounded_wave_is_no_clipping():
@@ -87,7 +87,7 @@ def test_isolated_spikes_are_counted_and_placed():
     assert report.channels[0].spikes == 3
     (finding,) = report.findings
     assert "t = 7, 15, 30 s" in finding.text
-    assert "mark_missing('y', mask)" in finding.mend
+    assert "mark_missing('y', mask)" in finding.remedy
 
 
 def test_steps_of_an_input_are_no_spikes():
@@ -109,7 +109,7 @@ def test_a_stuck_sensor_a_constant_and_a_copy_are_named():
 def test_an_angle_that_wraps_is_found_and_unwrapped_by_the_mend():
     angle = np.mod(0.9 * TIME + 0.1 * np.sin(TIME), 2 * np.pi)
     (finding,) = [f for f in check(record(angle, "rad")).findings if "wraps" in f.text]
-    assert "numpy.unwrap(record['y'])" in finding.mend
+    assert "numpy.unwrap(record['y'])" in finding.remedy
     mended = record(angle, "rad").with_channel("y", np.unwrap(angle), "rad")
     assert not any("wraps" in t for t in texts(check(mended)))
 
@@ -131,7 +131,7 @@ def test_findings_do_not_depend_on_the_unit(scale, sign):
     y = np.clip(smooth(), -5, 0.5)
     y[700] -= 0.9
     plain, scaled = check(record(y)), check(record(sign * scale * y))
-    assert [f.mend for f in plain.findings] == [f.mend for f in scaled.findings]
+    assert [f.remedy for f in plain.findings] == [f.remedy for f in scaled.findings]
     assert scaled.channels[0].noise == pytest.approx(scale * plain.channels[0].noise, rel=1e-9)
     assert scaled.channels[0].bandwidth_hz == plain.channels[0].bandwidth_hz
 
@@ -146,7 +146,7 @@ def test_all_faults_of_a_file_are_told_at_once(tmp_path):
     assert "line 3: 'x'" in errors[0].text
     assert "1 empty or NaN, 1 Inf" in errors[1].text
     assert "1 gap longer" in errors[2].text
-    assert all(f.mend for f in errors)
+    assert all(f.remedy for f in errors)
     assert report.clock is not None
     assert report.clock.interval_max == 6.0
 
@@ -174,7 +174,7 @@ def test_a_clock_that_drifts_is_noticed_although_every_interval_is_within_one_pe
     path = tmp_path / "drift.csv"
     path.write_text("t,y\n" + "".join(f"{t!r},{float(np.sin(t))!r}\n" for t in times.tolist()))
     (finding,) = [f for f in check(path).findings if "drifts" in f.text]
-    assert "Resample onto Ts = 0.09995" in finding.mend
+    assert "Resample onto Ts = 0.09995" in finding.remedy
 
 
 def test_the_report_as_json_is_plain_and_complete():

@@ -42,9 +42,12 @@ def nine(families) -> Invariants:
 
 
 def test_of_the_nine_parameters_only_the_height_of_the_load_is_told(nine):
-    assert list(nine.told) == ["zbar_m"]
+    assert list(nine.identifiable) == ["zbar_m"]
     assert set(nine.moving) == {"k", "A_x", "d", "K_r", "K_vdot", "K_delta", "z_f", "m"}
-    assert abs(nine.told["zbar_m"].value - V["zbar_m"]) < 4 * nine.told["zbar_m"].std_error
+    assert (
+        abs(nine.identifiable["zbar_m"].value - V["zbar_m"])
+        < 4 * nine.identifiable["zbar_m"].std_error
+    )
     low, high = nine.interval("m")
     assert low < V["m"] < high
     assert nine.moving["m"].spread < 1.0 < nine.moving["k"].spread
@@ -107,8 +110,8 @@ def test_least_squares_and_simulation_error_say_the_same_of_noiseless_records(fa
     found = casid.invariants(
         ship.nine_parameters(), made, casid.least_squares, hold={"z_f": V["z_f"]}, families=families
     )
-    assert list(found.told) == ["zbar_m"]
-    assert found.told["zbar_m"].value == pytest.approx(V["zbar_m"], rel=0.01)
+    assert list(found.identifiable) == ["zbar_m"]
+    assert found.identifiable["zbar_m"].value == pytest.approx(V["zbar_m"], rel=0.01)
     moved = along(found.estimate, families[0])
     for n in found.moving:
         np.testing.assert_allclose(found.moving[n].range, moved.ranges[n], rtol=1e-3)
@@ -160,7 +163,7 @@ def ratios():
 
 def test_of_a_mass_moved_by_a_scaled_force_only_ratios_are_told(ratios):
     found = casid.invariants(spring(), sprung(0), families=ratios)
-    assert list(found.told) == ["c"]
+    assert list(found.identifiable) == ["c"]
     assert {c.name for c in found.combinations} == {"k/M", "b/M", "d/M"}
     # The scaling ends where the first parameter meets a bound: lam = 5/b above, 0.1/b and so on.
     a = found.along[0]
@@ -178,7 +181,7 @@ def test_intervals_of_ratios_hold_the_truth_in_95_of_100_draws(ratios):
         found = casid.invariants(
             casid.Problem("spring", spring()), sprung(seed), once, hold={"M": 1.0}, families=ratios
         )
-        for p in (*found.combinations, *found.told.values()):
+        for p in (*found.combinations, *found.identifiable.values()):
             assert p.std_error is not None
             hits[p.name] += abs(p.value - wanted[p.name]) < 1.96 * p.std_error
     assert min(hits.values()) >= binom.ppf(0.001, 20, 0.95)
@@ -191,7 +194,7 @@ def test_where_all_is_told_nothing_is_held():
     found = casid.invariants(spring().with_known(M=2.0), sprung(0))
     assert not found.moving
     assert not found.held
-    assert set(found.told) == {"k", "d", "b", "c"}
+    assert set(found.identifiable) == {"k", "d", "b", "c"}
 
 
 def test_the_refusal_of_identify_names_the_way_out():

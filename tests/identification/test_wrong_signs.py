@@ -52,7 +52,7 @@ def test_the_yaw_gyro_and_the_accelerometer_of_a_ship_are_named(channel: str) ->
     assert found is not None
     assert found.channel == channel
     assert not found.rivals
-    assert f"-record[{channel!r}]" in found.mend
+    assert f"-record[{channel!r}]" in found.remedy
 
 
 def test_the_mend_of_the_message_ends_the_suspicion() -> None:
@@ -61,10 +61,10 @@ def test_the_mend_of_the_message_ends_the_suspicion() -> None:
     (found,) = [suspected(pendulum.problem, [wrong])]
     assert found is not None
     record = wrong.record
-    line = found.mend.split("in Python ")[1].split(";")[0]
+    line = found.remedy.split("in Python ")[1].split(";")[0]
     mended = eval(line, {"record": record})
     assert suspected(pendulum.problem, [casid.Experiment(mended, {}, "mended")]) is None
-    code = found.mend.split("in the problem file ")[1].split(", the file's")[0]
+    code = found.remedy.split("in the problem file ")[1].split(", the file's")[0]
     derived = eval(f"dict({code})", {"casid": casid})["derived"]
     turned = record.with_channel("gyro_recorded", record["gyro"], "rad/s").without("gyro")
     model = pendulum.problem.model
@@ -161,7 +161,7 @@ def test_instruments_tell_a_sign_that_the_simulation_error_does_not(noisy, chann
     found = wrong_sign(BUILT, negated(noisy, channel), ONE)
     assert found is not None
     assert found.channel == channel
-    assert f"-record[{channel!r}]" in found.mend
+    assert f"-record[{channel!r}]" in found.remedy
     if found.reference:
         assert found.reference == "delta"
         assert found.left < 0.1

@@ -50,7 +50,7 @@ def numbers_of(
             f"{table.path.name}: column {spec.column!r} (channel {channel}) holds "
             f"{int(text.sum())} values that are no numbers, the first at {table.place(first)}: "
             f"{str(column.iloc[first])!r}.",
-            "Mend the cells or leave them empty and read with mark_missing=True; for decimal "
+            "Correct the cells or leave them empty and read with mark_missing=True; for decimal "
             "commas use semicolons between columns.",
             spec.column,
         )
@@ -100,7 +100,7 @@ def times_of(
     if not np.isfinite(numbers).all():
         rows = np.arange(numbers.size)
         fault = non_finite(table, "t", clock, numbers, rows, None)
-        mend = "Mend the time stamps, or leave the column out and give Ts."
-        found.faults.append(replace(fault, mend=mend))
+        remedy = "Correct the time stamps, or leave the column out and give Ts."
+        found.faults.append(replace(fault, remedy=remedy))
         return None
     return to_si(numbers, clock.unit or "s", "s")

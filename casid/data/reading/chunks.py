@@ -42,7 +42,7 @@ def iter_chunks(
     Raises
     ------
     DataError
-        As `read_record`, at the chunk in which the fault is met; the clock is held against the
+        As `read_record`, at the chunk in which the fault is met; the clock is compared with the
         first chunk's median interval, across chunks too.
     """
     if size < 2:

@@ -26,7 +26,7 @@ def time_faults(
     name : str
         The record's name, for the messages.
     place : function of k
-        How to say where sample k stands.
+        The place of sample k in the file, as text.
 
     Returns
     -------
@@ -104,18 +104,18 @@ def window_rows(
     slack = (high - low) / max(times.size - 1, 1)
     span = f"{name} runs from {low:g} to {high:g} s of its own clock"
     label = f"window {limit_text(start)}:{limit_text(stop)} s"
-    problem = mend = ""
+    problem = remedy = ""
     tiny = 1e-6 * slack
     inside = np.flatnonzero((times >= start - tiny) & (times <= stop + tiny))
     if not start < stop:
-        problem, mend = "is empty or backward", "Give the earlier time first."
+        problem, remedy = "is empty or backward", "Give the earlier time first."
     elif any(np.isfinite(x) and not low - slack <= x <= high + slack for x in window):
         problem = "reaches outside the record"
-        mend = "Give a window inside that span, or leave an end open (12: or :194)."
+        remedy = "Give a window inside that span, or leave an end open (12: or :194)."
     elif inside.size < 2:
         problem = f"keeps {inside.size} samples"
-        mend = "Widen the window to at least two samples."
+        remedy = "Widen the window to at least two samples."
     if problem:
-        found.faults.append(Fault("window", f"{label} {problem}; {span}.", mend))
+        found.faults.append(Fault("window", f"{label} {problem}; {span}.", remedy))
         return None
     return inside

@@ -13,15 +13,15 @@ Kind = Literal["numeric", "time", "text", "empty"]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Something in a file that keeps it from being a record: what, where, and how to mend it."""
+    """Something in a file that keeps it from being a record: what, where, and how to correct it."""
 
     kind: str
     text: str
-    mend: str
+    remedy: str
     column: str | None = None
 
     def __str__(self) -> str:
-        return f"{self.text} {self.mend}"
+        return f"{self.text} {self.remedy}"
 
 
 @dataclass(frozen=True, slots=True)

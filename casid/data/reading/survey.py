@@ -175,8 +175,8 @@ def _channels(
         steps.append(f"column {spec.column} [{unit}] to {channel} [{kept}]")
     if not channels.values and not found.faults:
         text = f"{table.path.name}: no column of numbers beside the time stamps."
-        mend = f"The file holds {', '.join(table.columns)}; give a file with measurements."
-        found.faults.append(Fault("columns", text, mend))
+        remedy = f"The file holds {', '.join(table.columns)}; give a file with measurements."
+        found.faults.append(Fault("columns", text, remedy))
     return channels
 
 
@@ -211,8 +211,8 @@ def _record(
         return resampled(times, values, units, missing, resample, name, steps)
     except DataError as error:
         median = float(np.median(np.diff(times)))
-        mend = f"Resample nearer to the median interval, resample={median:.6g}."
-        found.faults.append(Fault("resample", str(error), mend))
+        remedy = f"Resample nearer to the median interval, resample={median:.6g}."
+        found.faults.append(Fault("resample", str(error), remedy))
         return None
 
 

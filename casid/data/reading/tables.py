@@ -97,7 +97,7 @@ class Table:
         if len(cells) > len(names):
             raise DataError(
                 f"{self.path.name}: the header names {len(names)} columns, the first row holds "
-                f"{len(cells)} values. Give every column a name, or mend the separator."
+                f"{len(cells)} values. Give every column a name, or correct the separator."
             )
         if self.separator == ";" and any(
             re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", c) for c in cells
@@ -196,7 +196,7 @@ class Table:
             raise self._broken(error) from None
 
     def place(self, row: int) -> str:
-        """Say where a row stands: the line of a CSV file, the row of a Parquet file (from 1)."""
+        """Return the place of a row: the line of a CSV file, the row of a Parquet file (from 1)."""
         if self.is_parquet:
             return f"row {row + 1}"
         for index, (line, _) in enumerate(self._rows()):

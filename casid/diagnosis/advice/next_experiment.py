@@ -1,10 +1,10 @@
-"""What to record next, to tell tied causes apart.
+"""What to record next, to distinguish tied causes.
 
 Each feasible experiment is predicted from the fitted model (`planned_records`); in it the tied
 causes have other signatures, whitened by the noise that is known and projected off the baseline's
-tangent as ever. Their cosine gives the energy needed to tell them (3) of `isolability`, and the
-energy that one unit of each gives, with the size estimated from the record at hand, how long the
-new record has to be. Linear in the causes' sizes, about the fitted model.
+tangent as ever. Their cosine gives the energy needed to distinguish them (3) of `isolability`, and
+the energy that one unit of each gives, with the size estimated from the record at hand, how long
+the new record has to be. Linear in the causes' sizes, about the fitted model.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Suspect:
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """A next experiment and what it would tell, of the pair that is hardest to tell in it.
+    """A next experiment, and what it determines of the pair that is hardest to distinguish.
 
     Attributes
     ----------

@@ -40,7 +40,7 @@ def recommend(
     table, base = found.search.first_table, found.baseline
     planned = _planned(problem, found, judged.causes) if plan else None
     if base.negated is not None:
-        text = base.negated.mend
+        text = base.negated.remedy
     elif judged.bounds and judged.verdict == "undecided":
         text = bound_advice(problem, judged.bounds)
     elif planned is not None:

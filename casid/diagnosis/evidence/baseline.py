@@ -88,7 +88,7 @@ def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) ->
     if not undecided and not fit.solution.is_converged:
         raise SolveError(
             f"{problem.name}: the model as it is could not be fitted "
-            f"({fit.solution.status}): {fit.solution.mend}"
+            f"({fit.solution.status}): {fit.solution.remedy}"
         )
     return Baseline(
         split=split,

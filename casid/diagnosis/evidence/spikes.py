@@ -151,7 +151,7 @@ def _fourth_moment(h: Array) -> float:
 def _mixture_cut(h: Array, largest_share: float) -> float | None:
     """|h| beyond which a sample is rather an error than noise; None if errors are not few.
 
-    A spike of variance w shows in h with s + w where it stands and s + w / 4 beside it, twice.
+    A spike of variance w shows in h with s + w where it occurs and s + w / 4 beside it, twice.
     Shares and variances by maximum likelihood; a tail that is merely heavy, or noise whose size
     changes, fits with a large share of errors hardly larger.
     """

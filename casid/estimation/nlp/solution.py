@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import TINY, Array
+from casid.deprecation import renamed
 from casid.errors import SolveError
 
 _REMEDIES = {
@@ -71,11 +72,13 @@ class Solution:
         return bool(self.scaled_gradient < 1e-5 and self.constraint_violation < 1e-6)
 
     @property
-    def mend(self) -> str:
+    def remedy(self) -> str:
         """What to try when it did not converge."""
         return _REMEDIES.get(
             self.status, "try other start values (starts=...), bounds, or fix a parameter"
         )
+
+    mend = renamed("mend", "remedy")
 
     @property
     def active(self) -> Mapping[str, str]:
@@ -118,7 +121,7 @@ class Solution:
                 f"{self.constraint_violation:.1e}"
             )
         if not self.is_converged:
-            lines.append(f"  mend: {self.mend}")
+            lines.append(f"  remedy: {self.remedy}")
         return "\n".join(lines)
 
     def _account(self) -> str:
@@ -140,7 +143,7 @@ def not_converged(program: str, solution: Solution) -> SolveError:
     return SolveError(
         f"{program}: {solution.solver} stopped with {solution.status} after "
         f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e},"
-        f" constraint violation {solution.constraint_violation:.1e}): {solution.mend}"
+        f" constraint violation {solution.constraint_violation:.1e}): {solution.remedy}"
     )
 
 

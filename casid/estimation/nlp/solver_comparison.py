@@ -335,7 +335,7 @@ def _reason(
     if not is_feasible:
         size = f"{solution.constraint_violation:.1e}"
         if math.isfinite(objective):
-            return f"does not meet the constraints (violation {size}): {solution.mend}"
+            return f"does not meet the constraints (violation {size}): {solution.remedy}"
         return (
             f"constraints violated by {size}, and every solver violates them: they contradict each "
             "other, at least near the start; drop one, or start elsewhere"

@@ -61,7 +61,7 @@ def at_circle(layout: Layout, theta: Array) -> tuple[str, float]:
 def failure(layout: Layout, solution: Solution) -> str:
     """Why a search ended without an optimum, and how to fix it."""
     name, radius = at_circle(layout, solution.x)
-    why = solution.mend
+    why = solution.remedy
     if radius > NEAR:
         why = (
             f"the search ran to a root of {name} of modulus {radius:.6f}, on the unit circle, "

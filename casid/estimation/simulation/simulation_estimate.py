@@ -44,7 +44,7 @@ ASSUMES = (
 def standing_channels(model: Model, experiments: Sequence[Experiment]) -> list[str]:
     """Warnings of channels that are constant or at a limit, inputs for a tenth of the record."""
     return [
-        f"{e.name}: {f.channel}: {f.text} {f.mend}"
+        f"{e.name}: {f.channel}: {f.text} {f.remedy}"
         for e in experiments
         for channels, least in ((model.inputs, 0.1), (model.outputs, 0.0))
         for f in standing(e.record, channels, least=least)

@@ -69,7 +69,7 @@ def evidence_table(estimates: Mapping[str, Estimate]) -> Html:
     columns = []
     for e in estimates.values():
         i = e.identifiability
-        seen = "all unknowns" if i.rank == i.unknowns else i.unseen or "not all unknowns"
+        seen = "all unknowns" if i.rank == i.unknowns else i.undetermined or "not all unknowns"
         facts = {
             "method": e.method,
             "status": e.status if e.is_converged else f"NOT converged: {e.status}",

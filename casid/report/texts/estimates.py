@@ -36,7 +36,7 @@ def estimate_document(estimate: Estimate) -> Document:
         for p in (*e.parameters, *e.initial_states)
     ]
     head = ("parameter", "unit", "estimate", "std. error", "start", "note")
-    seen = "all" if i.rank == i.unknowns else i.unseen
+    seen = "all" if i.rank == i.unknowns else i.undetermined
     identifiable = (
         f"{seen} (rank {i.rank} of {i.unknowns} at the estimate; smallest singular value "
         f"{i.smallest_singular_value:.2g}, scaled)"

@@ -116,7 +116,7 @@ def invariants_document(found: Invariants) -> Document:
             "--" if p.std_error is None else f"{p.std_error:.2g}",
             p.note,
         )
-        for p in found.told.values()
+        for p in found.identifiable.values()
     ]
     head: tuple[str, ...] = ("the same for every choice", "unit", "estimate", "std. error", "")
     rows = rows or ["  no single parameter"]

@@ -2,7 +2,7 @@
 
 A square matrix has one inverse. A tall one has many: inverses of square selections of its rows are
 tried first, the quietest of those that are proper and stable is taken, and where none is, a free
-observer gain (`casid.unknown_inputs.indirect.free_gain`) finds one if no zero stands in the way.
+observer gain (`casid.unknown_inputs.indirect.free_gain`) finds one if no zero prevents it.
 """
 
 from __future__ import annotations

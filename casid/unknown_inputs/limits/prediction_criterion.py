@@ -58,7 +58,7 @@ class PredictionCriterion:
         self.z = circle(len(signals))
         half = len(signals) // 2 + 1
         self._weight = np.full(half, 2.0 / len(signals))
-        self._weight[[0, -1]] /= 2  # what stands once on the circle
+        self._weight[[0, -1]] /= 2  # frequencies that occur once on the circle
         self._half, self._factors = self.z[:half], self._spectral_factors()[:half]
         self.unit = max(float(np.sum(self._weight @ np.abs(self._factors[:, 0]) ** 2)), TINY)
         x = ca.SX.sym("x", layout.n)

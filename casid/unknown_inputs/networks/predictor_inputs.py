@@ -32,7 +32,7 @@ from casid.unknown_inputs.networks.separators import disjoint_open_paths
 
 @dataclass(frozen=True, slots=True)
 class InputSet:
-    """Predictor inputs that suffice, and what stands in the way of least squares on them.
+    """Predictor inputs that suffice, and what makes least squares on them biased.
 
     Attributes
     ----------

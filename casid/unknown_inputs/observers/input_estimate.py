@@ -23,7 +23,7 @@ class InputEstimate:
         nothing is known.
     x : (N, nx) the states that go with them.
     valid : (N,) bool, False near the ends of the record where transients have not died out.
-    band : for each input (low, high) [rad/s], where its spectrum stands out of the noise's; None
+    band : for each input (low, high) [rad/s], where its spectrum exceeds the noise's; None
         where that was not requested.
     levels : name -> standard deviation of what noise was assumed or found.
     assumed : what the standard deviations take for granted.

@@ -206,7 +206,7 @@ class NoncausalInverse:
     def _bands(
         self, values: Array, noise: Mapping[str, float]
     ) -> tuple[tuple[float, float] | None, ...]:
-        """Where the estimate's spectrum stands out of the noise's, by Welch's method."""
+        """Where the estimate's spectrum exceeds the noise's, by Welch's method."""
         from scipy.signal import welch
 
         Ts = self.system.Ts

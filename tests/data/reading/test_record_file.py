@@ -1,4 +1,4 @@
-"""Files become records in SI units, or are refused with the place and the mend."""
+"""Files become records in SI units, or are refused with the place and the remedy."""
 
 from __future__ import annotations
 
@@ -205,14 +205,14 @@ def test_a_source_may_carry_its_window_and_load_case():
 
 
 @pytest.mark.parametrize(
-    ("text", "mend"),
+    ("text", "remedy"),
     [("run.csv@a:3", "12:194"), ("run.csv@5:5", "earlier time first"), ("run.csv@9:3", "earlier"),
      ("run.csv@12", "12: and :194"), ("@1:2", "run.csv@12:194"), ("run.csv@1:2:3", "12:194")],
 )  # fmt: skip
-def test_a_window_that_cannot_be_read_is_refused_with_an_example(text, mend):
+def test_a_window_that_cannot_be_read_is_refused_with_an_example(text, remedy):
     with pytest.raises(DataError) as caught:
         parse_source(text)
-    assert mend in str(caught.value)
+    assert remedy in str(caught.value)
 
 
 def test_an_empty_load_case_is_refused():
@@ -247,7 +247,7 @@ def test_a_window_outside_the_record_is_refused_with_the_record_s_own_span(csv):
 
 
 @pytest.mark.parametrize(
-    ("text", "what", "mend"),
+    ("text", "what", "remedy"),
     [
         ("", "the file is empty", "Export the measurement again"),
         ("\n\n", "no header and no samples", "Export the measurement again"),
@@ -258,9 +258,9 @@ def test_a_window_outside_the_record_is_refused_with_the_record_s_own_span(csv):
         ("t,y\n0,1,2\n1,2,3\n", "names 2 columns, the first row holds 3", "Give every column"),
         ("t,y\n0,1\n1,2,3,4\n2,3\n", "table is broken.*line 3", "as many values"),
         ("t,y\n0,a\n1,b\n", "no column of numbers", "with measurements"),
-        ("t,y\n0,1\nx,2\n2,3\n", "'t'.*holds 1 values that are no numbers.*line 3: 'x'", "Mend"),
+        ("t,y\n0,1\nx,2\n2,3\n", "'t'.*holds 1 values that are no numbers.*line 3: 'x'", "Correct"),
         ("t,y\n0,1\n,2\n2,3\n", r"'t'.*1 empty or NaN, 0 Inf.*line 3", "give Ts"),
-        ("t,y\n0,1\n1,off\n\n2,x\n", "'y'.*2 values that are no numbers.*line 3: 'off'", "Mend"),
+        ("t,y\n0,1\n1,off\n\n2,x\n", "'y'.*2 values that are no numbers.*line 3: 'off'", "Correct"),
         ("t,y\n0,1\n\n1,\n2,inf\n", r"'y'.*2 samples.*1 empty or NaN, 1 Inf.*line 4", "mark_miss"),
         (
             "t,y\n0,1\n1,2\n1,3\n0,2\n2,4\n",
@@ -269,10 +269,10 @@ def test_a_window_outside_the_record_is_refused_with_the_record_s_own_span(csv):
         ),
     ],
 )
-def test_a_file_that_is_no_record_is_refused_with_place_and_mend(csv, text, what, mend):
+def test_a_file_that_is_no_record_is_refused_with_place_and_remedy(csv, text, what, remedy):
     with pytest.raises(DataError, match=f"(?s){what}") as caught:
         read_record(csv(text), {"y": "y"} if "off" in text else None)
-    assert mend in str(caught.value)
+    assert remedy in str(caught.value)
     assert "run.csv" in str(caught.value)
 
 

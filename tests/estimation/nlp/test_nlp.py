@@ -244,7 +244,7 @@ def test_contradictory_constraints_say_so():
     assert "constraint violation 1.0e+00" in str(caught.value)
     returned = nlp.solve(throw=False)  # for studies over many starts
     assert not returned.is_converged
-    assert "drop one" in returned.mend
+    assert "drop one" in returned.remedy
 
 
 def test_an_objective_without_value_at_the_start_names_the_start():
@@ -395,7 +395,7 @@ def test_a_solution_names_its_variables():
     assert text[4].startswith("  1 constraint, largest violation ")
     short = nlp.solve(Solver(max_iterations=0), throw=False)
     assert "not converged" in repr(short)
-    assert str(short).splitlines()[-1] == f"  mend: {short.mend}"
+    assert str(short).splitlines()[-1] == f"  remedy: {short.remedy}"
 
 
 @SOLVERS

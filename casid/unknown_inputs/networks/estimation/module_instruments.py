@@ -137,7 +137,7 @@ def _from_all(
             if program.p_value(moments, end.x) > PLAUSIBLE:
                 break
         else:
-            why.append(f"{end.status}: {end.mend}")
+            why.append(f"{end.status}: {end.remedy}")
     if not ends:
         raise SolveError(
             "no start led to an optimum of the moment equations: "

@@ -195,7 +195,7 @@ def observation_choices(
     ObservationChoices
         Of at most 60 choices, the first in node order; each costs an elimination and a norm, some
         tenths of a second for a dozen nodes with numbers. A network with symbols, or in s, has no
-        such variances: its first choice stands for all. Where no choice can be run, a combination
+        such variances: its first choice represents all. Where no choice can be run, a combination
         of all observations is tried (`casid.unknown_inputs.indirect.left_inverse`).
 
     Raises
