@@ -64,6 +64,7 @@ from .linear.affine_hull import affine_hull
 from .linear.closed_loop import closed_loop_view
 from .linear.discretisation_bias import bias_table
 from .linear.linear_model import linearise
+from .model.clock_signals import Always, RampOver, StepAt, TimeSince
 from .model.effects.effect import Effect
 from .model.effects.user_effects import balance_effect, channel_effect, parameter_effect
 from .model.model import Model, Parameter
@@ -107,6 +108,7 @@ from .unknown_inputs.options import compare_unknown_input_options
 __version__: str
 
 __all__ = [
+    "Always",
     "Assessment",
     "Assumptions",
     "Calibration",
@@ -140,6 +142,7 @@ __all__ = [
     "Parameter",
     "Prior",
     "Problem",
+    "RampOver",
     "Rational",
     "Reconciliation",
     "Record",
@@ -150,7 +153,9 @@ __all__ = [
     "SolveError",
     "Solver",
     "StageSpec",
+    "StepAt",
     "System",
+    "TimeSince",
     "UnitError",
     "affine_hull",
     "assess_identifiability",

@@ -234,6 +234,23 @@ class Model:
         self.inputs[name] = Input(name, unit, "unknown")
         return self._declare(name)
 
+    def generated_input(
+        self,
+        name: str,
+        unit: str,
+        signal: Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]],
+        *,
+        hold: Hold = "foh",
+    ) -> Any:
+        """Declare an input that is a function of the record's clock, as `casid.StepAt(12.5)`.
+
+        `signal` is called with the times (N,) [s] and returns the samples (N,), SI units. What
+        depends on the clock of one record says nothing of another: in a record that is held out
+        as a whole the signal is zero.
+        """
+        self.inputs[name] = Input(name, unit, "generated", hold, signal)
+        return self._declare(name)
+
     def parameter(
         self,
         name: str,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.model.clock_signals import RampOver, StepAt
 from casid.model.effects.effect import Effect, Spread
 from casid.model.model import Input, Model, Parameter
 from casid.model.units import unit_quotient
@@ -28,13 +28,8 @@ def parameter_jump(model: Model, name: str, time: float) -> Effect:
     """
     old = model.parameters[name]
 
-    def step(t: Array) -> Array:
-        # A fraction where the jump falls between two samples, so that its time moves smoothly.
-        Ts = t[1] - t[0]
-        return np.asarray(np.clip((t - time) / Ts + 0.5, 0.0, 1.0))
-
     def apply(new: Model, names: Sequence[str]) -> None:
-        s = new.add_input(Input(f"step at {time:.9g} s", "1", "generated", "zoh", step))
+        s = new.add_input(Input(f"step at {time:.9g} s", "1", "generated", "zoh", StepAt(time)))
         new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
 
     p = Parameter(f"jump_{name}", old.unit, 0.0)
@@ -52,12 +47,9 @@ def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Eff
     start, stop = window
     old = model.parameters[name]
 
-    def ramp(t: Array) -> Array:
-        return np.asarray((t - 0.5 * (start + stop)) / (stop - start))
-
     def apply(new: Model, names: Sequence[str]) -> None:
         entry = f"share of the time from {start:.9g} to {stop:.9g} s, from its middle"
-        s = new.add_input(Input(entry, "1", "generated", "foh", ramp))
+        s = new.add_input(Input(entry, "1", "generated", "foh", RampOver(start, stop)))
         new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
 
     p = Parameter(f"drift_{name}", old.unit, 0.0)

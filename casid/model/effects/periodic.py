@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from casid.arrays import Array
+from casid.model.clock_signals import Always, TimeSince
 from casid.model.effects.effect import Effect
 from casid.model.model import Input, Model, Parameter
 
@@ -31,12 +31,10 @@ def periodic_disturbance(
     middle, half = 0.5 * (start + stop), 0.5 / (stop - start)
     unit = model.balances[balance].unit
 
-    def since(t: Array) -> Array:
-        return np.asarray(t - middle)
-
     def apply(new: Model, names: Sequence[str]) -> None:
-        t = new.add_input(Input(f"time since {middle:.9g} s", "s", "generated", "foh", since))
-        on = new.add_input(Input("one on this clock", "1", "generated", "foh", np.ones_like))
+        since = Input(f"time since {middle:.9g} s", "s", "generated", "foh", TimeSince(middle))
+        t = new.add_input(since)
+        on = new.add_input(Input("one on this clock", "1", "generated", "foh", Always()))
         a, b, f = (new.symbol(name) for name in names)
         turn = 2 * np.pi * f * t
         new.add_term(balance, on * (a * ca.cos(turn) + b * ca.sin(turn)))
