@@ -15,6 +15,7 @@ from .diagnosis.diagnose import diagnose
 from .diagnosis.diagnosis import Diagnosis
 from .errors import CasidError, DataError, IdentifiabilityError, ModelError, SolveError, UnitError
 from .estimation.estimate import Estimate
+from .estimation.fitted.fitted_model import FittedModel
 from .estimation.moments.exogeneity import reference_depends_on
 from .estimation.moments.instruments import Instruments
 from .estimation.moments.moment_estimate import MomentEstimate
@@ -125,6 +126,7 @@ __all__ = [
     "Experiment",
     "FirstStage",
     "FitSettings",
+    "FittedModel",
     "IdentifiabilityError",
     "InputMeasurement",
     "Instruments",

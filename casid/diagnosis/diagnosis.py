@@ -15,6 +15,7 @@ from casid.diagnosis.unexplained.description import Unexplained
 from casid.diagnosis.verdict.cause import Alternative, Cause, Ranked, Verdict
 from casid.diagnosis.verdict.remainder import Moved, Remaining
 from casid.estimation.estimate import Estimate, Origin, RecordView
+from casid.estimation.fitted.fitted_model import FittedModel
 from casid.grouping import Grouped
 from casid.presentation import Presented, present, write
 
@@ -143,6 +144,14 @@ class Diagnosis(Presented):
     def __repr__(self) -> str:
         named = ", ".join(f"{c.kind}({c.where})" for c in self.causes) or "no cause"
         return f"<Diagnosis {self.problem}: {self.verdict}, {named}>"
+
+    @property
+    def model(self) -> FittedModel | None:
+        """The extended model with its fitted values; where nothing was added, the model as it is.
+
+        Spoilt samples (`outliers`, `saturation`) were left out of the fit and are no part of it.
+        """
+        return (self.extended or self.baseline).model
 
     @property
     def estimates(self) -> dict[str, Estimate]:

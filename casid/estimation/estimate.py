@@ -13,6 +13,7 @@ from casid.arrays import Array
 from casid.data.files import write_json
 from casid.deprecation import renamed
 from casid.estimation.covariance import Sampled, sample_through
+from casid.estimation.fitted.fitted_model import FittedModel
 from casid.grouping import Grouped
 from casid.presentation import Presented, present
 
@@ -138,6 +139,14 @@ class Origin:
     sources: tuple[str, ...] = ()  # papers behind the methods
 
 
+@dataclass(frozen=True, slots=True)
+class Trust:
+    """What else bears on the trust in an estimate."""
+
+    evidence: Mapping[str, str] = field(default_factory=dict)  # what was looked at -> sentence
+    suspects: tuple[str, ...] = ()  # of the record: a channel with the wrong sign, and its remedy
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate(Presented):
     """Values, covariance, what it assumes, solver evidence, fit and provenance."""
@@ -155,8 +164,8 @@ class Estimate(Presented):
     warnings: tuple[str, ...] = ()
     origin: Origin = field(default_factory=Origin)
     records: tuple[RecordView, ...] = ()  # measured and simulated signals, for figures
-    evidence: Mapping[str, str] = field(default_factory=dict)  # what else bears on trust: sentences
-    suspects: tuple[str, ...] = ()  # of the record: a channel with the wrong sign, and its remedy
+    trust: Trust = Trust()
+    model: FittedModel | None = None  # with the estimated values; None where it has no states
 
     def __getitem__(self, name: str) -> float:
         """The value of a parameter or initial state."""
@@ -189,6 +198,8 @@ class Estimate(Presented):
     held_out_fit: ClassVar[Grouped[Measure]] = Grouped("held_out", "nrmse")
     whiteness: ClassVar[Grouped[Mapping[str, str]]] = Grouped("fit")
     fit_is: ClassVar[Grouped[str]] = Grouped("fit", "measured_by")
+    evidence: ClassVar[Grouped[Mapping[str, str]]] = Grouped("trust")
+    suspects: ClassVar[Grouped[tuple[str, ...]]] = Grouped("trust")
     provenance: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
     versions: ClassVar[Grouped[Mapping[str, str]]] = Grouped("origin")  # Package -> version
     sources: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")

@@ -18,9 +18,11 @@ from casid.estimation.estimate import (
     Identifiability,
     Origin,
     SolverEvidence,
+    Trust,
     Uncertainty,
 )
 from casid.estimation.fit_statistics import nrmse_fit, rms
+from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.local_rank import LocalRank, describe_null, local_rank
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.unknowns import Variable
@@ -158,6 +160,7 @@ class EstimateBuilder:
         held_out: Agreement | None = None,
         measured_by: str = Agreement().measured_by,
         evidence: Mapping[str, str] | None = None,
+        model: FittedModel | None = None,
     ) -> Estimate:
         """The estimate; known parameters without a row are added to it."""
         self.add_known()
@@ -174,7 +177,8 @@ class EstimateBuilder:
             units=self.units,
             warnings=tuple(dict.fromkeys(self.warnings)),
             origin=origin,
-            evidence=evidence or {},
+            trust=Trust(evidence or {}),
+            model=model,
         )
 
 

@@ -70,7 +70,7 @@ def identify(
     return replace(
         estimate,
         records=record_views(fit, None, split),
-        suspects=() if suspect is None else (str(suspect),),
+        trust=replace(estimate.trust, suspects=() if suspect is None else (str(suspect),)),
         identifiability=replace(estimate.identifiability, structural=structural),
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from casid.data.problem import Problem
@@ -11,6 +11,7 @@ from casid.diagnosis.evidence.sufficiency import weak_parameters
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
 from casid.diagnosis.verdict.causes import causes_of, with_the_sign
+from casid.diagnosis.verdict.extended_model import extended_model
 from casid.diagnosis.verdict.gain import (
     Errors,
     bounds_met,
@@ -68,6 +69,8 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     extended = None
     if extended_fit is not None:
         extended = estimate_of(problem, extended_fit, validation(extended_fit, start.split))
+        if extended.model is not None:
+            extended = replace(extended, model=extended_model(found, extended.model))
     fitted, held = errors_of(found)
     part = held if held.get("extended_rmse") else fitted
     causes = causes_of(found, extended or baseline)

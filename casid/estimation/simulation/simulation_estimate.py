@@ -19,6 +19,7 @@ from casid.estimation.estimate_builder import (
     solver_evidence,
 )
 from casid.estimation.fit_statistics import nrmse_fit, rms
+from casid.estimation.fitted.from_fit import fitted_model
 from casid.estimation.holdout import HeldOut
 from casid.estimation.simulation.minimization import Fit
 from casid.model.model import Model
@@ -92,6 +93,7 @@ def estimate_of(
         solver_evidence(solution, fit.starts_tried, fit.starts_agreeing),
         origin_of(criterion.experiments, SOURCES),
         held_out=_held_out(criterion.outputs, held),
+        model=fitted_model(problem, fit, covariance),
     )
 
 

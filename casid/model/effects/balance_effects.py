@@ -37,7 +37,8 @@ def coulomb_friction(model: Model, balance: str, speed: float) -> Effect:
         new.add_term(balance, -new.symbol(names[0]) * ca.tanh(new.symbol(b.rate) / speed))
 
     p = Parameter("F_c", b.unit, 0.0, lower=0.0)
-    return Effect("coulomb_friction", balance, (p,), apply, sided="positive")
+    constants = {"speed": speed}
+    return Effect("coulomb_friction", balance, (p,), apply, sided="positive", constants=constants)
 
 
 def cubic_stiffness(model: Model, balance: str) -> Effect | None:
@@ -85,7 +86,10 @@ def deadzone(model: Model, balance: str, width: float, largest: float = np.inf) 
 
     p = Parameter("gap", model.states[position].unit, 0.0, lower=0.0, upper=largest)
     limit = largest if np.isfinite(largest) else None
-    return Effect("deadzone", balance, (p,), apply, sided="positive", limit=limit)
+    constants = {"width": width}
+    return Effect(
+        "deadzone", balance, (p,), apply, sided="positive", limit=limit, constants=constants
+    )
 
 
 def effective_stiffness(model: Model, balance: str, position: str) -> Any | None:

@@ -52,6 +52,7 @@ def decoys(model: Model, balance: str, speed: float) -> list[Effect]:
             priority=PRIORITY,
             shape=shape,
             description=f"{what} {says}",
+            constants={"speed": speed} if shape.startswith("sqrt") else {},
         )
 
     def root(v: Any, _: Any) -> Any:
@@ -121,6 +122,7 @@ def power_law(model: Model, state: str, typical: float) -> Effect | None:
         priority=0,  # in a flow it is the law itself, and a constant force its tangent
         shape=f"|{state}|^n",
         description=f"a flow that grows with a power of {state}, not in proportion to it",
+        constants={"reference": typical},
     )
 
 

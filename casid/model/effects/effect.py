@@ -57,6 +57,8 @@ class Effect:
     variant : the value of what is searched rather than differentiated (the instant of a jump).
     shape : what distinguishes effects of one kind in one place ("p^3").
     description : the effect in words, where its kind is no name of `KINDS` that says it.
+    constants : numbers in it that are chosen rather than estimated, SI units: the `speed` below
+        which dry friction is smoothed, the `time` of a jump.
     """
 
     kind: str
@@ -72,6 +74,7 @@ class Effect:
     span: tuple[float, float] | None = None  # of the signal that moves a parameter
     shape: str = ""
     description: str = ""
+    constants: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def key(self) -> tuple[str, str]:

@@ -33,7 +33,8 @@ def parameter_jump(model: Model, name: str, time: float) -> Effect:
         new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
 
     p = Parameter(f"jump_{name}", old.unit, 0.0)
-    return Effect("parameter_jump", name, (p,), apply, variant=time, cost=3)
+    chosen = {"time": time}
+    return Effect("parameter_jump", name, (p,), apply, variant=time, cost=3, constants=chosen)
 
 
 def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Effect:
@@ -53,7 +54,8 @@ def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Eff
         new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
 
     p = Parameter(f"drift_{name}", old.unit, 0.0)
-    return Effect("parameter_drift", name, (p,), apply, span=(-0.5, 0.5))
+    chosen = {"start": start, "stop": stop}
+    return Effect("parameter_drift", name, (p,), apply, span=(-0.5, 0.5), constants=chosen)
 
 
 def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread: Spread) -> Effect:
@@ -75,5 +77,11 @@ def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread
     # Of two that act alike, the one that is estimated is named.
     priority = int(old.is_known)
     return Effect(
-        "scheduled_parameter", f"{name}~{channel}", (p,), apply, span=span, priority=priority
+        "scheduled_parameter",
+        f"{name}~{channel}",
+        (p,),
+        apply,
+        span=span,
+        priority=priority,
+        constants={"mean": spread.mean},
     )

@@ -46,5 +46,12 @@ def periodic_disturbance(
         Parameter("frequency", "Hz", frequency, lower=lower, upper=upper),
     )
     return Effect(
-        "periodic_disturbance", balance, parameters, apply, test="peak", variant=frequency, cost=5
+        "periodic_disturbance",
+        balance,
+        parameters,
+        apply,
+        test="peak",
+        variant=frequency,
+        cost=5,
+        constants={"origin": middle},
     )

@@ -1,0 +1,44 @@
+"""The extended model of a diagnosis: the baseline with every cause that was found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from casid.diagnosis.search.candidates import Adopted
+from casid.diagnosis.search.findings import Findings
+from casid.estimation.fitted.fitted_model import AddedCause, FittedModel
+from casid.estimation.fitted.from_fit import known_model
+from casid.model.effects.channel_effects import sensor_scale
+
+
+def extended_model(found: Findings, fitted: FittedModel) -> FittedModel:
+    """`fitted`, the model of the extended fit, with the baseline and the causes in it.
+
+    A channel that was recorded with the wrong sign was negated before the fit; here the sign is in
+    the model, which takes the record as it is.
+    """
+    model = fitted.model
+    causes = [_cause(a, fitted) for a in found.adopted]
+    negated = found.baseline.negated
+    if negated is not None:
+        model, names = sensor_scale(model, negated.channel).extended(model)
+        model = model.with_known(**{names[0]: -2.0})
+        causes.insert(0, AddedCause("sensor_scale", negated.channel, names))
+    return replace(
+        fitted,
+        model=model,
+        baseline=known_model(found.base_fit),
+        causes=tuple(causes),
+    )
+
+
+def _cause(adopted: Adopted, fitted: FittedModel) -> AddedCause:
+    effect, names = adopted.candidate.effect, adopted.candidate.names
+    return AddedCause(
+        effect.kind,
+        effect.where,
+        tuple(n for n in names if n in fitted.model.parameters),
+        dict(effect.constants),
+        effect.shape,
+        effect.description,
+    )

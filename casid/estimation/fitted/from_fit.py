@@ -1,0 +1,84 @@
+"""The fitted model of a simulation-error fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.data.problem import Problem
+from casid.data.reading.columns import ColumnSpec
+from casid.estimation.fitted.fitted_model import (
+    AddedCause,
+    Channels,
+    FittedModel,
+    FittedRecord,
+    SimulationSettings,
+)
+from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.model import Model
+
+
+def fitted_model(
+    problem: Problem,
+    fit: Fit,
+    covariance: Array,
+    *,
+    baseline: Model | None = None,
+    causes: Sequence[AddedCause] = (),
+) -> FittedModel:
+    """The model of a fit with its values known, and how it was simulated.
+
+    Parameters
+    ----------
+    covariance : (n, n) of the variables of the criterion.
+    """
+    criterion = fit.criterion
+    kept = [i for i, name in enumerate(criterion.names) if "[" not in name]  # no inner nodes
+    return FittedModel(
+        name=problem.name,
+        model=known_model(fit),
+        records=tuple(_record(criterion, fit.x, e) for e in range(len(criterion.data))),
+        covariance_names=tuple(criterion.names[i] for i in kept),
+        covariance=np.asarray(covariance)[np.ix_(kept, kept)],
+        baseline=baseline,
+        causes=tuple(causes),
+        settings=SimulationSettings(criterion.substeps, criterion.segments, criterion.weights),
+        channels=channels_of(problem),
+    )
+
+
+def known_model(fit: Fit) -> Model:
+    """The model of a fit, every parameter known.
+
+    One that each record has for itself gets the mean; one known for each record alone, its value in
+    the first.
+    """
+    criterion = fit.criterion
+    model, records = criterion.model, range(len(criterion.data))
+    values: dict[str, float] = {}
+    for name in model.parameters:
+        own = [criterion.value_of(name, fit.x, e) for e in records]
+        values[name] = float(np.mean(own)) if name in criterion.own else own[0]
+        if name in criterion.free and name not in criterion.own:
+            # A record may know what the others estimate.
+            estimated = [v for e, v in enumerate(own) if name not in criterion.data[e].known]
+            values[name] = (estimated or own)[0]
+    return model.with_known(**values)
+
+
+def _record(criterion: SimulationError, x: Array, e: int) -> FittedRecord:
+    d = criterion.data[e]
+    known = dict(d.known)
+    known |= {name: criterion.value_of(name, x, e) for name in criterion.own}
+    nodes = [criterion.parameter_vector(x, e, i)[1] for i in range(criterion.segments)]
+    return FittedRecord(d.name, d.Ts, float(d.t[0]), d.N, known, np.array(nodes))
+
+
+def channels_of(problem: Problem) -> Channels:
+    """Where a problem finds its signals."""
+    time = problem.time.column if isinstance(problem.time, ColumnSpec) else problem.time
+    derived = {name: entry.how or "computed" for name, entry in problem.derived.items()}
+    return Channels(dict(problem.channels), dict(problem.recorded), derived, time or "")
