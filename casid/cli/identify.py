@@ -51,7 +51,7 @@ def identify(problem: str, segments: int, **given: Any) -> None:
         fitted, hold_out = request.experiments(model)
         from casid.data.files import write_text
         from casid.identification.identify import identify as run
-        from casid.report.pages.estimate_page import estimate_page
+        from casid.presentation import present
 
         result: Any
         with interruptible():
@@ -66,7 +66,7 @@ def identify(problem: str, segments: int, **given: Any) -> None:
                 )
         progress("write the report")
         # Before anything is written: both files or none.
-        page = estimate_page(estimate, estimate.records)
+        page = present(estimate, "page")
         result.write(folder)
         write_text(folder / "report.html", page)
     output.finish(result, folder, "estimate.json")

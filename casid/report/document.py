@@ -1,14 +1,113 @@
-"""What is displayed of a result, before it is text or HTML: a title, lines and tables.
+"""What is displayed of a result, before it is text or HTML: sections, paragraphs, tables, figures.
 
-A result is put together once as a `Document`; `terminal_text` here makes text of it, and
-`casid.report.pages.markup.fragment` the HTML that notebooks show.
+A result is put together once as a `Document`; `casid.report.terminal` makes text of it,
+`casid.report.html` the pages and what notebooks show.
 """
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
+
+
+class Code(str):
+    """A name from a model or a file, set as code on a page."""
+
+    __slots__ = ()
+
+
+class Strong(str):
+    """Text set in bold on a page."""
+
+    __slots__ = ()
+
+
+class Status(str):
+    """What became of a candidate, beside a coloured mark on a page."""
+
+    __slots__ = ()
+
+
+Inline = str | tuple[str, ...]
+"""Text of a line, or pieces of it, each of them text, `Code`, `Strong` or `Status`."""
+
+
+def plain(text: Inline) -> str:
+    """The text alone."""
+    return text if isinstance(text, str) else "".join(text)
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Text with a look of its own: "facts"."""
+
+    text: Inline
+    look: str = ""
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Lines that stay as they are, with their indents: equations, transfer functions."""
+
+    lines: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """Points below one another; `look` is "notice" for a frame that stands out."""
+
+    items: Sequence[Inline]
+    look: str = ""
+    is_numbered: bool = False
+
+
+@dataclass(frozen=True)
+class Banner:
+    """The answer: a word with what stands beside it, and a sentence.
+
+    `look` is "adequate", "deficient" or "undecided".
+    """
+
+    word: str
+    beside: str
+    sentence: str
+    look: str
+
+
+@dataclass(frozen=True)
+class Card:
+    """A key number: what it is, its value and unit, and what else is to be said."""
+
+    title: str
+    value: str
+    unit: str = ""
+    rest: str = ""
+
+
+@dataclass(frozen=True)
+class Cards:
+    """Key numbers beside one another."""
+
+    cards: Sequence[Card]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A Plotly figure, whose caption is in its layout; `name` is harmless in an address."""
+
+    name: str
+    drawing: Any
+
+    @property
+    def caption(self) -> str:
+        """What the figure shows."""
+        return str(self.drawing.layout.meta["caption"])
+
+
+def figure_parts(figures: Mapping[str, Any]) -> dict[str, Figure]:
+    """Figures by name, as parts of a document."""
+    return {name: Figure(name, drawing) for name, drawing in figures.items()}
 
 
 @dataclass(frozen=True)
@@ -17,7 +116,7 @@ class Table:
 
     Attributes
     ----------
-    rows : cells, or a text that spans the columns.
+    rows : cells, or a text that spans the columns. Without rows, a page shows no table.
     numbers : columns set flush right.
     widths : least widths of the columns in a terminal with the space before a number or behind a
         text; without them, columns are as wide as their cells and stand two spaces apart.
@@ -30,7 +129,7 @@ class Table:
     """
 
     header: Sequence[str]
-    rows: Sequence[Sequence[str] | str]
+    rows: Sequence[Sequence[Inline] | str]
     numbers: Sequence[int] = ()
     widths: Sequence[int] = ()
     caption: str = ""
@@ -44,16 +143,14 @@ class Table:
         if self.widest is not None:
             parts = [self._of_columns(columns).lines() for columns in self._blocks(self.widest)]
             return [line for part in parts for line in ("", *part)][1:]
-        cells = [self.header, *(row for row in self.rows if not isinstance(row, str))]
-        longest = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        longest = self._longest()
         lines = [self._line(row, longest) for row in (self.header, *self.rows)]
         if self.is_ruled:
             lines.insert(1, self._line(["-" * n for n in longest], longest))
         return lines
 
     def _blocks(self, widest: int) -> list[list[int]]:
-        rows = [self.header, *(row for row in self.rows if not isinstance(row, str))]
-        longest = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        longest = self._longest()
         blocks: list[list[int]] = [[0]]
         for i in range(1, len(longest)):
             if i in self.joined:
@@ -65,17 +162,22 @@ class Table:
             blocks[-1] += columns
         return blocks
 
+    def _longest(self) -> list[int]:
+        """Characters of the longest cell of each column."""
+        cells = [self.header, *(row for row in self.rows if not isinstance(row, str))]
+        return [max(len(plain(cell)) for cell in column) for column in zip(*cells, strict=True)]
+
     def _of_columns(self, columns: Sequence[int]) -> Table:
         rows = [row if isinstance(row, str) else [row[k] for k in columns] for row in self.rows]
         numbers = [i for i, k in enumerate(columns) if k in self.numbers]
         header = [self.header[k] for k in columns]
         return replace(self, header=header, rows=rows, numbers=numbers, widest=None, joined=())
 
-    def _line(self, row: Sequence[str] | str, longest: Sequence[int]) -> str:
+    def _line(self, row: Sequence[Inline] | str, longest: Sequence[int]) -> str:
         text = " " * self.indent
         if isinstance(row, str):
             return text + row
-        for i, cell in enumerate(row):
+        for i, cell in enumerate(map(plain, row)):
             is_number, after_number = i in self.numbers, i - 1 in self.numbers
             if i < len(self.widths):
                 width = max(self.widths[i], longest[i] + (after_number or not is_number))
@@ -92,34 +194,39 @@ Labelled = tuple[str, str]
 
 
 @dataclass(frozen=True)
+class Section:
+    """Parts below a heading; without any content, a page leaves it out.
+
+    `look` is "cause" or "advice" for a frame around a section inside of another.
+    """
+
+    heading: Inline
+    parts: Sequence[Part]
+    look: str = ""
+
+
+Part = (
+    str | Labelled | Paragraph | Lines | Bullets | Banner | Cards | Figure | Table | Section | None
+)
+"""Of a document; text alone is a paragraph, None is nothing."""
+
+
+@dataclass(frozen=True)
 class Document:
     """A title with its parts below it.
 
     Attributes
     ----------
-    parts : lines as they are, labelled texts, and tables.
     label : columns that a label takes in a terminal.
     width : characters at which lines of a terminal are cut, tables apart; None: nowhere.
+    kind : of a page, such as "Estimate": its title is then the name of what it is about.
     """
 
     title: str
-    parts: Sequence[str | Labelled | Table]
+    parts: Sequence[Part]
     label: int = 14
     width: int | None = None
-
-
-def terminal_text(document: Document) -> str:
-    """The document as lines of text."""
-    lines: list[str] = []
-    for part in (*([document.title] if document.title else ()), *document.parts):
-        if isinstance(part, Table):
-            lines += part.lines()
-            continue
-        lead, text = (
-            ("", part) if isinstance(part, str) else (f"  {part[0]:<{document.label}}", part[1])
-        )
-        lines += wrapped(text, lead, document.width) if document.width else [lead + text]
-    return "\n".join(lines)
+    kind: str = ""
 
 
 def labelled(label: str, texts: Sequence[str]) -> list[Labelled]:
@@ -127,20 +234,6 @@ def labelled(label: str, texts: Sequence[str]) -> list[Labelled]:
     return [(label if not i else "", text) for i, text in enumerate(texts)]
 
 
-def wrapped(text: str, lead: str, width: int) -> list[str]:
-    """A line after its lead, cut at `width` characters; a row of a table between its columns."""
-    if len(lead) + len(text) <= width:
-        return [lead + text]
-    inner = text.lstrip()
-    lead += " " * (len(text) - len(inner))
-    head, gap, tail = inner.rstrip().rpartition("  ")
-    if gap and "  " in head and len(lead + head.rstrip()) <= width:  # a row of a table
-        return [(lead + head).rstrip(), *wrapped(tail.strip(), lead + "  ", width)]
-    return textwrap.wrap(
-        inner,
-        width,
-        initial_indent=lead,
-        subsequent_indent=" " * len(lead) + "  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+def mapping_table(pairs: Mapping[str, str], header: tuple[str, str]) -> Table:
+    """A table of two columns."""
+    return Table(header, list(pairs.items()), caption=" and ".join(header))

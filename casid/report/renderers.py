@@ -6,14 +6,13 @@ estimate loads no figures. `casid.presentation` reads this table, and nothing el
 
 from __future__ import annotations
 
-import html
 import importlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from casid.data.files import write_json, write_text
-from casid.report.document import terminal_text
+from casid.report.terminal import terminal_text
 
 RENDERERS: Mapping[str, Mapping[str, str]] = {
     "Advice": {"document": "texts.diagnosis.advice_document"},
@@ -21,7 +20,7 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
     "Assessment": {
         "document": "texts.assessment.assessment_document",
         "figures": "figures.identifiability.figures",
-        "page": "pages.identifiability_page.assessment_page",
+        "report": "pages.identifiability_page.assessment_report",
     },
     "Asymptotics": {"document": "texts.remedies.asymptotics_document"},
     "BiasTable": {"document": "texts.identifiability.bias_document"},
@@ -31,7 +30,7 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
         "figure": "figures.calibration.calibration_figure",
     },
     "CheckReport": {"document": "texts.records.check_document"},
-    "ClosedLoopView": {"text": "texts.closed_loop.closed_loop_text"},
+    "ClosedLoopView": {"document": "texts.closed_loop.closed_loop_document"},
     "Comparison": {
         "document": "texts.remedies.comparison_document",
         "figure": "figures.remedy_figures.comparison_figure",
@@ -42,11 +41,12 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
         "document": "texts.diagnosis.diagnosis_document",
         "figure": "figures.simulated.diagnosis_figure",
         "figures": "figures.diagnosis.diagnosis_figures",
-        "page": "pages.diagnosis_page.diagnosis_page",
+        "report": "pages.diagnosis_page.diagnosis_report",
     },
     "Estimate": {
         "document": "texts.estimates.estimate_document",
         "figure": "figures.estimates.estimate_figure",
+        "report": "pages.estimate_page.estimate_report",
     },
     "Invariants": {"document": "texts.moments.invariants_document"},
     "Isolability": {
@@ -57,11 +57,11 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
     "MomentEstimate": {"document": "texts.estimates.moment_estimate_document"},
     "MonteCarlo": {
         "document": "texts.estimates.monte_carlo_document",
-        "figure": "pages.monte_carlo_page.histogram_figure",
-        "page": "pages.monte_carlo_page.montecarlo_page",
+        "figure": "figures.histograms.histogram_figure",
+        "report": "pages.monte_carlo_page.monte_carlo_report",
     },
-    "Network": {"text": "texts.networks.network_text"},
-    "NodeEquations": {"text": "texts.networks.equations_text"},
+    "Network": {"document": "texts.networks.network_document"},
+    "NodeEquations": {"document": "texts.networks.equations_document"},
     "Practical": {"document": "texts.identifiability.practical_document"},
     "PredictorTable": {"document": "texts.networks.predictors_document"},
     "Profile": {"figure": "figures.profiles.moment_profile_figure"},
@@ -73,7 +73,7 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
         "document": "texts.solvers.solver_document",
         "figure": "figures.solvers.solver_figure",
     },
-    "TransferMatrix": {"text": "texts.transfer_functions.transfer_text"},
+    "TransferMatrix": {"document": "texts.transfer_functions.transfer_document"},
     "UnknownInputComparison": {"document": "texts.remedies.options_document"},
     "Validation": {
         "document": "texts.moments.validation_document",
@@ -98,16 +98,21 @@ def renderer(kind: type, form: str) -> Callable[..., Any]:
     LookupError
         If there is none.
     """
-    for name in (c.__name__ for c in kind.__mro__):
-        path = RENDERERS.get(name, {}).get(form)
-        if path is not None:
-            module, _, function = path.rpartition(".")
-            loaded = importlib.import_module(f"casid.report.{module}")
-            found: Callable[..., Any] = getattr(loaded, function)
-            return found
     if form in _DERIVED:
-        return _DERIVED[form]
-    raise LookupError(f"casid.report has no {form} of {kind.__name__}")
+        source, make = _DERIVED[form]
+        if _listed(kind, source) is not None:
+            return make
+    path = _listed(kind, form)
+    if path is None:
+        raise LookupError(f"casid.report has no {form} of {kind.__name__}")
+    module, _, function = path.rpartition(".")
+    found: Callable[..., Any] = getattr(importlib.import_module(f"casid.report.{module}"), function)
+    return found
+
+
+def _listed(kind: type, form: str) -> str | None:
+    names = (c.__name__ for c in kind.__mro__)
+    return next((RENDERERS[n][form] for n in names if form in RENDERERS.get(n, {})), None)
 
 
 def _text(result: object) -> str:
@@ -115,19 +120,27 @@ def _text(result: object) -> str:
 
 
 def _html(result: object) -> str:
-    try:
-        document = renderer(type(result), "document")
-    except LookupError:  # text alone
-        return f"<pre>{html.escape(str(result))}</pre>"
-    from casid.report.pages.markup import fragment  # what the terminal prints needs no HTML
+    from casid.report.html.notebook import notebook_html  # what the terminal prints needs no HTML
 
-    return fragment(document(result))
+    return notebook_html(renderer(type(result), "document")(result))
+
+
+def _page(result: object, *arguments: Any) -> str:
+    from casid.report.html.page import html_page
+
+    return html_page(renderer(type(result), "report")(result, *arguments))
 
 
 def _files(result: Any, folder: Path) -> Path:
-    page = renderer(type(result), "page")(result)  # before anything is written: both files or none
+    page = _page(result)  # before anything is written: both files or none
     write_json(folder / JSON_FILES[type(result).__name__], result.to_json())
     return write_text(folder / "report.html", page)
 
 
-_DERIVED: dict[str, Callable[..., Any]] = {"text": _text, "html": _html, "files": _files}
+_DERIVED: Mapping[str, tuple[str, Callable[..., Any]]] = {
+    "text": ("document", _text),
+    "html": ("document", _html),
+    "page": ("report", _page),
+    "files": ("report", _files),
+}
+"""Form -> the listed form that it is made of, and how."""

@@ -16,7 +16,7 @@ from casid.identification.wrong_signs import (
     negated,
     wrong_sign,
 )
-from casid.report.pages.estimate_page import estimate_page
+from casid.presentation import present
 from problems import pendulum, roll_decay, ship
 from problems.ship_4dof import Load, measure, random_steps, simulate
 
@@ -124,7 +124,7 @@ def test_an_estimate_carries_the_suspicion_at_its_top() -> None:
     found = casid.identify(pendulum.problem, wrong, settings=settings)
     assert "wrong sign" in str(found).splitlines()[1]
     assert "wrong sign" in found.to_json()["suspects"][0]
-    assert "wrong sign" in estimate_page(found)
+    assert "wrong sign" in present(found, "page")
 
 
 def test_an_estimate_from_right_signs_has_no_suspects() -> None:

@@ -29,10 +29,6 @@ from casid.identifiability.procedure import assess_identifiability
 from casid.linear.closed_loop import ClosedLoopView, closed_loop_view
 from casid.linear.linear_model import linearise
 from casid.model.model import Model
-from casid.report.pages.diagnosis_page import diagnosis_page
-from casid.report.pages.estimate_page import estimate_page
-from casid.report.pages.identifiability_page import assessment_page
-from casid.report.pages.monte_carlo_page import montecarlo_page
 from casid.unknown_inputs.limits.comparison import Comparison
 from casid.unknown_inputs.limits.remedies import compare_remedies
 from casid.unknown_inputs.networks.equations import node_equations
@@ -40,6 +36,7 @@ from casid.unknown_inputs.networks.network import Network, dynamic_network
 from problems.pendulum import direct_model
 from problems.static_input import VALUES, signals
 from tests.support import sample_parts, samples
+from tests.support.samples import page_of
 
 FOLDER = Path(__file__).parent / "golden"
 q = Rational.shift(Ts=1.0)
@@ -180,12 +177,12 @@ TEXTS: dict[str, Callable[[], object]] = {
     "transfer_functions": transfer,
 }
 PAGES: dict[str, Callable[[], str]] = {
-    "diagnosis_deficient": lambda: diagnosis_page(samples.deficient(N=400)),
-    "diagnosis_adequate": lambda: diagnosis_page(samples.adequate()),
-    "diagnosis_rich": lambda: diagnosis_page(samples.rich()),
-    "estimate": lambda: estimate_page(samples.adequate().baseline, samples.adequate().records),
-    "assessment": lambda: assessment_page(_assessment()),
-    "monte_carlo": lambda: montecarlo_page(monte_carlo()),
+    "diagnosis_deficient": lambda: page_of(samples.deficient(N=400)),
+    "diagnosis_adequate": lambda: page_of(samples.adequate()),
+    "diagnosis_rich": lambda: page_of(samples.rich()),
+    "estimate": lambda: page_of(samples.adequate().baseline, samples.adequate().records),
+    "assessment": lambda: page_of(_assessment()),
+    "monte_carlo": lambda: page_of(monte_carlo()),
 }
 JSON: dict[str, Callable[[], Any]] = {
     "estimate": lambda: samples.estimate().to_json(),

@@ -11,18 +11,18 @@ from pathlib import Path
 import pytest
 
 from casid.report.figures.diagnosis import diagnosis_figures
-from casid.report.pages.diagnosis_page import diagnosis_page
 from tests.support import samples
+from tests.support.samples import page_of
 
 
 @pytest.fixture(scope="module")
 def rich() -> str:
-    return diagnosis_page(samples.rich())
+    return page_of(samples.rich())
 
 
 @pytest.fixture(scope="module")
 def hostile() -> str:
-    return diagnosis_page(samples.hostile())
+    return page_of(samples.hostile())
 
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")

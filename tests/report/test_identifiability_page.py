@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 import casid
-from casid.report.pages.identifiability_page import assessment_page
 from problems import pendulum, ship
 from tests.report.test_pages import Seen
 from tests.support.excited_models import decay
-from tests.support.samples import HOSTILE
+from tests.support.samples import HOSTILE, page_of
 
 WIDTH = 100
 
@@ -97,7 +96,7 @@ def sections(page: str) -> list[str]:
 
 
 def test_the_page_loads_nothing_and_runs_no_script_but_those_of_its_figures(each):
-    page = assessment_page(each)
+    page = page_of(each)
     seen = Seen(page)
     for tag, attributes in seen.tags:
         assert tag not in ("link", "img", "iframe", "object", "embed", "base"), tag
@@ -116,7 +115,7 @@ def test_the_page_loads_nothing_and_runs_no_script_but_those_of_its_figures(each
 
 
 def test_the_answer_stands_first_in_words(each):
-    text = Seen(assessment_page(each)).text
+    text = Seen(page_of(each)).text
     word = (
         "partial"
         if each.answer.is_partial
@@ -138,19 +137,19 @@ def test_every_part_has_its_section_and_no_section_is_empty(mixing, gains, swing
         "force": (force, ["Identifiable combinations", "Remedies", "Unknown inputs"]),
     }
     for name, (assessment, own) in expected.items():
-        page = assessment_page(assessment)
+        page = page_of(assessment)
         found = sections(page)
         assert set(always + own) <= set(found), name
         assert len(found) == len(set(found)), name
         bodies = re.split(r"<h2>.*?</h2>", page)[1:]
         assert all(Seen(b).text.strip() for b in bodies), name
-    assert "Unknown inputs" not in sections(assessment_page(mixing))
-    assert "Remedies" not in sections(assessment_page(swing))
+    assert "Unknown inputs" not in sections(page_of(mixing))
+    assert "Remedies" not in sections(page_of(swing))
 
 
 def test_what_the_assessment_knows_stands_in_the_text(mixing, gains, swing, force):
     def text(assessment: casid.Assessment) -> str:
-        return Seen(assessment_page(assessment)).text
+        return Seen(page_of(assessment)).text
 
     shown = text(mixing)
     for words in ("structurally unidentifiable", "p2*p4", "1/s", "sensor second", "not observable"):
@@ -179,7 +178,7 @@ def test_figures_are_drawn_of_what_records_give_and_of_nothing_else(mixing, gain
     assert mixing.plot() == {}
     assert set(gains.plot()) >= {"errors"}
     assert set(swing.plot()) == {"errors", "correlations", "profiles"}
-    page = assessment_page(swing)
+    page = page_of(swing)
     plots = [a for _, a in Seen(page).tags if a.get("class") == "plot"]
     assert len(plots) == 3
     assert all(a["aria-label"] for a in plots)
@@ -189,13 +188,13 @@ def test_figures_are_drawn_of_what_records_give_and_of_nothing_else(mixing, gain
 
 
 def test_the_same_assessment_has_the_same_page(mixing):
-    assert assessment_page(mixing) == assessment_page(mixing)
+    assert page_of(mixing) == page_of(mixing)
 
 
 def test_both_files_are_written_together(mixing, tmp_path):
     path = mixing.write(tmp_path / "found")
     assert path.name == "report.html"
-    assert path.read_text(encoding="utf-8") == assessment_page(mixing)
+    assert path.read_text(encoding="utf-8") == page_of(mixing)
     written = json.loads((path.parent / "identifiability.json").read_text())
     assert written == json.loads(json.dumps(mixing.to_json(), allow_nan=False))
 
@@ -223,9 +222,9 @@ def hostile() -> casid.Assessment:
 
 
 def test_hostile_names_stay_text(gains, force):
-    harmless, page = assessment_page(gains), assessment_page(hostile())
+    harmless, page = page_of(gains), page_of(hostile())
     seen = Seen(page)
-    tags = {t for t, _ in (*Seen(harmless).tags, *Seen(assessment_page(force)).tags)}
+    tags = {t for t, _ in (*Seen(harmless).tags, *Seen(page_of(force)).tags)}
     assert {t for t, _ in seen.tags} <= tags
     assert seen.scripts[-2:] == Seen(harmless).scripts[-2:]  # plotly.js and ours, unchanged
     assert len(seen.scripts) == len(Seen(harmless).scripts)
@@ -248,7 +247,7 @@ def test_hostile_names_in_an_equation_file_stay_text(tmp_path):
     path = tmp_path / "hostile.json"
     path.write_text(json.dumps(fields))
     a = casid.assess_identifiability(path, symbolic=False)
-    seen = Seen(assessment_page(a))
+    seen = Seen(page_of(a))
     assert not {"img", "iframe"} & {t for t, _ in seen.tags}
     assert seen.scripts == []
     assert "alert(1)" in seen.text

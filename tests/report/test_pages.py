@@ -11,9 +11,8 @@ from html.parser import HTMLParser
 import pytest
 
 from casid.report.figures.diagnosis import diagnosis_figures
-from casid.report.pages.diagnosis_page import diagnosis_page
-from casid.report.pages.estimate_page import estimate_page
 from tests.support import sample_parts, samples
+from tests.support.samples import page_of
 
 FIGURES = {"page": 7, "rich": 15, "hostile": 15}
 SECTIONS = (
@@ -51,17 +50,17 @@ class Seen(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page() -> str:
-    return diagnosis_page(samples.deficient())
+    return page_of(samples.deficient())
 
 
 @pytest.fixture(scope="module")
 def rich() -> str:
-    return diagnosis_page(samples.rich())
+    return page_of(samples.rich())
 
 
 @pytest.fixture(scope="module")
 def hostile() -> str:
-    return diagnosis_page(samples.hostile())
+    return page_of(samples.hostile())
 
 
 def test_the_verdict_stands_first_in_words(page):
@@ -78,7 +77,7 @@ def test_the_verdict_stands_first_in_words(page):
     ],
 )
 def test_a_diagnosis_without_a_cause_says_why(make, words):
-    text = Seen(diagnosis_page(make())).text
+    text = Seen(page_of(make())).text
     for word in words:
         assert word in text
 
@@ -113,7 +112,7 @@ def test_everything_the_diagnosis_knows_stands_in_the_text(page):
 def test_warnings_of_both_fits_are_printed_beside_the_key_numbers():
     d = samples.deficient(N=100)
     d = samples.changed(d, baseline=replace(d.baseline, warnings=("only 1 of 4 starts agrees",)))
-    text = Seen(diagnosis_page(d)).text
+    text = Seen(page_of(d)).text
     assert text.index("Warning: only 1 of 4 starts agrees") < text.index(d.causes[0].sentence)
 
 
@@ -212,7 +211,7 @@ def test_the_text_of_a_rich_diagnosis_is_compact():
 
 
 def test_the_same_diagnosis_gives_the_same_page(page):
-    assert diagnosis_page(samples.deficient()) == page
+    assert page_of(samples.deficient()) == page
 
 
 def test_hostile_names_stay_text(hostile, rich):
@@ -239,16 +238,16 @@ def test_only_the_two_scripts_named_by_their_hash_may_run(hostile):
 def test_an_unfinished_number_is_named_not_printed_as_nan():
     d = samples.deficient(N=100)
     d = samples.changed(d, fitted={"baseline_rmse": {"gyro": float("nan")}, "extended_rmse": {}})
-    text = Seen(diagnosis_page(d)).text
+    text = Seen(page_of(d)).text
     assert "not finite" in text
     assert not re.search(r"\bnan\b", text)
 
 
 def test_an_estimate_has_a_page_with_its_parameters_and_fit():
     d = samples.adequate()
-    page = estimate_page(d.baseline, d.records)
+    page = page_of(d.baseline, d.records)
     text = Seen(page).text
     for expected in ("10.520", "10.481 .. 10.559", "known", "at lower bound", d.baseline.assumes):
         assert expected in text
     assert page.count('class="plot"') == 2
-    assert estimate_page(d.baseline).count('class="plot"') == 1
+    assert page_of(d.baseline).count('class="plot"') == 1

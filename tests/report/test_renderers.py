@@ -12,6 +12,9 @@ import pytest
 import casid
 from casid.presentation import Presented, present
 from casid.report.renderers import JSON_FILES, RENDERERS, renderer
+from casid.report.terminal import terminal_text
+from tests.report.test_pages import Seen
+from tests.support import samples
 
 FORMS = [(name, form) for name, forms in RENDERERS.items() for form in forms]
 
@@ -45,12 +48,23 @@ def test_every_class_that_says_so_can_be_displayed() -> None:
         for kind in kinds
         if issubclass(kind, Presented) and kind is not Presented
     }
-    assert presented <= {
-        name for name, forms in RENDERERS.items() if {"text", "document"} & set(forms)
-    }
-    assert set(JSON_FILES) == {name for name, forms in RENDERERS.items() if "page" in forms}
+    assert presented <= {name for name, forms in RENDERERS.items() if "document" in forms}
+    reported = {name for name, forms in RENDERERS.items() if "report" in forms}
+    assert set(JSON_FILES) == reported - {"Estimate"}  # whose JSON other estimates share
 
 
 def test_a_form_that_is_not_there_is_refused() -> None:
     with pytest.raises(LookupError, match="no page of int"):
         present(1, "page")
+
+
+def test_a_report_as_text_has_the_words_of_its_page() -> None:
+    """One document: what a reader finds on the page, a terminal shows without its markup."""
+    report = renderer(samples.Diagnosis, "report")(samples.rich())
+    shown = set(terminal_text(report).split())
+    assert "<code>" not in shown
+    page = Seen(samples.page_of(samples.rich())).text
+    named = {word for cause in samples.rich().causes for word in cause.sentence.split()}
+    for word in ("quadratic_damping", "coulomb_friction", "0.327", "swing-11", *named):
+        assert word in page
+        assert word in shown or f"{word}." in shown

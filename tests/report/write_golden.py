@@ -11,10 +11,11 @@ from tests.report.golden_results import FOLDER, golden_texts
 def main() -> None:
     """Replace all golden files."""
     FOLDER.mkdir(exist_ok=True)
+    made = {name: make() for name, make in golden_texts()}  # all or none
     for path in FOLDER.iterdir():
         path.unlink()
-    for name, make in golden_texts():
-        (FOLDER / name).write_text(make(), encoding="utf-8")
+    for name, text in made.items():
+        (FOLDER / name).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -38,11 +38,17 @@ from casid.estimation.estimate import (
     SolverEvidence,
     Uncertainty,
 )
+from casid.presentation import present
 from tests.support.sample_parts import calibration, invisible, isolability, proposals, unexplained
 
 TS = 0.02
 NOISE = 0.010
 HOSTILE = "<script>alert(1)</script></script><img src=x onerror=alert(2)>&amp;%{x}\u202e"
+
+
+def page_of(result: object, *arguments: Any) -> str:
+    """The page of a result, such as `write` would write it."""
+    return str(present(result, "page", *arguments))
 
 
 def pendulum(a: np.ndarray, *, k: float, d: float, d_2: float, s: float) -> np.ndarray:

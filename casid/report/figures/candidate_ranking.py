@@ -10,7 +10,7 @@ from casid.arrays import TINY
 from casid.diagnosis.diagnosis import Diagnosis, Ranked
 from casid.report.figures.look import AFTER, figure_text, visible_text
 from casid.report.figures.panels import Panels
-from casid.report.pages.numbers import p_text
+from casid.report.numbers import p_text
 
 _SHOWN_CANDIDATES = 15
 _LONGEST_BAR = 30.0  # of -log10 p: one overwhelming cause must not flatten the others

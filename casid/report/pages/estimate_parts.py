@@ -1,22 +1,21 @@
-"""Parts of a page about estimates: parameters, evidence, provenance."""
+"""Parts of a report about estimates: parameters, evidence, provenance."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from casid.estimation.estimate import Estimate
-from casid.report.pages.markup import Html, element, join, mapping_table, safe, table
-from casid.report.pages.numbers import estimated_texts, number_text
+from casid.report.document import Bullets, Code, Part, Section, Strong, Table, mapping_table
+from casid.report.numbers import estimated_texts, number_text
 
 
-def notice(notes: Sequence[str], warnings: Sequence[str]) -> Html:
+def notice(notes: Sequence[str], warnings: Sequence[str]) -> Bullets:
     """Warnings and notes in a frame, each warning once."""
-    items = [element("li", element("b", "Warning: ") + safe(w)) for w in dict.fromkeys(warnings)]
-    items += [element("li", n) for n in notes]
-    return element("ul", join(items), class_="notice") if items else Html("")
+    warned = [(Strong("Warning: "), w) for w in dict.fromkeys(warnings)]
+    return Bullets([*warned, *notes], look="notice")
 
 
-def parameter_table(estimates: Mapping[str, Estimate]) -> Html:
+def parameter_table(estimates: Mapping[str, Estimate]) -> Table:
     """Estimates side by side by label, with standard errors and intervals."""
     several = len(estimates) > 1
     names = dict.fromkeys(n for e in estimates.values() for n in e.names)
@@ -45,14 +44,11 @@ def parameter_table(estimates: Mapping[str, Estimate]) -> Html:
             notes = [any_one.note] if any_one.note else []
         start = "" if any_one.start is None else number_text(any_one.start)
         rows.append([*cells, start, "; ".join(notes) or ("known" if any_one.known else "")])
-    if not rows:
-        return Html("")
-    width = 3 * len(estimates)
-    return table(
-        "Estimates with standard errors and normal 95 % intervals, SI units",
+    return Table(
         header,
         rows,
-        numbers=tuple(range(2, 3 + width)),
+        numbers=range(2, 3 + 3 * len(estimates)),
+        caption="Estimates with standard errors and normal 95 % intervals, SI units",
     )
 
 
@@ -64,7 +60,7 @@ def error_bars(estimates: Mapping[str, Estimate]) -> list[str]:
     return [f"Error bars {label}: {text}" for label, text in assumed.items()]
 
 
-def evidence_table(estimates: Mapping[str, Estimate]) -> Html:
+def evidence_table(estimates: Mapping[str, Estimate]) -> Table:
     """Solver, identifiability and residuals of each estimate."""
     columns = []
     for e in estimates.values():
@@ -82,23 +78,27 @@ def evidence_table(estimates: Mapping[str, Estimate]) -> Html:
         residuals = {f"residual of {k}": v for k, v in e.whiteness.items()}
         columns.append(facts | dict(e.evidence) | residuals)
     rows = dict.fromkeys(k for facts in columns for k in facts)
-    return table(
-        "Solver, identifiability and residuals",
+    return Table(
         ("", *estimates),
         [(k, *(facts.get(k, "\u2013") for facts in columns)) for k in rows],
+        caption="Solver, identifiability and residuals",
     )
 
 
 def provenance(
-    lines: Sequence[str], settings: Mapping[str, str], versions: Mapping[str, str]
-) -> Iterable[Html]:
+    lines: Sequence[str],
+    settings: Mapping[str, str],
+    versions: Mapping[str, str],
+    *above: Part,
+) -> Section:
     """Where the data come from, and what settings and versions worked on them."""
-    if lines:
-        yield element("h3", "Data")
-        yield element("ol", join(element("li", element("code", s)) for s in lines), class_="lines")
-    if settings:
-        yield element("h3", "Settings")
-        yield mapping_table(settings, ("setting", "value"))
-    if versions:
-        yield element("h3", "Versions")
-        yield mapping_table(versions, ("package", "version"))
+    data = Bullets([Code(line) for line in lines], look="lines", is_numbered=True)
+    return Section(
+        "Provenance",
+        [
+            *above,
+            Section("Data", [data]),
+            Section("Settings", [mapping_table(settings, ("setting", "value"))]),
+            Section("Versions", [mapping_table(versions, ("package", "version"))]),
+        ],
+    )

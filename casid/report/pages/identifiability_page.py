@@ -1,108 +1,102 @@
-"""The page of an assessment: the answer, what is identifiable instead, and the remedies."""
+"""The report of an assessment: the answer, what is identifiable instead, and the remedies."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from casid.identifiability.assessment import Answer, Assessment
-from casid.report.figures.identifiability import figures
-from casid.report.figures.look import visible_text
-from casid.report.pages.estimate_parts import notice, provenance
-from casid.report.pages.markup import (
-    Html,
-    bullets,
-    element,
-    join,
+from casid.report.document import (
+    Banner,
+    Bullets,
+    Card,
+    Cards,
+    Code,
+    Document,
+    Inline,
+    Paragraph,
+    Part,
+    Section,
+    Table,
+    figure_parts,
     mapping_table,
-    paragraph,
-    safe,
-    table,
 )
-from casid.report.pages.numbers import number_text, value_text
-from casid.report.pages.page import Page
+from casid.report.figures.identifiability import figures
+from casid.report.numbers import number_text, value_text
+from casid.report.pages.estimate_parts import notice, provenance
 from casid.report.texts.assessment import family_lines, group_words, verdict_words
 
 _LISTED = 60  # fixing sets in the table
 
 
-def assessment_page(assessment: Assessment) -> str:
-    """The assessment as one self-contained HTML page."""
+def assessment_report(assessment: Assessment) -> Document:
+    """Everything the assessment knows."""
     a = assessment
-    page = Page(figures(a))
-    page.section("", _banner(a), _cards(a), notice(a.notes, ()))
-    page.section("Parameters", _parameters(a), _advice(a))
-    page.section("Identifiable combinations", _groups(a), _families(a))
-    page.section("Remedies", _fixing(a), _exclusions(a), _further(a))
-    page.section("States", _states(a))
-    page.section("Unknown inputs", _classes(a))
-    page.section("Poorer excitation", _excitation(a))
-    page.section(
-        "What these records give",
-        page.figure("errors"),
-        _practical(a),
-        page.figure("correlations"),
-        page.figure("profiles"),
-        _profiles(a),
-        _orders(a),
+    figure = figure_parts(figures(a)).get
+    sections: dict[str, list[Part]] = {
+        "": [_banner(a), Cards(list(_cards(a))), notice(a.notes, ())],
+        "Parameters": [_parameters(a), _advice(a)],
+        "Identifiable combinations": [
+            Bullets([group_words(g) for g in a.confounded_groups]),
+            *_families(a),
+        ],
+        "Remedies": [_fixing(a), _exclusions(a), *_further(a)],
+        "States": [_states(a)],
+        "Unknown inputs": _classes(a),
+        "Poorer excitation": [
+            _answers("Ranks with known inputs that do less than they could", a.by_excitation)
+        ],
+        "What these records give": [
+            figure("errors"),
+            *_practical(a),
+            figure("correlations"),
+            figure("profiles"),
+            _profiles(a),
+            *_orders(a),
+        ],
+        "What the answer rests on": [a.certainty, _facts(a)],
+    }
+    return Document(
+        a.name,
+        [
+            *(Section(heading, parts) for heading, parts in sections.items()),
+            provenance((), {}, a.versions),
+            Section("References", [Bullets(_sources(a))]),
+        ],
+        kind="Identifiability",
     )
-    page.section("What the answer rests on", paragraph(a.certainty), _facts(a))
-    page.section("Provenance", *provenance((), {}, a.versions))
-    page.section("References", bullets(_sources(a)))
-    return page.text(f"Identifiability of {visible_text(a.name)}", "Identifiability", a.name)
 
 
-def _banner(a: Assessment) -> Html:
+def _banner(a: Assessment) -> Banner:
     if a.answer.is_partial:
         word, look = "partial", "undecided"
     elif a.is_identifiable:
         word, look = "identifiable", "adequate"
     else:
         word, look = "not identifiable", "deficient"
-    return element(
-        "div",
-        element("p", element("b", word) + safe(f"rank {a.rank} of {a.unknowns}"), class_="word")
-        + element("p", a.sentence, class_="sentence"),
-        class_=f"banner {look}",
-        role="status",
-    )
+    return Banner(word, f"rank {a.rank} of {a.unknowns}", a.sentence, look)
 
 
-def _cards(a: Assessment) -> Html:
-    identifiable = sum(v == "identifiable" for v in a.parameters.values())
-    seen = sum(v == "observable" for v in a.states.values())
+def _cards(a: Assessment) -> Iterator[Card]:
     bound = a.answer.error_bound
     sure = "a proof" if bound == 0.0 else f"error probability below {bound:.1e}"
-    cards = [
-        ("Rank", f"{a.rank} of {a.unknowns}", "partial" if a.answer.is_partial else sure),
-        ("Parameters", f"{identifiable} of {len(a.parameters)}", "identifiable"),
-        ("Initial states", f"{seen} of {len(a.states)}", "observable"),
-    ]
-    if a.fixing is not None and a.fixing.size:
-        many = "" if a.fixing.is_count_exact else "at least "
-        cards.append(
-            (
-                "To be known",
-                f"{a.fixing.size}",
-                f"in {many}{a.fixing.count} minimal choice{'' if a.fixing.count == 1 else 's'}",
-            )
-        )
-    return element(
-        "dl",
-        join(
-            element(
-                "div",
-                element("dt", title) + element("dd", value) + element("dd", rest, class_="rest"),
-                class_="card",
-            )
-            for title, value, rest in cards
-        ),
-        class_="cards",
-    )
+    rank = f"{a.rank} of {a.unknowns}"
+    yield Card("Rank", rank, rest="partial" if a.answer.is_partial else sure)
+    for title, verdicts, word in (
+        ("Parameters", a.parameters, "identifiable"),
+        ("Initial states", a.states, "observable"),
+    ):
+        n = sum(v == word for v in verdicts.values())
+        yield Card(title, f"{n} of {len(verdicts)}", rest=word)
+    f = a.fixing
+    if f is not None and f.size:
+        choices = f"minimal choice{'' if f.count == 1 else 's'}"
+        many = "" if f.is_count_exact else "at least "
+        yield Card("To be known", f"{f.size}", rest=f"in {many}{f.count} {choices}")
 
 
-def _parameters(a: Assessment) -> Html:
+def _parameters(a: Assessment) -> Table:
     group = {n: g for g in a.confounded_groups for n in g}
     rows: list[tuple[str, ...]] = []
     expected = {r.name: r for r in a.practical.parameters} if a.practical else {}
@@ -112,90 +106,77 @@ def _parameters(a: Assessment) -> Html:
         error = "\u2013"
         if row is not None and a.parameters[name] == "identifiable":
             error = number_text(row.std_error)
-        rows.append(
-            (
-                element("code", name),
-                a.units.get(name, ""),
-                verdict_words(a, name),
-                ", ".join(partners),
-                error,
-            )
-        )
+        unit = a.units.get(name, "")
+        rows.append((Code(name), unit, verdict_words(a, name), ", ".join(partners), error))
     header = ["parameter", "unit", "verdict", "confounded with", "expected std. error"]
     shown = [i for i in range(5) if i in (0, 2) or any(r[i] not in ("", "\u2013") for r in rows)]
-    return table(
-        "Structural and practical verdict, parameter by parameter",
+    return Table(
         [header[i] for i in shown],
         [[r[i] for i in shown] for r in rows],
         numbers=(shown.index(4),) if 4 in shown else (),
+        caption="Structural and practical verdict, parameter by parameter",
     )
 
 
-def _advice(a: Assessment) -> Html | str:
+def _advice(a: Assessment) -> Section | None:
     remedy = a.remedy()
-    if not remedy:
-        return ""
-    text = remedy[0].upper() + remedy[1:] + "."
-    return element("div", element("h3", "Remedy") + paragraph(text), class_="advice")
+    return Section("Remedy", [_as_sentence(remedy)], look="advice") if remedy else None
 
 
-def _groups(a: Assessment) -> Html:
-    return bullets([group_words(g) for g in a.confounded_groups])
+def _as_sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
 
 
-def _families(a: Assessment) -> Html:
-    parts = []
-    for name, words in family_lines(a):
-        lines = join(element("p", element("code", line)) for line in words)
-        parts.append(element("div", element("h3", f"Moving {name}") + lines, class_="cause"))
-    if parts:
-        parts.insert(
-            0,
-            paragraph(
-                "All values on such a curve give the same outputs; what stays the same along all "
-                "curves of a group is what the data determine. Primes mark new values."
-            ),
-        )
-    return join(parts)
+def _families(a: Assessment) -> list[Part]:
+    families = [
+        Section(f"Moving {name}", [Paragraph(Code(line)) for line in words], look="cause")
+        for name, words in family_lines(a)
+    ]
+    if not families:
+        return []
+    return [
+        "All values on such a curve give the same outputs; what stays the same along all curves of "
+        "a group is what the data determine. Primes mark new values.",
+        *families,
+    ]
 
 
-def _fixing(a: Assessment) -> Html:
+def _fixing(a: Assessment) -> Table | None:
     f = a.fixing
     if f is None or not f.size:
-        return Html("")
+        return None
     names = list(a.parameters)
     rows = [
         (", ".join(s), ", ".join(n for n in names if n not in set(s))) for s in f.sets[:_LISTED]
     ]
     many = f"{f.count}" if f.is_count_exact else f"at least {f.count}"
     shown = "" if len(rows) == f.count else f"; the first {len(rows)} are shown"
-    return table(
-        f"Minimal fixing sets ({many}{shown}): once known, all others are identifiable",
-        ("known", "then identifiable"),
-        rows,
-    )
+    caption = f"Minimal fixing sets ({many}{shown}): once known, all others are identifiable"
+    return Table(("known", "then identifiable"), rows, caption=caption)
 
 
-def _exclusions(a: Assessment) -> Html:
+def _exclusions(a: Assessment) -> Table | None:
     if not any(e.count for e in a.exclusions):
-        return Html("")
-    rows = [(str(e.size), str(e.total), str(e.count)) for e in a.exclusions]
-    return table(
-        "Sets of parameters that are not identifiable although all others are known",
+        return None
+    return Table(
         ("size", "sets", "not identifiable"),
-        rows,
+        [(str(e.size), str(e.total), str(e.count)) for e in a.exclusions],
         numbers=(0, 1, 2),
+        caption="Sets of parameters that are not identifiable although all others are known",
     )
 
 
-def _further(a: Assessment) -> Html:
-    parts: list[str] = []
+def _further(a: Assessment) -> Iterator[Part]:
+    """Repeated experiments, and candidates for what could be measured or known besides."""
     r = a.replicas
     if r is not None:
-        rows = [(str(k), str(d)) for k, d in enumerate(r.deficiencies, 1)]
-        header = ("replicas", "deficiency of the parameters")
-        parts.append(table("The same experiment, repeated", header, rows, numbers=(0, 1)))
-        parts.append(paragraph(r.conclusion[0].upper() + r.conclusion[1:] + "."))
+        yield Table(
+            ("replicas", "deficiency of the parameters"),
+            [(str(k), str(d)) for k, d in enumerate(r.deficiencies, 1)],
+            numbers=(0, 1),
+            caption="The same experiment, repeated",
+        )
+        yield _as_sentence(r.conclusion)
     if a.remedies is not None:
         singles = [
             (
@@ -206,48 +187,30 @@ def _further(a: Assessment) -> Html:
             )
             for e in a.remedies.singles
         ]
-        parts.append(
-            table(
-                "What each candidate does alone",
-                ("candidate", "cost", "gives", "still missing"),
-                singles,
-                numbers=(1,),
-            )
-        )
-        parts += [paragraph(line.strip()) for line in a.remedies.conclusion]
-    return join(parts)
+        head = ("candidate", "cost", "gives", "still missing")
+        yield Table(head, singles, numbers=(1,), caption="What each candidate does alone")
+        yield from a.remedies.conclusion
 
 
-def _states(a: Assessment) -> Html:
-    return table(
-        "Initial states",
-        ("state", "verdict"),
-        [(element("code", x), v.replace("_", " ")) for x, v in a.states.items()],
-    )
+def _states(a: Assessment) -> Table:
+    rows = [(Code(x), v.replace("_", " ")) for x, v in a.states.items()]
+    return Table(("state", "verdict"), rows, caption="Initial states")
 
 
-def _classes(a: Assessment) -> Html:
+def _classes(a: Assessment) -> list[Part]:
     if not a.by_class:
-        return Html("")
-    shared = (
-        f"Shared by all experiments: {', '.join(a.shared_inputs)}."
-        if a.shared_inputs
-        else ("Every experiment has its own." if len(a.experiments) > 1 else "")
-    )
-    return (
-        paragraph(f"Unknown: {', '.join(a.unknown_inputs)}. {shared}")
-        + _answers("The class of the unknown input changes the verdict", a.by_class)
-        + bullets(a.eliminated)
-    )
+        return []
+    shared = "Every experiment has its own." if len(a.experiments) > 1 else ""
+    if a.shared_inputs:
+        shared = f"Shared by all experiments: {', '.join(a.shared_inputs)}."
+    return [
+        f"Unknown: {', '.join(a.unknown_inputs)}. {shared}",
+        _answers("The class of the unknown input changes the verdict", a.by_class),
+        Bullets(a.eliminated),
+    ]
 
 
-def _excitation(a: Assessment) -> Html:
-    if not a.by_excitation:
-        return Html("")
-    return _answers("Ranks with known inputs that do less than they could", a.by_excitation)
-
-
-def _answers(caption: str, answers: Mapping[str, Answer]) -> Html:
+def _answers(caption: str, answers: Mapping[str, Answer]) -> Table:
     rows = [
         (
             label,
@@ -256,80 +219,59 @@ def _answers(caption: str, answers: Mapping[str, Answer]) -> Html:
         )
         for label, v in answers.items()
     ]
-    return table(caption, ("inputs", "rank", "not identifiable"), rows)
+    return Table(("inputs", "rank", "not identifiable"), rows, caption=caption)
 
 
-def _practical(a: Assessment) -> Html:
+def _practical(a: Assessment) -> list[Part]:
     p = a.practical
     if p is None:
-        return Html("")
-    rows = [
-        (
-            element("code", r.name),
-            r.unit,
-            value_text(r.value),
-            number_text(r.std_error) if math.isfinite(r.std_error) else "\u2013",
-            "\u2013"
-            if r.relative is None or not math.isfinite(r.relative)
-            else f"{100 * r.relative:.3g} %",
-            "\u2013" if r.correlation is None else f"{r.correlation:+.3f} {r.partner}",
-            r.verdict + (f": {r.note}" if r.note else ""),
-        )
-        for r in p.rows
-    ]
-    errors = table(
-        f"Expected errors from {', '.join(p.records)} ({p.samples} samples)",
-        ("", "unit", "value", "std. error", "relative", "correlated", "with these records"),
-        rows,
-        numbers=(2, 3, 4),
-    )
-    weakest = bullets([f"weakest: {d}" for d in p.weakest[:3]])
-    return errors + weakest + paragraph(f"What the error bar assumes: {p.assumes}.")
-
-
-def _profiles(a: Assessment) -> Html:
-    if a.profiles is None:
-        return Html("")
-    rows = [
-        (
-            element("code", q.name),
-            q.unit,
-            value_text(q.best),
-            number_text(q.lower),
-            number_text(q.upper),
-            q.kind,
-        )
-        for q in a.profiles
-    ]
-    return table(
-        f"Profile likelihood, {100 * a.profiles.confidence:g} % intervals",
-        ("parameter", "unit", "best", "lower", "upper", "kind"),
-        rows,
-        numbers=(2, 3, 4),
-    )
-
-
-def _orders(a: Assessment) -> Html:
-    parts: list[str] = []
-    for e in a.excitations:
-        rows = [
-            (element("code", c.name), c.unit, str(c), number_text(c.rms))
-            for c in e.signals.channels
-        ]
-        parts.append(
-            table(
-                f"Excitation orders in {e.record}",
-                ("channel", "unit", "order", "rms"),
-                rows,
-                numbers=(3,),
+        return []
+    rows = []
+    for r in p.rows:
+        is_relative = r.relative is not None and math.isfinite(r.relative)
+        rows.append(
+            (
+                Code(r.name),
+                r.unit,
+                value_text(r.value),
+                number_text(r.std_error) if math.isfinite(r.std_error) else "\u2013",
+                f"{100 * (r.relative or 0.0):.3g} %" if is_relative else "\u2013",
+                "\u2013" if r.correlation is None else f"{r.correlation:+.3f} {r.partner}",
+                r.verdict + (f": {r.note}" if r.note else ""),
             )
         )
-        parts.append(bullets([*(str(r) for r in e.references), *([e.note] if e.note else [])]))
-    return join(parts)
+    caption = f"Expected errors from {', '.join(p.records)} ({p.samples} samples)"
+    head = ("", "unit", "value", "std. error", "relative", "correlated", "with these records")
+    return [
+        Table(head, rows, numbers=(2, 3, 4), caption=caption),
+        Bullets([f"weakest: {d}" for d in p.weakest[:3]]),
+        f"What the error bar assumes: {p.assumes}.",
+    ]
 
 
-def _facts(a: Assessment) -> Html:
-    facts: dict[str, str] = {
+def _profiles(a: Assessment) -> Table | None:
+    if a.profiles is None:
+        return None
+    rows = []
+    for q in a.profiles:
+        ends = (number_text(q.lower), number_text(q.upper))
+        rows.append((Code(q.name), q.unit, value_text(q.best), *ends, q.kind))
+    head = ("parameter", "unit", "best", "lower", "upper", "kind")
+    caption = f"Profile likelihood, {100 * a.profiles.confidence:g} % intervals"
+    return Table(head, rows, numbers=(2, 3, 4), caption=caption)
+
+
+def _orders(a: Assessment) -> Iterator[Part]:
+    head = ("channel", "unit", "order", "rms")
+    for e in a.excitations:
+        rows = [(Code(c.name), c.unit, str(c), number_text(c.rms)) for c in e.signals.channels]
+        yield Table(head, rows, numbers=(3,), caption=f"Excitation orders in {e.record}")
+        notes: list[Inline] = [str(r) for r in e.references]
+        yield Bullets([*notes, *([e.note] if e.note else [])])
+
+
+def _facts(a: Assessment) -> Table:
+    facts = {
         "experiments": ", ".join(a.experiments),
         "highest derivative needed": ", ".join(map(str, a.orders)),
         "random points": str(a.points),

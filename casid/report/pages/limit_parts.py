@@ -1,59 +1,46 @@
-"""Parts of the page of a diagnosis: its limits, and experiments that would move them."""
+"""Parts of the report of a diagnosis: its limits, and experiments that would move them."""
 
 from __future__ import annotations
 
 import math
 
 from casid.diagnosis.diagnosis import Diagnosis
-from casid.report.pages.markup import Html, bullets, element, join, paragraph, table
-from casid.report.pages.numbers import number_text
+from casid.report.document import Bullets, Code, Inline, Part, Table
+from casid.report.numbers import number_text
+from casid.report.pages.cause_parts import effect_name
 
 _PAIRS = 12  # in the table of pairs
 _NEVER = 1e6  # beyond it, an energy means never
 
 
-def inseparable(d: Diagnosis) -> Html:
+def inseparable(d: Diagnosis) -> Table | str | None:
     """Effects that this record can neither name nor exclude."""
-    rows: list[tuple[str, ...]] = [
-        (
-            element("code", a.kind),
-            element("code", a.where),
-            Html(f"indistinguishable from {element('code', c.kind)} in {element('code', c.where)}"),
-            a.why,
-        )
-        for c in d.causes
-        for a in c.alternatives
-    ]
-    listed = {(a.kind, a.where) for c in d.causes for a in c.alternatives}
+    rows: list[tuple[Inline, ...]] = []
+    listed = set()
+    for c in d.causes:
+        same = ("indistinguishable from ", *effect_name(c.kind, c.where))
+        for a in c.alternatives:
+            listed.add((a.kind, a.where))
+            rows.append((Code(a.kind), Code(a.where), same, a.why))
     for r in d.ranking:
         if r.status == "cannot be rejected" and (r.kind, r.where) not in listed:
-            rows.append((element("code", r.kind), element("code", r.where), r.status, r.why))
+            rows.append((Code(r.kind), Code(r.where), r.status, r.why))
     for r in d.ranking:
         if r.status == "invisible" and not d.invisible:  # else they have a section of their own
-            rows.append(
-                (
-                    element("code", r.kind),
-                    element("code", r.where),
-                    "undetectable in this record",
-                    r.why,
-                )
-            )
+            rows.append((Code(r.kind), Code(r.where), "undetectable in this record", r.why))
     if not rows:
         is_more = d.isolability is not None and d.isolability.groups
         nothing = "Nothing: every candidate was either named or rejected."
-        return paragraph(nothing) if d.ranking and not is_more else Html("")
-    return table(
-        "Effects that this record can neither name nor exclude",
-        ("effect", "where", "what", "why"),
-        rows,
-    )
+        return nothing if d.ranking and not is_more else None
+    caption = "Effects that this record can neither name nor exclude"
+    return Table(("effect", "where", "what", "why"), rows, caption=caption)
 
 
-def pairs_part(d: Diagnosis) -> Html:
+def pairs_parts(d: Diagnosis) -> list[Part]:
     """Causes that are the same in this record, and the pairs that are hardest to distinguish."""
     found = d.isolability
     if found is None:
-        return Html("")
+        return []
     same = [
         "Indistinguishable in this record: "
         + ", ".join(f"{kind} in {where}" for kind, where in group)
@@ -61,76 +48,71 @@ def pairs_part(d: Diagnosis) -> Html:
     ]
     rows = [
         (
-            _effect(p.first),
-            _effect(p.second),
+            effect_name(*p.first),
+            effect_name(*p.second),
             f"{p.cosine:+.3f}",
             number_text(p.energy) if p.energy < _NEVER else "never",
         )
         for p in found.pairs[:_PAIRS]
     ]
-    if not rows:
-        return bullets(same)
-    return bullets(same) + table(
-        f"Hardest to distinguish. Energy: of the misfit, in units of the noise, at which the right "
-        f"one wins by {found.margin:g} units of BIC with probability {found.power:g}",
-        ("cause", "or", "cosine", "energy needed"),
-        rows,
-        numbers=(2, 3),
+    caption = (
+        "Hardest to distinguish. Energy: of the misfit, in units of the noise, at which the right "
+        f"one wins by {found.margin:g} units of BIC with probability {found.power:g}"
     )
+    head = ("cause", "or", "cosine", "energy needed")
+    return [Bullets(same), Table(head, rows, numbers=(2, 3), caption=caption)]
 
 
-def invisible_part(d: Diagnosis) -> Html:
+def invisible_parts(d: Diagnosis) -> list[Part]:
     """Causes that this set-up or this record cannot show, why, and the remedy."""
     if not d.invisible:
-        return Html("")
+        return []
     rows = [
         (
-            element("code", i.kind),
-            element("code", i.where),
+            Code(i.kind),
+            Code(i.where),
             "any record of these channels" if i.is_structural else "this record",
             i.why,
             i.remedy,
         )
         for i in d.invisible
     ]
-    return paragraph("That these were not found does not say that they are not there.") + table(
-        "Effects that do nothing to the outputs which the model's own parameters could not do",
-        ("effect", "where", "invisible in", "why", "remedy"),
-        rows,
-    )
+    caption = "Effects that do nothing to the outputs which the model's own parameters could not do"
+    return [
+        "That these were not found does not say that they are not there.",
+        Table(("effect", "where", "invisible in", "why", "remedy"), rows, caption=caption),
+    ]
 
 
-def proposals_part(d: Diagnosis) -> Html:
+def proposals_table(d: Diagnosis) -> Table:
     """Next experiments, the best first."""
-    if not d.proposals:
-        return Html("")
     rows = [
         (
             str(i),
             p.name,
             p.description,
-            element("span", _effect(p.pair[0]) + " from " + _effect(p.pair[1])),
-            _seconds(p.record_length),
+            (*effect_name(*p.pair[0]), " from ", *effect_name(*p.pair[1])),
+            f"{p.record_length:.3g}" if math.isfinite(p.record_length) else "never",
             f"{p.gain_factor:.3g}" if math.isfinite(p.gain_factor) else "\u2013",
             number_text(p.cosine),
         )
         for i, p in enumerate(d.proposals, 1)
     ]
-    return table(
-        "What to record next, by how soon it separates the tied causes. Separates: the hardest "
-        "pair in it; seconds: of record needed; gain: how many times less visible the misfit may "
-        "be than in this record",
+    return Table(
         ("", "experiment", "what to do", "separates", "seconds", "gain", "cosine"),
         rows,
         numbers=(4, 5, 6),
+        caption="What to record next, by how soon it separates the tied causes. Separates: the "
+        "hardest pair in it; seconds: of record needed; gain: how many times less visible the "
+        "misfit may be than in this record",
     )
 
 
-def calibration_part(d: Diagnosis) -> Html:
+def calibration_parts(d: Diagnosis) -> list[Part]:
     """The false-alarm rate found on records like this one."""
     c = d.calibration
     if c is None:
-        return Html("")
+        return []
     low, high = c.interval
     rows = [
         ("requested false-alarm rate", f"{100 * c.alpha:.3g} %"),
@@ -138,18 +120,5 @@ def calibration_part(d: Diagnosis) -> Html:
         ("null records", f"{c.runs}"),
         ("level that this record is judged at", f"{c.threshold:.3g}"),
     ]
-    return join(
-        (
-            paragraph(f"{c.sentence}."),
-            table("False alarms on records that the fitted model drew", ("", "value"), rows),
-            bullets(c.notes),
-        )
-    )
-
-
-def _effect(key: tuple[str, str]) -> Html:
-    return element("code", key[0]) + " in " + element("code", key[1])
-
-
-def _seconds(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else "never"
+    caption = "False alarms on records that the fitted model drew"
+    return [f"{c.sentence}.", Table(("", "value"), rows, caption=caption), Bullets(c.notes)]

@@ -1,229 +1,76 @@
-"""The page of a Monte Carlo study: histograms, and how well the intervals cover."""
+"""The report of a Monte Carlo study: histograms, and how well the intervals cover."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-
-from casid.arrays import Array
 from casid.campaigns.monte_carlo import Accuracy, MonteCarlo
-from casid.report.figures.look import AFTER, BEFORE, MEASURED, axis_text, hover_text, visible_text
-from casid.report.figures.panels import Panels
-from casid.report.pages.markup import bullets, element, mapping_table, paragraph, table
-from casid.report.pages.numbers import number_text, value_text
-from casid.report.pages.page import Page
+from casid.report.document import Bullets, Document, Section, Table, figure_parts, mapping_table
+from casid.report.figures.histograms import histogram_figure
+from casid.report.numbers import number_text, value_text
+from casid.report.pages.estimate_parts import provenance
 
 
-def histogram_figure(result: MonteCarlo) -> Any:
-    """Histograms of the estimates, one panel a parameter, with truth and reported density.
-
-    The curve is the normal density about the mean estimate with the mean of the reported standard
-    errors, scaled to the bars: where it is narrower than they are, the intervals are too.
-    """
-    shown = [p for p in result.parameters if p.n > 1]
-    if not shown:
-        raise ValueError("fewer than two runs have an estimate; there is nothing to draw")
-    columns = min(2, len(shown))
-    figure = Panels(panels=len(shown), columns=columns, row_height=260, gap=70)
-    for k, p in enumerate(shown):
-        _histogram_panel(figure, k, _Histogram.of(result, p))
-        figure.label(k, x=axis_text(p.name, p.unit), y="runs" if k % columns == 0 else None)
-    figure.figure.update_layout(bargap=0)
-    figure.ticks = 5
-    caption = (
-        f"Estimates of {visible_text(result.problem)} in {shown[0].n} runs, against the truth and "
-        "the normal density that their mean standard error promises."
-    )
-    return figure.done(caption, ())
-
-
-@dataclass(frozen=True)
-class _Histogram:
-    """Bars of one parameter's estimates.
-
-    count : runs in each bar.
-    edge : between the bars, one more than bars.
-    """
-
-    accuracy: Accuracy
-    values: Array
-    count: Array
-    edge: Array
-
-    @classmethod
-    def of(cls, result: MonteCarlo, p: Accuracy) -> _Histogram:
-        values = result.estimates(p.name).astype(float)
-        values = values[np.isfinite(values)]
-        # Scott (Biometrika 66 (1979) 605-610): 3.49 sigma n^(-1/3); at least 5 bars, at most 60.
-        width = 3.49 * p.spread * values.size ** (-1 / 3)
-        reach = float(np.ptp(values))
-        bins = int(np.clip(math.ceil(reach / width), 5, 60)) if width > 0 and reach > 0 else 5
-        return cls(p, values, *np.histogram(values, bins))
-
-    @property
-    def step(self) -> float:
-        """The width of a bar."""
-        return float(self.edge[1] - self.edge[0])
-
-    def density(self) -> tuple[Array, Array] | None:
-        """The normal density that the standard errors promise, scaled to the bars.
-
-        It is cut where it is far from them; None without standard errors.
-        """
-        p, sigma = self.accuracy, self.accuracy.mean_std_error
-        if not (math.isfinite(sigma) and sigma > 0):
-            return None
-        x = p.mean + sigma * np.linspace(-3.5, 3.5, 141)
-        peak = self.values.size * self.step / (sigma * math.sqrt(2 * math.pi))
-        density = peak * np.exp(-0.5 * ((x - p.mean) / sigma) ** 2)
-        reach = 3 * (float(np.ptp(self.values)) + self.step)
-        inside = (x > p.mean - reach) & (x < p.mean + reach)
-        return x[inside], density[inside]
-
-
-def _histogram_panel(figure: Panels, k: int, bars: _Histogram) -> None:
-    """Draw bars, reported density, mean and truth of one parameter in panel `k`."""
-    p, edge = bars.accuracy, bars.edge
-    figure.add(
-        k,
-        kind="Bar",
-        x=0.5 * (edge[1:] + edge[:-1]),
-        y=bars.count,
-        width=bars.step,
-        name="estimates",
-        marker={"color": MEASURED, "line": {"color": "#ffffff", "width": 1}},
-        hovertemplate=hover_text(p.unit, "runs"),
-    )
-    top = float(bars.count.max())
-    span = [float(edge[0]), float(edge[-1])]
-    density = bars.density()
-    if density is not None:
-        x, y = density
-        peak = float(y.max())
-        if peak < 4 * top:  # far narrower than the bars, it would flatten them
-            top = max(top, peak)
-        figure.add(
-            k,
-            x=x,
-            y=y,
-            name="as the standard errors have it",
-            mode="lines",
-            line={"color": AFTER, "width": 2},
-            hovertemplate=hover_text(p.unit, "runs"),
-        )
-        span = [min(span[0], x[0]), max(span[1], x[-1])]
-    for label, at, colour, dash in (
-        ("mean", p.mean, "#222222", "dot"),
-        ("truth", p.truth, BEFORE, "dash"),
-    ):
-        if at is None or not math.isfinite(at):
-            continue
-        span = [min(span[0], at), max(span[1], at)]
-        figure.add(
-            k,
-            x=[at, at],
-            y=[0.0, 1.08 * top],
-            name=label,
-            mode="lines",
-            line={"color": colour, "width": 2, "dash": dash},
-            hovertemplate=f"{label} %{{x:.6g}}<extra></extra>",
-        )
-    margin = 0.04 * (span[1] - span[0]) or 1.0
-    figure.x_range(k, [span[0] - margin, span[1] + margin])
-    figure.y_range(k, [0, 1.1 * top])
-
-
-def montecarlo_page(result: MonteCarlo) -> str:
-    """The study as one HTML page that opens offline; the same study gives the same page."""
-    figures = {}
-    if any(p.n > 1 for p in result.parameters):
-        figures["histograms"] = histogram_figure(result)
-    page = Page(figures)
+def monte_carlo_report(result: MonteCarlo) -> Document:
+    """Accuracy of every parameter, failed runs, and what makes the study again."""
+    is_drawn = any(p.n > 1 for p in result.parameters)
+    figure = figure_parts({"histograms": histogram_figure(result)} if is_drawn else {}).get
     failed = len(result.campaign.failures)
-    page.section(
-        "",
-        paragraph(
-            f"{result.campaign.runs} runs with seed {result.campaign.seed}, method "
-            f"{result.method}; {failed or 'none'} failed."
-        ),
-        bullets([f"{p.name}: {remark}" for p in result.parameters for remark in p.remarks]),
+    runs = (
+        f"{result.campaign.runs} runs with seed {result.campaign.seed}, method {result.method}; "
+        f"{failed or 'none'} failed."
     )
-    page.section(
-        "Parameters",
-        _accuracy_table(result.parameters),
-        page.figure("histograms"),
-        paragraph(
-            "Bias: mean minus truth, with its Monte Carlo standard error. Spread: standard "
-            "deviation of the estimates, with its standard error were they normal. Coverage: share "
-            "of the 95 % intervals that hold the truth, with its binomial 95 % interval (Wilson "
-            "1927)."
-        ),
+    words = (
+        "Bias: mean minus truth, with its Monte Carlo standard error. Spread: standard deviation "
+        "of the estimates, with its standard error were they normal. Coverage: share of the 95 % "
+        "intervals that hold the truth, with its binomial 95 % interval (Wilson 1927)."
     )
-    if failed:
-        rows = {message: str(n) for message, n in result.failures.items()}
-        page.section("Failed runs", mapping_table(rows, ("message", "runs")))
-    settings = {
+    remarks = [f"{p.name}: {remark}" for p in result.parameters for remark in p.remarks]
+    failures = {message: str(n) for message, n in result.failures.items()}
+    settings = {"seed": str(result.campaign.seed)} | {
         name: ", ".join(f"{k} = {v}" for k, v in value.items())
         if isinstance(value, dict)
         else str(value)
         for name, value in result.settings.items()
         if value not in (None, {}, [])
     }
-    page.section(
-        "Provenance",
-        paragraph("Run i has the random numbers of numpy.random.SeedSequence(seed).spawn(n)[i]."),
-        mapping_table({"seed": str(result.campaign.seed), **settings}, ("setting", "value")),
-        element("h3", "Versions") if result.versions else "",
-        mapping_table(result.versions, ("package", "version")),
+    streams = "Run i has the random numbers of numpy.random.SeedSequence(seed).spawn(n)[i]."
+    return Document(
+        result.problem,
+        [
+            Section("", [runs, Bullets(remarks)]),
+            Section("Parameters", [_accuracy(result.parameters), figure("histograms"), words]),
+            Section("Failed runs", [mapping_table(failures, ("message", "runs"))]),
+            provenance((), settings, result.versions, streams),
+            Section("References", [Bullets(result.sources)]),
+        ],
+        kind="Monte Carlo study",
     )
-    page.section("References", bullets(result.sources))
-    title = f"Monte Carlo study of {visible_text(result.problem)}"
-    return page.text(title, "Monte Carlo study", result.problem)
 
 
-def _accuracy_table(parameters: Sequence[Accuracy]) -> str:
+def _accuracy(parameters: Sequence[Accuracy]) -> Table:
     rows = []
     for p in parameters:
-        between = p.coverage_interval
         covers = "\u2013"
-        if p.coverage is not None and between is not None:
-            covers = (
-                f"{100 * p.coverage:.1f} % ({100 * between[0]:.1f} .. {100 * between[1]:.1f} %)"
-            )
-        bias = "\u2013" if p.bias is None else _plus_minus(p.bias, p.bias_std_error)
+        if p.coverage is not None and p.coverage_interval is not None:
+            low, high = (100 * x for x in p.coverage_interval)
+            covers = f"{100 * p.coverage:.1f} % ({low:.1f} .. {high:.1f} %)"
         rows.append(
-            [
+            (
                 p.name,
                 p.unit,
                 "\u2013" if p.truth is None else value_text(p.truth),
                 p.mean_text,
-                bias,
+                "\u2013" if p.bias is None else _plus_minus(p.bias, p.bias_std_error),
                 _plus_minus(p.spread, p.spread_std_error),
                 number_text(p.mean_std_error),
                 covers,
                 "; ".join(p.remarks),
-            ]
+            )
         )
-    return table(
-        "Accuracy of the estimates against the simulator's truth, SI units",
-        [
-            "parameter",
-            "unit",
-            "truth",
-            "mean",
-            "bias",
-            "spread",
-            "mean std. error",
-            "coverage",
-            "note",
-        ],
-        rows,
-        numbers=tuple(range(2, 8)),
-    )
+    head = "parameter,unit,truth,mean,bias,spread,mean std. error,coverage,note".split(",")
+    caption = "Accuracy of the estimates against the simulator's truth, SI units"
+    return Table(head, rows, numbers=range(2, 8), caption=caption)
 
 
 def _plus_minus(value: float, error: float) -> str:

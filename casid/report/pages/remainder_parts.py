@@ -1,16 +1,15 @@
-"""Parts of the page of a diagnosis: the remainder, and parameters that moved."""
+"""Parts of the report of a diagnosis: the remainder, and parameters that moved."""
 
 from __future__ import annotations
 
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.estimation.estimate import Estimated
-from casid.report.pages.markup import Html, element, join, paragraph, safe, table
-from casid.report.pages.numbers import change_text, number_text, p_text, plus_minus
+from casid.report.document import Code, Paragraph, Part, Table
+from casid.report.numbers import change_text, number_text, p_text, plus_minus
 
 
-def gain_table(d: Diagnosis) -> Html:
+def gain_table(d: Diagnosis) -> Table:
     """Rms errors before and after beside the noise floor."""
-    units = d.output_units
     rows = []
     for part, numbers in (("fitted", d.fitted), ("held out", d.held_out)):
         for output, before in numbers.get("baseline_rmse", {}).items():
@@ -20,57 +19,44 @@ def gain_table(d: Diagnosis) -> Html:
                 (
                     part,
                     output,
-                    units.get(output, ""),
+                    d.output_units.get(output, ""),
                     number_text(before),
                     "\u2013" if after is None else number_text(after),
                     "\u2013" if after is None else change_text(before, after),
                     "\u2013" if floor is None else number_text(floor),
                 )
             )
-    if not rows:
-        return Html("")
-    return table(
-        "Root mean square simulation error",
+    return Table(
         ("part", "output", "unit", "before", "after", "change", "noise floor"),
         rows,
         numbers=(3, 4, 5, 6),
+        caption="Root mean square simulation error",
     )
 
 
-def remaining_part(d: Diagnosis) -> Html:
+def remaining_parts(d: Diagnosis) -> list[Part]:
     """What each cause explains of the misfit, and what none does."""
     r = d.remaining
     if r is None:
-        return Html("")
-    parts = [paragraph(r.sentence)]
+        return []
+    parts: list[Part] = [r.sentence]
     if r.p_value is not None:
         test = r.test or "test of the remainder"
-        parts.append(element("p", f"{test}: p {p_text(r.p_value)}", class_="facts"))
+        parts.append(Paragraph(f"{test}: p {p_text(r.p_value)}", look="facts"))
     if r.explained:
         rows = [
-            (element("code", e.kind), element("code", e.where), _share(e.share))
-            for e in r.explained
+            *((Code(e.kind), Code(e.where), _share(e.share)) for e in r.explained),
+            ("unexplained", "", _share(r.unexplained)),
         ]
-        rows.append((safe("unexplained"), safe(""), _share(r.unexplained)))
-        parts.append(
-            table("Share of the excess misfit", ("cause", "where", "share"), rows, numbers=(2,))
-        )
-    if r.over_floor:
-        parts.append(
-            table(
-                "RMS error of the remainder, in units of the noise floor",
-                ("output", "error over floor"),
-                [(output, number_text(ratio)) for output, ratio in r.over_floor.items()],
-                numbers=(1,),
-            )
-        )
-    return join(parts)
+        caption = "Share of the excess misfit"
+        parts.append(Table(("cause", "where", "share"), rows, numbers=(2,), caption=caption))
+    over = [(output, number_text(ratio)) for output, ratio in r.over_floor.items()]
+    caption = "RMS error of the remainder, in units of the noise floor"
+    return [*parts, Table(("output", "error over floor"), over, numbers=(1,), caption=caption)]
 
 
-def moved_part(d: Diagnosis) -> Html:
+def moved_table(d: Diagnosis) -> Table:
     """Parameters that the missing causes had biased."""
-    if not d.moved:
-        return Html("")
     rows = []
     for m in d.moved:
         before, after = (
@@ -79,12 +65,12 @@ def moved_part(d: Diagnosis) -> Html:
         )
         shift = "\u2013" if m.shift is None else f"{m.shift:+.1f}"
         rows.append((m.name, m.unit, before, after, number_text(m.bias), shift))
-    return table(
-        "Estimates without and with the named causes. Bias: what leaving them out had added; "
-        "moved: in standard errors of the estimate after",
+    return Table(
         ("parameter", "unit", "before", "after", "bias removed", "moved"),
         rows,
         numbers=(2, 3, 4, 5),
+        caption="Estimates without and with the named causes. Bias: what leaving them out had "
+        "added; moved: in standard errors of the estimate after",
     )
 
 

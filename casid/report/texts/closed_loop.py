@@ -1,4 +1,4 @@
-"""A closed-loop view as text: the loop in symbols, its direct term, estimators, numbers."""
+"""A closed-loop view as a document: the loop in symbols, its direct term, estimators, numbers."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 
 from casid.linear.closed_loop import ClosedLoopView
+from casid.report.document import Document, Lines
 
 Algebra = Any  # a sympy expression or matrix
 
 
-def closed_loop_text(view: ClosedLoopView) -> str:
+def closed_loop_document(view: ClosedLoopView) -> Document:
     """The loop in symbols, its direct term, which estimators are consistent, and its numbers."""
     p, taus = view.p, view.disturbances_as_inputs
     short = _Denominators(p)
+    title = f"Closed-loop view of {view.name}  ({p} = d/dt)"
     lines = [
-        f"Closed-loop view of {view.name}  ({p} = d/dt)",
         f"  outputs {', '.join(view.outputs)}; fed back: {', '.join(view.inputs)} (in place of "
         f"{', '.join(view.unknown)}); other inputs: {', '.join(view.others) or 'none'}",
         "",
@@ -37,7 +38,7 @@ def closed_loop_text(view: ClosedLoopView) -> str:
     ]
     if view.is_degenerate:
         lines.append("  nothing enters the loop from outside: the indirect model is an identity")
-        return "\n".join(lines)
+        return Document(title, [Lines(lines)])
     if view.has_direct_term:
         lines.append("  direct term, lim G_O F_y as p grows: not zero")
         lines += _Denominators(p).entries("lim", view.direct_term, view.outputs, view.outputs)
@@ -47,7 +48,7 @@ def closed_loop_text(view: ClosedLoopView) -> str:
     for v in view.estimators():
         lines.append(f"    {'consistent' if v.is_consistent else 'biased':12}{v.estimator}")
         lines += wrap(v.why, 96, initial_indent=" " * 16, subsequent_indent=" " * 16)
-    return "\n".join(lines + _numbers(view))
+    return Document(title, [Lines(lines + _numbers(view))])
 
 
 def _numbers(view: ClosedLoopView) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from casid.algebra.rational import Rational
-from casid.report.document import Document, Table
+from casid.report.document import Document, Lines, Table
 from casid.unknown_inputs.networks.equations import NodeEquations
 from casid.unknown_inputs.networks.estimation.module_estimate import ModuleEstimate
 from casid.unknown_inputs.networks.network import Network
@@ -14,9 +14,9 @@ _LONGEST = 400  # characters beyond which an entry is left out
 _LOOPS = 5  # algebraic loops that are listed
 
 
-def network_text(network: Network) -> str:
+def network_document(network: Network) -> Document:
     """One line for each node's equation, then modules, sensors and stability."""
-    lines = [repr(network)]
+    lines = []
     for n in network.nodes:
         terms = [f"{edge_label((n, k))} {node_label(k)}" for k in network.sources(n)]
         terms += [f"delta_{n}"] * (n in network.excitations)
@@ -25,12 +25,12 @@ def network_text(network: Network) -> str:
     lines += [f"  {edge_label(edge)} = {g}" for edge, g in network.modules.items()]
     lines.append(f"  measured: {labels(network.measured)}; not: {labels(network.unmeasured)}")
     lines += [f"  {line}" for line in (_loops(network), _stability(network)) if line]
-    return "\n".join(lines)
+    return Document(repr(network), [Lines(lines)])
 
 
-def equations_text(equations: NodeEquations) -> str:
+def equations_document(equations: NodeEquations) -> Document:
     """One line for each node: modules and filters of external signals, long ones left out."""
-    lines = [repr(equations)]
+    lines = []
     for n in equations.nodes:
         terms = []
         for rows, name in ((equations.G, node_label), (equations.F, lambda k: f"e_{k}")):
@@ -40,7 +40,8 @@ def equations_text(equations: NodeEquations) -> str:
                 terms.append(name(k) if entry == "1" else f"({entry}) {name(k)}")
         lines.append(f"  {node_label(n)} = {' + '.join(terms) or '0'}")
     lines.append("  e = delta + tau")
-    return "\n".join(lines + [f"  {reason}" for reason in unrunnable(equations)])
+    lines += [f"  {reason}" for reason in unrunnable(equations)]
+    return Document(repr(equations), [Lines(lines)])
 
 
 def unrunnable(equations: NodeEquations) -> list[str]:

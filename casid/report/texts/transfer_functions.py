@@ -6,21 +6,23 @@ from typing import Any
 
 from casid.errors import ModelError
 from casid.linear.linear_model import TransferMatrix
+from casid.report.document import Document, Lines
 
 Algebra = Any  # a sympy expression
 
 _PRINTED = 400  # operations beyond which transfer functions are no reading
 
 
-def transfer_text(transfer: TransferMatrix) -> str:
+def transfer_document(transfer: TransferMatrix) -> Document:
     """One line for each transfer function, common factors cancelled; large ones are left out."""
     size = transfer.function.n_instructions()
     if size > _PRINTED:
-        return f"{transfer!r}: {size} operations, too many to print; evaluate(values) has numbers"
+        why = f"{size} operations, too many to print; evaluate(values) has numbers"
+        return Document(f"{transfer!r}: {why}", [])
     try:
-        return "\n".join([repr(transfer), *_lines(transfer)])
+        return Document(repr(transfer), [Lines(_lines(transfer))])
     except ModelError as reason:  # an operation that algebra does not know
-        return f"{transfer!r}: {reason}"
+        return Document(f"{transfer!r}: {reason}", [])
 
 
 def _lines(transfer: TransferMatrix) -> list[str]:

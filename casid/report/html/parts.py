@@ -1,0 +1,158 @@
+"""Parts of a document as HTML, the same on a page and in a notebook but for figures."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
+
+from casid.report.document import (
+    Banner,
+    Bullets,
+    Card,
+    Cards,
+    Code,
+    Figure,
+    Inline,
+    Lines,
+    Paragraph,
+    Part,
+    Section,
+    Status,
+    Strong,
+    Table,
+)
+from casid.report.html.markup import Html, element, join, safe
+
+_STATUSES = ("named", "cannot be rejected", "rejected", "not significant", "invisible")
+
+
+class Renderer(ABC):
+    """Parts as HTML; a part without content is nothing."""
+
+    @abstractmethod
+    def figure(self, figure: Figure) -> Html:
+        """The figure with its caption."""
+
+    def parts(self, parts: Iterable[Part]) -> Html:
+        """Parts one below another; labelled texts that follow one another are a table."""
+        return join(self._groups(parts))
+
+    def _groups(self, parts: Iterable[Part]) -> Iterator[Html]:
+        for is_labelled, group in groupby(parts, lambda part: isinstance(part, tuple)):
+            if is_labelled:
+                rows = (p for p in group if isinstance(p, tuple))
+                yield _labelled_table(rows)
+            else:
+                yield from map(self.part, group)
+
+    def part(self, part: Part) -> Html:
+        """One part."""
+        match part:
+            case str():
+                return element("p", part.strip()) if part.strip() else Html("")
+            case Paragraph(text, look):
+                return element("p", inline(text), **_class(look))
+            case Lines(lines):
+                return element("pre", "\n".join(lines)) if lines else Html("")
+            case Table():
+                return _table(part) if part.rows else Html("")
+            case Bullets():
+                return _bullets(part) if part.items else Html("")
+            case Banner():
+                return _banner(part)
+            case Cards(cards):
+                return element("dl", join(map(_card, cards)), class_="cards") if cards else Html("")
+            case Figure():
+                return self.figure(part)
+            case Section():
+                return self.section(part)
+        return Html("")
+
+    def section(self, section: Section) -> Html:
+        """A section inside of another."""
+        content = self.parts(section.parts)
+        if not content:
+            return content
+        framed = element("h3", inline(section.heading)) + content
+        if not section.look:
+            return framed
+        return element("article" if section.look == "cause" else "div", framed, class_=section.look)
+
+
+def inline(text: Inline) -> Html:
+    """Text of a line, each of its pieces in its element."""
+    if isinstance(text, tuple):
+        return join(map(inline, text))
+    match text:
+        case Code():
+            return element("code", str(text))
+        case Strong():
+            return element("b", str(text))
+        case Status():
+            kind = text.replace(" ", "-") if text in _STATUSES else "other"
+            return element("span", str(text), class_=f"status {kind}")
+    return safe(text)
+
+
+def _class(look: str) -> dict[str, str]:
+    return {"class_": look} if look else {}
+
+
+def _labelled_table(rows: Iterable[tuple[str, str]]) -> Html:
+    cells = (element("th", label, scope="row") + element("td", text) for label, text in rows)
+    return element("table", element("tbody", join(element("tr", row) for row in cells)))
+
+
+def _table(table: Table) -> Html:
+    """The table under its caption, which scrolls by itself where it is wider than the page."""
+    head = join(
+        element("th", h, class_="n" if i in table.numbers else "", scope="col")
+        for i, h in enumerate(table.header)
+    )
+    body = join(element("tr", _cells(row, table)) for row in table.rows)
+    caption = table.caption or " ".join(h for h in table.header if h)
+    content = element(
+        "table",
+        element("thead", element("tr", head)) + element("tbody", body),
+        aria_label=caption,
+    )
+    scroll = element(
+        "div", content, class_="scroll", tabindex="0", role="region", aria_label=caption
+    )
+    # The caption is outside of what scrolls: on a phone it must not run off the side.
+    above = element("p", table.caption, class_="caption") if table.caption else ""
+    return element("div", above + scroll, class_="table")
+
+
+def _cells(row: Sequence[Inline] | str, table: Table) -> Html:
+    if isinstance(row, str):
+        return element("td", row, colspan=str(len(table.header)))
+    return join(
+        element("td", inline(cell), **_class("n" if i in table.numbers else ""))
+        for i, cell in enumerate(row)
+    )
+
+
+def _bullets(bullets: Bullets) -> Html:
+    items = join(element("li", inline(item)) for item in bullets.items)
+    return element("ol" if bullets.is_numbered else "ul", items, **_class(bullets.look))
+
+
+def _banner(banner: Banner) -> Html:
+    return element(
+        "div",
+        element("p", element("b", banner.word) + safe(banner.beside), class_="word")
+        + element("p", banner.sentence, class_="sentence"),
+        class_=f"banner {banner.look}",
+        role="status",
+    )
+
+
+def _card(card: Card) -> Html:
+    value = safe(f"{card.value} ") + element("small", card.unit) if card.unit else card.value
+    return element(
+        "div",
+        element("dt", card.title) + element("dd", value) + element("dd", card.rest, class_="rest"),
+        class_="card",
+    )
