@@ -14,7 +14,7 @@ from casid.arrays import TINY
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.columns import Columns, ColumnSpec
 from casid.data.reading.faults import Survey
-from casid.data.reading.survey import survey
+from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.record import BoolArray, FloatArray, Record
 from casid.deprecation import renamed
 from casid.presentation import Presented
@@ -181,7 +181,8 @@ def check(
     if isinstance(data, Record):
         found = _Read(data, data.name)
     else:
-        found = _read(survey(data, columns, time=time, window=window, resample=resample, Ts=Ts))
+        options = ReadingOptions(time, window, resample=resample, Ts=Ts)
+        found = _read(survey(data, columns, options))
     record, name, times, findings = found.record, found.name, found.times, list(found.findings)
     clock = _clock(times) if times is not None and times.size > 1 else None
     if record is None:

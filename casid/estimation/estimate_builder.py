@@ -46,16 +46,6 @@ class Scored(Protocol):
         ...
 
 
-def sandwich_and_rank(criterion: Scored, solution: Solution) -> tuple[Array, int, LocalRank]:
-    """Robust covariance (n, n) of a minimum, the lags it takes, and the rank there."""
-    names = [v.name for v in criterion.variables]
-    scale = np.array([v.scale for v in criterion.variables])
-    free = np.array([not bound_of(solution, n) for n in names])
-    scores = criterion.scores(solution.x)
-    covariance, lags = sandwich(solution.hessian, scores, free, solution.constraint_jacobian)
-    return covariance, lags, local_rank(solution.hessian, solution.x, names, scale)
-
-
 def bound_of(solution: Solution, name: str) -> str:
     """The bound a variable is at, "lower" or "upper"; empty if none."""
     if name in solution.at_lower:
@@ -108,6 +98,36 @@ class EstimateBuilder:
         elif not determined:
             row = replace(row, std_error=None, note="not identifiable at the estimate")
         (self._initial_states if is_state else self._parameters).append(row)
+
+    def add_minimum(
+        self, criterion: Scored, solution: Solution, rows: Sequence[Estimated | None], assumes: str
+    ) -> Uncertainty:
+        """The unknowns of a minimum with their robust standard errors, its rank and its status.
+
+        Parameters
+        ----------
+        rows : one for each unknown, its error still to be given; None where it is no result.
+        assumes : what the errors assume, with a place `{lags}` for the lags of the covariance.
+        """
+        names = tuple(v.name for v in criterion.variables)
+        scale = np.array([v.scale for v in criterion.variables])
+        free = np.array([not bound_of(solution, n) for n in names])
+        scores = criterion.scores(solution.x)
+        covariance, lags = sandwich(solution.hessian, scores, free, solution.constraint_jacobian)
+        rank = local_rank(solution.hessian, solution.x, names, scale)
+        undetermined = {n for direction in rank.null for n in direction}
+        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+        for v, row, error in zip(criterion.variables, rows, sd, strict=True):
+            if row is not None:
+                self.add(
+                    replace(row, std_error=error),
+                    bound_of(solution, v.name),
+                    determined=v.name not in undetermined,
+                    is_state=v.source in self.model.states,
+                )
+        self.add_rank(rank)
+        self.warn_unless_converged(solution)
+        return Uncertainty(names, covariance, assumes.format(lags=lags))
 
     def add_known(self) -> None:
         """The parameters of the model that have a known value and no row yet."""

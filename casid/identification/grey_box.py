@@ -17,14 +17,8 @@ from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.data.record import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, SolveError
-from casid.estimation.estimate import Estimate, Estimated, Uncertainty
-from casid.estimation.estimate_builder import (
-    EstimateBuilder,
-    bound_of,
-    origin_of,
-    sandwich_and_rank,
-    solver_evidence,
-)
+from casid.estimation.estimate import Estimate, Estimated
+from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver_evidence
 from casid.estimation.local_rank import describe_null, local_rank
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Solution, not_converged
@@ -300,22 +294,13 @@ def _unit(criterion: PredictionError, name: str, source: str) -> str:
 def _estimate(criterion: PredictionError, solution: Solution, wanted: Array) -> Estimate:
     """The estimate of a solution; `wanted` (n,) are the starts as they were given."""
     model, x = criterion.model, solution.x
-    covariance, lags, rank = sandwich_and_rank(criterion, solution)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    undetermined = {n for direction in rank.null for n in direction}
     builder = EstimateBuilder(model.name, model, criterion.noisy.linear.notes)
-    for i, v in enumerate(criterion.variables):
-        given = float(wanted[i])
+    rows = []
+    for v, value, given in zip(criterion.variables, x.tolist(), wanted.tolist(), strict=True):
         note = "" if np.isclose(v.start, given, rtol=1e-3) else f"searched from {v.start:.2g}"
         unit = _unit(criterion, v.name, v.source)
-        builder.add(
-            Estimated(v.name, float(x[i]), unit, False, float(sd[i]), given, note),
-            bound_of(solution, v.name),
-            determined=v.name not in undetermined,
-            is_state=v.source in model.states,
-        )
-    builder.add_rank(rank)
-    builder.warn_unless_converged(solution)
+        rows.append(Estimated(v.name, value, unit, False, None, given, note))
+    uncertainty = builder.add_minimum(criterion, solution, rows, ASSUMES)
     for e, d in enumerate(criterion.data):
         error = criterion.innovations(x, e)
         builder.add_fits(d.name, criterion.outputs, d.y, error)
@@ -325,7 +310,7 @@ def _estimate(criterion: PredictionError, solution: Solution, wanted: Array) -> 
     gain = "steady-state" if criterion.initial is None else "time-varying"
     return builder.build(
         f"prediction error, {gain} Kalman predictor; rms errors are one sample ahead",
-        Uncertainty(criterion.names, covariance, ASSUMES.format(lags=lags)),
+        uncertainty,
         solver_evidence(solution),
         origin_of(criterion.experiments, SOURCES),
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 from casid.data.reading.columns import Columns, ColumnSpec
 from casid.data.reading.faults import Survey
 from casid.data.reading.sources import source_of
-from casid.data.reading.survey import survey
+from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.reading.tables import Table
 from casid.data.record import Record
 from casid.errors import DataError, UnitError
@@ -62,18 +62,8 @@ def read_record(
     UnitError
         For a unit that cannot be read or does not fit the channel.
     """
-    found = survey(
-        path,
-        columns,
-        time=time,
-        window=window,
-        name=name,
-        resample=resample,
-        Ts=Ts,
-        mark_missing=mark_missing,
-        describe=False,
-    )
-    return _sound_record(found)
+    options = ReadingOptions(time, window, name, resample, Ts, mark_missing)
+    return _sound_record(survey(path, columns, options, describe=False))
 
 
 def _sound_record(found: Survey) -> Record:

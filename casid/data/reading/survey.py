@@ -26,16 +26,23 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+@dataclass(frozen=True, slots=True)
+class ReadingOptions:
+    """How a file is read: `time` to `mark_missing` of `casid.read_record`."""
+
+    time: str | ColumnSpec | Sequence[str | None] | None = None
+    window: tuple[float, float] | None = None
+    name: str | None = None
+    resample: float | None = None
+    Ts: float | None = None
+    mark_missing: bool = False
+
+
 def survey(
     path: str | Path,
     columns: Columns | None = None,
+    options: ReadingOptions | None = None,
     *,
-    time: str | ColumnSpec | Sequence[str | None] | None = None,
-    window: tuple[float, float] | None = None,
-    name: str | None = None,
-    resample: float | None = None,
-    Ts: float | None = None,
-    mark_missing: bool = False,
     describe: bool = True,
 ) -> Survey:
     """Read a file as `read_record` does, but collect the faults instead of raising at the first.
@@ -51,7 +58,9 @@ def survey(
         it or, where only some samples are not finite, have those marked missing.
     """
     source, own_window = source_of(path)
-    window = own_window if window is None else window
+    options = options or ReadingOptions()
+    window = own_window if options.window is None else options.window
+    Ts, resample = options.Ts, options.resample
     _require_positive(resample=resample, Ts=Ts)
     found = Survey(source)
     try:
@@ -60,7 +69,7 @@ def survey(
     except DataError as error:
         return found.with_fault(Fault("file", str(error), ""))
     try:
-        specs, clock = _resolved(table, columns, time, Ts)
+        specs, clock = _resolved(table, columns, options.time, Ts)
         if frame is None:
             frame = table.read(_used(specs, clock))
     except DataError as error:
@@ -91,14 +100,13 @@ def survey(
         if inside is not None:
             rows = rows[inside]
             steps.append(f"window {_window_text(window)} s: {rows.size} samples")
-    channels = _channels(
-        table, frame, specs, rows, found, steps, skip_text=columns is None, mark=mark_missing
-    )
+    skip_text, mark = columns is None, options.mark_missing
+    channels = _channels(table, frame, specs, rows, found, steps, skip_text=skip_text, mark=mark)
     if found.times is None or not _is_even(table, clock, rows, found, resample):
         return found
     if not channels.values:
         return found
-    label = name or source.stem + (f"@{_window_text(window)}" if window is not None else "")
+    label = options.name or source.stem + (f"@{_window_text(window)}" if window is not None else "")
     found.record = _record(channels, found, resample, label, steps)
     return found
 

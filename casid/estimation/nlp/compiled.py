@@ -28,6 +28,7 @@ from casid.estimation.nlp.solution import (
     Evaluation,
     Solution,
     account,
+    assembled,
     judged,
     not_converged,
     not_finite,
@@ -249,24 +250,12 @@ class Compiled:
         evaluations, self._counted = counted - self._counted, counted
         at, x = evaluation_of(out, len(names)), out["x"].copy()
         size = float(out["scaled_gradient"][0])
-        if size < _PROVEN and out["relative"][0] < _ROUNDING:
-            held = out["held"].tolist()
-            return Solution(
-                names=names,
-                x=x,
-                value=at.value,
-                status=status,
-                iterations=iterations,
-                scaled_gradient=size,
-                constraint_violation=float(out["violation"][0]),
-                at_lower=tuple(n for n, side in zip(names, held, strict=True) if int(side) & 1),
-                at_upper=tuple(n for n, side in zip(names, held, strict=True) if int(side) & 2),
-                hessian=at.hessian,
-                constraint_jacobian=at.jacobian,
-                solver=self.solver.name,
-                evaluations=evaluations,
-            )
         ending = (status, iterations, evaluations)
+        if size < _PROVEN and out["relative"][0] < _ROUNDING:
+            optimality = size, float(out["violation"][0])
+            sides = out["held"].astype(int)
+            held = (sides & 1) > 0, (sides & 2) > 0
+            return assembled(names, x, at, optimality, held, ending, self.solver.name)
         solution = judged(names, x, at, self._scale, self._box, ending, self.solver.name)
         if polish and math.isfinite(solution.scaled_gradient):
             solution = self.polished(solution, out["pull"].copy())

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from casid.arrays import TINY, Array
 from casid.deprecation import renamed
@@ -172,7 +173,29 @@ def judged(
     size = _scaled_gradient(
         at, at.jacobian, to_lower, to_upper, np.maximum(np.abs(x), scale), at_lower, at_upper
     )
+    return assembled(names, x, at, (size, violation), (at_lower, at_upper), ending, solver)
+
+
+def assembled(
+    names: tuple[str, ...],
+    x: Array,
+    at: Evaluation,
+    optimality: tuple[float, float],
+    held: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    ending: tuple[str, int, int],
+    solver: str,
+) -> Solution:
+    """The `Solution` at `x` from what was measured there.
+
+    `optimality` holds the scaled gradient and the constraint violation, `held` which variables
+    their lower and upper bounds hold (n,), `ending` is as in `judged`.
+    """
     status, iterations, evaluations = ending
+    size, violation = optimality
+    at_lower, at_upper = (
+        tuple(n for n, is_held in zip(names, side.tolist(), strict=True) if is_held)
+        for side in held
+    )
     return Solution(
         names=names,
         x=x,
@@ -181,8 +204,8 @@ def judged(
         iterations=iterations,
         scaled_gradient=size,
         constraint_violation=violation,
-        at_lower=tuple(n for n, held in zip(names, at_lower, strict=True) if held),
-        at_upper=tuple(n for n, held in zip(names, at_upper, strict=True) if held),
+        at_lower=at_lower,
+        at_upper=at_upper,
         hessian=at.hessian,
         constraint_jacobian=at.jacobian,
         solver=solver,

@@ -10,14 +10,8 @@ from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.data.quality import standing
 from casid.data.record import Experiment
-from casid.estimation.estimate import Agreement, Estimate, Estimated, Uncertainty
-from casid.estimation.estimate_builder import (
-    EstimateBuilder,
-    bound_of,
-    origin_of,
-    sandwich_and_rank,
-    solver_evidence,
-)
+from casid.estimation.estimate import Agreement, Estimate, Estimated
+from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver_evidence
 from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.fitted.from_fit import fitted_model
 from casid.estimation.holdout import HeldOut
@@ -63,23 +57,16 @@ def estimate_of(
     """The `Estimate` of a fit: errors, fit, rank, whiteness, provenance."""
     criterion, solution = fit.criterion, fit.solution
     model = criterion.model
-    covariance, lags, rank = sandwich_and_rank(criterion, solution)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    undetermined = {n for direction in rank.null for n in direction}
     builder = EstimateBuilder(problem.name, model, notes)
-    for v, value, error in zip(criterion.variables, fit.x.tolist(), sd.tolist(), strict=True):
-        if "[" in v.name:
-            continue  # inner nodes of multiple shooting
-        is_state = v.source in model.states
-        unit = model.states[v.source].unit if is_state else model.parameters[v.source].unit
-        builder.add(
-            Estimated(v.name, value, unit, False, error, v.start),
-            bound_of(solution, v.name),
-            determined=v.name not in undetermined,
-            is_state=is_state,
-        )
-    builder.add_rank(rank)
-    builder.warn_unless_converged(solution)
+    units = {n: s.unit for n, s in model.states.items()}
+    units |= {n: p.unit for n, p in model.parameters.items()}
+    rows = [
+        None  # inner nodes of multiple shooting
+        if "[" in v.name
+        else Estimated(v.name, value, units[v.source], False, None, v.start)
+        for v, value in zip(criterion.variables, fit.x.tolist(), strict=True)
+    ]
+    uncertainty = builder.add_minimum(criterion, solution, rows, ASSUMES)
     for e, d in enumerate(criterion.data):
         residual = criterion.simulated(fit.x, e).residual
         error_e = np.where(d.used, residual, np.nan)
@@ -89,7 +76,7 @@ def estimate_of(
             builder.add_whiteness(where, residual[d.used[:, i], i])
     return builder.build(
         method or f"simulation error, {_shooting(criterion.segments)}",
-        Uncertainty(criterion.names, covariance, ASSUMES.format(lags=lags)),
+        uncertainty,
         solver_evidence(solution, fit.starts_tried, fit.starts_agreeing),
         origin_of(criterion.experiments, SOURCES),
         held_out=_held_out(criterion.outputs, held),

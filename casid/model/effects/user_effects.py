@@ -13,7 +13,8 @@ They join the catalogue beside its own: tested, refitted, ranked and named alike
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Required, TypedDict, Unpack
 
 import numpy as np
 
@@ -49,17 +50,42 @@ class Symbols:
         return self[name]
 
 
+class EffectOptions(TypedDict, total=False):
+    """What sizes a user's effect, and how it is described.
+
+    Attributes
+    ----------
+    parameter, unit : what the effect is sized by, and what is tested; SI unit. Default "c"; the
+        unit is required.
+    further : shapes (a width, an exponent) that do nothing at the null value: estimated too, or
+        known where they have a value, `Parameter("width", "rad/s", value=0.5)`.
+    channels : recorded channels that the model does not use but the effect does, name -> unit.
+    sided : "positive" where physics allows no negative size; default "both".
+    description : the effect in words, as in the report.
+    """
+
+    parameter: str
+    unit: Required[str]
+    further: Sequence[Parameter]
+    channels: Mapping[str, str] | None
+    sided: Sided
+    description: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Options:
+    """`EffectOptions` with the defaults filled in."""
+
+    unit: str
+    parameter: str = "c"
+    further: Sequence[Parameter] = ()
+    channels: Mapping[str, str] | None = None
+    sided: Sided = "both"
+    description: str = ""
+
+
 def balance_effect(
-    kind: str,
-    balance: str,
-    term: Formula,
-    *,
-    parameter: str = "c",
-    unit: str,
-    further: Sequence[Parameter] = (),
-    channels: Mapping[str, str] | None = None,
-    sided: Sided = "both",
-    description: str = "",
+    kind: str, balance: str, term: Formula, **options: Unpack[EffectOptions]
 ) -> Effect:
     """A term in a balance.
 
@@ -67,19 +93,15 @@ def balance_effect(
     ----------
     kind : a name of the user's own, in lower case; it appears in `diagnosis.json`.
     term : of the symbols, in the balance's unit; zero where `parameter` is zero.
-    parameter, unit : what the effect is sized by, and what is tested; SI unit.
-    further : shapes (a width, an exponent) that do nothing at the null value: estimated too, or
-        known where they have a value, `Parameter("width", "rad/s", value=0.5)`.
-    channels : recorded channels that the model does not use but the effect does, name -> unit.
-    sided : "positive" where physics allows no negative size.
-    description : the effect in words, as in the report.
+    unit : of `parameter`, the effect's size, which is tested; SI unit.
+    options : parameter, the name of the size (default "c"); further, channels, sided and
+        description, as in `EffectOptions`.
     """
 
-    def apply(new: Model, own: Mapping[str, str]) -> None:
+    def change(new: Model, own: Mapping[str, str]) -> None:
         new.add_term(balance, term(Symbols(new, own)))
 
-    first = _first(parameter, unit, 0.0, sided)
-    return _effect(kind, balance, (first, *further), apply, channels, sided, description)
+    return _effect(kind, balance, change, 0.0, _Options(**options))
 
 
 def parameter_effect(
@@ -87,24 +109,18 @@ def parameter_effect(
     replaced: str,
     expression: Formula,
     *,
-    parameter: str = "c",
-    unit: str,
     null: float = 0.0,
-    further: Sequence[Parameter] = (),
-    channels: Mapping[str, str] | None = None,
-    sided: Sided = "both",
-    description: str = "",
+    **options: Unpack[EffectOptions],
 ) -> Effect:
     """A parameter of the model replaced by an expression, itself where the effect is null.
 
     As `balance_effect`; `null` is the value of `parameter` at which the model is as it was.
     """
 
-    def apply(new: Model, own: Mapping[str, str]) -> None:
+    def change(new: Model, own: Mapping[str, str]) -> None:
         new.substitute_symbol(replaced, expression(Symbols(new, own)))
 
-    first = _first(parameter, unit, null, sided)
-    return _effect(kind, replaced, (first, *further), apply, channels, sided, description)
+    return _effect(kind, replaced, change, null, _Options(**options))
 
 
 def channel_effect(
@@ -112,13 +128,8 @@ def channel_effect(
     channel: str,
     expression: Formula,
     *,
-    parameter: str = "c",
-    unit: str,
     null: float = 0.0,
-    further: Sequence[Parameter] = (),
-    channels: Mapping[str, str] | None = None,
-    sided: Sided = "both",
-    description: str = "",
+    **options: Unpack[EffectOptions],
 ) -> Effect:
     """A channel distorted: an output becomes an expression of itself, `s[channel]`, and more.
 
@@ -126,32 +137,29 @@ def channel_effect(
     `parameter_effect` otherwise.
     """
 
-    def apply(new: Model, own: Mapping[str, str]) -> None:
+    def change(new: Model, own: Mapping[str, str]) -> None:
         value = expression(Symbols(new, own))
         if channel in new.outputs:
             new.replace_output(channel, value, new.outputs[channel][1])
         else:
             new.substitute_symbol(channel, value)
 
-    first = _first(parameter, unit, null, sided)
-    return _effect(kind, channel, (first, *further), apply, channels, sided, description)
-
-
-def _first(name: str, unit: str, null: float, sided: Sided) -> Parameter:
-    return Parameter(name, unit, null, lower=null if sided == "positive" else -np.inf)
+    return _effect(kind, channel, change, null, _Options(**options))
 
 
 def _effect(
     kind: str,
     where: str,
-    parameters: tuple[Parameter, ...],
     change: Callable[[Model, Mapping[str, str]], None],
-    channels: Mapping[str, str] | None,
-    sided: Sided,
-    description: str,
+    null: float,
+    o: _Options,
 ) -> Effect:
+    """An effect that changes a model, of a size with its null value and further parameters."""
+    size = Parameter(o.parameter, o.unit, null, lower=null if o.sided == "positive" else -np.inf)
+    parameters = (size, *o.further)
+
     def apply(new: Model, names: Sequence[str]) -> None:
-        for channel, unit in (channels or {}).items():
+        for channel, unit in (o.channels or {}).items():
             new.add_input(Input(channel, unit, "known", "foh"))
         change(new, {p.name: n for p, n in zip(parameters, names, strict=True)})
 
@@ -161,10 +169,10 @@ def _effect(
         where,
         parameters,
         apply,
-        sided=sided,
+        sided=o.sided,
         priority=1,
         cost=sum(not p.is_known for p in parameters),
-        description=description,
+        description=o.description,
     )
 
 

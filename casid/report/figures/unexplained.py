@@ -8,6 +8,7 @@ import numpy as np
 
 from casid.diagnosis.unexplained.description import Unexplained
 from casid.diagnosis.unexplained.missing_force import MissingForce
+from casid.diagnosis.unexplained.smoothed_force import SmoothedForce
 from casid.report.figures.look import (
     AFTER,
     BEFORE,
@@ -85,10 +86,8 @@ def missing_spectrum_figure(result: Unexplained) -> Any:
     ValueError
         If the best place was not estimated over time.
     """
-    best = _best(result)
-    if best.over_time is None:
-        raise ValueError(f"{best.place} was not estimated over time, so it has no spectrum to draw")
-    s = best.over_time.spectrum
+    best, force = _over_time(result)
+    s = force.spectrum
     unit = f"({best.unit})/\u221aHz"
     figure = Panels(rows=1, row_height=320, gap=30)
     above = s.density > 0  # below zero by chance: nothing is seen there
@@ -127,10 +126,8 @@ def missing_time_figure(result: Unexplained, record: int = 0) -> Any:
     ValueError
         If the best place was not estimated over time.
     """
-    best = _best(result)
-    if best.over_time is None:
-        raise ValueError(f"{best.place} was not estimated over time; request a place that was")
-    s, signals = best.over_time.series[record], result.signals[record]
+    best, force = _over_time(result)
+    s, signals = force.series[record], result.signals[record]
     names = list(signals)
     figure = Panels(rows=1 + len(names), row_height=150, gap=20, shared_x=True)
     band = 1.96 * s.sd
@@ -170,8 +167,16 @@ def missing_time_figure(result: Unexplained, record: int = 0) -> Any:
         )
         figure.label(row, y=axis_text(name, best.units.get(name, "")))
     figure.label(len(names), x="time [s]")
-    honest = "" if best.over_time.is_seen else " It is not estimated better than its noise."
+    honest = "" if force.is_seen else " It is not estimated better than its noise."
     return figure.done(f"What is missing in {best.place} over time, record {s.name}.{honest}", ())
+
+
+def _over_time(result: Unexplained) -> tuple[MissingForce, SmoothedForce]:
+    """The best place with its force over time."""
+    best = _best(result)
+    if best.over_time is None:
+        raise ValueError(f"{best.place} was not estimated over time; request a place that was")
+    return best, best.over_time
 
 
 def _best(result: Unexplained) -> MissingForce:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -36,6 +36,23 @@ _NEAR = 1e-3  # scaled gradient from which Newton steps are taken
 _POLISHING = 12
 
 
+class SearchOptions(TypedDict, total=False):
+    """How a minimum is searched, as `MinimumSearch` has it."""
+
+    start: Mapping[str, float] | None
+    solver: Solver | None
+    random_starts: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MinimumSearch:
+    """How a minimum is searched, as the arguments of `prediction_error_limit`."""
+
+    start: Mapping[str, float] | None = None
+    solver: Solver | None = None
+    random_starts: int = RANDOM_STARTS
+
+
 def prediction_error_limit(
     system: LinearSignals,
     output: str,
@@ -43,11 +60,9 @@ def prediction_error_limit(
     orders: Orders,
     truth: Mapping[str, float] | None = None,
     *,
-    start: Mapping[str, float] | None = None,
     prefilter: Any = None,
-    solver: Solver | None = None,
     method: str | None = None,
-    random_starts: int = RANDOM_STARTS,
+    **search: Unpack[SearchOptions],
 ) -> Asymptotics:
     """Limit and covariance of the prediction-error estimate of A y = sum (B_i/F_i) u_i + (C/D) e.
 
@@ -59,9 +74,10 @@ def prediction_error_limit(
     orders : as in `prediction_error`; coefficients are named a1,
         b1[u], c1, d1, f1[u].
     truth : coefficient -> true value.
-    start : coefficient -> value the search begins from as well.
     prefilter : L(q) of output and inputs alike, as a filter of `LinearSignals.of`.
-    random_starts : how many, beside `truth`, `start` and zero.
+    method : its name in tables; made up where not given.
+    search : start, coefficient -> value the search begins from as well; solver; random_starts, how
+        many beside `truth`, `start` and zero.
 
     Returns
     -------
@@ -77,8 +93,9 @@ def prediction_error_limit(
         If the minimum is no point (orders too high); the message names the direction.
     """
     sources = dict(inputs) if isinstance(inputs, Mapping) else {name: name for name in inputs}
-    search = MinimumSearch(start or {}, solver, random_starts)
-    found = prediction_minimum(system, output, sources, orders, truth, search, prefilter)
+    found = prediction_minimum(
+        system, output, sources, orders, truth, MinimumSearch(**search), prefilter
+    )
     Q = product_covariance(found.psi, found.repeated_eps, found.variances, found.kurtosis)
     text = f"{found.layout.structure} of {output} on {', '.join(sources.values()) or 'nothing'}"
     return found.asymptotics(Q, method or text)
@@ -125,15 +142,6 @@ class PredictionMinimum:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MinimumSearch:
-    """How a minimum is searched, as the arguments of `prediction_error_limit`."""
-
-    start: Mapping[str, float]
-    solver: Solver | None = None
-    random_starts: int = RANDOM_STARTS
-
-
 def prediction_minimum(
     system: LinearSignals,
     output: str,
@@ -151,7 +159,8 @@ def prediction_minimum(
         )
     layout = Layout.of(orders, list(sources))
     true = {name: float(value) for name, value in (truth or {}).items()}
-    for name in (*true, *search.start):
+    tried = {**true, **(search.start or {})}
+    for name in tried:
         if name not in layout.names:
             raise ModelError(
                 f"{name} is no coefficient of this structure; it has {', '.join(layout.names)}"
@@ -168,7 +177,7 @@ def prediction_minimum(
     while True:
         G = settled_response(system, atoms, names, own, points)
         criterion = PredictionCriterion(layout, G, variances)
-        starts = starts or _starts(criterion, {**true, **search.start}, search.random_starts)
+        starts = starts or _starts(criterion, tried, search.random_starts)
         theta, higher_now = _minimum(criterion, starts, search.solver)
         higher = max(higher, higher_now)
         eps, psi = criterion.errors(theta)

@@ -14,21 +14,20 @@ the second sum is the mean of one product v(t) rest(t), v = sum_m M_m r(t-m) / l
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError, ModelError
-from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial_orders import Orders
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.limits.prediction_criterion import PredictionCriterion
 from casid.unknown_inputs.limits.prediction_limit import (
-    RANDOM_STARTS,
     MinimumSearch,
     PredictionMinimum,
+    SearchOptions,
     prediction_minimum,
 )
 from casid.unknown_inputs.limits.second_moments import circle, product_covariance, settled_response
@@ -47,10 +46,8 @@ def two_stage_limit(
     *,
     predicted: Sequence[str] | None = None,
     lags: int | None = None,
-    start: Mapping[str, float] | None = None,
-    solver: Solver | None = None,
     method: str | None = None,
-    random_starts: int = RANDOM_STARTS,
+    **search: Unpack[SearchOptions],
 ) -> Asymptotics:
     """Limit and covariance of the two-stage estimate of A y = sum (B_i/F_i) u_i + (C/D) e.
 
@@ -61,7 +58,7 @@ def two_stage_limit(
     predicted : names of the inputs that are replaced by their prediction; all by default.
     lags : of the first stage, from lag 0 on; by default until the responses of the inputs to the
         references have fallen to a thousandth of their peak.
-    orders, truth, start, solver, method, random_starts : as in `prediction_error_limit`.
+    orders, truth, method, search : as in `prediction_error_limit`.
 
     Raises
     ------
@@ -72,12 +69,7 @@ def two_stage_limit(
     """
     stage = PredictedInputs(system, inputs, references, predicted, lags)
     found = prediction_minimum(
-        stage.system,
-        output,
-        stage.sources,
-        orders,
-        truth,
-        MinimumSearch(start or {}, solver, random_starts),
+        stage.system, output, stage.sources, orders, truth, MinimumSearch(**search)
     )
     psi_forms, eps_forms = [found.psi], [found.repeated_eps]
     rest = settled_response(
