@@ -80,7 +80,7 @@ def estimate_of(
         solver_evidence(solution, fit.starts_tried, fit.starts_agreeing),
         origin_of(criterion.experiments, SOURCES),
         held_out=_held_out(criterion.outputs, held),
-        model=fitted_model(problem, fit, covariance),
+        model=fitted_model(problem, fit, uncertainty.covariance),
     )
 
 
