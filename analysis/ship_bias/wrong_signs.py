@@ -10,7 +10,7 @@ from analysis.ship_bias.records import IMPERFECTIONS, Rudder, answers
 from analysis.ship_bias.table import LAGS, SOUGHT, Estimator, with_background
 from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
 from casid.identification.moment_estimators import instrumental_variables, least_squares
-from casid.identification.sign_flips import sign_flips
+from casid.identification.signs_from_moments import sign_flips
 from problems import ship
 
 CHANNELS = ("r", "accel", "gyro", "delta")

@@ -14,7 +14,7 @@ from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import estimate_of, standing_channels
 from casid.identifiability.requirement import require_identifiable
-from casid.identification.wrong_signs import WrongSign, is_poor, wrong_sign
+from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
 from casid.model.model import Model
 
 

@@ -119,7 +119,8 @@ def bound_advice(problem: Problem, bounds: Mapping[str, str]) -> str:
     p = problem.model.parameters[name.partition("@")[0]]
     return (
         "A wrong sign of a channel drives a parameter to its bound: compare the sensors' axes with "
-        "the model's, channel by channel (casid.identification.sign_flips.sign_flips tests each). "
+        "the model's, channel by channel "
+        "(casid.identification.signs_from_moments.sign_flips tests each). "
         f"Where the signs are right and the bound is not physical, widen it (lower={p.lower:g}, "
         f"upper={p.upper:g} of {p.name} in the problem file); where it is, give {p.name} that "
         f"value (--set {p.name}=VALUE) and diagnose again."

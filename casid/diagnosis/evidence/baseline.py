@@ -21,7 +21,12 @@ from casid.errors import SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
-from casid.identification.wrong_signs import WrongSign, negated_split, quick_settings, wrong_sign
+from casid.identification.signs_from_simulation import (
+    WrongSign,
+    negated_split,
+    quick_settings,
+    wrong_sign,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from casid.diagnosis.verdict.contributions import contributions_of
 from casid.diagnosis.verdict.sentences import says, says_kind, why_alternative
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.simulation.minimization import Fit
-from casid.identification.wrong_signs import WrongSign
+from casid.identification.signs_from_simulation import WrongSign
 from casid.model.effects.effect import Effect
 
 

@@ -16,7 +16,7 @@ from casid.estimation.estimate import RecordView
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, record_views, simulate_apart, whole_simulation
 from casid.estimation.simulation.minimization import Fit
-from casid.identification.wrong_signs import WrongSign
+from casid.identification.signs_from_simulation import WrongSign
 
 
 def rmse(

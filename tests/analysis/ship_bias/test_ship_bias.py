@@ -19,7 +19,7 @@ from analysis.ship_bias.table import (
 from analysis.ship_bias.wrong_signs import flipped, straight_course
 from casid.estimation.moments.column_products import column_means
 from casid.identification.moment_estimators import least_squares
-from casid.identification.sign_flips import sign_flips
+from casid.identification.signs_from_moments import sign_flips
 from casid.linear.lagged_columns import Column
 from problems import ship
 from problems.ship import TABLE_8_2

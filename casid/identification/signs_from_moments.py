@@ -19,7 +19,7 @@ and J is chi^2 where the signs are right (Hansen, Econometrica 50 (1982) 1029-10
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -35,6 +35,7 @@ from casid.estimation.moments.instruments import Instruments
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.parts import parts_of
 from casid.estimation.moments.stage import Stage
+from casid.identification.channel_signs import negated, sign_correction
 from casid.identification.moment_estimators import least_squares
 from casid.model.model import Model
 
@@ -69,9 +70,7 @@ class SignFlip:
         return (
             f"{self.channel}: probably recorded with the wrong sign, a scale of -1: with "
             f"-{self.channel} the physical model misses by {self.ratio:.2g} of what it does as "
-            "recorded. Compare the sensor's axes with the model's (an axis that points up where "
-            "the model's points down), and negate the channel: "
-            f"record.with_channel({self.channel!r}, -record[{self.channel!r}], unit)"
+            f"recorded. {sign_correction(self.channel)}"
         )
 
 
@@ -150,14 +149,8 @@ def _flipped(
     channel: str,
 ) -> Fitted:
     """The misfit with one channel negated, infinite where there is no estimate."""
-    flipped = [
-        replace(
-            e, record=e.record.with_channel(channel, -e.record[channel], e.record.units[channel])
-        )
-        for e in experiments
-    ]
     try:
-        return misfit(flipped)
+        return misfit(negated(experiments, channel))
     except CasidError:
         return Fitted(np.inf, 0)
 

@@ -9,7 +9,8 @@ number of channels (Bonferroni). Half the power is a heuristic: a channel that m
 wrong way round, costs far more.
 
 Where noise makes most of what the simulation misses, either sign misses by as much. Then an input
-that no noise reaches distinguishes them: the moments of instruments made of it (`sign_flips`).
+that no noise reaches distinguishes them, by the moments of instruments made of it
+(`signs_from_moments`).
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ from casid.estimation.holdout import Split
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
+from casid.identification.channel_signs import negated, sign_correction
+from casid.identification.signs_from_moments import sign_flips
 from casid.model.model import Model
 
 POOR = 80.0
@@ -72,9 +75,7 @@ class WrongSign:
         """What to do about it."""
         c = self.channel
         return (
-            f"Compare the sensor's axes with the model's (an axis that points up where the model's "
-            f"points down), and negate it: in Python record.with_channel({c!r}, -record[{c!r}], "
-            f"record.units[{c!r}]); in the problem file derived={{{c!r}: casid.Derived("
+            f"{sign_correction(c)}; in the problem file derived={{{c!r}: casid.Derived("
             f"{self.unit!r}, {{'{c}_recorded': {self.unit!r}}}, "
             f"lambda record: -record['{c}_recorded'])}}, the file's column mapped to {c}_recorded"
         )
@@ -197,8 +198,6 @@ def _by_reference(
     alpha: float,
 ) -> WrongSign | None:
     """The channel that instruments from a reference suspect, where the simulation is no worse."""
-    from casid.identification.sign_flips import sign_flips
-
     long = [_most_excited(e, tuple(problem.model.outputs), 10_000) for e in experiments]
     for reference in _references(problem, long):
         try:
@@ -308,11 +307,6 @@ def quick_settings(settings: FitSettings) -> FitSettings:
     )
 
 
-def negated(experiments: Sequence[Experiment], channel: str) -> list[Experiment]:
-    """The experiments with one channel negated."""
-    return [Experiment(_negated(e.record, channel), e.known, e.name) for e in experiments]
-
-
 def negated_split(split: Split, channel: str) -> Split:
     """What is fitted and what is held out, with one channel negated."""
     return Split(
@@ -321,12 +315,6 @@ def negated_split(split: Split, channel: str) -> Split:
         split.held,
         negated(split.apart, channel),
     )
-
-
-def _negated(record: Record, channel: str) -> Record:
-    turned = record.with_channel(channel, -record[channel], record.units[channel])
-    mask = record.is_missing(channel)
-    return turned.mark_missing(channel, mask) if mask.any() else turned
 
 
 def _squares(fit: Fit) -> Array:

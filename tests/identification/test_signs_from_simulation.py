@@ -9,11 +9,11 @@ import pytest
 
 import casid
 from casid.estimation.simulation.fit import FitSettings
-from casid.identification.wrong_signs import (
+from casid.identification.channel_signs import negated
+from casid.identification.signs_from_simulation import (
     WrongSign,
     _most_excited,
     better_by_chance,
-    negated,
     wrong_sign,
 )
 from casid.presentation import present

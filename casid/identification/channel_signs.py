@@ -1,0 +1,27 @@
+"""The sign of a channel: records with a channel negated, and how to correct one for good."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from casid.data.record import Experiment, Record
+
+
+def negated(experiments: Sequence[Experiment], channel: str) -> list[Experiment]:
+    """The experiments with one channel negated."""
+    return [Experiment(_negated(e.record, channel), e.known, e.name) for e in experiments]
+
+
+def _negated(record: Record, channel: str) -> Record:
+    turned = record.with_channel(channel, -record[channel], record.units[channel])
+    mask = record.is_missing(channel)
+    return turned.mark_missing(channel, mask) if mask.any() else turned
+
+
+def sign_correction(channel: str) -> str:
+    """What to compare, and the line of Python that negates a channel."""
+    return (
+        "Compare the sensor's axes with the model's (an axis that points up where the model's "
+        f"points down), and negate it: in Python record.with_channel({channel!r}, "
+        f"-record[{channel!r}], record.units[{channel!r}])"
+    )
