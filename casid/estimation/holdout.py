@@ -13,9 +13,9 @@ from casid.data.record import Experiment, Record
 from casid.errors import DataError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.estimate import RecordView
-from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.initial_state import fit_initial_state
+from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.signals import Signals, signals_of
-from casid.estimation.simulation.simulation_error import SimulationError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,14 +108,9 @@ def simulate_apart(fit: Fit, experiment: Experiment) -> tuple[Signals, Array, Ar
         values = [v for k, v in fit.values.items() if k.startswith(f"{n}@")]
         known.setdefault(n, float(np.mean(values)) if values else fit.values.get(n, 0.0))
     model = old.model.with_known(**known)
-    criterion = SimulationError(model, [experiment], weights=old.weights, substeps=old.substeps)
-    # A step at an instant of one record says nothing of another: there it has not happened.
-    for i, entry in enumerate(model.inputs.values()):
-        if entry.signal is not None:
-            criterion.data[0].u[:, i] = 0.0
-    point = criterion.start
-    if len(point):
-        point = minimize_simulation_error(criterion, check_rank=False, throw=False).x
+    criterion, point = fit_initial_state(
+        model, experiment, weights=old.weights, substeps=old.substeps
+    )
     y, x, _ = criterion.simulate(point, 0)
     return criterion.data[0], y, x
 

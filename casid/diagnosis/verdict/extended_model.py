@@ -6,28 +6,36 @@ from dataclasses import replace
 
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.findings import Findings
-from casid.estimation.fitted.fitted_model import AddedCause, FittedModel
-from casid.estimation.fitted.from_fit import known_model
+from casid.estimation.fitted.fitted_model import FittedModel
+from casid.estimation.fitted.parts import AddedCause, fingerprint
 from casid.model.effects.channel_effects import sensor_scale
 
 
-def extended_model(found: Findings, fitted: FittedModel) -> FittedModel:
-    """`fitted`, the model of the extended fit, with the baseline and the causes in it.
+def extended_model(
+    found: Findings, fitted: FittedModel, baseline: FittedModel | None
+) -> FittedModel:
+    """`fitted`, the model of the extended fit, with the `baseline` and the causes in it.
 
     A channel that was recorded with the wrong sign was negated before the fit; here the sign is in
     the model, which takes the record as it is.
     """
-    model = fitted.model
+    model, records = fitted.model, fitted.records
     causes = [_cause(a, fitted) for a in found.adopted]
     negated = found.baseline.negated
     if negated is not None:
         model, names = sensor_scale(model, negated.channel).extended(model)
         model = model.with_known(**{names[0]: -2.0})
+        recorded = found.baseline.recorded.fitted
+        records = tuple(
+            replace(r, fingerprint=fingerprint(model, e.record))
+            for r, e in zip(records, recorded, strict=True)
+        )
         causes.insert(0, AddedCause("sensor_scale", negated.channel, names))
     return replace(
         fitted,
         model=model,
-        baseline=known_model(found.base_fit),
+        records=records,
+        baseline=baseline,
         causes=tuple(causes),
     )
 

@@ -70,7 +70,9 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     if extended_fit is not None:
         extended = estimate_of(problem, extended_fit, validation(extended_fit, start.split))
         if extended.model is not None:
-            extended = replace(extended, model=extended_model(found, extended.model))
+            extended = replace(
+                extended, model=extended_model(found, extended.model, baseline.model)
+            )
     fitted, held = errors_of(found)
     part = held if held.get("extended_rmse") else fitted
     causes = causes_of(found, extended or baseline)

@@ -3,110 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.record import Experiment, Record
+from casid.errors import DataError, ModelError, SolveError, nearest
+from casid.estimation.fitted.driving import Driving, driving_of
+from casid.estimation.fitted.innovations_form import predicted
+from casid.estimation.fitted.parts import (
+    AddedCause,
+    Channels,
+    FittedRecord,
+    NoiseModel,
+    SimulationSettings,
+)
+from casid.estimation.simulation.initial_state import fit_initial_state
+from casid.estimation.simulation.known_simulation import KnownSimulation
 from casid.model.model import Model
 
 if TYPE_CHECKING:
-    from casid.linear.noisy_model import White
+    import pandas as pd
 
-Method = Literal["simulation error", "prediction error", "moments"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedRecord:
-    """A record that was fitted: what holds in it alone, in SI units.
-
-    Attributes
-    ----------
-    Ts, t0 : sample time and time of the first sample on the record's clock [s].
-    N : samples fitted; a record may go on after them.
-    known : parameter -> value known for this record alone (its load case), or estimated for it.
-    nodes : (segments, nx) states where each shooting segment starts; the first is the initial
-        state. One segment but for multiple shooting.
-    """
-
-    name: str
-    Ts: float
-    t0: float
-    N: int
-    known: Mapping[str, float]
-    nodes: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AddedCause:
-    """A cause that a diagnosis added to the model.
-
-    Attributes
-    ----------
-    kind, where : as `diagnosis.json` names them.
-    parameters : names, in the model, of what it is described by.
-    constants : what was chosen rather than estimated, SI units: `speed` below which dry friction is
-        smoothed, `time` of a jump, `start` and `stop` of a drift, `mean` of a channel.
-    shape, description : what tells it from others of its kind, in words where it has no name.
-    """
-
-    kind: str
-    where: str
-    parameters: tuple[str, ...]
-    constants: Mapping[str, float] = field(default_factory=dict)
-    shape: str = ""
-    description: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulationSettings:
-    """How the model was simulated when it was fitted.
-
-    Attributes
-    ----------
-    substeps : Runge-Kutta steps a sample, at the sample time of the fit.
-    segments : shooting segments a record.
-    weights : (ny,) of the outputs' errors, one over their units.
-    """
-
-    substeps: int = 1
-    segments: int = 1
-    weights: Array = field(default_factory=lambda: np.zeros(0))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Channels:
-    """Where the problem's signals are found in a file or table.
-
-    Attributes
-    ----------
-    columns : signal -> column, with its unit after a colon ("roll_deg:deg").
-    recorded : channels recorded beside the model's, name -> SI unit.
-    derived : signal that no file has -> how it is computed, in words.
-    time : the time column; empty where it is found by name.
-    """
-
-    columns: Mapping[str, str] = field(default_factory=dict)
-    recorded: Mapping[str, str] = field(default_factory=dict)
-    derived: Mapping[str, str] = field(default_factory=dict)
-    time: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class NoiseModel:
-    """White noise of the outputs and on the process, as a prediction-error fit has it.
-
-    Attributes
-    ----------
-    sources : each with its known standard deviation.
-    rest : state or input -> its value at the rest that the model was linearised about, SI.
-    initial : state -> standard deviation of its initial value; None for a steady-state predictor.
-    """
-
-    sources: tuple[White, ...]
-    rest: Mapping[str, float] = field(default_factory=dict)
-    initial: Mapping[str, float] | None = None
+Inputs: TypeAlias = "Record | Experiment | pd.DataFrame | Mapping[str, Array | float] | int"
+"""What a fitted model can be driven with; a number of samples where it has no inputs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +44,7 @@ class FittedModel:
     records : the fitted records; the first gives the sample time and the initial state that hold
         where nothing else is given.
     covariance_names, covariance : (n, n) of the estimated parameters and initial states.
-    baseline : the model before, with the values fitted to it; None where nothing was added.
+    baseline : the model before, as it was fitted; None where nothing was added.
     causes : what was added to the baseline.
     settings : of the integration and the criterion.
     channels : where the problem's signals are found in a table.
@@ -134,11 +56,18 @@ class FittedModel:
     records: tuple[FittedRecord, ...]
     covariance_names: tuple[str, ...]
     covariance: Array
-    baseline: Model | None = None
+    baseline: FittedModel | None = None
     causes: tuple[AddedCause, ...] = ()
     settings: SimulationSettings = SimulationSettings()
     channels: Channels = Channels()
     noise: NoiseModel | None = None
+
+    def __repr__(self) -> str:
+        added = ", ".join(f"{c.kind} in {c.where}" for c in self.causes)
+        fitted = ", ".join(r.name for r in self.records)
+        return f"<FittedModel {self.name}: {len(self.values)} parameters, fitted to {fitted}" + (
+            f", with {added}>" if added else ">"
+        )
 
     @property
     def values(self) -> dict[str, float]:
@@ -154,3 +83,237 @@ class FittedModel:
     def Ts(self) -> float:
         """Sample time of the first fitted record [s]."""
         return self.records[0].Ts
+
+    def simulate(
+        self,
+        inputs: Inputs,
+        x0: Mapping[str, float] | Array | None = None,
+        Ts: float | None = None,
+        *,
+        known: Mapping[str, float] | None = None,
+        on_clock: bool | None = None,
+    ) -> Record:
+        """Outputs and states of a free simulation, integrated as in the fit.
+
+        Parameters
+        ----------
+        inputs : a record, an experiment (with its load case), a DataFrame (read through the
+            problem's channels), or a mapping of input to N samples (SI), a number holding for all
+            of them. For a model without inputs the number of samples will do.
+        x0 : initial state (nx,), or state -> value (SI) for some of them. Of the others, and by
+            default, a fitted record gets the initial state that was estimated for it, and anything
+            else that of the first fitted record.
+        Ts : sample time [s] of a mapping or number of samples, default that of the first fitted
+            record. A record has its own.
+        known : parameter -> value (SI) for this simulation, over those of the fit.
+        on_clock : whether jumps, drifts and periodic terms act, which the fit found on the clock of
+            its records. Default: in those records alone.
+
+        Returns
+        -------
+        Record
+            Inputs, outputs (without noise) and states, SI; a state that shares its name with an
+            output has "(state)" behind it.
+
+        Raises
+        ------
+        DataError
+            For inputs that are missing, incomplete, or in another unit than the model's.
+        ModelError
+            For names of `x0` or `known` that the model does not have.
+        SolveError
+            If the simulation diverges: at which time.
+        """
+        given = self._driving(inputs, Ts)
+        return self._simulated(given, x0, known, on_clock)
+
+    def predict(
+        self,
+        record: Record | Experiment | pd.DataFrame,
+        horizon: int | None = 1,
+        *,
+        known: Mapping[str, float] | None = None,
+    ) -> Record:
+        """Outputs predicted `horizon` samples ahead, from the inputs and the outputs before.
+
+        Without a noise model (after a simulation-error fit) the outputs measured say nothing of
+        those to come: the prediction is the simulation, whatever the horizon.
+
+        Parameters
+        ----------
+        record : with inputs and outputs. Where it was fitted, it starts from the estimated initial
+            state, otherwise from the one with which it is simulated best (least squares).
+        horizon : samples between the last output used and the one predicted, 1 or more; None
+            simulates.
+        known : parameter -> value (SI) for this record, over those of the fit.
+
+        Returns
+        -------
+        Record
+            The outputs, SI. The first ones are predicted from the initial state, as nothing was
+            measured before.
+
+        Raises
+        ------
+        DataError
+            For channels that are missing, or a horizon that is not a positive whole number.
+        """
+        if horizon is not None and (int(horizon) != horizon or horizon < 1):
+            raise DataError(
+                f"{self.name}: horizon = {horizon!r}; give a whole number of samples ahead, 1 or "
+                "more, or None for the simulation"
+            )
+        given = self._driving(record, None)
+        if given.record is None:
+            raise DataError(f"{self.name}: a prediction needs measured outputs; give a record")
+        if self.noise is None or horizon is None:
+            simulated = self._simulated(given, self._start(given, known), known, None)
+            y = np.column_stack([simulated[name] for name in self.model.outputs])
+        else:
+            values, _ = self._values(given, known)
+            start = None if given.fitted is None else given.fitted.nodes[0]
+            experiment = Experiment(given.record, {}, given.name)
+            y = predicted(self.model, self.noise, experiment, values, start, int(horizon))
+        outputs = {name: y[:, i] for i, name in enumerate(self.model.outputs)}
+        units = {name: unit for name, (_, unit) in self.model.outputs.items()}
+        return self._record(given, outputs, units)
+
+    def residuals(
+        self,
+        record: Record | Experiment | pd.DataFrame,
+        horizon: int | None = None,
+        *,
+        known: Mapping[str, float] | None = None,
+    ) -> Record:
+        """Measured minus simulated outputs, or minus those predicted `horizon` samples ahead.
+
+        Returns
+        -------
+        Record
+            One channel an output (N,), SI; samples that are missing in `record` are marked so.
+            `to_frame()` makes a DataFrame of it.
+
+        Raises
+        ------
+        DataError
+            As `predict`.
+        """
+        given = self._driving(record, None)
+        if given.record is None:
+            raise DataError(f"{self.name}: residuals need measured outputs; give a record")
+        expected = self.predict(record, horizon, known=known)
+        names = list(self.model.outputs)
+        errors = {name: given.record[name] - expected[name] for name in names}
+        units = {name: unit for name, (_, unit) in self.model.outputs.items()}
+        missing = {name: given.record.is_missing(name) for name in names}
+        return self._record(given, errors, units, missing)
+
+    # -- inside ------------------------------------------------------------------------------
+
+    def _driving(self, inputs: Inputs, Ts: float | None) -> Driving:
+        return driving_of(self.model, self.records, inputs, Ts, self.channels)
+
+    def _values(
+        self, given: Driving, known: Mapping[str, float] | None
+    ) -> tuple[dict[str, float], bool]:
+        """Value of every parameter in a record, and whether it was fitted."""
+        for name in {**given.known, **(known or {})}:
+            if name not in self.model.parameters:
+                raise ModelError(
+                    f"{self.name}: the model has no parameter {name!r} to set"
+                    f"{nearest(name, self.model.parameters)}"
+                )
+        own = given.fitted.known if given.fitted is not None else {}
+        values = {**self.values, **own, **given.known, **(known or {})}
+        return {n: float(v) for n, v in values.items()}, given.fitted is not None
+
+    def _substeps(self, Ts: float) -> int:
+        """As many Runge-Kutta steps a second as the fit had, or more."""
+        return max(1, int(np.ceil(self.settings.substeps * Ts / self.Ts - 1e-6)))
+
+    def _start(self, given: Driving, known: Mapping[str, float] | None) -> Array | None:
+        """The initial state (nx,) that simulates a record best; None where it was fitted."""
+        if given.fitted is not None:
+            return None
+        assert given.record is not None
+        values, _ = self._values(given, known)
+        experiment = Experiment(given.record, {}, given.name)
+        weights = self.settings.weights if self.settings.weights.size else None
+        criterion, point = fit_initial_state(
+            self.model.with_known(**values),
+            experiment,
+            weights=weights,
+            substeps=self._substeps(given.Ts),
+        )
+        return criterion.parameter_vector(point, 0)[1]
+
+    def _nodes(
+        self, given: Driving, x0: Mapping[str, float] | Array | None
+    ) -> tuple[Array, Array | None]:
+        """States (segments, nx) that a simulation starts from, and at which samples (segments,)."""
+        fitted = given.fitted
+        if x0 is None and fitted is not None and len(given.u) >= fitted.N:
+            return fitted.nodes, fitted.cuts
+        start = np.array((fitted or self.records[0]).nodes[0])
+        names = list(self.model.states)
+        if isinstance(x0, Mapping):
+            for name, value in x0.items():
+                if name not in names:
+                    raise ModelError(
+                        f"{self.name}: x0 names {name!r}, which is no state{nearest(name, names)}"
+                    )
+                start[names.index(name)] = value
+        elif x0 is not None:
+            start = np.asarray(x0, dtype=float).ravel()
+        if start.shape != (len(names),) or not np.all(np.isfinite(start)):
+            raise ModelError(
+                f"{self.name}: x0 holds {start.size} numbers; give {len(names)} finite ones, of "
+                f"{', '.join(names) or 'no state'} in this order, or a mapping"
+            )
+        return start[None, :], None
+
+    def _simulated(
+        self,
+        given: Driving,
+        x0: Mapping[str, float] | Array | None,
+        known: Mapping[str, float] | None,
+        on_clock: bool | None,
+    ) -> Record:
+        model = self.model
+        values, is_fitted = self._values(given, known)
+        u = given.u
+        if not (is_fitted if on_clock is None else on_clock):
+            u = u.copy()
+            for i, entry in enumerate(model.inputs.values()):
+                if entry.signal is not None:
+                    u[:, i] = 0.0
+        nodes, cuts = self._nodes(given, x0)
+        simulation = KnownSimulation(model, given.Ts, self._substeps(given.Ts))
+        y, x = simulation.run(u, values, nodes, cuts)
+        bad = ~np.all(np.isfinite(y), axis=1) | ~np.all(np.isfinite(x), axis=1)
+        if bad.any():
+            k = int(np.argmax(bad))
+            raise SolveError(
+                f"{self.name}: the simulation of {given.name} diverges at t = {given.t[k]:g} s "
+                f"(sample {k}); check the inputs and x0, or give a smaller Ts"
+            )
+        channels, units = {}, {}
+        for i, (name, entry) in enumerate(model.inputs.items()):
+            if entry.kind != "generated":
+                channels[name], units[name] = given.u[:, i], entry.unit
+        for i, (name, (_, unit)) in enumerate(model.outputs.items()):
+            channels[name], units[name] = y[:, i], unit
+        for i, (name, state) in enumerate(model.states.items()):
+            label = name if name not in channels else f"{name} (state)"
+            channels[label], units[label] = x[:, i], state.unit
+        return self._record(given, channels, units)
+
+    def _record(
+        self,
+        given: Driving,
+        channels: Mapping[str, Array],
+        units: Mapping[str, str],
+        missing: Mapping[str, Array] | None = None,
+    ) -> Record:
+        line = f"computed with the fitted model {self.name}"
+        return Record(channels, units, given.Ts, given.t0, given.name, missing or {}, (line,))

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from casid.arrays import Array
 from casid.data.problem import Problem
 from casid.data.reading.columns import ColumnSpec
-from casid.estimation.fitted.fitted_model import (
-    AddedCause,
+from casid.estimation.fitted.fitted_model import FittedModel
+from casid.estimation.fitted.parts import (
     Channels,
-    FittedModel,
     FittedRecord,
     SimulationSettings,
+    fingerprint,
 )
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -25,9 +23,6 @@ def fitted_model(
     problem: Problem,
     fit: Fit,
     covariance: Array,
-    *,
-    baseline: Model | None = None,
-    causes: Sequence[AddedCause] = (),
 ) -> FittedModel:
     """The model of a fit with its values known, and how it was simulated.
 
@@ -43,8 +38,6 @@ def fitted_model(
         records=tuple(_record(criterion, fit.x, e) for e in range(len(criterion.data))),
         covariance_names=tuple(criterion.names[i] for i in kept),
         covariance=np.asarray(covariance)[np.ix_(kept, kept)],
-        baseline=baseline,
-        causes=tuple(causes),
         settings=SimulationSettings(criterion.substeps, criterion.segments, criterion.weights),
         channels=channels_of(problem),
     )
@@ -74,7 +67,8 @@ def _record(criterion: SimulationError, x: Array, e: int) -> FittedRecord:
     known = dict(d.known)
     known |= {name: criterion.value_of(name, x, e) for name in criterion.own}
     nodes = [criterion.parameter_vector(x, e, i)[1] for i in range(criterion.segments)]
-    return FittedRecord(d.name, d.Ts, float(d.t[0]), d.N, known, np.array(nodes))
+    known_by = fingerprint(criterion.model, criterion.experiments[e].record)
+    return FittedRecord(d.name, d.Ts, float(d.t[0]), d.N, known, np.array(nodes), known_by)
 
 
 def channels_of(problem: Problem) -> Channels:

@@ -214,6 +214,10 @@ class PredictionError:
         p = np.array([values[n] for n in self.noisy.linear.parameters], dtype=float)
         return p, variances, self.unknowns.initial_state(x, index[at + len(sources) :])
 
+    def initial_state(self, x: Array, e: int) -> Array:
+        """Initial state (nx,) of one experiment at `x`."""
+        return self._values(x, e)[2]
+
     def sampled(self, x: Array, e: int) -> Sampled:
         """The sampled system of one experiment and its derivatives."""
         p, variances, _ = self._values(x, e)

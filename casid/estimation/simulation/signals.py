@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,20 +42,45 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
         missing samples.
     """
     record = experiment.record
+    u = input_columns(model, record)
+    _require_channels(model, record, model.outputs)
+    n = record.N
+    y = np.column_stack([record[name] for name in model.outputs])
+    used = np.column_stack(
+        [
+            ~record.missing[name] if name in record.missing else np.ones(n, dtype=bool)
+            for name in model.outputs
+        ]
+    )
+    return Signals(
+        name=experiment.name,
+        t=np.asarray(record.t),
+        u=u,
+        y=np.where(used, y, 0.0),
+        used=used,
+        Ts=record.Ts,
+        known=dict(experiment.known),
+    )
+
+
+def input_columns(model: Model, record: Record) -> Array:
+    """(N, nu) what a record has of the inputs of `model`, generated ones by the record's clock.
+
+    Raises
+    ------
+    DataError
+        As `signals_of`.
+    ModelError
+        If an input is unknown.
+    """
     for name, entry in model.inputs.items():
         if entry.kind == "unknown":
             raise ModelError(
                 f"{model.name}: input {name} is unknown; eliminate it with an output "
                 f"that it acts on (model.eliminate({name!r}, using=...)) before estimating"
             )
-    for name in (*model.inputs, *model.outputs):
-        entry_ = model.inputs.get(name)
-        if name not in record.channels and not (entry_ and entry_.kind == "generated"):
-            raise DataError(
-                f"{record.name}: no channel {name!r} for {model.name}; it has "
-                f"{', '.join(record.channels)}. Map one of them: --map {name}=column"
-            )
-    _refuse_foreign_units(model, record)
+    recorded = [name for name, entry in model.inputs.items() if entry.kind != "generated"]
+    _require_channels(model, record, recorded)
     columns = []
     for name, entry in model.inputs.items():
         if entry.kind == "generated":
@@ -70,30 +95,22 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
                 "record with a window, or interpolate the channel beforehand"
             )
         columns.append(record[name])
-    n = record.N
-    y = np.column_stack([record[name] for name in model.outputs])
-    used = np.column_stack(
-        [
-            ~record.missing[name] if name in record.missing else np.ones(n, dtype=bool)
-            for name in model.outputs
-        ]
-    )
-    return Signals(
-        name=experiment.name,
-        t=np.asarray(record.t),
-        u=np.column_stack(columns) if columns else np.zeros((n, 0)),
-        y=np.where(used, y, 0.0),
-        used=used,
-        Ts=record.Ts,
-        known=dict(experiment.known),
-    )
+    return np.column_stack(columns) if columns else np.zeros((record.N, 0))
 
 
-def _refuse_foreign_units(model: Model, record: Record) -> None:
-    """A channel measures what the model says, or it is another quantity."""
-    units = {n: e.unit for n, e in model.inputs.items() if e.kind != "generated"}
+def _require_channels(model: Model, record: Record, names: Iterable[str]) -> None:
+    """Channels are there, and measure what the model says: another unit is another quantity."""
+    units = {n: e.unit for n, e in model.inputs.items()}
     units |= {n: unit for n, (_, unit) in model.outputs.items()}
-    for name, unit in units.items():
+    names = list(names)
+    for name in names:
+        if name not in record.channels:
+            raise DataError(
+                f"{record.name}: no channel {name!r} for {model.name}; it has "
+                f"{', '.join(record.channels)}. Map one of them: --map {name}=column"
+            )
+    for name in names:
+        unit = units[name]
         own = record.units[name]
         if own == unit:
             continue

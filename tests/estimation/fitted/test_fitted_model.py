@@ -6,6 +6,12 @@ import numpy as np
 import pytest
 
 import casid
+from casid.estimation.simulation.fit import fit_model
+from casid.estimation.simulation.simulation_estimate import estimate_of
+from casid.model.clock_signals import StepAt
+from casid.model.effects.channel_effects import hold, sensor_lag, time_delay
+from casid.model.effects.parameter_effects import parameter_jump
+from casid.model.effects.structure_effects import actuator_lag
 
 TS = 0.02
 
@@ -63,3 +69,104 @@ def test_a_record_keeps_the_values_that_hold_in_it_alone():
     soft, stiff = (r.known["k"] for r in fitted.records)
     assert (soft, stiff) == pytest.approx((50.0, 60.0), rel=0.01)
     assert fitted.values["k"] == pytest.approx((soft + stiff) / 2)
+
+
+EFFECTS = {
+    "late output": lambda m: time_delay(m, "position", 0.2),
+    "late input": lambda m: time_delay(m, "force", 0.2),
+    "lag of the sensor": lambda m: sensor_lag(m, "position", 0.3),
+    "lag of the actuator": lambda m: actuator_lag(m, "force", 0.3),
+    "other hold": lambda m: hold(m, "force"),
+    "jump": lambda m: parameter_jump(m, "k", 4.013),
+}
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_the_residuals_of_the_fitted_model_are_those_of_the_fit_to_the_last_bit(effect):
+    """Stages, holds and generated inputs are part of the model, not of the fit that found them."""
+    plain = oscillator()
+    extended = EFFECTS[effect](plain).extend(plain, starts={"delay_position": 0.03})
+    problem = casid.Problem("oscillator", extended, starts=1)
+    run = record()
+    fit = fit_model(extended, [casid.Experiment(run)], casid.FitSettings(starts=1), throw=False)
+    model = estimate_of(problem, fit).model
+    at = fit.criterion.simulated(fit.x, 0)
+    used = fit.criterion.data[0].used[:, 0]
+    assert used.sum() > 300
+    assert np.array_equal(model.residuals(run)["position"][used], at.residual[used, 0])
+    simulated = model.simulate(run)
+    assert np.array_equal(np.column_stack([simulated["x"], simulated["v"]]), at.x)
+
+
+def test_a_simulation_from_arrays_needs_names_units_and_lengths_to_be_right(estimate):
+    model = estimate.model
+    force = np.ones(50)
+    run = model.simulate({"force": force}, x0={"x": 0.0, "v": 0.0})
+    assert run.units == {"force": "N", "position": "m", "x": "m", "v": "m/s"}
+    assert (run.N, run.Ts) == (50, TS)
+    # Static deflection F / k is reached from rest with the overshoot of a second-order system.
+    k, d = model.values["k"], model.values["d"]
+    long = model.simulate({"force": np.ones(2000)}, x0=[0.0, 0.0])
+    zeta = d / (2 * np.sqrt(k * 2.0))
+    overshoot = np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2))
+    assert long["position"][-1] == pytest.approx(1 / k, rel=1e-3)
+    assert long["position"].max() == pytest.approx((1 + overshoot) / k, rel=1e-3)
+    with pytest.raises(casid.DataError, match="samples of force are missing"):
+        model.simulate({"torque": force})
+    with pytest.raises(casid.DataError, match="all of one length"):
+        model.simulate({"force": np.ones((50, 2))})
+    with pytest.raises(casid.ModelError, match="which is no state; did you mean 'v'|no state"):
+        model.simulate({"force": force}, x0={"V": 0.0})
+    with pytest.raises(casid.ModelError, match="give 2 finite ones, of x, v"):
+        model.simulate({"force": force}, x0=[1.0])
+    with pytest.raises(casid.DataError, match="sampled every 0.02 s, not every 0.1 s"):
+        model.simulate(record(), Ts=0.1)
+    with pytest.raises(casid.ModelError, match="no parameter 'kk' to set"):
+        model.simulate({"force": force}, known={"kk": 1.0})
+
+
+def test_a_coarser_sample_time_is_integrated_with_as_many_steps_a_second(estimate):
+    held = np.repeat(np.random.default_rng(1).normal(size=40), 5)
+    fine = estimate.model.simulate({"force": held}, x0=[0.0, 0.0])
+    coarse = estimate.model.simulate({"force": held[::5]}, x0=[0.0, 0.0], Ts=5 * TS)
+    assert coarse["position"] == pytest.approx(fine["position"][::5], rel=1e-9, abs=1e-15)
+
+
+def test_a_record_that_was_not_fitted_starts_from_the_state_that_simulates_it_best(estimate):
+    """Its initial state is estimated for residuals; a simulation starts as the first record."""
+    other = record(seed=9)
+    model = estimate.model
+    assert np.std(model.residuals(other)["position"]) == pytest.approx(1e-3, rel=0.1)
+    away = {"x": 1.0, "v": 0.0}
+    assert model.simulate(other, x0=away)["position"][0] == 1.0
+    assert model.simulate(other)["x"][0] == estimate["x(0)"]
+
+
+def test_a_jump_acts_on_the_clock_of_the_fitted_record_alone():
+    plain = oscillator()
+    jump = parameter_jump(plain, "k", 4.0)
+    problem = casid.Problem("oscillator", jump.extend(plain, starts={"jump_k": 5.0}), starts=1)
+    model = casid.identify(problem, record()).model
+    assert model.model.inputs["step at 4 s"].signal == StepAt(4.0)
+    apart = {"force": record()["force"]}
+    same = model.simulate(apart, on_clock=True)
+    assert np.array_equal(same["position"], model.simulate(record())["position"])
+    without = model.simulate(apart, known={"jump_k": 0.0})
+    assert np.array_equal(model.simulate(apart)["position"], without["position"])
+    assert not np.array_equal(same["position"], without["position"])
+
+
+def test_without_a_noise_model_a_prediction_is_the_simulation(estimate):
+    """The predictor of an output-error model uses no output (Ljung 1999, (4.25))."""
+    run = record()
+    for horizon in (1, 7, None):
+        predicted = estimate.model.predict(run, horizon)
+        assert np.array_equal(predicted["position"], estimate.model.simulate(run)["position"])
+    with pytest.raises(casid.DataError, match="horizon = 0; give a whole number"):
+        estimate.model.predict(run, 0)
+
+
+def test_residuals_are_missing_where_the_measurement_is(estimate):
+    mask = np.arange(400) == 7
+    found = estimate.model.residuals(record().mark_missing("position", mask))
+    assert np.array_equal(found.is_missing("position"), mask)

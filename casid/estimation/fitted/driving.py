@@ -1,0 +1,139 @@
+"""What a fitted model is driven with: records, tables, or arrays of its inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.data.record import Experiment, Record
+from casid.errors import DataError
+from casid.estimation.fitted.parts import Channels, FittedRecord
+from casid.estimation.simulation.signals import input_columns
+from casid.model.model import Model
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Driving:
+    """Inputs over N samples, and the record that they come from.
+
+    Attributes
+    ----------
+    t : (N,) s, on the record's clock. u : (N, nu) in the model's order, SI.
+    known : parameter -> value known for this record.
+    record : None for arrays alone. fitted : the fitted record that it begins as.
+    """
+
+    name: str
+    t: Array
+    Ts: float
+    u: Array
+    known: Mapping[str, float] = field(default_factory=dict)
+    record: Record | None = None
+    fitted: FittedRecord | None = None
+
+    @property
+    def t0(self) -> float:
+        """Time of the first sample [s]."""
+        return float(self.t[0])
+
+
+def driving_of(
+    model: Model,
+    fitted: Sequence[FittedRecord],
+    inputs: Any,
+    Ts: float | None,
+    channels: Channels,
+) -> Driving:
+    """Inputs in any form, in the order and units of `model`.
+
+    Raises
+    ------
+    DataError
+        For inputs that are missing or incomplete, or a sample time that is not positive or belongs
+        to a record.
+    """
+    if Ts is not None and not (np.isfinite(Ts) and Ts > 0):
+        raise DataError(f"{model.name}: Ts = {Ts!r} s; give a positive number of seconds")
+    if _is_frame(inputs):
+        inputs = _record_of(inputs, model, channels)
+    if isinstance(inputs, Record):
+        inputs = Experiment(inputs)
+    if isinstance(inputs, Experiment):
+        record = inputs.record
+        if Ts is not None and abs(Ts / record.Ts - 1) > 1e-9:
+            raise DataError(
+                f"{record.name} is sampled every {record.Ts:g} s, not every {Ts:g} s; leave Ts "
+                "out, or resample the record"
+            )
+        known_again = [f for f in fitted if f.is_start_of(model, record)]
+        return Driving(
+            inputs.name,
+            record.t,
+            record.Ts,
+            input_columns(model, record),
+            inputs.known,
+            record,
+            known_again[0] if known_again else None,
+        )
+    return _of_arrays(model, inputs, fitted[0].Ts if Ts is None else float(Ts))
+
+
+def _is_frame(inputs: Any) -> bool:
+    """True of a pandas DataFrame; pandas is not loaded to find out."""
+    return type(inputs).__module__.partition(".")[0] == "pandas" and hasattr(inputs, "columns")
+
+
+def _record_of(frame: Any, model: Model, channels: Channels) -> Record:
+    raise NotImplementedError
+
+
+def _of_arrays(model: Model, inputs: Any, Ts: float) -> Driving:
+    """A mapping of input to samples, or the number of samples of a model without inputs."""
+    needed = [name for name, entry in model.inputs.items() if entry.kind != "generated"]
+    if isinstance(inputs, int | np.integer) and not isinstance(inputs, bool):
+        if needed:
+            raise DataError(
+                f"{model.name}: {inputs} samples of what? It has the inputs {', '.join(needed)}; "
+                "give a mapping of each to its samples"
+            )
+        N, arrays = int(inputs), {}
+    elif isinstance(inputs, Mapping):
+        arrays = {name: np.asarray(value, dtype=float) for name, value in inputs.items()}
+        N = _length(model, arrays, needed)
+    else:
+        raise DataError(
+            f"{model.name}: cannot be driven with {type(inputs).__name__}; give a casid.Record, an "
+            "experiment, a DataFrame, or a mapping of input to samples (SI)"
+        )
+    if N < 2:
+        raise DataError(f"{model.name}: {N} samples; give at least 2")
+    t: Array = Ts * np.arange(N)
+    columns = {name: np.broadcast_to(arrays[name], (N,)) for name in needed}
+    units = {name: model.inputs[name].unit for name in needed}
+    record = Record({"t": t, **columns}, {"t": "s", **units}, Ts, name="inputs")
+    return Driving("inputs", record.t, Ts, input_columns(model, record))
+
+
+def _length(model: Model, arrays: Mapping[str, Array], needed: Sequence[str]) -> int:
+    """The number of samples of all arrays; numbers hold for all samples."""
+    lacking = [name for name in needed if name not in arrays]
+    foreign = [name for name in arrays if name not in needed]
+    if lacking or foreign:
+        raise DataError(
+            f"{model.name}: inputs are {', '.join(needed) or 'none'}; "
+            + (f"samples of {', '.join(lacking)} are missing" if lacking else "")
+            + (" and " if lacking and foreign else "")
+            + (f"{', '.join(foreign)} is no input" if foreign else "")
+        )
+    lengths = {a.size for a in arrays.values() if a.ndim == 1}
+    if any(a.ndim > 1 for a in arrays.values()) or len(lengths) != 1:
+        shapes = ", ".join(f"{n} {a.shape}" for n, a in arrays.items())
+        raise DataError(
+            f"{model.name}: give each input as (N,) samples, all of one length, or as a number "
+            f"beside one that has samples; got {shapes or 'nothing'}"
+        )
+    return lengths.pop()

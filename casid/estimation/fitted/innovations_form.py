@@ -1,0 +1,80 @@
+"""Predictions some samples ahead with a noise model: the Kalman predictor, and free runs from it.
+
+    xhat[t | t-k] = A xhat[t-1 | t-k] + B u[t-1],    yhat[t | t-k] = C xhat[t | t-k] + D u[t]    (1)
+
+from the one-step prediction xhat[t-k+1 | t-k] on; L. Ljung, System Identification, 2nd ed., 1999,
+section 3.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.data.record import Experiment
+from casid.estimation.fitted.parts import NoiseModel
+from casid.estimation.prediction_error.likelihood import PredictionError
+from casid.linear.kalman import steady_state, time_varying
+from casid.model.model import Model
+
+
+def predicted(
+    model: Model,
+    noise: NoiseModel,
+    experiment: Experiment,
+    values: Mapping[str, float],
+    start: Array | None,
+    horizon: int,
+) -> Array:
+    """(N, ny) outputs predicted `horizon` samples ahead by (1).
+
+    Parameters
+    ----------
+    values : of every parameter.
+    start : (nx,) initial state; None estimates it.
+
+    The first samples are predicted from the initial state: nothing was measured before.
+    """
+    criterion = PredictionError(
+        model.with_known(**values),
+        [experiment],
+        noise.sources,
+        initial=noise.initial,
+        rest=noise.rest,
+    )
+    x = _initial(criterion, start)
+    at, d = criterion.sampled(x, 0), criterion.data[0]
+    s = at.system
+    z0 = criterion.initial_state(x, 0) - at.shift @ d.u[0] + at.lead
+    # The drift of a rest away from zero is the effect of an input that is one.
+    constant = replace(
+        s,
+        B=np.column_stack([s.B, at.drift]),
+        D=np.column_stack([s.D, np.zeros(s.ny)]),
+        inputs=(*s.inputs, "1"),
+    )
+    u = np.column_stack([d.u, np.ones(d.N)])
+    if noise.initial is None:
+        P0 = steady_state(s).P
+    else:
+        P0 = np.diag([noise.initial.get(name, 0.0) ** 2 for name in model.states])
+    z = time_varying(constant, d.y - at.offset, u, x0=z0, P0=P0).x[:-1]
+    driven = u @ constant.B.T
+    for _ in range(min(horizon, d.N) - 1):
+        z = np.vstack([z0, z[:-1] @ s.A.T + driven[:-1]])
+    return np.asarray(z @ s.C.T + d.u @ s.D.T + at.offset)
+
+
+def _initial(criterion: PredictionError, start: Array | None) -> Array:
+    """The variables of the criterion (n,), which are initial states: given, or the best."""
+    x = criterion.start
+    if not len(x):
+        return x
+    if start is not None:
+        places = list(criterion.model.states)
+        return np.array([start[places.index(v.source)] for v in criterion.variables])
+    first = criterion.evaluate(x)  # quadratic in the initial state: one Newton step is the minimum
+    return np.asarray(x - np.linalg.lstsq(first.hessian, first.gradient, rcond=None)[0])

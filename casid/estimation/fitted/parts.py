@@ -1,0 +1,147 @@
+"""What a fitted model holds beside its equations: records, causes, settings, channels, noise."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.data.record import Record
+from casid.model.model import Model
+
+if TYPE_CHECKING:
+    from casid.linear.noisy_model import White
+
+COMPARED = 100
+"""Samples at the start of a record that it is known again by."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedRecord:
+    """A record that was fitted: what holds in it alone, in SI units.
+
+    Attributes
+    ----------
+    Ts, t0 : sample time and time of the first sample on the record's clock [s].
+    N : samples fitted; a record may go on after them.
+    known : parameter -> value known for this record alone (its load case), or estimated for it.
+    nodes : (segments, nx) states where each shooting segment starts; the first is the initial
+        state. One segment but for multiple shooting.
+    fingerprint : of its inputs and of its outputs, by which the record is known again.
+    """
+
+    name: str
+    Ts: float
+    t0: float
+    N: int
+    known: Mapping[str, float]
+    nodes: Array
+    fingerprint: tuple[str, str] = ("", "")
+
+    @property
+    def cuts(self) -> Array:
+        """(segments,) the sample that each segment starts at."""
+        return np.linspace(0, self.N, len(self.nodes) + 1).astype(int)[:-1]
+
+    def is_start_of(self, model: Model, record: Record) -> bool:
+        """True if `record` has this clock and begins with these samples.
+
+        Inputs alone are known again by the record's name as well.
+        """
+        if abs(record.Ts / self.Ts - 1) > 1e-9 or abs(record.t0 - self.t0) > 1e-6 * self.Ts:
+            return False
+        inputs, outputs = fingerprint(model, record)
+        if inputs != self.fingerprint[0]:
+            return False
+        return outputs == self.fingerprint[1] if outputs else record.name == self.name
+
+
+def fingerprint(model: Model, record: Record) -> tuple[str, str]:
+    """sha256 of the first samples of a record's inputs and of its outputs; empty without them."""
+    inputs = [n for n, u in model.inputs.items() if u.kind != "generated"]
+    return _hash(record, inputs), _hash(record, model.outputs)
+
+
+def _hash(record: Record, names: Iterable[str]) -> str:
+    names = list(names)
+    if any(name not in record for name in names):
+        return ""
+    text = hashlib.sha256()
+    for name in names:
+        text.update(np.ascontiguousarray(record[name][:COMPARED]).tobytes())
+    return text.hexdigest()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AddedCause:
+    """A cause that a diagnosis added to the model.
+
+    Attributes
+    ----------
+    kind, where : as `diagnosis.json` names them.
+    parameters : names, in the model, of what it is described by.
+    constants : what was chosen rather than estimated, SI units: `speed` below which dry friction is
+        smoothed, `time` of a jump, `start` and `stop` of a drift, `mean` of a channel.
+    shape, description : what tells it from others of its kind, in words where it has no name.
+    """
+
+    kind: str
+    where: str
+    parameters: tuple[str, ...]
+    constants: Mapping[str, float] = field(default_factory=dict)
+    shape: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulationSettings:
+    """How the model was simulated when it was fitted.
+
+    Attributes
+    ----------
+    substeps : Runge-Kutta steps a sample, at the sample time of the fit.
+    segments : shooting segments a record.
+    weights : (ny,) of the outputs' errors, one over their units.
+    """
+
+    substeps: int = 1
+    segments: int = 1
+    weights: Array = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channels:
+    """Where the problem's signals are found in a file or table.
+
+    Attributes
+    ----------
+    columns : signal -> column, with its unit after a colon ("roll_deg:deg").
+    recorded : channels recorded beside the model's, name -> SI unit.
+    derived : signal that no file has -> how it is computed, in words.
+    time : the time column; empty where it is found by name.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    recorded: Mapping[str, str] = field(default_factory=dict)
+    derived: Mapping[str, str] = field(default_factory=dict)
+    time: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseModel:
+    """White noise of the outputs and on the process, as a prediction-error fit has it.
+
+    Attributes
+    ----------
+    sources : each with its known standard deviation.
+    rest : state or input -> its value at the rest that the model was linearised about, SI.
+    initial : state -> standard deviation of its initial value; None for a steady-state predictor.
+    """
+
+    sources: tuple[White, ...]
+    rest: Mapping[str, float] = field(default_factory=dict)
+    initial: Mapping[str, float] | None = None

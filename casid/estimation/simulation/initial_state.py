@@ -1,0 +1,36 @@
+"""The initial state of a record that was not fitted, by least-squares simulation error."""
+
+from __future__ import annotations
+
+from casid.arrays import Array
+from casid.data.record import Experiment
+from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.model import Model
+
+
+def fit_initial_state(
+    model: Model,
+    experiment: Experiment,
+    *,
+    weights: Array | None = None,
+    substeps: int = 1,
+    on_clock: bool = False,
+) -> tuple[SimulationError, Array]:
+    """The criterion of one record, and its minimum (n,) over the initial state alone.
+
+    Parameters
+    ----------
+    model : every parameter known, there or in the experiment.
+    on_clock : whether the record has the clock of the records fitted. A step at an instant of one
+        record says nothing of another: there it has not happened.
+    """
+    criterion = SimulationError(model, [experiment], weights=weights, substeps=substeps)
+    if not on_clock:
+        for i, entry in enumerate(model.inputs.values()):
+            if entry.signal is not None:
+                criterion.data[0].u[:, i] = 0.0
+    point = criterion.start
+    if len(point):
+        point = minimize_simulation_error(criterion, check_rank=False, throw=False).x
+    return criterion, point

@@ -1,0 +1,62 @@
+"""Simulation of a model whose parameters all have values, as a fit simulates it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
+from casid.estimation.simulation.simulator import Simulator
+from casid.model.model import Model
+
+
+class KnownSimulation:
+    """A model at one sample time, with every stage of its sensors and actuators.
+
+    Parameters
+    ----------
+    Ts : sample time [s].
+    substeps : Runge-Kutta steps a sample.
+    """
+
+    def __init__(self, model: Model, Ts: float, substeps: int = 1) -> None:
+        self.model = model
+        self.simulator = Simulator(model, Ts, substeps=substeps)
+
+    def run(
+        self, u: Array, values: Mapping[str, float], nodes: Array, cuts: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Outputs (N, ny) and states (N, nx) under inputs u (N, nu).
+
+        Parameters
+        ----------
+        values : of every parameter.
+        nodes : (segments, nx) state at the start of each segment.
+        cuts : (segments,) the sample that each segment starts at; one segment needs none.
+
+        Values that overflow come back as inf or NaN.
+        """
+        simulator, model = self.simulator, self.model
+        of_inputs = [s for s in model.stages if s.is_of_input]
+        if of_inputs:
+            times = {s.parameter: values[s.parameter] for s in of_inputs}
+            u = prepared_inputs(model, u, times, simulator.Ts)
+        # What a stage does is in the column; its parameter multiplies the tangent alone.
+        held = {**values, **{s.parameter: 0.0 for s in of_inputs}}
+        p = np.array([held[name] for name in simulator.equations.parameters], dtype=float)
+        y, x = np.empty((len(u), simulator.ny)), np.empty((len(u), simulator.nx))
+        starts = [0] if cuts is None else np.asarray(cuts).tolist()
+        with np.errstate(all="ignore"):
+            for x0, first, last in zip(nodes, starts, [*starts[1:], len(u)], strict=True):
+                run = simulator.simulate(u[first:last], p, x0)
+                y[first:last], x[first:last] = run.y, run.x[:-1]
+            outputs = list(model.outputs)
+            for stage in model.stages:
+                if not stage.is_of_input:
+                    column = y[:, outputs.index(stage.channel)]
+                    through_sensor(
+                        stage.kind, column, None, values[stage.parameter], simulator.Ts, -1
+                    )
+        return y, x
