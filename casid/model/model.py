@@ -11,7 +11,6 @@ the indirect model of Linder (2017, ch. 4), for gains that may depend on the sta
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
@@ -20,6 +19,7 @@ import casadi as ca
 import numpy as np
 
 from casid.errors import ModelError, nearest
+from casid.model.serialisation import packed, unpacked
 
 Expr = Any  # a CasADi SX expression, or a number where one is meant
 Hold = Literal["zoh", "foh"]
@@ -643,7 +643,8 @@ class Model:
             )
 
     def _copy(self, name: str) -> Model:
-        new = copy.copy(self)
+        new = Model.__new__(Model)
+        new.__dict__.update(self.__dict__)
         new.name = name
         for key in ("states", "inputs", "parameters", "balances", "outputs"):
             setattr(new, key, dict(getattr(self, key)))
@@ -659,6 +660,22 @@ class Model:
     def copy(self, name: str | None = None) -> Model:
         """An independent copy that shares the symbols."""
         return self._copy(name or self.name)
+
+    def __copy__(self) -> Model:
+        return self.copy()
+
+    def __deepcopy__(self, memo: Any) -> Model:
+        return self.copy()  # symbols and expressions never change
+
+    def __reduce__(self) -> tuple[Any, ...]:  # an SX expression cannot be pickled by itself
+        return _rebuilt, packed({**self.__dict__, "_explicit": None})
+
+
+def _rebuilt(state: Mapping[str, Any], text: str) -> Model:
+    """The model that was packed, with symbols of its own."""
+    new = Model.__new__(Model)
+    new.__dict__.update(unpacked(state, text))
+    return new
 
 
 def _inserted(entries: Mapping[str, Any], place: int, name: str, entry: Any) -> dict[str, Any]:
