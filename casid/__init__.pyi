@@ -29,7 +29,7 @@ from .estimation.nlp.nlp import Nlp
 from .estimation.nlp.solver import Solver
 from .estimation.nlp.solver_comparison import compare_solvers
 from .estimation.prediction_error.coordinated_turn import smooth_track
-from .estimation.prediction_error.polynomial_orders import Orders
+from .estimation.prediction_error.polynomial.orders import Orders
 from .estimation.reconciliation import Reconciliation
 from .estimation.regression import regress
 from .estimation.simulation.fit import FitSettings

@@ -28,7 +28,7 @@ from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.propagation import propagate
 from casid.estimation.moments.stage import Stage
 from casid.estimation.moments.windowed_moments import Simulated, WindowedMoments, on_simulated
-from casid.estimation.prediction_error.polynomial_estimation import oe
+from casid.estimation.prediction_error.polynomial.estimation import oe
 from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column
 from problems import ship

@@ -184,7 +184,7 @@ def test_prediction_error_of_a_noisy_lag_is_an_armax_model() -> None:
     The two treat the first sample differently, which moves an estimate by about one sample's part,
     far below a tenth of its standard error.
     """
-    from casid.estimation.prediction_error.polynomial_estimation import armax
+    from casid.estimation.prediction_error.polynomial.estimation import armax
 
     record = lag_record(4, N=4000)
     grey = fit_lag(record)

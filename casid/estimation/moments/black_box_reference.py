@@ -25,7 +25,7 @@ from casid.data.record import Experiment
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.moments.instruments import Instruments
 from casid.estimation.moments.reference_filter import Filter, ReferenceFilter, SampledFilter
-from casid.estimation.prediction_error.polynomial_estimation import arx, oe
+from casid.estimation.prediction_error.polynomial.estimation import arx, oe
 from casid.model.model import Model
 from casid.presentation import Presented
 

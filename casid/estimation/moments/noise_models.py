@@ -29,7 +29,7 @@ def noise_models(
     remarks : what went otherwise is noted here.
     j : the iteration, from 0.
     """
-    from casid.estimation.prediction_error.arma import arma
+    from casid.estimation.prediction_error.polynomial.arma import arma
 
     na, nc = orders
     found: list[Any] = []

@@ -10,7 +10,7 @@ from casid.data.record import Experiment
 from casid.errors import DataError, ModelError, SolveError
 from casid.estimation.moments.instruments import Loop, UnstableLoop
 from casid.estimation.moments.reference_filter import SampledFilter
-from casid.estimation.prediction_error.polynomial_estimation import oe
+from casid.estimation.prediction_error.polynomial.estimation import oe
 from casid.model.model import Model
 
 

@@ -1,1 +1,1 @@
-"""Prediction-error estimation: polynomial models and linear models with process noise."""
+"""Prediction-error estimation of polynomial models and of linear models with process noise."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from casid.errors import ModelError
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.prediction_error.polynomial_orders import Layout, Orders, PerInput
+from casid.estimation.prediction_error.polynomial.orders import Layout, Orders, PerInput
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.comparison import Comparison, RemedyRow
 from casid.unknown_inputs.limits.input_measurement import InputMeasurement

@@ -15,7 +15,7 @@ import numpy as np
 from casid.algebra.rational import Rational
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.estimation.prediction_error.polynomial_orders import Layout
+from casid.estimation.prediction_error.polynomial.orders import Layout
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 
 

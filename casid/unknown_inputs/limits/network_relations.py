@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from casid.algebra.rational import Rational, rational
 from casid.errors import ModelError
-from casid.estimation.prediction_error.polynomial_orders import Orders
+from casid.estimation.prediction_error.polynomial.orders import Orders
 from casid.unknown_inputs.networks.confounders import Confounder, confounders, confounders_in
 from casid.unknown_inputs.networks.estimation.module_equation import module_equation
 from casid.unknown_inputs.networks.indirect_equations import indirect_equations

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from casid.errors import IdentifiabilityError, ModelError
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
+from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.comparison import Comparison, RemedyRow
 from casid.unknown_inputs.limits.linear_signals import LinearSignals

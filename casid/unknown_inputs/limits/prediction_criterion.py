@@ -18,7 +18,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.estimation.nlp.solution import Evaluation
-from casid.estimation.prediction_error.polynomial_orders import Layout
+from casid.estimation.prediction_error.polynomial.orders import Layout
 from casid.unknown_inputs.limits.second_moments import circle
 
 Expr = Any

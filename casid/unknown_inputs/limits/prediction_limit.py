@@ -18,7 +18,7 @@ from casid.arrays import TINY, Array
 from casid.errors import ModelError, SolveError
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
+from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.limits.prediction_criterion import PredictionCriterion

@@ -20,7 +20,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.errors import IdentifiabilityError, ModelError
-from casid.estimation.prediction_error.polynomial_orders import Orders
+from casid.estimation.prediction_error.polynomial.orders import Orders
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.limits.prediction_criterion import PredictionCriterion

@@ -10,7 +10,7 @@ import scipy.signal
 
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
-from casid.estimation.prediction_error.polynomial_orders import Orders
+from casid.estimation.prediction_error.polynomial.orders import Orders
 from casid.unknown_inputs.limits.comparison import Comparison
 from casid.unknown_inputs.limits.network_remedies import network_remedies
 from casid.unknown_inputs.networks.network import Network, dynamic_network

@@ -7,7 +7,7 @@ import pytest
 
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
-from casid.estimation.prediction_error.polynomial_orders import Orders
+from casid.estimation.prediction_error.polynomial.orders import Orders
 from casid.unknown_inputs.limits.module_remedies import compare_module_remedies
 from casid.unknown_inputs.limits.network_signals import network_signals
 from casid.unknown_inputs.limits.prediction_limit import prediction_error_limit

@@ -10,7 +10,7 @@ import scipy.signal
 from numpy.typing import NDArray
 
 from casid.errors import IdentifiabilityError, ModelError
-from casid.estimation.prediction_error.polynomial_orders import Orders
+from casid.estimation.prediction_error.polynomial.orders import Orders
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.limits.prediction_criterion import step_down, step_up
 from casid.unknown_inputs.limits.prediction_limit import prediction_error_limit

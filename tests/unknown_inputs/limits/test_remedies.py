@@ -10,7 +10,7 @@ import scipy.signal
 
 from analysis.static_examples.formulas import variance_boundary
 from casid.errors import ModelError
-from casid.estimation.prediction_error.polynomial_orders import Orders
+from casid.estimation.prediction_error.polynomial.orders import Orders
 from casid.unknown_inputs.limits.comparison import Comparison
 from casid.unknown_inputs.limits.decision_map import REGIONS, DecisionMap, decision_map
 from casid.unknown_inputs.limits.input_measurement import InputMeasurement

@@ -9,8 +9,8 @@ import pytest
 import scipy.signal
 
 from casid.errors import IdentifiabilityError, ModelError
-from casid.estimation.prediction_error.polynomial_estimation import prediction_error
-from casid.estimation.prediction_error.polynomial_orders import Orders
+from casid.estimation.prediction_error.polynomial.estimation import prediction_error
+from casid.estimation.prediction_error.polynomial.orders import Orders
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.limits.module_remedies import compare_module_remedies
 from casid.unknown_inputs.limits.prediction_limit import prediction_error_limit

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from casid.deprecation import renamed
 from casid.errors import ModelError
-from casid.estimation.prediction_error.polynomial_orders import Layout
+from casid.estimation.prediction_error.polynomial.orders import Layout
 from casid.unknown_inputs.networks.estimation.module_equation import ModuleEquation
 from casid.unknown_inputs.networks.estimation.reachability import independent_references
 from casid.unknown_inputs.networks.graph import path_past, upstream

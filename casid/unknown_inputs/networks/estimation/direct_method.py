@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.prediction_error.polynomial_estimation import prediction_error
-from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
+from casid.estimation.prediction_error.polynomial.estimation import prediction_error
+from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData
 from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit
 
@@ -17,7 +17,7 @@ def direct(data: ModuleData, orders: Orders, solver: Solver | None = None) -> Mo
     Raises
     ------
     DataError, IdentifiabilityError, SolveError
-        As `casid.estimation.prediction_error.polynomial_estimation.prediction_error`.
+        As `casid.estimation.prediction_error.polynomial.estimation.prediction_error`.
     """
     model = prediction_error(
         data.y, data.inputs, orders, Ts=data.Ts, errors="robust", solver=solver

@@ -14,9 +14,9 @@ import numpy as np
 from casid.arrays import Array
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
-from casid.estimation.prediction_error.polynomial_estimation import prediction_error
-from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
+from casid.estimation.prediction_error.polynomial.criterion import PredictionErrors
+from casid.estimation.prediction_error.polynomial.estimation import prediction_error
+from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData
 from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit, without_noise
 from casid.unknown_inputs.networks.estimation.reference_responses import (

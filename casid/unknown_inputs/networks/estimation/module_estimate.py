@@ -14,8 +14,8 @@ from casid.algebra.rational import Rational
 from casid.arrays import TINY, Array
 from casid.data.record import Record
 from casid.errors import ModelError
-from casid.estimation.prediction_error.polynomial_orders import is_stable
-from casid.estimation.prediction_error.polynomial_residuals import residual_input_correlation
+from casid.estimation.prediction_error.polynomial.misfit import residual_input_correlation
+from casid.estimation.prediction_error.polynomial.orders import is_stable
 from casid.presentation import Presented
 from casid.unknown_inputs.networks.estimation.consistency import Consistency
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData, module_data

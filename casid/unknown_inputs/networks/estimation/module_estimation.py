@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from casid.data.record import Record
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
+from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
 from casid.unknown_inputs.networks.equations import ordered
 from casid.unknown_inputs.networks.estimation.consistency import Consistency, consistency
 from casid.unknown_inputs.networks.estimation.direct_method import direct

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from casid.arrays import Array
-from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
+from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
 
 
 @dataclass(frozen=True, slots=True, eq=False)

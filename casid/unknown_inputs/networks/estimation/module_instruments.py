@@ -22,7 +22,7 @@ from casid.estimation.moments.noise_models import noise_models
 from casid.estimation.moments.parts import Part
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
+from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
 from casid.linear.difference_equation import DifferenceEquation
 from casid.model.model import Parameter
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData

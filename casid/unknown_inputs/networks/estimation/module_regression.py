@@ -12,7 +12,7 @@ from typing import Any
 
 import casadi as ca
 
-from casid.estimation.prediction_error.polynomial_orders import Layout
+from casid.estimation.prediction_error.polynomial.orders import Layout
 from casid.linear.difference_equation import DifferenceEquation
 from casid.linear.lagged_columns import Column
 from casid.linear.linear_model import TransferMatrix

@@ -10,8 +10,8 @@ from __future__ import annotations
 from casid.arrays import Array
 from casid.errors import CasidError
 from casid.estimation.moments.instruments import Simulated, from_reference
-from casid.estimation.prediction_error.polynomial_estimation import arx
-from casid.estimation.prediction_error.polynomial_model import PolynomialModel
+from casid.estimation.prediction_error.polynomial.estimation import arx
+from casid.estimation.prediction_error.polynomial.model import PolynomialModel
 from casid.linear.difference_equation import DifferenceEquation
 from casid.linear.lagged_columns import Column
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData

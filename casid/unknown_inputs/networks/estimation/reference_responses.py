@@ -16,7 +16,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import DataError
 from casid.estimation.covariance import autocorrelation
-from casid.estimation.prediction_error.persistent_excitation import require_excitation
+from casid.estimation.prediction_error.polynomial.excitation import require_excitation
 
 
 @dataclass(frozen=True, slots=True, eq=False)

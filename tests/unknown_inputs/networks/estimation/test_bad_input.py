@@ -10,7 +10,7 @@ import pytest
 from casid.algebra.rational import Rational
 from casid.data.record import Record
 from casid.errors import DataError, IdentifiabilityError, ModelError
-from casid.estimation.prediction_error.polynomial_orders import Orders
+from casid.estimation.prediction_error.polynomial.orders import Orders
 from casid.unknown_inputs.networks.estimation.module_equation import module_equation
 from casid.unknown_inputs.networks.estimation.module_estimation import (
     estimate_module,

@@ -20,7 +20,7 @@ from casid.estimation.moments.instruments import Instruments, Loop, Simulated
 from casid.estimation.moments.moment_covariance import moment_covariance
 from casid.estimation.moments.moment_equations import MomentEquations
 from casid.estimation.moments.moments import moments
-from casid.estimation.prediction_error.polynomial_estimation import armax, arx
+from casid.estimation.prediction_error.polynomial.estimation import armax, arx
 from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column
 from problems.pendulum import TABLE_7_2, indirect_model

@@ -9,7 +9,7 @@ import pytest
 
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
-from casid.estimation.prediction_error.polynomial_orders import Layout, Orders
+from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
 from casid.report.figures.module_responses import response_figure
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.limits.prediction_limit import prediction_error_limit

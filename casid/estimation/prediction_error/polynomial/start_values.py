@@ -19,7 +19,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.estimation.moments.moments import moments
-from casid.estimation.prediction_error.polynomial_orders import (
+from casid.estimation.prediction_error.polynomial.orders import (
     Layout,
     Polynomials,
     reflected,

@@ -19,7 +19,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.nlp.solution import Evaluation
-from casid.estimation.prediction_error.polynomial_orders import Layout, is_stable
+from casid.estimation.prediction_error.polynomial.orders import Layout, is_stable
 
 Shifts = list[tuple[Array, int, int, float]]  # base signal, first lag, number of lags, sign
 CHUNK = 16384  # samples at a time in the products: the buffer stays in the cache

@@ -16,15 +16,15 @@ from casid.arrays import TINY, Array
 from casid.errors import DataError, ModelError
 from casid.estimation.moments.moments import Moments, moments
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.prediction_error.polynomial_data import records_of
-from casid.estimation.prediction_error.polynomial_estimation import prediction_error
-from casid.estimation.prediction_error.polynomial_model import PolynomialModel
-from casid.estimation.prediction_error.polynomial_orders import (
+from casid.estimation.prediction_error.polynomial.estimation import prediction_error
+from casid.estimation.prediction_error.polynomial.model import PolynomialModel
+from casid.estimation.prediction_error.polynomial.orders import (
     Orders,
     is_stable,
     settling,
 )
-from casid.estimation.prediction_error.polynomial_start import long_model, long_order
+from casid.estimation.prediction_error.polynomial.records import records_of
+from casid.estimation.prediction_error.polynomial.start_values import long_model, long_order
 from casid.linear.stability import largest_root
 
 
@@ -135,7 +135,7 @@ def arma(
     Raises
     ------
     DataError, ModelError, SolveError
-        As `casid.estimation.prediction_error.polynomial_estimation.prediction_error`.
+        As `casid.estimation.prediction_error.polynomial.estimation.prediction_error`.
     """
     if na == 0 and nc == 0:
         both = np.concatenate([y for y, _ in records_of(residual, None)[0]])
@@ -164,7 +164,7 @@ def arma_order(
     Raises
     ------
     DataError, ModelError, SolveError
-        As `casid.estimation.prediction_error.polynomial_estimation.prediction_error`.
+        As `casid.estimation.prediction_error.polynomial.estimation.prediction_error`.
     """
     data, _ = records_of(residual, None)
     records = [[y] for y, _ in data]

@@ -7,8 +7,8 @@ from typing import Literal
 
 from casid.errors import DataError, ModelError
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.prediction_error.polynomial_model import PolynomialModel
-from casid.estimation.prediction_error.polynomial_orders import is_number
+from casid.estimation.prediction_error.polynomial.model import PolynomialModel
+from casid.estimation.prediction_error.polynomial.orders import is_number
 
 Errors = Literal["white", "robust"]
 

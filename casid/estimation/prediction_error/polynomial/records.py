@@ -68,7 +68,7 @@ def _numbers(name: str, given: Any) -> Array:
     if isinstance(given[0] if several and len(given) else given, Record | Experiment):
         raise DataError(
             f"{name} is {'a list of records' if several else 'a record'}; give its channels as "
-            "arrays: y, u = casid.estimation.prediction_error.polynomial_data.stretches("
+            "arrays: y, u = casid.estimation.prediction_error.polynomial.records.stretches("
             "record, output, inputs) makes lists of both"
             + (" (one call for each record, the lists joined)" if several else "")
         )

@@ -20,14 +20,14 @@ from casid.estimation.covariance import sandwich
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.nlp.solver import Solver, as_solver
-from casid.estimation.prediction_error.persistent_excitation import (
+from casid.estimation.prediction_error.polynomial.criterion import PredictionErrors
+from casid.estimation.prediction_error.polynomial.excitation import (
     dependent_columns,
     require_excitation,
 )
-from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
-from casid.estimation.prediction_error.polynomial_data import records_of
-from casid.estimation.prediction_error.polynomial_model import Misfit, PolynomialModel, Search
-from casid.estimation.prediction_error.polynomial_notes import (
+from casid.estimation.prediction_error.polynomial.misfit import Misfit, residual_input_correlation
+from casid.estimation.prediction_error.polynomial.model import PolynomialModel, Search
+from casid.estimation.prediction_error.polynomial.notes import (
     NEAR,
     at_circle,
     doubts,
@@ -35,20 +35,20 @@ from casid.estimation.prediction_error.polynomial_notes import (
     long_transients,
     offsets,
 )
-from casid.estimation.prediction_error.polynomial_orders import (
+from casid.estimation.prediction_error.polynomial.orders import (
     Layout,
     Orders,
     PerInput,
     is_whole,
     settling,
 )
-from casid.estimation.prediction_error.polynomial_residuals import residual_input_correlation
-from casid.estimation.prediction_error.polynomial_settings import (
+from casid.estimation.prediction_error.polynomial.records import records_of
+from casid.estimation.prediction_error.polynomial.settings import (
     ASSUMES,
     Errors,
     PolynomialSettings,
 )
-from casid.estimation.prediction_error.polynomial_start import Candidate, Data, candidates
+from casid.estimation.prediction_error.polynomial.start_values import Candidate, Data, candidates
 
 CANCEL = 0.5  # of scaled information, in samples: with less, roots may cancel by accident
 NO_NOISE = 1e-24  # of the power of y: the rest is rounding

@@ -18,36 +18,11 @@ from casid.arrays import TINY, Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, SolveError
 from casid.estimation.covariance import whiteness
-from casid.estimation.prediction_error.polynomial_data import one_record
-from casid.estimation.prediction_error.polynomial_orders import is_stable
-from casid.estimation.prediction_error.polynomial_residuals import LAGS
+from casid.estimation.prediction_error.polynomial.misfit import LAGS, Misfit
+from casid.estimation.prediction_error.polynomial.orders import is_stable
+from casid.estimation.prediction_error.polynomial.records import one_record
 from casid.grouping import Grouped
 from casid.linear.stability import largest_root
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Misfit:
-    """The residuals of an estimate.
-
-    Attributes
-    ----------
-    noise_variance : sum eps^2 / (N - n), output unit squared.
-    loss : V_N of Linder 2017, (2.36), sum eps^2 / (2 N).
-    fit : NRMSE fit of the one-step prediction [%], 100 (1 - |eps| / |y - mean y|).
-    N : residuals that count, over all records.
-    residuals : (N_r,) for each record, from the first sample on.
-    discarded : for each record, how many first residuals do not count.
-    input_correlation : input -> (lags + 1,) of `residual_input_correlation`: above 1 in size where
-        the residual and the input k samples before are correlated beyond 95 % bounds.
-    """
-
-    noise_variance: float
-    loss: float
-    fit: float
-    N: int
-    residuals: tuple[Array, ...]
-    discarded: tuple[int, ...]
-    input_correlation: Mapping[str, Array]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,10 +17,9 @@ from casid.data.record import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimation.covariance import whiteness
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.prediction_error import polynomial_estimation as polynomial
-from casid.estimation.prediction_error.polynomial_criterion import PredictionErrors
-from casid.estimation.prediction_error.polynomial_data import stretches
-from casid.estimation.prediction_error.polynomial_estimation import (
+from casid.estimation.prediction_error.polynomial import estimation as polynomial
+from casid.estimation.prediction_error.polynomial.criterion import PredictionErrors
+from casid.estimation.prediction_error.polynomial.estimation import (
     Orders,
     armax,
     arx,
@@ -28,9 +27,10 @@ from casid.estimation.prediction_error.polynomial_estimation import (
     oe,
     prediction_error,
 )
-from casid.estimation.prediction_error.polynomial_orders import Layout, reflected
-from casid.estimation.prediction_error.polynomial_residuals import residual_input_correlation
-from casid.estimation.prediction_error.polynomial_start import candidates, steiglitz_mcbride
+from casid.estimation.prediction_error.polynomial.misfit import residual_input_correlation
+from casid.estimation.prediction_error.polynomial.orders import Layout, reflected
+from casid.estimation.prediction_error.polynomial.records import stretches
+from casid.estimation.prediction_error.polynomial.start_values import candidates, steiglitz_mcbride
 from tests.support.recursion import filtered, predicted_errors, simulated
 
 A, B, C, D = (1.0, -1.5, 0.7), (0.0, 1.0, 0.5), (1.0, -0.6, 0.2), (1.0, -0.8)
@@ -373,7 +373,7 @@ def test_armax_is_the_maximum_of_a_kalman_filters_likelihood():
 def test_finite_responses_with_arma_noise_are_statsmodels_regressions():
     """BJ with F = 1 is a regression on lagged inputs with ARMA errors (SARIMAX, exog)."""
     pytest.importorskip("statsmodels")
-    from tests.estimation.prediction_error.test_arma import FromRest
+    from tests.estimation.prediction_error.polynomial.test_arma import FromRest
 
     rng = np.random.default_rng(14)
     n = 500
@@ -814,7 +814,7 @@ def test_a_record_is_refused_with_what_makes_lists_of_it():
     y, u, _, _ = record("ARX", 100, seed=36)
     held = Record({"y": y, "u": u}, {"y": "m", "u": "N"}, Ts=0.1)
     mend = (
-        r"y, u = casid\.estimation\.prediction_error\.polynomial_data\.stretches"
+        r"y, u = casid\.estimation\.prediction_error\.polynomial\.records\.stretches"
         r"\(record, output, inputs\)"
     )
     for given_, what in (

@@ -6,12 +6,12 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.nlp.solution import Solution
-from casid.estimation.prediction_error.polynomial_orders import (
+from casid.estimation.prediction_error.polynomial.orders import (
     Layout,
     Polynomials,
     settling,
 )
-from casid.estimation.prediction_error.polynomial_start import Data
+from casid.estimation.prediction_error.polynomial.start_values import Data
 from casid.linear.stability import largest_root
 
 NEAR = 0.999  # a root with this modulus or more is at the unit circle

@@ -1,4 +1,4 @@
-"""Cross-correlation of residual and input, with its bound.
+"""The residuals of an estimate, and their cross-correlation with an input, with its bound.
 
 If the model of G is right, eps(t) and u(t - k) are uncorrelated, and their correlation over N
 samples is asymptotically normal with variance P / N,
@@ -10,7 +10,8 @@ samples is asymptotically normal with variance P / N,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +19,31 @@ from casid.arrays import Array
 from casid.estimation.covariance import autocorrelation
 
 LAGS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Misfit:
+    """The residuals of an estimate.
+
+    Attributes
+    ----------
+    noise_variance : sum eps^2 / (N - n), output unit squared.
+    loss : V_N of Linder 2017, (2.36), sum eps^2 / (2 N).
+    fit : NRMSE fit of the one-step prediction [%], 100 (1 - |eps| / |y - mean y|).
+    N : residuals that count, over all records.
+    residuals : (N_r,) for each record, from the first sample on.
+    discarded : for each record, how many first residuals do not count.
+    input_correlation : input -> (lags + 1,) of `residual_input_correlation`: above 1 in size where
+        the residual and the input k samples before are correlated beyond 95 % bounds.
+    """
+
+    noise_variance: float
+    loss: float
+    fit: float
+    N: int
+    residuals: tuple[Array, ...]
+    discarded: tuple[int, ...]
+    input_correlation: Mapping[str, Array]
 
 
 def residual_input_correlation(

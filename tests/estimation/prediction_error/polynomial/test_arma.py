@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from casid.errors import DataError, ModelError
-from casid.estimation.prediction_error.arma import Arma, arma, arma_order
+from casid.estimation.prediction_error.polynomial.arma import Arma, arma, arma_order
 from tests.support.recursion import filtered
 
 try:
