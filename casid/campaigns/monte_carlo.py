@@ -449,7 +449,7 @@ def accuracy(problem: Problem, done: Campaign) -> list[Accuracy]:
         out.append(
             Accuracy(
                 name=column,
-                unit="" if parameter is None else parameter.unit,
+                unit="" if parameter is None else problem.model.unit_of(column),
                 truth=truth,
                 n=n,
                 mean=float(value[is_there].mean()) if n else math.nan,
@@ -494,7 +494,7 @@ def _study_again(
 
 @functools.lru_cache(maxsize=8)
 def _loaded(source: str, known: tuple[tuple[str, float], ...], expected: str) -> Problem:
-    problem = load_problem(source).with_known(dict(known))
+    problem = load_problem(source).with_si_values(dict(known))
     if digest(problem) != expected:
         raise ModelError(
             f"the problem in {source} is not the one to be studied: it was changed after it was "

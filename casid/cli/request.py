@@ -50,7 +50,7 @@ def parse_mapping(text: str) -> Mapping:
 
 
 def parse_setting(text: str) -> tuple[str, float]:
-    """Read `name=value`, the value a finite number in SI units.
+    """Read `name=value`, the value a finite number in the unit that the model declares.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def parse_setting(text: str) -> tuple[str, float]:
         number = math.nan
     if not equals or not name.strip() or not math.isfinite(number):
         raise DataError(
-            f"--set {text}: write it as name=value with a finite number in SI units, "
+            f"--set {text}: write it as name=value with a finite number in its declared unit, "
             "for example --set M=22.04"
         )
     return name.strip(), number
@@ -160,12 +160,16 @@ class Request:
                     f"--set {text}: problem {problem.name} has no parameter "
                     f"{name!r}{nearest(name, names)}"
                 )
-            parameter = problem.model.parameters[name]
-            if not parameter.lower <= value <= parameter.upper:
+            model, parameter = problem.model, problem.model.parameters[name]
+            lower, upper = (
+                model.in_declared_units({name: end})[name]
+                for end in (parameter.lower, parameter.upper)
+            )
+            if not lower <= value <= upper:
                 raise DataError(
-                    f"--set {text}: {value:g} lies outside the bounds of {name}, "
-                    f"{parameter.lower:g} to {parameter.upper:g} {parameter.unit}; give a value "
-                    "inside, in SI units, or widen the bounds in the problem file"
+                    f"--set {text}: {value:g} lies outside the bounds of {name}, {lower:g} to "
+                    f"{upper:g} {model.unit_of(name)}; give a value inside, in that unit, or widen "
+                    "the bounds in the problem file"
                 )
             if out.get(name, value) != value:
                 raise DataError(

@@ -19,6 +19,7 @@ from casid.data.reading.record_file import read_record
 from casid.data.record import Experiment, Record
 from casid.errors import DataError, ModelError
 from casid.model.model import Model
+from casid.model.units import difference_to_si
 
 if TYPE_CHECKING:
     from casid.model.effects.user_effects import UserEffect
@@ -42,19 +43,21 @@ class Problem:
         channel itself goes before.
     time : the time column; found by name where not given.
     load_cases : name -> values of parameters known in that case.
-    noise : channel -> standard deviation of its white noise, where known (SI units); that of a
-        derived channel's sources is propagated and noted in the record's provenance.
+    noise : channel -> standard deviation of its white noise, where known, in the channel's unit;
+        that of a derived channel's sources is propagated and noted in the record's provenance.
     example : returns the example experiments, or one record (their effect is for the diagnosis to
         find).
     simulate : takes a seed and returns experiments with noise drawn from it, for Monte Carlo
         studies; the system is to be the same for every seed.
-    truth : name -> value that `simulate` gives the parameter (SI units), where the model has it
-        right; what it leaves out shows as bias.
+    truth : name -> value that `simulate` gives the parameter, where the model has it right; what it
+        leaves out shows as bias.
     effects : effects of the user's own, or functions from a model to one or several, that the
         diagnosis tests beside its catalogue (`casid.balance_effect` and its like).
     starts : how many starts an estimation tries.
     description, references : for reports.
     source : the file it was loaded from; worker processes load it again.
+
+    Every number is in the unit that the model declares for its parameter or channel.
     """
 
     name: str
@@ -142,11 +145,7 @@ class Problem:
         Instead of a derived channel there are its sources, unless it is mapped itself.
         """
         merged = {**self.channels, **(mapping or {})}
-        units = {name: entry.unit for name, entry in self.model.inputs.items()}
-        units |= {name: unit for name, (_, unit) in self.model.outputs.items()}
-        units |= dict(self.recorded)
-        for entry in self.derived.values():
-            units = {**entry.sources, **units}
+        units = self._channel_units()
         computed = {n: entry for n, entry in self.derived.items() if n not in merged}
         needed = {source for entry in computed.values() for source in entry.sources}
         own = {*self.model.inputs, *self.model.outputs, *self.recorded}
@@ -166,6 +165,29 @@ class Problem:
             column, _, unit = merged.get(signal, signal).partition(":")
             specs[signal] = ColumnSpec(column or signal, unit or None, target)
         return specs
+
+    def _channel_units(self) -> dict[str, str]:
+        """The declared unit of every channel: the model's, those beside it, and sources."""
+        units: dict[str, str] = {}
+        for entry in self.derived.values():
+            units |= entry.sources
+        units |= {n: self.model.unit_of(n) for n in (*self.model.inputs, *self.model.outputs)}
+        return units | dict(self.recorded)
+
+    def in_si(self) -> Problem:
+        """The problem with every number in SI, as the library's own functions take it."""
+        model = self.model
+        if model.takes_si:
+            return self
+        units = self._channel_units()
+        noise = {n: float(difference_to_si(sd, units[n])) for n, sd in self.noise.items()}
+        return replace(
+            self,
+            model=model.taking_si(),
+            noise=noise,
+            load_cases={case: model.in_si(values) for case, values in self.load_cases.items()},
+            truth=model.in_si(self.truth),
+        )
 
     def read(
         self,
@@ -208,7 +230,7 @@ class Problem:
             for name, entry in self.derived.items()
             if name in signals or all(source in record for source in entry.sources)
         }
-        return derive(record, wanted, self.noise)
+        return derive(record, wanted, self.in_si().noise)
 
     def _present(
         self, path: str | Path, specs: dict[str, ColumnSpec], mapping: Mapping[str, str]
@@ -295,8 +317,12 @@ class Problem:
         return experiments
 
     def with_known(self, known: Mapping[str, float]) -> Problem:
-        """A copy whose model knows the given values."""
+        """A copy whose model knows the given values, in the units that it declares."""
         return replace(self, model=self.model.with_known(**known))
+
+    def with_si_values(self, values: Mapping[str, float]) -> Problem:
+        """A copy whose model knows the given values, in SI."""
+        return replace(self, model=self.model.with_si_values(values))
 
 
 def _near(name: str, names: Sequence[str]) -> str:
@@ -365,6 +391,32 @@ def _line(error: Exception, path: Path) -> str:
         if Path(frame.filename).resolve() == path.resolve()
     ]
     return f"line {lines[-1]}" if lines else "an unknown line"
+
+
+def in_si(
+    problem: Problem | Model,
+    experiments: Sequence[Experiment | Record] | Experiment | Record | None,
+) -> tuple[Problem, list[Experiment]]:
+    """Problem and experiments as the library's own functions take them: every number in SI.
+
+    Parameters
+    ----------
+    problem : or its model alone, where there is nothing to add to it.
+    experiments : values known in them in the units that the model declares; default the problem's
+        own example. Names are made unique.
+
+    Raises
+    ------
+    DataError
+        If there is no record.
+    ModelError
+        If `problem` is none.
+    """
+    if isinstance(problem, Model):
+        problem = Problem(problem.name, problem)
+    chosen = experiments_of(problem, experiments)
+    converted = [replace(e, known=problem.model.in_si(e.known)) for e in chosen]
+    return problem.in_si(), converted
 
 
 def experiments_of(

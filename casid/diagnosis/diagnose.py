@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from casid.data.problem import Problem, experiments_of
+from casid.data.problem import Problem, in_si
 from casid.data.record import Experiment, Record
 from casid.diagnosis.advice.recommendation import recommend
 from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, require_runs
@@ -92,11 +92,13 @@ def diagnose(
     measures it on records drawn from the fitted model and its noise.
     """
     # Prepare.
-    chosen = experiments_of(problem, experiments)
+    if not isinstance(hold_out, float | int):
+        _, hold_out = in_si(problem, hold_out)
+    problem, chosen = in_si(problem, experiments)
     require_settings(problem, false_alarm_rate, max_causes, without)
     if calibrate:
         require_runs(calibrate)
-    split = split_records(chosen, [hold_out] if isinstance(hold_out, Experiment) else hold_out)
+    split = split_records(chosen, hold_out)
     fit_settings = FitSettings(
         starts=problem.starts if starts is None else starts, solver=solver, seed=seed
     )
@@ -106,7 +108,8 @@ def diagnose(
     require_identifiable(problem.model, split.fitted, problem=problem, progress=settings.progress)
     # Evidence and search: the baseline, then rounds of candidates.
     found, calibration = _found(problem, split, settings, calibrate)
-    return _concluded(problem, found, calibration, settings, plan=advise)
+    diagnosis = _concluded(problem, found, calibration, settings, plan=advise)
+    return diagnosis.in_units(found.best_fit.criterion.model.declared_units)
 
 
 def _found(

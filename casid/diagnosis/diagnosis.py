@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,7 +14,7 @@ from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.unexplained.description import Unexplained
 from casid.diagnosis.verdict.cause import Alternative, Cause, Ranked, Verdict
 from casid.diagnosis.verdict.remainder import Moved, Remaining
-from casid.estimation.estimate import Estimate, Origin, RecordView
+from casid.estimation.estimate import Estimate, Origin, RecordView, measure_in
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.grouping import Grouped
 from casid.presentation import Presented, present, write
@@ -100,6 +100,35 @@ class Diagnosis(Presented):
     provenance: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
     versions: ClassVar[Grouped[Mapping[str, str]]] = Grouped("origin")
     sources: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
+
+    def in_units(self, units: Mapping[str, str]) -> Diagnosis:
+        """The diagnosis with every number of what `units` names in that unit.
+
+        Parameters
+        ----------
+        units : parameter, state, input or output -> unit of its dimension.
+        """
+        if not units:
+            return self
+        before = self.output_units
+        after = {name: units.get(name, unit) for name, unit in before.items()}
+        extended = None if self.extended is None else self.extended.in_units(units)
+        return replace(
+            self,
+            causes=tuple(c.in_units(units) for c in self.causes),
+            evidence=replace(
+                self.evidence,
+                baseline=self.baseline.in_units(units),
+                extended=extended,
+                records=tuple(r.in_units(units) for r in self.records),
+            ),
+            gain=replace(
+                self.gain,
+                fitted=measure_in(self.fitted, before, after),
+                held_out=measure_in(self.held_out, before, after),
+                moved=tuple(m.in_unit(units.get(m.name, m.unit)) for m in self.moved),
+            ),
+        )
 
     def to_json(self) -> dict[str, Any]:
         """The content of `diagnosis.json` (schema casid.diagnosis/1)."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,6 +15,7 @@ from casid.deprecation import renamed
 from casid.estimation.covariance import Sampled, sample_through
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.grouping import Grouped
+from casid.model.units import from_si, is_si, parse_unit, si_unit, to_si
 from casid.presentation import Presented, present
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Estimated:
-    """One parameter of an estimate, SI units."""
+    """One parameter of an estimate, every number in `unit`."""
 
     name: str
     value: float
@@ -39,6 +40,21 @@ class Estimated:
         if self.std_error is None:
             return None
         return self.value - 1.96 * self.std_error, self.value + 1.96 * self.std_error
+
+    def in_unit(self, unit: str) -> Estimated:
+        """The same in another unit of its dimension."""
+        if unit == self.unit:
+            return self
+        factor = parse_unit(self.unit).factor / parse_unit(unit).factor
+        return replace(
+            self,
+            value=float(from_si(to_si(self.value, self.unit), unit)),
+            unit=unit,
+            std_error=None if self.std_error is None else self.std_error * factor,
+            start=None
+            if self.start is None
+            else float(from_si(to_si(self.start, self.unit), unit)),
+        )
 
     def to_json(self) -> dict[str, Any]:
         """As `estimate.json` has it."""
@@ -77,7 +93,7 @@ class Identifiability:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordView:
-    """Measured and simulated signals of one record, for figures. SI units."""
+    """Measured and simulated signals of one record, for figures, in the units that it states."""
 
     name: str
     t: Array  # (N,) s, the record's own clock
@@ -95,13 +111,43 @@ class RecordView:
     state_units: tuple[str, ...]
     x: Array  # (N, nx) simulated states of the best model
 
+    def in_units(self, units: Mapping[str, str]) -> RecordView:
+        """The signals named in `units` in those units, name -> unit."""
+        outputs = [(n, u, units.get(n, u)) for n, u in _pairs(self.outputs, self.output_units)]
+        inputs = [(n, u, units.get(n, u)) for n, u in _pairs(self.inputs, self.input_units)]
+        states = [(n, u, units.get(n, u)) for n, u in _pairs(self.states, self.state_units)]
+        return replace(
+            self,
+            measured=_columns_in(self.measured, outputs),
+            baseline=_columns_in(self.baseline, outputs),
+            extended=None if self.extended is None else _columns_in(self.extended, outputs),
+            u=_columns_in(self.u, inputs),
+            x=_columns_in(self.x, states),
+            output_units=tuple(unit for _, _, unit in outputs),
+            input_units=tuple(unit for _, _, unit in inputs),
+            state_units=tuple(unit for _, _, unit in states),
+        )
+
+
+def _pairs(names: Sequence[str], units: Sequence[str]) -> Iterable[tuple[str, str]]:
+    return zip(names, units, strict=True)
+
+
+def _columns_in(values: Array, columns: Sequence[tuple[str, str, str]]) -> Array:
+    """(N, n) values with column j, of (name, its unit, another), in the other unit."""
+    out = values.copy()
+    for j, (_, unit, other) in enumerate(columns):
+        if other != unit:
+            out[:, j] = from_si(to_si(values[:, j], unit), other)
+    return out
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
     """How sure the estimated values are."""
 
     names: tuple[str, ...]
-    covariance: Array  # (n, n), SI units
+    covariance: Array  # (n, n), in the units of the parameters
     assumes: str  # what the standard errors assume
 
 
@@ -204,6 +250,52 @@ class Estimate(Presented):
     versions: ClassVar[Grouped[Mapping[str, str]]] = Grouped("origin")  # Package -> version
     sources: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
 
+    def in_units(self, units: Mapping[str, str]) -> Estimate:
+        """The estimate with every number of what `units` names in that unit.
+
+        Parameters
+        ----------
+        units : parameter, state, input or output -> unit of its dimension; whatever is not named
+            stays as it is.
+
+        Raises
+        ------
+        UnitError
+            For a unit that cannot be read.
+        """
+        if not units:
+            return self
+        parameters = tuple(p.in_unit(_unit_in(units, p)) for p in self.parameters)
+        initial = tuple(p.in_unit(_unit_in(units, p)) for p in self.initial_states)
+        before = {p.name: p.unit for p in (*self.parameters, *self.initial_states)}
+        after = {p.name: p.unit for p in (*parameters, *initial)}
+        scale = np.array([_factor(before, after, n) for n in self.covariance_names])
+        outputs = {n: units.get(n, unit) for n, unit in self.units.items()}
+
+        def converted(fit: Agreement) -> Agreement:
+            return replace(fit, rmse=measure_in(fit.rmse, self.units, outputs))
+
+        return replace(
+            self,
+            parameters=parameters,
+            initial_states=initial,
+            uncertainty=replace(
+                self.uncertainty, covariance=self.covariance * np.outer(scale, scale)
+            ),
+            fit=converted(self.fit),
+            held_out=converted(self.held_out),
+            units=outputs,
+            records=tuple(r.in_units(units) for r in self.records),
+        )
+
+    def in_si(self) -> Estimate:
+        """The estimate with every number in SI."""
+        named = {_base(p.name): p.unit for p in (*self.parameters, *self.initial_states)}
+        for r in self.records:
+            named |= dict(_pairs(r.inputs, r.input_units)) | dict(_pairs(r.states, r.state_units))
+        named |= self.units
+        return self.in_units({n: si_unit(u) for n, u in named.items() if u and not is_si(u)})
+
     def sample(
         self,
         function: Callable[[Mapping[str, float]], Sequence[float] | float],
@@ -282,3 +374,27 @@ class Estimate(Presented):
     def write(self, folder: str | Path) -> Path:
         """Write `estimate.json` into `folder`, whole or not at all; returns its path."""
         return write_json(Path(folder) / "estimate.json", self.to_json())
+
+
+def measure_in(measure: Measure, before: Mapping[str, str], after: Mapping[str, str]) -> Measure:
+    """RMS errors by record and output, from the outputs' units `before` to those `after`."""
+    return {
+        record: {output: v * _factor(before, after, output) for output, v in errors.items()}
+        for record, errors in measure.items()
+    }
+
+
+def _factor(before: Mapping[str, str], after: Mapping[str, str], name: str) -> float:
+    """Of a difference, between the units that two mappings have for a name; 1 without one."""
+    if before.get(name) == after.get(name):
+        return 1.0
+    return parse_unit(before[name]).factor / parse_unit(after[name]).factor
+
+
+def _base(name: str) -> str:
+    """The parameter or state in the name of a variable, `phi` of `phi(0)@run`."""
+    return name.partition("@")[0].partition("(")[0]
+
+
+def _unit_in(units: Mapping[str, str], row: Estimated) -> str:
+    return units.get(_base(row.name), row.unit)

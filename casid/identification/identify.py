@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from casid.data.problem import Problem, experiments_of
+from casid.data.problem import Problem, in_si
 from casid.data.record import Experiment, Record
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.estimate import Estimate
@@ -35,13 +35,14 @@ def identify(
     experiments : records in the problem's channels (SI), each with the values known for it alone;
         default the problem's own example. Unknown parameters are shared unless `settings.own`.
     hold_out : share of each record, at its end, or whole records, used for validation only.
-    start : start values by variable name, over the model's own.
+    start : start values by variable name, over the model's own, in the units that it declares.
 
     Returns
     -------
     Estimate
-        Values in SI units, with standard errors robust to autocorrelated residuals. Where the fit
-        is poor, `suspects` names a channel that was probably recorded with the wrong sign.
+        Values in the units that the model declares, with standard errors robust to autocorrelated
+        residuals. Where the fit is poor, `suspects` names a channel that was probably recorded with
+        the wrong sign.
 
     Raises
     ------
@@ -53,9 +54,11 @@ def identify(
         The simulation diverges at the start, or the solver finds no optimum.
     """
     say = progress or (lambda _: None)
-    if isinstance(problem, Model):
-        problem = Problem(problem.name, problem)
-    chosen = experiments_of(problem, experiments)
+    if not isinstance(hold_out, float | int):
+        _, hold_out = in_si(problem, hold_out)
+    if start is not None:
+        start = (problem if isinstance(problem, Model) else problem.model).in_si(start)
+    problem, chosen = in_si(problem, experiments)
     split = split_records(chosen, hold_out)
     settings = settings or FitSettings(starts=problem.starts)
     structural = "not checked, as there are constraints"
@@ -67,12 +70,13 @@ def identify(
     fit, suspect = _fit(problem, split.fitted, settings, start, say)
     held_out = validation(fit, split)
     estimate = estimate_of(problem, fit, held_out, notes=standing_channels(problem.model, chosen))
-    return replace(
+    estimate = replace(
         estimate,
         records=record_views(fit, None, split),
         trust=replace(estimate.trust, suspects=() if suspect is None else (str(suspect),)),
         identifiability=replace(estimate.identifiability, structural=structural),
     )
+    return estimate.in_units(problem.model.declared_units)
 
 
 def _fit(

@@ -184,12 +184,10 @@ def invariants(
     Intervals hold the truth at the stated level or more if the truth is inside the bounds. That the
     ends of a curve are uncertain themselves is not counted.
     """
-    from casid.data.problem import experiments_of
+    from casid.data.problem import in_si
     from casid.identification.identify import identify
 
-    if isinstance(problem, Model):
-        problem = Problem(problem.name, problem)
-    chosen = experiments_of(problem, experiments)
+    problem, chosen = in_si(problem, experiments)
     found = tuple(unidentifiable_families(problem.model, chosen) if families is None else families)
     _refuse_entangled(found)
     run = estimator or identify

@@ -7,6 +7,10 @@ derivatives and in every eliminated input, so one symbolic linear solve gives
 
 and eliminating an unknown input is adding one equation (the output that feels it) and one unknown:
 the indirect model of Linder (2017, ch. 4), for gains that may depend on the state.
+
+Numbers are given in the unit beside them and kept in SI; `Model.declared_units` remembers each unit
+that was declared and is not SI. Expressions are between SI quantities: an angle declared in deg is
+in rad wherever its symbol is used.
 """
 
 from __future__ import annotations
@@ -19,7 +23,14 @@ import casadi as ca
 import numpy as np
 
 from casid.errors import ModelError, nearest
+from casid.model.declared_units import (
+    common_unit,
+    numbers_in_si,
+    refuse_conversion,
+    si_text,
+)
 from casid.model.serialisation import packed, unpacked
+from casid.model.units import from_si, is_si, same_dimension, to_si, unit_quotient
 
 Expr = Any  # a CasADi SX expression, or a number where one is meant
 Hold = Literal["zoh", "foh"]
@@ -65,7 +76,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """A state: its initial value is estimated from `start`, unless it is known."""
+    """A state: its initial value is estimated from `start`, unless it is known. SI units."""
 
     name: str
     unit: str
@@ -196,6 +207,8 @@ class Model:
         self._eliminations: list[tuple[str, str, Expr]] = []  # (unknown, equation's name, residual)
         self._measured: list[_Measured] = []  # what each elimination took away, in that order
         self.eliminated_units: dict[str, str] = {}
+        self.declared_units: dict[str, str] = {}  # name -> unit, where it is not SI
+        self.takes_si = False  # True inside the library: numbers given by name are in SI
         self._explicit: Explicit | None = None
 
     # -- declaring ---------------------------------------------------------------------------
@@ -210,11 +223,13 @@ class Model:
         upper: float = np.inf,
         initial: float | None = None,
     ) -> Any:
-        """Declare a state; `start` is where its estimated initial value starts.
+        """Declare a state; `start` is where its estimated initial value starts, in `unit`.
 
         `initial` fixes the initial value instead.
         """
-        self.states[name] = State(name, unit, start, lower, upper, initial)
+        declared = State(name, unit, start, lower, upper, initial)
+        self._remember_unit(name, unit)
+        self.states[name] = numbers_in_si(declared, ("start", "lower", "upper", "initial"))
         self._derivatives[name] = ca.SX.sym(f"der_{name}")
         return self._declare(name)
 
@@ -226,12 +241,13 @@ class Model:
         """
         if hold not in ("zoh", "foh"):
             raise ModelError(f"input {name}: hold={hold!r} is not known; use 'zoh' or 'foh'")
-        self.inputs[name] = Input(name, unit, "known" if known else "measured", hold)
+        kind: Literal["known", "measured"] = "known" if known else "measured"
+        self.inputs[name] = Input(name, self._remember_unit(name, unit), kind, hold)
         return self._declare(name)
 
     def unknown_input(self, name: str, unit: str) -> Any:
         """Declare an input that nobody measures; `eliminate` it before estimating."""
-        self.inputs[name] = Input(name, unit, "unknown")
+        self.inputs[name] = Input(name, self._remember_unit(name, unit), "unknown")
         return self._declare(name)
 
     def generated_input(
@@ -261,17 +277,20 @@ class Model:
         upper: float = np.inf,
         value: float | None = None,
     ) -> Any:
-        """Declare a parameter: known where `value` is given, else estimated from `start`."""
+        """Declare a parameter: known where `value` is given, else estimated from `start`.
+
+        All numbers are in `unit`. Default start: 1, or the bound nearest to it.
+        """
         if start is None:
             start = value if value is not None else float(np.clip(1.0, lower, upper))
-        self.parameters[name] = Parameter(name, unit, start, lower, upper, value)
-        return self._declare(name)
+        return self.add_parameter(Parameter(name, unit, start, lower, upper, value))
 
     def constant(self, name: str, value: float, unit: str) -> Any:
-        """Declare a constant of nature or geometry: known, and no diagnosis suspects it to move."""
-        symbol = self.parameter(name, unit, value=value)
-        self.parameters[name] = replace(self.parameters[name], is_constant=True)
-        return symbol
+        """Declare a constant of nature or geometry: known, and no diagnosis suspects it to move.
+
+        `value` is in `unit`.
+        """
+        return self.add_parameter(Parameter(name, unit, value, value=value, is_constant=True))
 
     def der(self, state: Any) -> Any:
         """The time derivative of a state, for use in balances and outputs."""
@@ -295,23 +314,34 @@ class Model:
     ) -> None:
         """State that inertia * d(rate)/dt = sum(terms); missing effects enter such balances.
 
-        `unit` of the terms; N m or N by default, by the unit of the rate.
+        `unit` of the terms, any of their dimension; by default that which most terms
+        and inertia times d(rate)/dt have.
         """
         state = self._state_name(rate)
         self._once(state)
         if name in self.balances:
             raise ModelError(f"{self.name}: balance {name!r} stated twice; give it another name")
-        if unit is None:
-            unit = "N m" if self.states[state].unit.startswith(("rad", "deg")) else "N"
         terms = tuple(ca.SX(t) for t in terms)
-        self.balances[name] = Balance(name, state, ca.SX(inertia), terms, unit)
+        if unit is None:
+            unit = self._balance_unit(state, ca.SX(inertia), terms)
+        self.balances[name] = Balance(name, state, ca.SX(inertia), terms, si_text(unit))
         self._explicit = None
 
     def output(self, name: str, expression: Expr, unit: str) -> Any:
-        """Declare what a sensor measures; returns the expression."""
+        """Declare what a sensor measures, shown in `unit`; returns the expression.
+
+        The expression is in SI: `output("angle", phi, "deg")`, without a factor 180/pi.
+
+        Raises
+        ------
+        ModelError
+            If the channel exists already, or the expression converts to `unit` itself.
+        """
         if name in self.outputs or name in self.inputs:
             raise ModelError(f"{self.name}: channel {name!r} declared twice; give it another name")
-        self.outputs[name] = (ca.SX(expression), unit)
+        expression = ca.SX(expression)
+        refuse_conversion(self.name, name, expression, unit)
+        self.outputs[name] = (expression, self._remember_unit(name, unit))
         self._explicit = None
         return self.outputs[name][0]
 
@@ -426,7 +456,11 @@ class Model:
         return effect.extend(self)
 
     def with_known(self, **values: float) -> Model:
-        """A copy in which the named parameters are known."""
+        """A copy in which the named parameters are known, each in the unit it was declared in."""
+        return self.with_si_values(self.in_si(values))
+
+    def with_si_values(self, values: Mapping[str, float]) -> Model:
+        """A copy in which the named parameters are known; values in SI."""
         new = self._copy(self.name)
         for name, value in values.items():
             self.parameter_named(name)
@@ -434,12 +468,49 @@ class Model:
         return new
 
     def with_unknown(self, *names: str, **starts: float) -> Model:
-        """A copy in which the named parameters are estimated (again), from the given starts."""
+        """A copy in which the named parameters are estimated (again), from the given starts.
+
+        Starts are in the units that the parameters were declared in.
+        """
         new = self._copy(self.name)
+        given = self.in_si(starts)
         for name in (*names, *starts):
             old = self.parameter_named(name)
-            start = starts.get(name, old.value if old.value is not None else old.start)
+            start = given.get(name, old.value if old.value is not None else old.start)
             new.parameters[name] = replace(old, value=None, start=float(start))
+        return new
+
+    def unit_of(self, name: str) -> str:
+        """The unit that a state, input, output or parameter was declared in."""
+        if name in self.declared_units:
+            return self.declared_units[name]
+        if name in self.outputs:
+            return self.outputs[name][1]
+        for kind in (self.parameters, self.inputs, self.states):
+            if name in kind:
+                return str(kind[name].unit)
+        self.symbol(name)  # names the nearest, where there is none
+        return self.eliminated_units[name]
+
+    def in_si(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Values by name in SI, given in the units that the model was declared in.
+
+        An initial state is named by its state, with or without `(0)`.
+        """
+        return {n: self._converted(n, v, to_si) for n, v in values.items()}
+
+    def in_declared_units(self, values: Mapping[str, float]) -> dict[str, float]:
+        """SI values by name in the units that the model was declared in."""
+        return {n: self._converted(n, v, from_si) for n, v in values.items()}
+
+    def _converted(self, name: str, value: float, convert: Callable[..., Any]) -> float:
+        unit = self.declared_units.get(name.partition("@")[0].partition("(")[0])
+        return value if unit is None or self.takes_si else float(convert(value, unit))
+
+    def taking_si(self, yes: bool = True) -> Model:
+        """A copy whose methods take numbers by name in SI, as the library's own calls do."""
+        new = self._copy(self.name)
+        new.takes_si = yes
         return new
 
     def parameter_named(self, name: str) -> Parameter:
@@ -469,6 +540,13 @@ class Model:
             return self._symbols[entry.name]
         self.inputs[entry.name] = entry
         return self._declare(entry.name)
+
+    def add_parameter(self, entry: Parameter) -> Any:
+        """Add a parameter, its numbers in its own unit (used by effects on their own copy)."""
+        symbol = self._declare(entry.name)
+        self._remember_unit(entry.name, entry.unit)
+        self.parameters[entry.name] = numbers_in_si(entry, ("start", "lower", "upper", "value"))
+        return symbol
 
     def substitute_symbol(self, name: str, expression: Expr) -> None:
         """Replace a parameter or input by an expression wherever it occurs (used by effects)."""
@@ -615,6 +693,22 @@ class Model:
         self._explicit = None
         return self._symbols[name]
 
+    def _remember_unit(self, name: str, unit: str) -> str:
+        """The SI text of a declared unit, which is remembered where it is another."""
+        if not is_si(unit):
+            self.declared_units[name] = unit
+        return si_text(unit)
+
+    def _balance_unit(self, rate: str, inertia: Expr, terms: Sequence[Expr]) -> str:
+        """The unit that most of the terms and the inertia times d(rate)/dt have."""
+        own = self.states[rate].unit
+        units = {n: s.unit for n, s in self.states.items()}
+        units |= {f"der_{n}": unit_quotient(s.unit, "s") for n, s in self.states.items()}
+        units |= {n: u.unit for n, u in self.inputs.items()} | self.eliminated_units
+        units |= {n: p.unit for n, p in self.parameters.items()}
+        sides = [] if inertia.is_constant() else [inertia * self._derivatives[rate]]
+        return common_unit([*sides, *terms], units, is_rotation=same_dimension(own, "rad/s"))
+
     def _state_name(self, state: Any) -> str:
         name = state if isinstance(state, str) else state.name()
         if name not in self.states:
@@ -654,6 +748,7 @@ class Model:
         new._eliminations = list(self._eliminations)
         new._measured = list(self._measured)
         new.eliminated_units = dict(self.eliminated_units)
+        new.declared_units = dict(self.declared_units)
         new._explicit = None
         return new
 

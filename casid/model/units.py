@@ -28,7 +28,8 @@ class Unit:
     text : str
         The unit as it was written.
     factor, offset : float
-        SI value per unit; offset in SI units, other than zero for degC and degF alone.
+        SI value per unit; offset in SI units, other than zero for degC and degF alone. In products,
+        quotients and powers they are temperature differences: `W/degC` is `W/K`.
     dimension : tuple of seven Fractions
         Exponents of kg, m, s, A, K, mol, cd. Angles are dimensionless; rpm is an angular rate
         (rad/s); Hz is 1/s.
@@ -95,6 +96,7 @@ _NAMES: dict[str, _Name] = {
     "ft": _Name(0.3048, (("m", 1),), "foot"),
     "nmi": _Name(1852.0, (("m", 1),), "nautical_mile"),
     "L": _Name(1e-3, (("m", 3),), "liter"),
+    "mL": _Name(1e-6, (("m", 3),), "milliliter"),
     # speed, acceleration
     "kn": _Name(_KNOT, (("m", 1), ("s", -1)), "knot"),
     "km/h": _Name(1 / 3.6, (("m", 1), ("s", -1)), "kilometer / hour"),
@@ -105,6 +107,7 @@ _NAMES: dict[str, _Name] = {
     "us": _Name(1e-6, (("s", 1),), "microsecond"),
     "min": _Name(60.0, (("s", 1),), "minute"),
     "h": _Name(3600.0, (("s", 1),), "hour"),
+    "day": _Name(86400.0, (("s", 1),), "day"),
     "kHz": _Name(1e3, (("Hz", 1),), "kilohertz"),
     "MHz": _Name(1e6, (("Hz", 1),), "megahertz"),
     # mass
@@ -122,6 +125,11 @@ _NAMES: dict[str, _Name] = {
     "kNm": _Name(1e3, (("N", 1), ("m", 1)), "kilonewton * meter"),
     "MNm": _Name(1e6, (("N", 1), ("m", 1)), "meganewton * meter"),
     "kJ": _Name(1e3, (("J", 1),), "kilojoule"),
+    "MJ": _Name(1e6, (("J", 1),), "megajoule"),
+    "Wh": _Name(3600.0, (("J", 1),), "watt_hour"),
+    "kWh": _Name(3.6e6, (("J", 1),), "kilowatt_hour"),
+    "MWh": _Name(3.6e9, (("J", 1),), "megawatt_hour"),
+    "mW": _Name(1e-3, (("W", 1),), "milliwatt"),
     "kW": _Name(1e3, (("W", 1),), "kilowatt"),
     "MW": _Name(1e6, (("W", 1),), "megawatt"),
     # pressure
@@ -133,9 +141,12 @@ _NAMES: dict[str, _Name] = {
     # electricity
     "mV": _Name(1e-3, (("V", 1),), "millivolt"),
     "kV": _Name(1e3, (("V", 1),), "kilovolt"),
+    "uA": _Name(1e-6, (("A", 1),), "microampere"),
     "mA": _Name(1e-3, (("A", 1),), "milliampere"),
     "kA": _Name(1e3, (("A", 1),), "kiloampere"),
     "mH": _Name(1e-3, (("H", 1),), "millihenry"),
+    "mohm": _Name(1e-3, (("ohm", 1),), "milliohm"),
+    "kohm": _Name(1e3, (("ohm", 1),), "kiloohm"),
     # temperature; the offset holds for the unit alone
     "degC": _Name(1.0, (("K", 1),), "degree_Celsius", 273.15),
     "degF": _Name(5 / 9, (("K", 1),), "degree_Fahrenheit", 459.67 * 5 / 9),
@@ -175,6 +186,8 @@ _ALIASES: dict[str, str] = {
     "l": "L",
     "liter": "L",
     "litre": "L",
+    "ml": "mL",
+    "lpm": "L/min",
     "knot": "kn",
     "knots": "kn",
     "kts": "kn",
@@ -196,6 +209,8 @@ _ALIASES: dict[str, str] = {
     "hr": "h",
     "hour": "h",
     "hours": "h",
+    "d": "day",
+    "days": "day",
     "hertz": "Hz",
     "grams": "gram",
     "tonne": "t",
@@ -279,12 +294,7 @@ def _parse(text: str) -> Unit:
     dimension = [Fraction(0)] * len(BASE_UNITS)
     for name, power in terms:
         entry = _NAMES[name]
-        if entry.offset:
-            if len(terms) > 1 or power != 1:
-                raise UnitError(
-                    f"unit {text!r}: {name} has an offset and can only be used alone. "
-                    "Write K for temperature differences in products, quotients and powers."
-                )
+        if len(terms) == 1 and power == 1:
             offset = entry.offset
         exponent = int(power) if power.denominator == 1 else float(power)
         factor *= entry.factor**exponent
@@ -487,6 +497,93 @@ def to_si(values: ArrayLike, unit: str, target_unit: str | None = None) -> NDArr
     if parsed.is_si:
         return array.copy()
     return array * parsed.factor + parsed.offset
+
+
+def from_si(values: ArrayLike, unit: str) -> NDArray[np.float64]:
+    """Convert SI values to `unit`: 293.15 in `degC` is 20.
+
+    Raises
+    ------
+    UnitError
+        As `parse_unit`.
+    """
+    parsed = parse_unit(unit)
+    return (np.asarray(values, dtype=np.float64) - parsed.offset) / parsed.factor
+
+
+def difference_from_si(values: ArrayLike, unit: str) -> NDArray[np.float64]:
+    """Convert SI differences, rms errors or standard deviations to `unit`: 2 K is 2 `degC`.
+
+    Raises
+    ------
+    UnitError
+        As `parse_unit`.
+    """
+    return np.asarray(values, dtype=np.float64) / parse_unit(unit).factor
+
+
+def difference_to_si(values: ArrayLike, unit: str) -> NDArray[np.float64]:
+    """Convert differences, rms errors or standard deviations in `unit` to SI.
+
+    Raises
+    ------
+    UnitError
+        As `parse_unit`.
+    """
+    return np.asarray(values, dtype=np.float64) * parse_unit(unit).factor
+
+
+def is_si(unit: str) -> bool:
+    """True where a value in `unit` needs no conversion.
+
+    Raises
+    ------
+    UnitError
+        As `parse_unit`.
+    """
+    return parse_unit(unit).is_si
+
+
+_QUANTITIES = {
+    "N": "force",
+    "N m": "torque",
+    "W": "heat flow",
+    "V": "voltage",
+    "A": "current",
+    "m^3/s": "flow",
+    "kg/s": "mass flow",
+    "Pa": "pressure",
+    "mol/s": "amount flow",
+}
+"""What a term of a balance is, by its SI unit."""
+
+
+def quantity_of(unit: str) -> str:
+    """What a quantity in `unit` is called in a sentence: `force`, `heat flow`, else `term`.
+
+    Raises
+    ------
+    UnitError
+        As `parse_unit`.
+    """
+    own = parse_unit(unit)
+    for text, word in _QUANTITIES.items():
+        if parse_unit(text).dimension == own.dimension:
+            return word
+    return "term"
+
+
+def unit_of_dimension(dimension: Dimension, *, is_rotation: bool = False) -> str:
+    """The customary SI unit of a dimension: `N`, `W`, `V`; base units where there is none.
+
+    `is_rotation` separates a torque, `N m`, from an energy, `J`, of the same dimension.
+    """
+    if is_rotation and dimension == parse_unit("N m").dimension:
+        return "N m"
+    for name in ("N", "J", "W", "V", "A", "Pa", "ohm", "H"):
+        if parse_unit(name).dimension == dimension:
+            return name
+    return describe_dimension(dimension)
 
 
 def _is_cyclic(text: str) -> bool:

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from casid.errors import DataError, UnitError
 from casid.model.units import (
     BASE_UNITS,
+    difference_from_si,
+    from_si,
     parse_unit,
     pint_expression,
     same_dimension,
@@ -127,10 +129,13 @@ def test_an_unknown_name_is_refused_with_the_nearest():
         parse_unit(1.0)  # type: ignore[arg-type]
 
 
-def test_a_temperature_with_an_offset_stands_for_itself_only():
+def test_a_temperature_has_an_offset_where_it_stands_alone():
+    """In products and quotients it is a difference."""
     assert to_si([0.0, 20.0], "degC").tolist() == [273.15, 293.15]
-    with pytest.raises(UnitError, match="Write K"):
-        parse_unit("W/degC")
+    assert to_si([2.0], "W/degC").tolist() == [2.0]
+    assert to_si([9.0], "degF/s").tolist() == pytest.approx([5.0])
+    assert from_si([293.15], "degC").tolist() == pytest.approx([20.0])
+    assert difference_from_si([2.0], "degF").tolist() == pytest.approx([3.6])
 
 
 def test_a_unit_of_another_dimension_is_refused_with_both_named():

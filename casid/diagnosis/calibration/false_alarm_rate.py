@@ -427,7 +427,7 @@ def _run_again(
 
 @lru_cache(maxsize=4)
 def _loaded(source: str, known: tuple[tuple[str, float], ...], expected: str) -> Problem:
-    problem = load_problem(source).with_known(dict(known))
+    problem = load_problem(source).in_si().with_known(dict(known))
     if digest(problem) != expected:
         raise ModelError(f"the problem in {source} was changed after it was loaded")
     return problem

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from casid.estimation.estimate import Estimated
@@ -52,6 +52,17 @@ class Cause:
     description: str = ""  # what is known of it where the catalogue has no name: kind "unknown"
     by_record: Mapping[str, Mapping[str, Estimated]] = field(default_factory=dict, hash=False)
     # record -> parameter -> value; empty where one value explains all records
+
+    def in_units(self, units: Mapping[str, str]) -> Cause:
+        """The cause with the parameters that `units` names in those units."""
+        return replace(
+            self,
+            parameters=tuple(p.in_unit(units.get(p.name, p.unit)) for p in self.parameters),
+            by_record={
+                record: {n: p.in_unit(units.get(n, p.unit)) for n, p in values.items()}
+                for record, values in self.by_record.items()
+            },
+        )
 
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` has it."""

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from casid.diagnosis.thresholds import JUDGING
-from casid.estimation.estimate import Estimate
+from casid.estimation.estimate import Estimate, Estimated
 
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A parameter of the baseline that moved when the missing causes were included. SI units."""
+    """A parameter of the baseline that moved when the missing causes were included, in `unit`."""
 
     name: str
     unit: str
@@ -21,6 +21,13 @@ class Moved:
     after: float  # fitted with them
     std_error_after: float | None  # None: at a bound
     std_error_before: float | None = None
+
+    def in_unit(self, unit: str) -> Moved:
+        """The same in another unit of its dimension."""
+        before = Estimated(self.name, self.before, self.unit, std_error=self.std_error_before)
+        after = Estimated(self.name, self.after, self.unit, std_error=self.std_error_after)
+        before, after = before.in_unit(unit), after.in_unit(unit)
+        return Moved(self.name, unit, before.value, after.value, after.std_error, before.std_error)
 
     @property
     def bias(self) -> float:

@@ -60,8 +60,9 @@ def estimate_reference_filter(
             )
     zero = np.zeros(record.N)
     drives = {n: record[reference] if n == unknown[0] else zero for n in loop.inputs}
+    at = {**values, **model.in_si(experiment.known)}
     try:
-        simulated = loop.driven(drives, {**values, **experiment.known})[chosen]
+        simulated = loop.driven(drives, at)[chosen]
     except UnstableLoop as unstable:
         raise SolveError(
             f"{experiment.name}: the loop is unstable at these values ({unstable}); start from "

@@ -114,7 +114,7 @@ def validate(
         if record.Ts not in loops:
             loops[record.Ts] = Loop(model, record.Ts, method)
         loop = loops[record.Ts]
-        at = {**values, **e.known}
+        at = {**values, **model.in_si(e.known)}
         drives = reference_signals(
             instruments, loop.direct, {n: record[n] for n in record.names}, record.Ts, e.name
         )

@@ -102,7 +102,9 @@ class PredictionError:
         self.model, self.experiments, self.noise = model, list(experiments), noise_sources(noise)
         self.outputs = tuple(model.outputs)
         self.initial = None if initial is None else dict(initial)
-        self.unknowns = Unknowns(model, [(e.name, e.known) for e in experiments], own, start)
+        self.unknowns = Unknowns(
+            model, [(e.name, model.in_si(e.known)) for e in experiments], own, start
+        )
         self.free, self.own = self.unknowns.free, self.unknowns.own
         for name in self.initial or {}:
             if name not in model.states:

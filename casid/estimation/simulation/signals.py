@@ -59,7 +59,7 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
         y=np.where(used, y, 0.0),
         used=used,
         Ts=record.Ts,
-        known=dict(experiment.known),
+        known=model.in_si(experiment.known),
     )
 
 

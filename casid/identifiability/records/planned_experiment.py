@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.data.problem import Problem, experiments_of
+from casid.data.problem import Problem, in_si
 from casid.data.record import Experiment, Record
 from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.estimate import Estimate
@@ -123,9 +123,7 @@ def plan(
     SolveError
         The simulation diverges at these values.
     """
-    if isinstance(problem, Model):
-        problem = Problem(problem.name, problem)
-    chosen = experiments_of(problem, experiments)
+    problem, chosen = in_si(problem, experiments)
     values = values_of(at)
     known = {
         n: v

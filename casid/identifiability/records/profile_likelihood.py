@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.data.problem import Problem, experiments_of
+from casid.data.problem import Problem, in_si
 from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.estimate import Estimate
 from casid.estimation.nlp.nlp import Nlp
@@ -69,11 +69,9 @@ def profile_likelihood(
     SolveError
         If the first fit diverges.
     """
-    if isinstance(problem, Model):
-        problem = Problem(problem.name, problem)
+    problem, chosen = in_si(problem, experiments)
     settings = settings or FitSettings(starts=problem.starts)
     _check_settings(problem, settings, points, confidence)
-    chosen = experiments_of(problem, experiments)
     fit = fit_model(
         problem.model, chosen, settings, start=values_of(at), check_rank=False, throw=False
     )

@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect
 from casid.model.model import Input, Model, Parameter
 from casid.model.units import unit_quotient
@@ -27,14 +28,14 @@ def quadratic_damping(model: Model, balance: str) -> Effect:
 
 
 def coulomb_friction(model: Model, balance: str, speed: float) -> Effect:
-    """-F_c tanh(v / v_0) in a balance: dry friction, smoothed below `speed` = v_0 (rate's unit).
+    """-F_c tanh(v / v_0) in a balance: dry friction, smoothed below `speed` = v_0 (rate's SI unit).
 
     The smoothing keeps the simulation differentiable; it is small against the speeds met.
     """
-    b = model.balances[balance]
+    b, v_0 = model.balances[balance], carrying_unit(speed)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        new.add_term(balance, -new.symbol(names[0]) * ca.tanh(new.symbol(b.rate) / speed))
+        new.add_term(balance, -new.symbol(names[0]) * ca.tanh(new.symbol(b.rate) / v_0))
 
     p = Parameter("F_c", b.unit, 0.0, lower=0.0)
     constants = {"speed": speed}
@@ -62,8 +63,8 @@ def deadzone(model: Model, balance: str, width: float, largest: float = np.inf) 
 
         s = (sqrt((q + gap)^2 + e^2) - sqrt((q - gap)^2 + e^2)) / 2,
 
-    which is clip(q, -gap, gap) but for rounded corners of `width` e (position's unit, small against
-    the motion): zero at gap = 0, with the slope q / sqrt(q^2 + e^2) there.
+    which is clip(q, -gap, gap) but for rounded corners of `width` e (position's SI unit, small
+    against the motion): zero at gap = 0, with the slope q / sqrt(q^2 + e^2) there.
 
     Parameters
     ----------
@@ -78,9 +79,10 @@ def deadzone(model: Model, balance: str, width: float, largest: float = np.inf) 
 
     def apply(new: Model, names: Sequence[str]) -> None:
         q, gap = new.symbol(position), new.symbol(names[0])
+        square = carrying_unit(width**2)
 
         def rounded(x: Any) -> Any:
-            return ca.sqrt(x**2 + width**2)
+            return ca.sqrt(x**2 + square)
 
         new.add_term(balance, K * (rounded(q + gap) - rounded(q - gap)) / 2)
 

@@ -14,6 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect
 from casid.model.model import Model, Parameter
 from casid.model.units import unit_quotient
@@ -56,7 +57,7 @@ def decoys(model: Model, balance: str, speed: float) -> list[Effect]:
         )
 
     def root(v: Any, _: Any) -> Any:
-        w = v / speed
+        w = v / carrying_unit(speed)
         return w / ca.sqrt(ca.sqrt(1 + w**2))
 
     found = [
@@ -99,11 +100,12 @@ def power_law(model: Model, state: str, typical: float) -> Effect | None:
     if not places:
         return None
     own = [name for name, b in model.balances.items() if b.rate == state]
-    small = 1e-3 * typical
+    small = carrying_unit((1e-3 * typical) ** 2)
+    whole = carrying_unit(typical**2 + small)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         x, n = new.symbol(state), new.symbol(names[0])
-        ratio = (x**2 + small**2) / (typical**2 + small**2)
+        ratio = (x**2 + small) / whole
         law = x * ca.exp(0.5 * (n - 1) * ca.log(ratio))
         for name in places:
             if name in new.balances:

@@ -14,6 +14,7 @@ import numpy as np
 
 from casid.errors import ModelError
 from casid.model.model import Model, Parameter
+from casid.model.units import is_si, parse_unit, si_unit
 
 Sided = Literal["positive", "both"]
 Test = Literal["score", "clip", "peak"]
@@ -59,6 +60,7 @@ class Effect:
     description : the effect in words, where its kind is no name of `KINDS` that says it.
     constants : numbers in it that are chosen rather than estimated, SI units: the `speed` below
         which dry friction is smoothed, the `time` of a jump.
+    declared_units : parameter -> unit that it is shown in, where that is not SI.
     """
 
     kind: str
@@ -75,6 +77,7 @@ class Effect:
     shape: str = ""
     description: str = ""
     constants: Mapping[str, float] = field(default_factory=dict)
+    declared_units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def key(self) -> tuple[str, str]:
@@ -103,7 +106,9 @@ class Effect:
             p = replace(p, name=name, start=float(np.clip(start, p.lower, p.upper)))
             if i == 0 and upper is not None:
                 p = replace(p, upper=upper, start=min(p.start, upper))
-            new.parameter(name, p.unit, start=p.start, lower=p.lower, upper=p.upper, value=p.value)
+            new.add_parameter(p)
+            shown = self._shown_unit(model, self.parameters[i])
+            new.declared_units |= {name: shown} if shown else {}
             names.append(name)
         try:
             self.apply(new, names)
@@ -113,6 +118,13 @@ class Effect:
                 "not have; apply the effect that brings it first"
             ) from error
         return new, tuple(names)
+
+    def _shown_unit(self, model: Model, p: Parameter) -> str | None:
+        """The unit that a parameter is shown in: its own, or that of what it changes."""
+        unit = self.declared_units.get(p.name) or model.declared_units.get(self.where)
+        if unit is None or is_si(unit) or parse_unit(unit).offset or si_unit(unit) != p.unit:
+            return None
+        return unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,14 +13,16 @@ They join the catalogue beside its own: tested, refitted, ranked and named alike
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Required, TypedDict, Unpack
 
 import numpy as np
 
 from casid.errors import ModelError
+from casid.model.declared_units import numbers_in_si
 from casid.model.effects.effect import Effect, Sided
 from casid.model.model import Input, Model, Parameter
+from casid.model.units import is_si
 
 Expr = Any  # a CasADi expression
 Formula = Callable[["Symbols"], Expr]
@@ -194,5 +196,15 @@ def user_effects(model: Model, entries: Sequence[UserEffect]) -> list[Effect]:
                     "gives one; make one with casid.balance_effect, casid.parameter_effect or "
                     "casid.channel_effect"
                 )
-            out.append(effect)
+            out.append(_in_si(effect))
     return out
+
+
+def _in_si(effect: Effect) -> Effect:
+    """The effect with its parameters in SI; the units that they were declared in are kept."""
+    declared = {p.name: p.unit for p in effect.parameters if not is_si(p.unit)}
+    if not declared:
+        return effect
+    numbers = ("start", "lower", "upper", "value")
+    parameters = tuple(numbers_in_si(p, numbers) for p in effect.parameters)
+    return replace(effect, parameters=parameters, declared_units=declared)

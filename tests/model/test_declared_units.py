@@ -1,0 +1,125 @@
+"""Units of a model: numbers are given and shown in the unit beside them, and are SI inside."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from casid.errors import ModelError, UnitError
+from casid.model.dimensions import check_units
+from casid.model.effects.balance_effects import coulomb_friction, deadzone
+from casid.model.effects.channel_effects import sensor_bias
+from casid.model.effects.user_effects import balance_effect, user_effects
+from casid.model.model import Model, Parameter
+
+
+def test_numbers_are_kept_in_si_and_the_declared_unit_is_remembered():
+    m = Model("spring")
+    x = m.state("x", "mm", start=2.0)
+    m.parameter("k", "N/mm", start=15.0, lower=1.0, upper=40.0)
+    m.constant("T", 20.0, "degC")
+    m.output("gauge", x, "mm")
+    k = m.parameters["k"]
+    assert (k.start, k.lower, k.upper, k.unit) == (15e3, 1e3, 40e3, "N/m")
+    assert m.parameters["T"].value == 293.15
+    assert m.states["x"].start == pytest.approx(2e-3)
+    assert m.outputs["gauge"][1] == "m"
+    assert m.declared_units == {"x": "mm", "k": "N/mm", "T": "degC", "gauge": "mm"}
+    assert m.unit_of("k") == "N/mm"
+
+
+def test_a_state_that_starts_at_nothing_starts_at_zero_of_its_own_unit():
+    m = Model("room")
+    m.state("T", "degC")
+    assert m.states["T"].start == 273.15
+
+
+def test_values_by_name_are_in_the_declared_unit():
+    m = Model("spring")
+    m.parameter("k", "N/mm", start=15.0)
+    m.parameter("m", "kg", start=2.0)
+    assert m.with_known(k=12.0, m=3.0).parameters["k"].value == 12e3
+    assert m.with_unknown(k=9.0).parameters["k"].start == 9e3
+    assert m.in_declared_units(m.in_si({"k": 12.0, "m": 3.0})) == {"k": 12.0, "m": 3.0}
+    assert m.taking_si().with_known(k=12e3).parameters["k"].value == 12e3
+
+
+@pytest.mark.parametrize(
+    ("state", "inertia", "input_unit", "coefficient", "expected"),
+    [
+        ("m/s", "kg", "N", "N s/m", "N"),
+        ("rpm", "kg m^2", "N m", "N m s/rad", "N m"),
+        ("deg/s", "kg m^2", "mNm", "N m s/rad", "N m"),
+        ("degC", "kWh/K", "kW", "W/K", "W"),
+        ("A", "mH", "V", "ohm", "V"),
+        ("bar", "L/bar", "L/min", "L/(min bar)", "m^3/s"),
+    ],
+)
+def test_a_balance_has_the_unit_of_its_terms(state, inertia, input_unit, coefficient, expected):
+    m = Model("first order")
+    x, u = m.state("x", state), m.input("u", input_unit)
+    C, c = m.parameter("C", inertia), m.parameter("c", coefficient)
+    m.balance(x, "balance", inertia=C, terms=[u, -c * x])
+    assert m.balances["balance"].unit == expected
+    check_units(m)
+
+
+def test_the_odd_one_out_is_the_term_that_is_refused():
+    m = Model("room")
+    T, P = m.state("T", "degC"), m.input("P", "kW")
+    C, H = m.parameter("C", "J/K"), m.parameter("H", "W/m")
+    m.balance(T, "heat", inertia=C, terms=[P, -H * T])
+    with pytest.raises(ModelError, match=r"term 2 of balance 'heat' .* should be in W"):
+        check_units(m)
+
+
+def test_an_output_that_converts_itself_is_refused():
+    """Expressions are in SI: the factor would be applied twice."""
+    m = Model("shaft")
+    w = m.state("w", "rad/s")
+    with pytest.raises(ModelError, match=r"multiplies by 9\.5493.*leave the factor out"):
+        m.output("speed", w * 30 / np.pi, "rpm")
+    m.output("speed", w, "rpm")
+
+
+def test_a_unit_that_cannot_be_read_is_refused_where_it_is_declared():
+    with pytest.raises(UnitError, match="Nearest"):
+        Model("m").parameter("k", "newtons/mm")
+
+
+def rotor() -> Model:
+    m = Model("rotor")
+    phi, w = m.state("phi", "deg"), m.state("w", "rpm")
+    J, k = m.parameter("J", "kg m^2"), m.parameter("k", "N m/rad")
+    m.derivative(phi, w)
+    m.balance(w, "torque", inertia=J, terms=[-k * phi])
+    m.output("angle", phi, "deg")
+    return m
+
+
+@pytest.mark.parametrize("size", [0.5, 1.0, 2.0, 0.037])
+def test_whole_and_half_sizes_of_rounding_agree_with_the_units(size):
+    m = rotor()
+    check_units(m.extend(coulomb_friction(m, "torque", speed=size)))
+    play = deadzone(m, "torque", width=size)
+    assert play is not None
+    check_units(m.extend(play))
+
+
+def test_a_bias_is_shown_in_the_unit_of_its_channel():
+    extended, (name,) = sensor_bias(rotor(), "angle").extended(rotor())
+    assert extended.parameters[name].unit == "rad"
+    assert extended.unit_of(name) == "deg"
+
+
+def test_a_users_effect_may_have_units_of_its_own():
+    m = rotor()
+    shape = Parameter("w_0", "rpm", 60.0, value=60.0)
+    made = balance_effect(
+        "drag", "torque", lambda s: -s.c * s.w / s.w_0, parameter="c", unit="mNm", further=[shape]
+    )
+    (effect,) = user_effects(m, [made])
+    assert effect.parameters[1].value == pytest.approx(2 * np.pi)
+    extended, names = effect.extended(m, starts={"c": 2e-3})
+    assert extended.parameters[names[0]].start == 2e-3
+    assert [extended.unit_of(n) for n in names] == ["mNm", "rpm"]
