@@ -240,7 +240,7 @@ class FittedModel:
         experiment = Experiment(given.record, {}, given.name)
         weights = self.settings.weights if self.settings.weights.size else None
         criterion, point = fit_initial_state(
-            self.model.with_known(**values),
+            self.model.with_si_values(values),
             experiment,
             weights=weights,
             substeps=self._substeps(given.Ts),

@@ -59,7 +59,7 @@ def known_model(fit: Fit) -> Model:
             # A record may know what the others estimate.
             estimated = [v for e, v in enumerate(own) if name not in criterion.data[e].known]
             values[name] = (estimated or own)[0]
-    return model.with_known(**values)
+    return model.with_si_values(values).taking_si(False)
 
 
 def _record(criterion: SimulationError, x: Array, e: int) -> FittedRecord:

@@ -39,7 +39,7 @@ def predicted(
     The first samples are predicted from the initial state: nothing was measured before.
     """
     criterion = PredictionError(
-        model.with_known(**values),
+        model.with_si_values(values),
         [experiment],
         noise.sources,
         initial=noise.initial,
