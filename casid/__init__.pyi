@@ -10,6 +10,7 @@ from .data.problem import Problem, load_problem
 from .data.quality import CheckReport, check
 from .data.reading.record_file import read_record
 from .data.record import Experiment, Record
+from .data.templates.new_problem import NewProblem, new_problem
 from .diagnosis.calibration.false_alarm_rate import Calibration
 from .diagnosis.diagnose import diagnose
 from .diagnosis.diagnosis import Diagnosis
@@ -139,6 +140,7 @@ __all__ = [
     "Moments",
     "MonteCarlo",
     "Network",
+    "NewProblem",
     "Nlp",
     "Orders",
     "Parameter",
@@ -206,6 +208,7 @@ __all__ = [
     "network_figure",
     "network_remedies",
     "network_signals",
+    "new_problem",
     "node_sets",
     "noncausal_inverse",
     "observability",

@@ -19,6 +19,7 @@ from casid.cli.diagnose import diagnose
 from casid.cli.identifiability import identifiability
 from casid.cli.identify import identify
 from casid.cli.montecarlo import montecarlo
+from casid.cli.new import new
 from casid.cli.terminal import print_text, say
 from casid.errors import CasidError, nearest
 
@@ -95,7 +96,7 @@ def main(context: click.Context) -> None:
         print_text(context.get_help())
 
 
-for command in (diagnose, identify, identifiability, montecarlo, check):
+for command in (new, check, diagnose, identify, identifiability, montecarlo):
     main.add_command(command)
 
 

@@ -39,7 +39,7 @@ def parse_mapping(text: str) -> Mapping:
         If a part is missing.
     """
     signal, equals, rest = text.partition("=")
-    column, colon, unit = rest.partition(":")
+    column, colon, unit = rest.rpartition(":") if ":" in rest else (rest, "", "")
     parts = [signal.strip(), column.strip(), unit.strip()]
     if not equals or not all(parts[:2]) or (colon and not parts[2]):
         raise DataError(

@@ -162,7 +162,9 @@ class Problem:
                 continue
             if signal in computed or (signal not in own and signal not in needed):
                 continue
-            column, _, unit = merged.get(signal, signal).partition(":")
+            text = merged.get(signal, signal)
+            # The last colon: a column's own name may hold one, a unit does not.
+            column, unit = text.rsplit(":", 1) if ":" in text else (text, "")
             specs[signal] = ColumnSpec(column or signal, unit or None, target)
         return specs
 

@@ -1,0 +1,220 @@
+"""The lines of a problem file as they are written: declarations, guesses, and what to check."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from casid.data.record import FloatArray
+from casid.data.templates.file_channels import FileChannel, FileChannels, free_name
+from casid.data.templates.roles import Role, same_quantity
+from casid.errors import DataError
+from casid.model.units import parse_unit, si_unit
+
+WIDTH = 100
+CHECK = "# CHECK: "
+_DECADES = 3  # of a positive parameter's bounds on either side of its start
+
+
+def quoted(text: str) -> str:
+    """A Python string in double quotes."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def number(value: float) -> str:
+    """A number with the digits that a guess has."""
+    rounded = float(f"{value:.2g}")
+    return str(int(rounded)) if rounded.is_integer() and abs(rounded) < 1e4 else f"{rounded:g}"
+
+
+def in_unit(value: float, unit: str) -> float:
+    """A value in SI units, in `unit`."""
+    parsed = parse_unit(unit)
+    return (value - parsed.offset) / parsed.factor
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Draft:
+    """A problem file on its way: which columns play which part, and what its user knows.
+
+    Attributes
+    ----------
+    columns : role -> the column that plays it.
+    given : values that the user gives to parameters of the template, in their units.
+    declared : names of all parameters written so far.
+    guessed : those of them whose start the record does not suggest.
+    """
+
+    file: FileChannels
+    roles: Mapping[str, Role]
+    columns: Mapping[str, FileChannel]
+    given: Mapping[str, float] = field(default_factory=dict)
+    declared: list[str] = field(default_factory=list)
+    guessed: list[str] = field(default_factory=list)
+
+    def has(self, *roles: str) -> bool:
+        """True if every one of these signals has a column."""
+        return all(role in self.columns for role in roles)
+
+    def __getitem__(self, role: str) -> FloatArray:
+        """The (N,) samples of a signal, SI units."""
+        return self.columns[role].values
+
+    def unit(self, role: str) -> str:
+        """The unit in which a signal is written in the file."""
+        unit = self.columns[role].unit
+        return self.roles[role].units[0] if unit is None else unit
+
+    def value(self, name: str, default: float) -> float:
+        """What the user gives for a parameter, else `default`."""
+        return float(self.given.get(name, default))
+
+    def require_one_of(self, *roles: str) -> None:
+        """Refuse a file that has none of these signals.
+
+        Raises
+        ------
+        DataError
+            Naming the units that were sought, and how to name the column.
+        """
+        if any(self.has(role) for role in roles):
+            return
+        sought = " or ".join(f"{role} ({' or '.join(self.roles[role].units)})" for role in roles)
+        columns = ", ".join(f"{c.column} [{c.unit or 'no unit'}]" for c in self.file.channels)
+        raise DataError(
+            f"{self.file.path.name}: no column for {sought} among {columns}. Name it, for example "
+            f"--map {roles[0]}={quoted(self.file.channels[-1].column)}:"
+            f"{self.roles[roles[0]].units[0]}, or take another template."
+        )
+
+    # -- lines -------------------------------------------------------------------------------
+
+    def input(self, role: str, symbol: str, what: str) -> str:
+        """The declaration of a recorded input."""
+        hold = "zoh" if self.columns[role].is_held else "foh"
+        call = f"{symbol} = m.input({quoted(role)}, {quoted(self.unit(role))}, hold={quoted(hold)})"
+        return _line(call, what, self._doubt(role))
+
+    def output(self, role: str, expression: str) -> str:
+        """The declaration of a measured output."""
+        call = f"m.output({quoted(role)}, {expression}, {quoted(self.unit(role))})"
+        return _line(call, "", self._doubt(role))
+
+    def unknown(
+        self,
+        name: str,
+        unit: str,
+        start: float | None,
+        what: str,
+        *,
+        default: float = 1.0,
+        sign: Literal["positive", "zero", "any"] = "positive",
+    ) -> str:
+        """The declaration of a parameter to estimate; known where the user gives its value.
+
+        `start` [in `unit`] is what the record suggests, `default` the start where that is no number
+        of its sign.
+        """
+        if name in self.given:
+            return self.known(name, unit, self.given[name], what)
+        self.declared.append(name)
+        usable = start is not None and math.isfinite(start) and (sign == "any" or start > 0)
+        value = start if usable and start is not None else default
+        if not usable:
+            self.guessed.append(name)
+        size = math.floor(math.log10(abs(value))) if value else 0
+        bounds = "" if sign == "any" else f", upper={10.0 ** (size + 1 + _DECADES):g}"
+        if sign == "positive":
+            bounds = f", lower={10.0 ** (size - _DECADES):g}" + bounds
+        elif sign == "zero":
+            bounds = ", lower=0" + bounds
+        call = (
+            f"{name} = m.parameter({quoted(name)}, {quoted(unit)}, start={number(value)}{bounds})"
+        )
+        return _line(call, what, "" if usable else "the start is a guess")
+
+    def known(self, name: str, unit: str, value: float, what: str) -> str:
+        """The declaration of a constant, to be checked unless the user gives its value."""
+        self.declared.append(name)
+        given = name in self.given
+        shown = f"{self.given[name]:.12g}" if given else number(value)
+        call = f"{name} = m.constant({quoted(name)}, {shown}, {quoted(unit)})"
+        return _line(call, "" if not given else what, "" if given else f"{what}; put in its value")
+
+    def first(self, role: str) -> float:
+        """The first value of a signal, in its unit: a start of its state."""
+        few = self[role][: max(1, min(10, self[role].size // 20))]
+        return in_unit(float(np.mean(few)), self.unit(role))
+
+    def _doubt(self, role: str) -> str:
+        """What is not sure about the column of a signal."""
+        channel = self.columns[role]
+        if channel.unit is None:
+            return f"the file gives no unit; taken as {self.roles[role].units[0]}"
+        rivals = [
+            other.column
+            for other in self.file.channels
+            if other not in self.columns.values()
+            and other.unit is not None
+            and same_quantity(other.unit, channel.unit)
+            and not channel.is_constant
+        ]
+        return f"from {channel.column!r}; {rivals[0]!r} has such a unit too" if rivals else ""
+
+    # -- blocks ------------------------------------------------------------------------------
+
+    def problem(
+        self, name: str, description: str, names: Iterable[str]
+    ) -> tuple[dict[str, FileChannel], str]:
+        """The columns beside the model's, and the call that makes the problem.
+
+        `names` are those that the model has taken.
+        """
+        used, taken = self.columns, {*self.columns, *names}
+        beside: dict[str, FileChannel] = {}
+        for channel in self.file.channels:
+            if channel not in used.values() and not channel.is_constant:
+                label = free_name(channel.name, taken)
+                taken.add(label)
+                beside[label] = channel
+        lines = ["problem = casid.Problem(", f"    {quoted(name)},", "    m,"]
+        lines.append(f"    time={quoted(self.file.time)},")
+        lines.append("    # signal of the model: column of the file, and the unit it is written in")
+        lines.append("    channels={")
+        for role, channel in used.items():
+            lines.append(f"        {quoted(role)}: {_column(channel, self.unit(role))},")
+        for label, channel in beside.items():
+            lines.append(f"        {quoted(label)}: {_column(channel, channel.unit or '1')},")
+        lines.append("    },")
+        if beside:
+            lines.append("    # columns beside the model's: candidates for what it leaves out")
+            lines.append("    recorded={")
+            for label, channel in beside.items():
+                doubt = "" if channel.unit else f"  {CHECK}the file gives no unit"
+                unit = si_unit(channel.unit or "1")
+                lines.append(f"        {quoted(label)}: {quoted(unit)},{doubt}")
+            lines.append("    },")
+        if not self.guessed:
+            lines.append("    starts=1,  # one will do: it comes from the record")
+        lines += [f"    description={quoted(description)},", ")"]
+        return beside, "\n".join(lines)
+
+
+def _column(channel: FileChannel, unit: str) -> str:
+    return quoted(f"{channel.column}:{unit}")
+
+
+def _line(call: str, what: str, doubt: str) -> str:
+    """A statement with its comment, above it where it would grow too long."""
+    comment = f"{CHECK}{doubt}" if doubt else (f"# {what}" if what else "")
+    if doubt and what:
+        comment = f"{CHECK}{what}; {doubt}"
+    if not comment:
+        return call
+    joined = f"{call}  {comment}"
+    return joined if len(joined) <= WIDTH else f"{comment}\n{call}"

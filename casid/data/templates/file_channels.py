@@ -1,0 +1,229 @@
+"""What a file of measurements holds: its columns as channels with names, units and signals."""
+
+from __future__ import annotations
+
+import keyword
+import re
+import unicodedata
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from casid.data.reading.columns import ColumnSpec
+from casid.data.reading.faults import Survey
+from casid.data.reading.sources import limit_text, source_of
+from casid.data.reading.survey import ReadingOptions, survey
+from casid.data.record import FloatArray, Record
+from casid.errors import DataError, nearest
+from casid.model.units import unit_aliases
+
+_HELD = 0.5  # heuristic: in a held command more samples than these repeat the one before ...
+_STEP = 0.05  # ... and the others move by more than this share of its spread: no quantisation
+_NO_NAMES = {*keyword.kwlist, "m", "t", "casid", "ca", "problem"}  # of a problem file's own
+_WHY = {"empty": "it is empty", "text": "it holds no numbers", "time": "it holds times"}
+_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue"})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FileChannel:
+    """A column of numbers.
+
+    Attributes
+    ----------
+    name : an identifier made of the column's name without its unit.
+    unit : in which the file is written; None where the file does not say.
+    values : (N,) samples, SI units; missing ones joined by straight lines.
+    """
+
+    name: str
+    column: str
+    unit: str | None
+    values: FloatArray
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The words of the column's name, in small ASCII letters."""
+        stem = ascii_text(stem_of(self.column, self.unit))
+        text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", stem)
+        return tuple(re.findall(r"[a-z]+", text.lower()))
+
+    @property
+    def is_constant(self) -> bool:
+        """True if all samples are the same."""
+        return bool(np.ptp(self.values) == 0.0)
+
+    @property
+    def is_held(self) -> bool:
+        """True for a signal of steps: most samples repeat the one before."""
+        changes = np.abs(np.diff(self.values))
+        moving = changes[changes > 0.0]
+        if self.is_constant or moving.size > (1.0 - _HELD) * changes.size:
+            return False
+        return bool(np.median(moving) > _STEP * np.std(self.values))
+
+
+class FileChannels(NamedTuple):
+    """A file looked through: its channels, its clock, and what was left out.
+
+    Attributes
+    ----------
+    time : column of the time stamps.
+    left_out : columns that are no channels -> why.
+    resampled : sample time [s] where the clock is uneven and the record had to be interpolated.
+    """
+
+    path: Path
+    window: tuple[float, float] | None
+    channels: tuple[FileChannel, ...]
+    time: str
+    Ts: float
+    N: int
+    left_out: Mapping[str, str]
+    resampled: float | None = None
+
+    @property
+    def source(self) -> str:
+        """The file and its window, as a command takes them."""
+        if self.window is None:
+            return str(self.path)
+        return f"{self.path}@{limit_text(self.window[0])}:{limit_text(self.window[1])}"
+
+    def column(self, column: str, signal: str) -> FileChannel:
+        """The channel of a column that is to be `signal`.
+
+        Raises
+        ------
+        DataError
+            If there is none, naming the nearest.
+        """
+        for channel in self.channels:
+            if channel.column == column:
+                return channel
+        why = self.left_out.get(column)
+        if why is None and column == self.time:
+            why = "it holds the time stamps"
+        if why is not None:
+            raise DataError(
+                f"{self.path.name}: column {column!r} cannot be {signal}: {why}; map another column"
+            )
+        raise DataError(
+            f"{self.path.name}: no column {column!r} for {signal}"
+            f"{nearest(column, [c.column for c in self.channels])}"
+        )
+
+
+def file_channels(
+    source: str | Path,
+    time: str | ColumnSpec | None = None,
+    units: Iterable[tuple[str, str]] = (),
+) -> FileChannels:
+    """Look through a file: every column of numbers, its unit, and the sample time.
+
+    Parameters
+    ----------
+    source : path, perhaps with a window: `run.csv@12:194`.
+    time : column of the time stamps; found by its name where not given.
+    units : pairs of a column and the unit in which it is written, where the header does not say.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, has no time stamps or no column of numbers.
+    """
+    path, window = source_of(source)
+    columns = survey(path, {}, ReadingOptions(time=time, window=window))
+    if columns.clock is None and columns.columns:
+        raise DataError(
+            f"{path.name}: no time column found among "
+            f"{', '.join(c.name for c in columns.columns)}. Name it with --map t=COLUMN "
+            "(mapping={'t': column}), or put a column of seconds into the file."
+        )
+    unusable = [f for f in columns.faults if f.kind in {"file", "unit", "length", "window"}]
+    if unusable or columns.times is None or columns.clock is None:
+        raise DataError(str((unusable or columns.faults)[0]))
+    units_of = {c.name: c.unit for c in columns.columns if c.kind == "numeric"} | dict(units)
+    specs = {column: ColumnSpec(column, unit or "1") for column, unit in units_of.items()}
+    record, resampled = _record(path, specs, columns, window)
+    left_out = {c.name: _WHY[c.kind] for c in columns.columns if c.name not in units_of}
+    left_out.pop(columns.clock, None)
+    channels: list[FileChannel] = []
+    for column, unit in units_of.items():
+        if record.is_missing(column).all():
+            left_out[column] = "it holds no values in this window"
+            continue
+        name = free_name(identifier(stem_of(column, unit)), {c.name for c in channels})
+        known = unit_aliases().get(unit, unit) if unit is not None else None
+        channels.append(FileChannel(name, column, known, record.filled(column)))
+    return FileChannels(
+        path, window, tuple(channels), columns.clock, record.Ts, record.N, left_out, resampled
+    )
+
+
+def _record(
+    path: Path,
+    specs: Mapping[str, ColumnSpec],
+    columns: Survey,
+    window: tuple[float, float] | None,
+) -> tuple[Record, float | None]:
+    """The record, and its sample time where it had to be interpolated: good enough to guess from.
+
+    The commands that estimate ask for --resample themselves.
+    """
+    if not specs:
+        raise DataError(
+            f"{path.name}: no column of numbers beside the time stamps. "
+            "Give a file with measurements."
+        )
+    assert columns.times is not None
+    found, resampled = _read(path, specs, columns, window, None), None
+    if found.record is None:
+        resampled = float(np.median(np.diff(columns.times)))
+        found = _read(path, specs, columns, window, resampled)
+    if found.record is None:
+        raise DataError(str(found.faults[0]))
+    return found.record, resampled
+
+
+def _read(
+    path: Path,
+    specs: Mapping[str, ColumnSpec],
+    columns: Survey,
+    window: tuple[float, float] | None,
+    resample: float | None,
+) -> Survey:
+    options = ReadingOptions(columns.clock, window, resample=resample, mark_missing=True)
+    return survey(path, specs, options, describe=False)
+
+
+def stem_of(column: str, unit: str | None) -> str:
+    """A column's name without the unit at its end: `U_Mot (V)` gives `U_Mot`."""
+    if unit is None or unit not in column:
+        return column
+    before = column[: column.rindex(unit)]
+    stem = re.sub(r"(?:\s+in|[\s/\[(_,:-])+$", "", before)
+    return stem or column
+
+
+def ascii_text(text: str) -> str:
+    """Letters without their accents: `Öl` gives `Oel`."""
+    folded = unicodedata.normalize("NFKD", text.translate(_UMLAUTS).replace("ß", "ss"))
+    return folded.encode("ascii", "ignore").decode()
+
+
+def identifier(text: str) -> str:
+    """A Python name made of any text."""
+    name = re.sub(r"\W+", "_", ascii_text(text)).strip("_")
+    if not name or name[0].isdigit():
+        name = f"x_{name}".rstrip("_")
+    return f"{name}_" if name in _NO_NAMES else name
+
+
+def free_name(wanted: str, taken: Iterable[str]) -> str:
+    """`wanted`, or `wanted` with a number where the name is taken."""
+    names, name, n = set(taken), wanted, 2
+    while name in names:
+        name, n = f"{wanted}_{n}", n + 1
+    return name

@@ -1,0 +1,86 @@
+"""Which column of a file plays which part in a template: guessed by unit and by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from casid.data.templates.file_channels import FileChannel
+from casid.errors import UnitError
+from casid.model.units import parse_unit, si_unit
+
+_UNIT, _WORD, _ORDER, _CONSTANT = 2.0, 1.0, 1e-3, 0.5  # heuristic weights of a guess
+
+
+@dataclass(frozen=True, slots=True)
+class Role:
+    """A signal of a template.
+
+    Attributes
+    ----------
+    units : SI units that a column of it may have; the first is taken where the file has none.
+    words : parts of words in a column's name, English and German, that speak for it.
+    against : parts of words that speak against it.
+    by_name : True where the unit alone does not make a column this signal.
+    column : the one column that plays it, whatever its unit.
+    """
+
+    name: str
+    side: Literal["input", "output"]
+    units: tuple[str, ...]
+    words: str
+    against: str = ""
+    by_name: bool = False
+    column: str | None = None
+
+    def score(self, channel: FileChannel) -> float:
+        """How well a column fits, 0 where it does not."""
+        if self.column is not None:
+            return _UNIT * (channel.column == self.column)
+        names = _hits(self.words, channel.words)
+        if channel.unit is None:
+            fit = 0.0
+        elif any(same_quantity(channel.unit, unit) for unit in self.units):
+            fit = _UNIT
+        else:
+            return 0.0
+        if not names and (fit == 0.0 or self.by_name):
+            return 0.0
+        total = fit + _WORD * names - _WORD * _hits(self.against, channel.words)
+        return max(total - _CONSTANT * channel.is_constant, 0.0)
+
+
+def same_quantity(unit: str, other: str) -> bool:
+    """True if two units measure the same kind of quantity; an angle is no pure number."""
+    try:
+        a, b = parse_unit(unit).dimension, parse_unit(other).dimension
+        if a != b:
+            return False
+        return any(a) or si_unit(unit) == si_unit(other)
+    except UnitError:
+        return False
+
+
+def _hits(parts: str, words: Sequence[str]) -> int:
+    """How many words hold one of `parts`; parts of one or two letters have to be the whole word."""
+    listed = parts.split()
+    return sum(any(w == p or (len(p) > 2 and p in w) for p in listed) for w in words)
+
+
+def assign(roles: Sequence[Role], channels: Sequence[FileChannel]) -> Mapping[str, FileChannel]:
+    """The columns that fit the roles best together; a role that none fits is left out."""
+    from scipy.optimize import linear_sum_assignment
+
+    if not roles or not channels:
+        return {}
+    scores = np.array([[role.score(c) for c in channels] for role in roles])
+    order = _ORDER * np.arange(len(channels))  # of equals the first of the file
+    rows, columns = linear_sum_assignment(scores - order * (scores > 0), maximize=True)
+    return {
+        roles[i].name: channels[j]
+        for i, j in zip(rows.tolist(), columns.tolist(), strict=True)
+        if scores[i, j] > 0
+    }

@@ -1,0 +1,142 @@
+"""A problem file from a file of measurements: every template fits its own kind of system."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import casid
+from casid.data.templates.new_problem import TEMPLATES
+from tests.support.template_systems import SYSTEMS
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_template_fits_a_file_of_its_system_as_it_is_written(name: str, tmp_path: Path) -> None:
+    """The truth lies within four standard errors; SciPy simulated it."""
+    system = SYSTEMS[name]
+    data = system.write(tmp_path / "run 1.csv")
+    written = casid.new_problem(data, system.template, tmp_path / "run.py", known=system.known)
+    assert max(map(len, written.text.splitlines())) <= 100
+    problem = casid.load_problem(tmp_path / "run.py")
+    estimate = casid.identify(problem, problem.read(data))
+    for name, truth in system.truth.items():
+        found = estimate.parameter(name)
+        assert found.std_error is not None
+        assert abs(found.value - truth) < 4 * found.std_error, name
+        assert found.std_error < 0.1 * abs(truth), name
+
+
+def test_every_template_has_a_system_that_tests_it() -> None:
+    assert {system.template for system in SYSTEMS.values()} == set(TEMPLATES)
+
+
+def written_for(folder: Path, header: str, *columns: np.ndarray) -> Path:
+    """A file of these columns."""
+    path = folder / "run.csv"
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="")
+    return path
+
+
+def waves(n: int, N: int = 200) -> list[np.ndarray]:
+    """(N,) time stamps and `n` signals that move."""
+    t = 0.1 * np.arange(N)
+    return [t, *(np.sin((1 + 0.3 * k) * t) for k in range(n))]
+
+
+def test_columns_are_matched_by_unit_and_name_and_the_others_are_recorded(tmp_path: Path) -> None:
+    header = "time [s],T_out (degC),sun [W/m^2],T_room [degC],heater [kW],spare [V]"
+    data = written_for(tmp_path, header, *waves(4), np.zeros(200))
+    found = casid.new_problem(data, "thermal")
+    assert found.channels == {
+        "temperature": "'T_room [degC]' [degC]",
+        "ambient": "'T_out (degC)' [degC]",
+        "power": "'heater [kW]' [kW]",
+    }
+    assert found.recorded == {"sun": "'sun [W/m^2]' [W/m^2]"}
+    assert found.left_out == {"spare [V]": "it is constant"}
+    assert found.path is None
+
+
+def test_what_is_a_guess_is_marked_and_listed_with_its_line(tmp_path: Path) -> None:
+    data = written_for(tmp_path, "time [s],voltage [V],current,angle [deg]", *waves(3))
+    found = casid.new_problem(data, "dc-motor", tmp_path / "motor.py")
+    lines = (tmp_path / "motor.py").read_text(encoding="utf-8").splitlines()
+    assert all("# CHECK: " in lines[n - 1] for n in found.checks)
+    text = "\n".join(found.checks.values())
+    assert "the file gives no unit; taken as A" in text
+    assert "turns of the rotor for one of the shaft; put in its value" in text
+    assert all(f"line {n}: {what}" in str(found) for n, what in found.checks.items())
+
+
+def test_the_user_names_what_is_guessed_wrong(tmp_path: Path) -> None:
+    data = written_for(tmp_path, "time [s],a [m],b [m],push [N]", *waves(3))
+    assert casid.new_problem(data, "mass-spring-damper").channels["position"] == "'a [m]' [m]"
+    found = casid.new_problem(data, "mass-spring-damper", mapping={"position": "b [m]:mm"})
+    assert found.channels["position"] == "'b [m]' [mm]"
+    assert '"position": "b [m]:mm"' in found.text
+
+
+def test_a_signal_of_steps_is_taken_as_held(tmp_path: Path) -> None:
+    t, x = waves(1)
+    stepped = np.repeat(np.random.default_rng(1).standard_normal(20), 10)
+    data = written_for(tmp_path, "t,force [N],x [m]", t, stepped, x)
+    assert 'm.input("force", "N", hold="zoh")' in casid.new_problem(data, "mass-spring-damper").text
+    data = written_for(tmp_path, "t,force [N],x [m]", t, np.cos(t), x)
+    assert 'm.input("force", "N", hold="foh")' in casid.new_problem(data, "mass-spring-damper").text
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"template": "dc-moter"}, "no template 'dc-moter'; did you mean 'dc-motor'"),
+        ({"template": "thermal"}, r"no column for temperature \(K\) among .*--map temperature="),
+        ({"mapping": {"angel": "x [m]"}}, "no signal 'angel'"),
+        (
+            {"template": "mass-spring-damper", "mapping": {"force": "y [m]"}},
+            "no column 'y .m.' for force; did you mean 'x .m.'",
+        ),
+        (
+            {"template": "mass-spring-damper", "mapping": {"force": "x [m]"}},
+            r"'x \[m\]' \[m\] is no force \[N\]",
+        ),
+        (
+            {"template": "mass-spring-damper", "known": {"m": 2.0}},
+            "no parameter 'm' for this file; did you mean 'M'",
+        ),
+        ({"out": "problem.txt"}, "a name that ends with .py"),
+    ],
+)
+def test_a_wrong_request_is_refused_with_the_remedy(
+    tmp_path: Path, options: dict[str, object], what: str
+) -> None:
+    data = written_for(tmp_path, "t,x [m]", *waves(1))
+    with pytest.raises(casid.DataError, match=what):
+        casid.new_problem(data, **options)  # type: ignore[arg-type]
+
+
+def test_a_file_without_time_stamps_is_refused(tmp_path: Path) -> None:
+    data = written_for(tmp_path, "voltage [V],angle [deg]", *waves(2)[1:])
+    with pytest.raises(casid.DataError, match=r"no time column .*--map t=COLUMN"):
+        casid.new_problem(data, "dc-motor")
+
+
+def test_a_problem_file_that_exists_is_kept(tmp_path: Path) -> None:
+    data = written_for(tmp_path, "t,x [m]", *waves(1))
+    out = tmp_path / "mine.py"
+    out.write_text("# an hour of work\n")
+    with pytest.raises(casid.DataError, match="exists; name another file with --out, or add --fo"):
+        casid.new_problem(data, out=out)
+    assert out.read_text() == "# an hour of work\n"
+    casid.new_problem(data, out=out, force=True)
+    assert "casid.Model" in out.read_text()
+
+
+def test_names_of_columns_become_names_of_python(tmp_path: Path) -> None:
+    header = "time [s],in,Motor: Öl-Temp. 2 [degC],2nd,m"
+    data = written_for(tmp_path, header, *waves(4))
+    found = casid.new_problem(data, "free", tmp_path / "odd.py")
+    assert list(found.channels) == ["in_", "Motor_Oel_Temp_2", "x_2nd", "m_"]
+    problem = casid.load_problem(tmp_path / "odd.py")
+    assert set(problem.read(data).record) == set(found.channels)
