@@ -40,15 +40,16 @@ identification: model algebra data linear estimation identifiability
 unknown_inputs: model algebra data linear estimation identifiability identification
 campaigns: model data estimation identification
 diagnosis: model algebra data linear estimation identifiability identification campaigns
+export: model data linear estimation
 report: model algebra data linear estimation identifiability identification unknown_inputs
   campaigns diagnosis
 cli: model algebra data linear estimation identifiability identification unknown_inputs campaigns
-  diagnosis report
+  diagnosis export report
 __main__: cli
 """
 
 # Modules right below casid, of the standard library and NumPy alone, that every package may use.
-GROUND = {"arrays", "deprecation", "errors", "presentation", "versions", "grouping"}
+GROUND = {"arrays", "deprecation", "errors", "exportable", "presentation", "versions", "grouping"}
 
 
 def imports_of(path: Path, *, in_folder: bool = False) -> Iterator[tuple[str, bool]]:

@@ -422,12 +422,23 @@ def si_unit(text: str) -> str:
     UnitError
         As `parse_unit`.
     """
+    return _written(unit_powers(text))
+
+
+def unit_powers(text: str) -> dict[str, Fraction]:
+    """Return the SI names in a unit and their powers: `deg/s` gives rad: 1, s: -1.
+
+    Raises
+    ------
+    UnitError
+        As `parse_unit`.
+    """
     parse_unit(text)
     powers: dict[str, Fraction] = {}
     for name, power in _terms(text):
         for si_name, si_power in _NAMES[name].si:
             powers[si_name] = powers.get(si_name, Fraction(0)) + si_power * power
-    return _written(powers)
+    return powers
 
 
 def _written(powers: dict[str, Fraction]) -> str:

@@ -1,0 +1,75 @@
+"""A fitted model as a CasADi function with named inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+
+from casid.errors import ModelError, nearest
+from casid.estimation.fitted.fitted_model import FittedModel
+from casid.export.naming import identifier
+from casid.export.plain_model import PlainModel, expressions, plain_model
+
+
+def casadi_function(
+    fitted: FittedModel, parameters: Sequence[str] = (), *, without_delays: bool = False
+) -> Any:
+    """The equations and the discrete step of the fit as one ``ca.Function``.
+
+    Inputs: x (nx,), u (nu,), u_next (nu,) the inputs one sample later, t the time of the record's
+    clock [s] (where the model depends on it), p (np,) the values of `parameters` in that order.
+    Outputs: dx = f(x, u), y = h(x, u), x_next the state one sample later. All in SI units, in the
+    order of the model's states, inputs and outputs.
+
+    Parameters
+    ----------
+    parameters : those that stay free, in the order of p; all others have their estimates.
+    without_delays : leave out the delays of sensors.
+
+    Raises
+    ------
+    ModelError
+        If a name is no parameter, an output is delayed, or an input is a function of the user's.
+    """
+    return function_of(
+        plain_model(fitted, what="a CasADi function", without_delays=without_delays), parameters
+    )
+
+
+def function_of(plain: PlainModel, parameters: Sequence[str], *, name: str | None = None) -> Any:
+    """As `casadi_function`, of a plain model."""
+    unknown = [n for n in parameters if n not in plain.model.parameters]
+    if unknown:
+        raise ModelError(
+            f"{plain.name} has no parameter {unknown[0]!r}"
+            f"{nearest(unknown[0], plain.model.parameters)}"
+        )
+    found = expressions(plain)
+    s = found.symbols
+    free = ca.SX.sym("p", len(parameters))
+    values = [
+        free[list(parameters).index(n)] if n in parameters else ca.SX(plain.values[n])
+        for n in plain.parameters
+    ]
+    results = [found.dx, found.y, found.x_next]
+    if values:
+        results = ca.substitute(results, [s.p], [ca.vertcat(*values)])
+    return ca.Function(
+        name or identifier(plain.name),
+        [s.x, s.u, s.u_next, s.t, free],
+        [ca.densify(each) for each in results],
+        ["x", "u", "u_next", "t", "p"],
+        ["dx", "y", "x_next"],
+    )
+
+
+def write_casadi(
+    fitted: FittedModel, path: Path, parameters: Sequence[str] = (), *, without_delays: bool = False
+) -> Path:
+    """Write the function to a file; ``casadi.Function.load`` reads it."""
+    function = casadi_function(fitted, parameters, without_delays=without_delays)
+    function.save(str(path))
+    return path

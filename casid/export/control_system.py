@@ -1,0 +1,139 @@
+"""A fitted model, linearised, as a state space of python-control."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import ModelError, nearest
+from casid.estimation.fitted.fitted_model import FittedModel
+from casid.export.casadi_function import function_of
+from casid.export.naming import written_by
+from casid.export.plain_model import PlainModel, plain_model
+
+
+def control_system(
+    fitted: FittedModel,
+    at: Mapping[str, float] | None = None,
+    *,
+    time: float | None = None,
+    without_delays: bool = False,
+) -> Any:
+    """The model linearised at an operating point, as ``control.StateSpace`` of continuous time.
+
+    With the deviations z = x - x0, v = u - u0, w = y - y0 from the operating point,
+    dz/dt = A z + B v, w = C z + D v; states, inputs and outputs have the model's names and are in
+    SI units. Where the point is no equilibrium, dx/dt has the constant f(x0, u0) besides, which a
+    state space cannot hold. A model without inputs gets one that does nothing, `none`, as
+    python-control requires one.
+
+    Parameters
+    ----------
+    at : state or input -> its value at the operating point, SI; 0 where not named.
+    time : on the record's clock [s], for a model whose parameters depend on it; default the
+        beginning of the first fitted record.
+    without_delays : leave out the delays of sensors.
+
+    Raises
+    ------
+    ModelError
+        If a name is no state or input, an output is delayed, or the model has no slope there.
+    """
+    plain = plain_model(fitted, what="a state space", without_delays=without_delays)
+    A, B, C, D = _matrices(plain, at or {}, fitted.records[0].t0 if time is None else time)
+    inputs = list(plain.inputs)
+    if not inputs:
+        B, D, inputs = np.zeros((len(A), 1)), np.zeros((len(C), 1)), ["none"]
+    import control
+
+    return control.StateSpace(
+        A,
+        B,
+        C,
+        D,
+        states=list(plain.states),
+        inputs=inputs,
+        outputs=list(plain.outputs),
+        name=plain.name,
+    )
+
+
+def _matrices(plain: PlainModel, at: Mapping[str, float], time: float) -> list[Array]:
+    names = [*plain.states, *plain.inputs]
+    for name in at:
+        if name not in names:
+            raise ModelError(
+                f"{plain.name} has no state or input {name!r} to linearise at; it has "
+                f"{', '.join(names)}{nearest(name, names)}"
+            )
+    function = function_of(plain, ())
+    x, u, u_next, t, p = function.sx_in()
+    dx, y, _ = function.call([x, u, u_next, t, p])
+    slopes = ca.Function(
+        "slopes", [x, u, t], [ca.densify(ca.jacobian(e, v)) for e in (dx, y) for v in (x, u)]
+    )
+    point = [[float(at.get(n, 0.0)) for n in names] for names in (plain.states, plain.inputs)]
+    sizes = [(a, b) for a in (x.numel(), y.numel()) for b in (x.numel(), u.numel())]
+    values = slopes.call([*(ca.DM(v) for v in point), time])
+    found = [np.array(m, dtype=float).reshape(s) for m, s in zip(values, sizes, strict=True)]
+    if not all(np.isfinite(m).all() for m in found):
+        where = ", ".join(f"{n} = {at.get(n, 0.0):g}" for n in names)
+        raise ModelError(
+            f"{plain.name} has no finite slope at {where}; linearise at another point, "
+            "to_control({name: value})"
+        )
+    return found
+
+
+def write_control(
+    fitted: FittedModel,
+    path: Path,
+    at: Mapping[str, float] | None = None,
+    *,
+    without_delays: bool = False,
+) -> Path:
+    """Write a Python file (.py) that makes the state space, `system`."""
+    system = control_system(fitted, at, without_delays=without_delays)
+    path = path.with_suffix(".py")
+    point = ", ".join(f"{n} = {v:g}" for n, v in (at or {}).items()) or "all states and inputs zero"
+    lines = [
+        f'"""{fitted.name}, linearised at {point}; SI units. Written by {written_by()}."""',
+        "",
+        "import control",
+        "import numpy as np",
+        "",
+        *(f"{letter} = {_matrix(getattr(system, letter))}" for letter in "ABCD"),
+        "system = control.StateSpace(",
+        "    A,",
+        "    B,",
+        "    C,",
+        "    D,",
+        *(
+            f"    {what}={_texts(getattr(system, f'{what[:-1]}_labels'))},"
+            for what in ("states", "inputs", "outputs")
+        ),
+        f"    name={_text(system.name)},",
+        ")",
+    ]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def _matrix(values: Array) -> str:
+    if values.size == 0:
+        return f"np.zeros({values.shape})"
+    rows = ", ".join(f"[{', '.join(repr(float(v)) for v in row)}]" for row in values)
+    return f"np.array([{rows}])"
+
+
+def _text(value: str) -> str:
+    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _texts(values: list[str]) -> str:
+    return f"[{', '.join(map(_text, values))}]"

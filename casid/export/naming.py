@@ -1,0 +1,37 @@
+"""Names of a model as names of another language."""
+
+from __future__ import annotations
+
+import keyword
+import re
+from collections.abc import Collection, Iterable
+
+from casid.versions import versions
+
+
+def identifier(name: str) -> str:
+    """A name of letters, digits and underscores that begins with a letter: `k1`, `step_at_2_s`."""
+    text = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
+    text = re.sub(r"_{2,}", "_", text)
+    return text if text and text[0].isalpha() else f"s_{text}".rstrip("_")
+
+
+def identifiers(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, str]:
+    """Each name with an identifier of its own, none of those in `taken`, no word of Python."""
+    found: dict[str, str] = {}
+    used = set(taken)
+    for name in names:
+        # What is an identifier already keeps it.
+        base = name if name.isidentifier() and name.isascii() else identifier(name)
+        text, n = base, 2
+        while text in used or keyword.iskeyword(text):
+            text, n = (f"{base}_{n}", n + 1) if text in used else (f"{text}_", n)
+        used.add(text)
+        found[name] = text
+    return found
+
+
+def written_by() -> str:
+    """casid, with its version where it is installed."""
+    version = versions()["casid"]
+    return f"casid {version}" if version[0].isdigit() else "casid"

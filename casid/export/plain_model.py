@@ -1,0 +1,300 @@
+"""A fitted model as equations alone: dx/dt = f(x, u, p, t), y = h(x, u, p, t), all in SI units.
+
+What sensors and actuators do to whole columns becomes part of the equations where that is possible:
+a limit is a minimum and a maximum, a first-order lag a state. A delay is no equation; it stays
+apart. What a sensor did to the record of an input (it was late, it lagged) does not concern what
+acts, so the input here is what acted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, get_args
+
+import casadi as ca
+import numpy as np
+
+from casid.errors import ModelError, nearest
+from casid.estimation.fitted.fitted_model import FittedModel
+from casid.estimation.simulation.simulator import rk4_sample
+from casid.model.clock_signals import ClockSignal
+from casid.model.model import Model, Stage
+
+_STABLE = 2.0  # longest Runge-Kutta step over a time constant, below the limit of stability, 2.78
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlainModel:
+    """The equations of a fitted model, and what they are simulated with.
+
+    Attributes
+    ----------
+    name : of the fitted model.
+    model : without stages; its generated inputs are functions of the clock.
+    values : every parameter, SI.
+    initial : every state at the beginning of the first fitted record, SI.
+    Ts, substeps : sample time [s] and Runge-Kutta steps a sample.
+    delays : output -> delay of its sensor [s]; the model's output is what arrives at the sensor.
+    notes : what a user of the equations should know.
+    """
+
+    name: str
+    model: Model
+    values: Mapping[str, float]
+    initial: Mapping[str, float]
+    Ts: float
+    substeps: int
+    delays: Mapping[str, float]
+    notes: tuple[str, ...]
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states."""
+        return tuple(self.model.states)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the recorded inputs."""
+        return tuple(n for n, u in self.model.inputs.items() if u.kind != "generated")
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs."""
+        return tuple(self.model.outputs)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters that the equations need."""
+        e = self.model.explicit()
+        needed = {s.name() for s in ca.symvar(ca.veccat(e.f, e.h))}
+        needed |= {u.ramp for u in self.model.inputs.values() if u.ramp is not None}
+        return tuple(n for n in self.model.parameters if n in needed)
+
+    def unit(self, name: str) -> str:
+        """The SI unit of a state, input, output or parameter."""
+        model = self.model
+        if name in model.outputs:
+            return str(model.outputs[name][1])
+        for table in (model.states, model.inputs, model.parameters):
+            if name in table:
+                return str(table[name].unit)
+        raise ModelError(f"{self.name} has no {name!r}{nearest(name, self.states)}")
+
+    @property
+    def x0(self) -> np.ndarray[Any, Any]:
+        """(nx,) initial states."""
+        return np.array([self.initial[s] for s in self.states])
+
+    @property
+    def p(self) -> np.ndarray[Any, Any]:
+        """(np,) values of `parameters`."""
+        return np.array([self.values[n] for n in self.parameters])
+
+    def shares(self) -> list[float]:
+        """Of each input's rise within a sample, the part that it makes as a straight line.
+
+        1 for an input joined by straight lines, 0 for a held one.
+        """
+        out = []
+        for name in self.inputs:
+            entry = self.model.inputs[name]
+            blend = 0.0 if entry.ramp is None else self.values[entry.ramp]
+            out.append(blend if entry.hold == "zoh" else 1.0 - blend)
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Symbols:
+    """The symbols that the functions of a plain model are made of."""
+
+    x: Any
+    u: Any
+    u_next: Any
+    p: Any
+    t: Any
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expressions:
+    """dx/dt, the outputs and the states one sample later, as SX of `symbols`."""
+
+    symbols: Symbols
+    dx: Any
+    y: Any
+    x_next: Any
+
+
+def expressions(plain: PlainModel) -> Expressions:
+    """The equations and the Runge-Kutta step of a plain model."""
+    model, e = plain.model, plain.model.explicit()
+    t = ca.SX.sym("t")
+    u_next = ca.SX.sym("u_next", e.u.numel())
+    after = rk4_sample(model, e, u_next, plain.Ts, plain.substeps)
+    now, later, place = [], [], []
+    for i, name in enumerate(e.inputs):
+        entry = model.inputs[name]
+        if entry.kind == "generated":
+            assert isinstance(entry.signal, get_args(ClockSignal))
+            now.append((e.u[i], entry.signal.expression(t, plain.Ts)))
+            later.append((u_next[i], entry.signal.expression(t + plain.Ts, plain.Ts)))
+        else:
+            place.append(i)
+    kept = [e.parameters.index(n) for n in plain.parameters]
+    rest = [i for i in range(e.p.numel()) if i not in kept]
+    fixed = [(e.p[i], ca.SX(plain.values[e.parameters[i]])) for i in rest]
+    old, new = zip(*now, *later, *fixed, strict=True) if [*now, *later, *fixed] else ((), ())
+    found = [ca.densify(v) for v in (e.f, e.h, after)]
+    if old:
+        found = ca.substitute(found, list(old), list(new))
+    symbols = Symbols(e.x, _rows(e.u, place), _rows(u_next, place), _rows(e.p, kept), t)
+    return Expressions(symbols, *found)
+
+
+def _rows(column: Any, rows: Sequence[int]) -> Any:
+    return ca.vertcat(*[column[i] for i in rows]) if rows else ca.SX(0, 1)
+
+
+def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False) -> PlainModel:
+    """The equations of a fitted model.
+
+    Parameters
+    ----------
+    what : the export, for messages ("C").
+    without_delays : leave out the delays of sensors; otherwise a delayed output is refused.
+
+    Raises
+    ------
+    ModelError
+        If an input is a function of the user's own, or an output is delayed.
+    """
+    plain = resolved(fitted, what=what)
+    if plain.delays and not without_delays:
+        late = ", ".join(f"{n} by {d:.4g} s" for n, d in plain.delays.items())
+        raise ModelError(
+            f"{fitted.name}: sensors are delayed ({late}), and a delay is no equation that {what} "
+            "can hold. Export it without_delays=True (--without-delays) and delay these outputs "
+            "where you use the model, or export a problem file or Modelica"
+        )
+    notes = [
+        f"The sensor of {n} is delayed by {d:.6g} s, which is not in the equations."
+        for n, d in plain.delays.items()
+    ]
+    return replace(plain, notes=(*plain.notes, *notes))
+
+
+def resolved(fitted: FittedModel, *, what: str) -> PlainModel:
+    """The equations of a fitted model, the delays of its outputs apart.
+
+    Raises
+    ------
+    ModelError
+        If an input is unknown, or a function of the user's own.
+    """
+    model = fitted.model.copy()
+    values, initial = dict(fitted.values), dict(fitted.initial_states)
+    for name, entry in model.inputs.items():
+        if entry.kind == "unknown":
+            raise ModelError(
+                f"{fitted.name}: the input {name} is unknown; eliminate it before the model is "
+                "fitted and exported"
+            )
+    steps = _Stages(model, values, initial)
+    for stage in fitted.model.stages:
+        steps.take(stage)
+    for name, entry in list(model.inputs.items()):
+        if entry.kind == "generated" and not isinstance(entry.signal, get_args(ClockSignal)):
+            raise ModelError(
+                f"{fitted.name}: the input {name!r} is a Python function of time, which {what} "
+                "cannot hold; make it of casid.StepAt, casid.RampOver or casid.TimeSince"
+            )
+    shortest = min(steps.lags, default=math.inf)
+    substeps = max(fitted.settings.substeps, math.ceil(fitted.Ts / (_STABLE * shortest)))
+    return PlainModel(
+        name=fitted.name,
+        model=model,
+        values=values,
+        initial=initial,
+        Ts=fitted.Ts,
+        substeps=substeps,
+        delays=steps.delays,
+        notes=tuple(steps.notes),
+    )
+
+
+class _Stages:
+    """Takes the stages of a model into its equations, one by one, in place."""
+
+    def __init__(self, model: Model, values: dict[str, float], initial: dict[str, float]) -> None:
+        self.model, self.values, self.initial = model, values, initial
+        self.delays: dict[str, float] = {}
+        self.lags: list[float] = []
+        self.notes: list[str] = []
+        model.stages = ()
+
+    def take(self, stage: Stage) -> None:
+        """Take one stage."""
+        value = self.values[stage.parameter]
+        if stage.is_of_input:
+            self._drop(stage.carrier)
+            self._drop(Stage.end_of(stage.carrier))
+            self._drop(Stage.end_of(stage.channel))
+        if stage.kind == "clip":
+            self._clip(stage)
+        elif value <= 0.0:
+            return  # it does nothing
+        elif stage.kind == "delay":
+            self.delays[stage.channel] = self.delays.get(stage.channel, 0.0) + value
+        elif stage.kind == "lag":
+            self._lag_output(stage)
+        elif stage.kind == "lag_input":
+            self._lag_input(stage)
+        else:
+            did = "delayed by" if stage.kind == "delay_input" else "lagging with"
+            self.notes.append(
+                f"The record of the input {stage.channel} was {did} {value:.6g} s; here "
+                f"{stage.channel} is what acted, without that."
+            )
+
+    def _drop(self, name: str) -> None:
+        """Take out an input that carries tangents alone: it is zero in a simulation."""
+        if name in self.model.inputs:
+            self.model.substitute_symbol(name, 0)
+            del self.model.inputs[name]
+
+    def _clip(self, stage: Stage) -> None:
+        expression, unit = self.model.outputs[stage.channel]
+        limit = self.model.symbol(stage.parameter)
+        clipped = ca.fmin(ca.fmax(expression, -limit), limit)
+        self.model.replace_output(stage.channel, clipped, unit)
+
+    def _lag_output(self, stage: Stage) -> None:
+        """A state that follows the output; it begins at rest with what it follows."""
+        model = self.model
+        expression, unit = model.outputs[stage.channel]
+        e = model.explicit()
+        start = ca.Function("y", [e.x, e.u, e.p], [e.h[e.outputs.index(stage.channel)]])
+        x0 = [self.initial[s] for s in e.states]
+        p = [self.values[n] for n in e.parameters]
+        felt = self._state(f"{stage.channel}_felt", unit, float(start(x0, [0] * e.u.numel(), p)))
+        model.derivative(felt, (expression - felt) / model.symbol(stage.parameter))
+        model.replace_output(stage.channel, felt, unit)
+        self.lags.append(self.values[stage.parameter])
+
+    def _lag_input(self, stage: Stage) -> None:
+        model, channel = self.model, stage.channel
+        acting = self._state(f"{channel}_acting", model.inputs[channel].unit, 0.0)
+        command = model.symbol(channel)
+        model.substitute_symbol(channel, acting)
+        model.derivative(acting, (command - acting) / model.symbol(stage.parameter))
+        self.lags.append(self.values[stage.parameter])
+        self.notes.append(
+            f"The actuator's state {acting.name()} begins at 0; begin it at the first value of "
+            f"{channel} for an actuator at rest there."
+        )
+
+    def _state(self, name: str, unit: str, start: float) -> Any:
+        name = self.model.free_name(name)
+        self.initial[name] = start
+        return self.model.state(name, unit, start=start, initial=start)
