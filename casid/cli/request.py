@@ -250,10 +250,10 @@ def read_experiment(
         As `Problem.read`, and for two channels of one column or a channel of another clock.
     """
     from casid.data.reading.columns import resolve
-    from casid.data.reading.tables import Table
+    from casid.data.reading.opening import open_table
     from casid.diagnosis.evidence.recorded_channels import left_out_by_clock, refuse_shared_columns
 
-    table = Table(source.path)
+    table = open_table(source.path)
     _, clock = resolve(table, {}, problem.time)
     problem = refuse_shared_columns(
         problem, mapping, table.columns, None if clock is None else clock.column

@@ -14,6 +14,7 @@ from casid.arrays import TINY
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.columns import Columns, ColumnSpec
 from casid.data.reading.faults import Survey
+from casid.data.reading.file_format import FileFormat
 from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.record import BoolArray, FloatArray, Record
 from casid.deprecation import renamed
@@ -152,13 +153,14 @@ def check(
     window: tuple[float, float] | None = None,
     resample: float | None = None,
     Ts: float | None = None,
+    form: FileFormat | None = None,
 ) -> CheckReport:
     """Look a record or a file over and report everything found, not only the first fault.
 
     Parameters
     ----------
     data : Record, or path of a file (which may carry a window, `run.csv@12:194`)
-    columns, time, window, resample, Ts
+    columns, time, window, resample, Ts, form
         As `casid.read_record`; for files only.
 
     Returns
@@ -181,7 +183,7 @@ def check(
     if isinstance(data, Record):
         found = _Read(data, data.name)
     else:
-        options = ReadingOptions(time, window, resample=resample, Ts=Ts)
+        options = ReadingOptions(time, window, resample=resample, Ts=Ts, form=form)
         found = _read(survey(data, columns, options))
     record, name, times, findings = found.record, found.name, found.times, list(found.findings)
     clock = _clock(times) if times is not None and times.size > 1 else None
@@ -249,9 +251,10 @@ class _Read:
 
 
 def _read(found: Survey) -> _Read:
-    faults = tuple(Finding("error", f.column, f.text, f.remedy) for f in found.faults)
+    faults = [Finding("error", f.column, f.text, f.remedy) for f in found.faults]
+    faults += [Finding("note", None, f"{note}.", "") for note in found.notes]
     name = found.record.name if found.record else found.path.name
-    return _Read(found.record, name, found.times, faults)
+    return _Read(found.record, name, found.times, tuple(faults))
 
 
 def _drifting(clock: Clock) -> Finding:

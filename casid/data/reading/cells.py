@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.faults import Fault, Survey
+from casid.data.reading.layout import NO_VALUE
+from casid.data.reading.number_marks import Evidence, decimal_mark, plain_number
 from casid.data.reading.tables import Table
+from casid.data.reading.time_stamps import (
+    DAY,
+    Stamps,
+    of_dates,
+    of_large_numbers,
+    of_stamps,
+    of_times_of_day,
+)
 from casid.data.record import FloatArray
+from casid.errors import DataError
 from casid.model.units import to_si
 
 if TYPE_CHECKING:
@@ -32,30 +43,77 @@ def numbers_of(
 
     column = frame[spec.column]
     if pd.api.types.is_numeric_dtype(column.dtype):
-        return np.asarray(column.to_numpy(dtype=np.float64, na_value=np.nan))
+        plain = np.asarray(column.to_numpy(dtype=np.float64, na_value=np.nan))
+        return _without_missing(plain, table)
+    there = column.notna().to_numpy()
     if column.dtype.kind in "mM":  # dates are times, not measurements
         column = column.astype(str)
-    if table.decimal == ",":
-        column = column.where(column.isna(), column.astype(str).str.replace(",", "."))
-    numbers = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
-    text = np.isnan(numbers) & column.notna().to_numpy()
-    if skip_text and text.sum() == column.notna().sum():
+    cells = [str(c).strip() for c in column]
+    held = np.array([c.casefold() not in NO_VALUE for c in cells]) & there
+    held &= np.array([c not in table.form.missing for c in cells])
+    decimal = _decimal_of(table, [c for c, h in zip(cells, held, strict=True) if h], spec, found)
+    if decimal is None:
+        return None
+    texts = [plain_number(c, decimal) if h else None for c, h in zip(cells, held, strict=True)]
+    numbers = np.array([np.nan if t is None else float(t) for t in texts], dtype=np.float64)
+    text = np.isnan(numbers) & held
+    if skip_text and text.sum() == held.sum():
         return None
     if not text.any():
-        return np.asarray(numbers)
+        infinite = {"inf": np.inf, "+inf": np.inf, "-inf": -np.inf, "infinity": np.inf}
+        numbers[~held] = [infinite.get(cells[k].casefold(), np.nan) for k in np.flatnonzero(~held)]
+        return _without_missing(numbers, table)
     first = int(np.argmax(text))
     found.faults.append(
         Fault(
             "text",
             f"{table.path.name}: column {spec.column!r} (channel {channel}) holds "
             f"{int(text.sum())} values that are no numbers, the first at {table.place(first)}: "
-            f"{str(column.iloc[first])!r}.",
-            "Correct the cells or leave them empty and read with mark_missing=True; for decimal "
-            "commas use semicolons between columns.",
+            f"{cells[first]!r}.",
+            "Correct the cells, or leave them empty and mark them missing (--mark-missing, "
+            "mark_missing=True); text that stands for no value is named with --missing TEXT.",
             spec.column,
         )
     )
     return None
+
+
+def _decimal_of(table: Table, cells: list[str], spec: ColumnSpec, found: Survey) -> str | None:
+    """The decimal mark of cells that are text; None, with a fault noted, where it is open."""
+    if table.form.decimal is not None:
+        return table.form.decimal
+    marks = Evidence().add(cells)
+    decimal = decimal_mark(marks, default=table.decimal)
+    loose = {m: c for m, c in marks.either.items() if m not in {*marks.decimal, *marks.thousands}}
+    known = marks.decimal or marks.thousands
+    open_marks = [c for m, c in loose.items() if not known and m != (decimal or ".")]
+    open_marks += [c for m, c in loose.items() if known and m != decimal]
+    if decimal is not None and not open_marks:
+        return decimal
+    if decimal is None and not open_marks and not known:
+        return "."
+    where = f"{table.path.name}: column {spec.column!r}"
+    if open_marks:
+        cell = open_marks[0]
+        text = (
+            f"{where} holds {cell!r}, which may be {cell.replace(',', '.')} or "
+            f"{cell.replace(',', '').replace('.', '')}."
+        )
+    else:
+        two = " and ".join(map(repr, [*marks.decimal.values(), *marks.thousands.values()][:2]))
+        text = f"{where} holds {two}: points and commas are decimal marks both."
+    remedy = "Name the decimal mark with --decimal , or --decimal . (FileFormat(decimal=','))."
+    found.faults.append(Fault("decimal", text, remedy, spec.column))
+    return None
+
+
+def _without_missing(numbers: FloatArray, table: Table) -> FloatArray:
+    """The numbers, those that stand for no value as NaN."""
+    for text in table.form.missing:
+        plain = plain_number(text, table.decimal or ".")
+        if plain is not None and np.any(numbers == float(plain)):
+            numbers = np.where(numbers == float(plain), np.nan, numbers)
+    return numbers
 
 
 def non_finite(
@@ -75,7 +133,7 @@ def non_finite(
         f"{table.path.name}: column {spec.column!r} (channel {channel}) holds {int(bad.sum())} "
         f"samples that are not finite ({nans} empty or NaN, {int(bad.sum()) - nans} Inf), the "
         f"first at {table.place(int(rows[first]))} (k = {first}{at}).",
-        "Leave them out with a window, or mark them missing with mark_missing=True.",
+        "Leave them out with a window, or mark them missing (--mark-missing, mark_missing=True).",
         spec.column,
     )
 
@@ -89,18 +147,60 @@ def times_of(
     column = frame[clock.column]
     if column.dtype.kind == "m" and column.notna().all():
         return np.asarray(column.dt.total_seconds(), dtype=np.float64)
-    if not pd.api.types.is_numeric_dtype(column.dtype):
-        stamps = pd.to_datetime(column, errors="coerce", format="ISO8601", utc=True)
-        if stamps.notna().all():
-            table.origin = stamps.iloc[0] if table.origin is None else table.origin
-            return np.asarray((stamps - table.origin).dt.total_seconds(), dtype=np.float64)
+    try:
+        stamps = _stamps(table, frame, clock)
+    except DataError as error:
+        found.faults.append(Fault("time", str(error), "", clock.column))
+        return None
+    if stamps is not None:
+        return _noted(stamps, table, found)
     numbers = numbers_of(table, frame, "t", clock, found)
     if numbers is None:
         return None
     if not np.isfinite(numbers).all():
         rows = np.arange(numbers.size)
         fault = non_finite(table, "t", clock, numbers, rows, None)
-        remedy = "Correct the time stamps, or leave the column out and give Ts."
+        remedy = "Correct the time stamps, or leave the column out and give Ts (--sample-time)."
         found.faults.append(replace(fault, remedy=remedy))
         return None
+    exact: NDArray[Any] = column.to_numpy() if column.dtype.kind in "iu" else numbers
+    large = of_large_numbers(exact, clock.unit, clock.column, table.origin)
+    if large is not None:
+        return _noted(large, table, found)
+    if pd.api.types.is_bool_dtype(column.dtype) or clock.unit in {"d", "day", "days"}:
+        return numbers * DAY
     return to_si(numbers, clock.unit or "s", "s")
+
+
+def _noted(stamps: Stamps, table: Table, found: Survey) -> FloatArray:
+    if table.origin is None and stamps.text:
+        found.notes.append(f"time stamps are {stamps.text}")
+    table.origin = stamps.origin if table.origin is None else table.origin
+    return stamps.seconds
+
+
+def _stamps(table: Table, frame: pd.DataFrame, clock: ColumnSpec) -> Stamps | None:
+    """Dates and times of day; None for numbers, and where cells are neither."""
+    import pandas as pd
+
+    column = frame[clock.column]
+    where = f"{table.path.name}: column {clock.column!r}"
+    if pd.api.types.is_numeric_dtype(column.dtype):
+        return None
+    empty = column.isna().to_numpy()
+    if empty.any():
+        first = table.place(int(np.argmax(empty)))
+        raise DataError(
+            f"{where} holds {int(empty.sum())} empty time stamps, the first at {first}. Fill them, "
+            "or leave the rows out; without time stamps give Ts (--sample-time)."
+        )
+    if column.dtype.kind == "M":
+        return of_stamps(column, table.form, where, table.origin)
+    text = column.astype(str)
+    if table.date_column is not None:
+        day = frame[table.date_column].astype(str).str.strip().str.removesuffix(" 00:00:00")
+        both = of_dates(day + " " + text.str.strip(), table.form, where, table.origin)
+        if both is not None:
+            return both
+    dates = of_dates(text, table.form, where, table.origin)
+    return dates or of_times_of_day(text, clock.unit, where)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from casid.data.reading.cells import non_finite, numbers_of, times_of
 from casid.data.reading.clocks import GAP, UNIFORM, time_faults
-from casid.data.reading.columns import Columns, ColumnSpec, resolve
+from casid.data.reading.columns import Columns, Time, resolve
 from casid.data.reading.faults import Fault, Survey
-from casid.data.reading.tables import Table
+from casid.data.reading.file_format import FileFormat
+from casid.data.reading.opening import open_table
 from casid.data.record import BoolArray, FloatArray
 from casid.errors import DataError
 from casid.model.units import to_si
@@ -23,8 +24,9 @@ def iter_chunks(
     columns: Columns | None = None,
     size: int = 100_000,
     *,
-    time: str | ColumnSpec | Sequence[str | None] | None = None,
+    time: Time = None,
     gaps: bool = False,
+    form: FileFormat | None = None,
 ) -> Iterator[dict[str, FloatArray]]:
     """Read a CSV or Parquet file `size` samples at a time, in SI units.
 
@@ -47,9 +49,11 @@ def iter_chunks(
     """
     if size < 2:
         raise DataError(f"chunks of {size} samples. Give a size of at least 2.")
-    table = Table(path)
+    table = open_table(path, form)
     specs, clock = resolve(table, columns, time)
-    wanted = list(dict.fromkeys(s.column for s in (*specs.values(), *([clock] if clock else ()))))
+    day = [table.date_column] if clock and table.date_column else []
+    wanted = [*(s.column for s in specs.values()), *([clock.column] if clock else []), *day]
+    wanted = list(dict.fromkeys(wanted))
     start = 0
     last: float | None = None
     median: float | None = None

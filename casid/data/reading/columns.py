@@ -6,18 +6,21 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from casid.data.reading.header_units import HeaderUnit, header_unit, settled, written_unit
+from casid.data.reading.layout import is_date
 from casid.data.reading.tables import Table
 from casid.errors import DataError, UnitError
-from casid.model.units import ambiguous_units, parse_unit, same_dimension, to_si
+from casid.model.units import parse_unit, same_dimension, to_si
 
-_TIME_NAMES = ("t", "time", "zeit", "timestamp", "seconds", "elapsed", "elapsed_time")
-_BRACKET = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
-# Endings that are more often a word, an index or another unit than what the list reads: x_in is an
-# input, x_bar a mean, x_min a minimum, a_s a sensor's signal, u_ms metres a second.
-_NO_ENDINGS = frozenset(
-    "none 1 h hr min t s in rev bar L l ms us mg sec second seconds minute minutes hour hours "
-    "foot feet amp percent pct".split()
+_TIME_NAMES = frozenset(
+    "t|time|zeit|timestamp|time stamp|seconds|elapsed|elapsed time|zeitstempel|datum|date|datetime"
+    "|date time|datum uhrzeit|date and time|datum zeit|uhrzeit|messzeit|time of day|x value|epoch"
+    "|unix time|unixtime|utc|local time|localtime|time utc|utc time|sample time|rel time|abs time"
+    "|temps|horodatage|tiempo|tempo|fecha|tijd|czas|ts|time stamp utc|recording time".split("|")
 )
+_DATE_NAMES = frozenset("date datum day tag fecha data jour dato".split())
+_CLOCK_NAMES = frozenset("time zeit uhrzeit clock heure hora tid tijd".split())
+CLOCK_FORMATS = ("hh:mm", "mm:ss", "hh:mm:ss")
 
 
 class ColumnSpec(NamedTuple):
@@ -28,50 +31,50 @@ class ColumnSpec(NamedTuple):
     column : str
         Name of the column in the file.
     unit : str, optional
-        Unit in which the file is written. Without one, the ending of the column's name is taken
-        (`phi_deg`, `phi [deg]`) where it fits the target, else the target.
+        Unit in which the file is written. Without one, it is read from the file: a row of units,
+        brackets (`phi [deg]`), `P in kW`, `i/mA`; the ending of the column's name (`phi_deg`)
+        where it fits the target; else it is the target.
     target : str, optional
         Unit the model expects; it fixes the dimension. Channels are always kept in SI.
+    origin : str
+        Where the unit was read; filled in as a file is opened.
     """
 
     column: str
     unit: str | None = None
     target: str | None = None
+    origin: str = ""
 
 
 Columns = Mapping[str, "ColumnSpec | str | Sequence[str | None]"]
+Time = str | ColumnSpec | Sequence[str | None] | None
 
 
 def unit_from_name(column: str) -> str | None:
-    """Return the unit a column's name ends with: `phi_deg`, `phi [deg]`, `u (V)`; None without one.
+    """Return the unit a column's name ends with: `phi_deg`, `phi [deg]`, `i/mA`; None without one.
 
     Only units that can be read in one way count; `x_g` says nothing.
     """
-    bracket = _BRACKET.fullmatch(column)
-    if bracket and bracket[1]:
-        return _readable(bracket[2], bracketed=True) if bracket[2] else "1"
-    stem, underscore, ending = column.rpartition("_")
-    return _readable(ending, bracketed=False) if stem and underscore and ending else None
+    found = header_unit(column)
+    return found.unit if found else None
 
 
-def _readable(text: str, *, bracketed: bool) -> str | None:
-    if not bracketed and text in _NO_ENDINGS:
-        return None
-    try:
-        parse_unit(text)
-    except UnitError:
-        return None
-    return text
+def unit_of_column(table: Table, column: str) -> HeaderUnit | None:
+    """The unit that the file names for a column, beside its name or in it."""
+    if column in table.units:
+        return written_unit(table.units[column], column)
+    return header_unit(re.sub(r"#\d+$", "", column))
 
 
 def resolve(
-    table: Table, columns: Columns | None, time: str | ColumnSpec | Sequence[str | None] | None
+    table: Table, columns: Columns | None, time: Time
 ) -> tuple[dict[str, ColumnSpec], ColumnSpec | None]:
     """Return the channels to read and the time column, every unit settled."""
     clock = _time_column(table, time)
     if columns is None:
-        named = [c for c in table.columns if c]  # an index written out has no name
-        specs = {c: ColumnSpec(c) for c in named if clock is None or c != clock.column}
+        beside = {clock.column, table.date_column} if clock else set()
+        named = [c for c in table.columns if c not in table.unnamed and c not in beside]
+        specs = {c: ColumnSpec(c) for c in named}
     else:
         specs = {name: _spec(value) for name, value in columns.items()}
         for name, spec in specs.items():
@@ -90,53 +93,143 @@ def _spec(value: ColumnSpec | str | Sequence[str | None]) -> ColumnSpec:
             f"column {value!r} cannot be read. Give (column, unit in the file, SI target), "
             "for example ('roll', 'deg', 'rad')."
         )
-    return ColumnSpec(parts[0], *parts[1:])
+    unit, target = (*parts[1:], None, None)[:2]
+    return ColumnSpec(parts[0], unit, target)
 
 
 def _with_unit(table: Table, name: str, spec: ColumnSpec) -> ColumnSpec:
-    unit = spec.unit
-    if unit is None:
-        ending = unit_from_name(spec.column)
-        bracket = _BRACKET.fullmatch(spec.column)
-        if bracket and ending is None and bracket[2] in ambiguous_units():
-            ending = bracket[2]  # refused below: the file names a unit with two readings
-        plain = ending is not None and (spec.target is None or bracket is not None)
-        fits = ending is not None and (plain or same_dimension(ending, spec.target or "1"))
-        unit = ending if fits else spec.target
-    unit = unit or "1"
+    unit, origin = spec.unit, "given"
     try:
+        if unit is None:
+            unit, origin = _read_unit(table, spec)
         to_si([], unit, spec.target)
     except UnitError as error:
         raise UnitError(
             f"{table.path.name}: channel {name} from column {spec.column!r}: {error}"
         ) from None
-    return ColumnSpec(spec.column, unit, spec.target)
+    return ColumnSpec(spec.column, unit, spec.target, origin)
 
 
-def _time_column(
-    table: Table, time: str | ColumnSpec | Sequence[str | None] | None
-) -> ColumnSpec | None:
+def _read_unit(table: Table, spec: ColumnSpec) -> tuple[str, str]:
+    """The unit of a column, and where it was read."""
+    found, target = unit_of_column(table, spec.column), spec.target
+    origin = "from the file's units" if spec.column in table.units else "from its name"
+    if found is not None and found.unit is not None:
+        if found.is_sure or target is None or same_dimension(found.unit, target):
+            return found.unit, origin
+    elif found is not None and target is not None:
+        one = settled(found, target)
+        if one is not None:
+            return one, f"{origin}, the reading of {found.text!r} that fits"
+    if found is not None and found.unit is None and found.why:
+        raise UnitError(
+            f"unit {found.text!r} is ambiguous: {found.text!r} may mean {found.why}. Write which, "
+            f"as in --map SIGNAL={spec.column}:UNIT."
+        )
+    if found is not None and found.unit is None and target is not None:
+        raise UnitError(
+            f"the file's unit {found.text!r} is not in the list of units. Give the unit, as in "
+            f"--map SIGNAL={spec.column}:{target}."
+        )
+    if target is not None:
+        return target, "the model's: the file names none"
+    return "1", "the file names none" if found is None else f"{found.text!r} is no unit"
+
+
+# ---------------------------------------------------------------------- the clock
+
+
+def _time_column(table: Table, time: Time) -> ColumnSpec | None:
     if time is not None:
         spec = _spec(time)
         table.require(spec.column, "t")
-        return _with_unit(table, "t", ColumnSpec(spec.column, spec.unit, "s"))
-    for column in table.columns:
-        bracket = _BRACKET.fullmatch(column)
-        stem, unit = (bracket[1], bracket[2]) if bracket else _time_ending(column)
-        if stem.casefold() in _TIME_NAMES and _is_time(unit):
-            return ColumnSpec(column, unit, "s")
-    return None
+        if spec.unit in CLOCK_FORMATS:
+            return spec._replace(target="s", origin="given")
+        unit = spec.unit or time_unit(table, spec.column)
+        if unit is not None and not _is_days(unit):
+            try:
+                to_si([], unit, "s")
+            except UnitError as error:
+                raise UnitError(
+                    f"{table.path.name}: channel t from column {spec.column!r}: {error}"
+                ) from None
+        return ColumnSpec(spec.column, unit, "s", "given")
+    named = [c for c in table.columns if _is_time_name(table, c)]
+    pair = _date_and_clock(table)
+    if pair is not None and pair[1] not in named[:1]:
+        named = [pair[1], *named]
+    if pair is not None:
+        table.date_column = pair[0]
+        named = [c for c in named if c != pair[0]]
+    if not named:
+        named = [c for c in table.columns if c not in table.units and _is_dated(table, c)]
+        named = named if len(named) == 1 else []
+    if not named:
+        return None
+    table.clocks = tuple(named)
+    return ColumnSpec(named[0], time_unit(table, named[0]), "s", "found by its name")
+
+
+def time_unit(table: Table, column: str) -> str | None:
+    """The unit of time that the file names for a column, None where it names none."""
+    found = unit_of_column(table, column)
+    if (
+        found is not None
+        and found.unit is not None
+        and (_is_time(found.unit) and found.unit != "1")
+    ):
+        return found.unit
+    _, unit = _time_ending(column)
+    return unit
+
+
+def _is_time_name(table: Table, column: str) -> bool:
+    found = unit_of_column(table, column)
+    text = re.sub(r"#\d+$", "", column)
+    if found is not None and found.is_sure and column not in table.units:
+        stem = found.stem
+        if found.unit is None or not (_is_time(found.unit) or found.unit == "1"):
+            if not _is_days(found.text) and not re.search("hh|mm:|yy|jj|utc", found.text, re.I):
+                return False
+    else:
+        bracket = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]", text)
+        stem = bracket[1] if bracket and re.search("hh|mm:|yy|jj|utc|d", bracket[2], re.I) else text
+        stem = _time_ending(stem)[0]
+    name = re.sub(r"[\s_\-/.,:]+", " ", stem).strip().casefold()
+    return name in _TIME_NAMES
+
+
+def _date_and_clock(table: Table) -> tuple[str, str] | None:
+    """A column of dates and one of times of day, where a file has both."""
+
+    def of(names: frozenset[str], pattern: str) -> list[str]:
+        found = [c for c in table.columns if re.sub(r"\W.*", "", c).casefold() in names]
+        cells = {c: table.sample(c) for c in found}
+        return [c for c, v in cells.items() if v and all(re.search(pattern, x) for x in v)]
+
+    dates = of(_DATE_NAMES, r"^\d{1,4}[-./ ]\w+\.?[-./ ]\d{1,4}(?:[T ]00:00:00)?$")
+    clocks = of(_CLOCK_NAMES, r"^\d{1,2}:\d{2}")
+    return (dates[0], clocks[0]) if len(dates) == 1 and len(clocks) == 1 else None
+
+
+def _is_dated(table: Table, column: str) -> bool:
+    cells = table.sample(column)
+    return bool(cells) and all(is_date(c) for c in cells)
+
+
+def _is_days(unit: str) -> bool:
+    return unit in {"d", "day", "days", "Tage"}
 
 
 def _is_time(unit: str) -> bool:
     try:
-        return same_dimension(unit, "s")
+        return parse_unit(unit).dimension == parse_unit("s").dimension
     except UnitError:
         return False
 
 
-def _time_ending(column: str) -> tuple[str, str]:
+def _time_ending(column: str) -> tuple[str, str | None]:
     stem, underscore, ending = column.rpartition("_")
-    if underscore and ending in {"s", "sec", "ms", "us", "min", "h"}:
+    if underscore and ending in {"s", "sec", "ms", "us", "min", "h", "d"}:
         return stem, ending
-    return column, "s"
+    return column, None

@@ -56,6 +56,7 @@ class Survey:
     times : the time stamps [s], None where they cannot be read.
     columns : every column of the file, in order; empty where the file is no table.
     clock : name of the time column; None where there is none.
+    notes : what was read and how, where it is not plain: time stamps, lines that are not read ...
     """
 
     path: Path
@@ -64,6 +65,7 @@ class Survey:
     times: FloatArray | None = None
     columns: tuple[ColumnSurvey, ...] = ()
     clock: str | None = None
+    notes: list[str] = field(default_factory=list)
 
     def with_fault(self, fault: Fault) -> Survey:
         """Itself, one fault more noted."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
-from casid.data.reading.columns import Columns, ColumnSpec
+from casid.data.reading.columns import Columns, Time
 from casid.data.reading.faults import Survey
+from casid.data.reading.file_format import FileFormat
+from casid.data.reading.opening import open_table
 from casid.data.reading.sources import source_of
 from casid.data.reading.survey import ReadingOptions, survey
-from casid.data.reading.tables import Table
 from casid.data.record import Record
 from casid.errors import DataError, UnitError
 
@@ -18,25 +18,29 @@ def read_record(
     path: str | Path,
     columns: Columns | None = None,
     *,
-    time: str | ColumnSpec | Sequence[str | None] | None = None,
+    time: Time = None,
     window: tuple[float, float] | None = None,
     name: str | None = None,
     resample: float | None = None,
     Ts: float | None = None,
     mark_missing: bool = False,
+    form: FileFormat | None = None,
 ) -> Record:
-    """Read a record from a CSV or Parquet file, in SI units.
+    """Read a record from a file, in SI units.
 
     Parameters
     ----------
-    path : path of a CSV (comma, semicolon or tab) or Parquet file
+    path : path of a table in text (CSV, TSV, LabVIEW, also in gzip or zip), Parquet, Excel, MATLAB,
+        HDF5, TDMS, MDF 4, NumPy or a ROS bag; the extras `casid[excel]`, `casid[matlab]` and
+        `casid[daq]` bring what reads the last ones.
         May carry a window, `run.csv@12:194`.
     columns : mapping of channel name to ColumnSpec, optional
         A column's name alone, or a tuple (column, unit in the file, SI target), will do. Without
-        it every column of numbers is read under its own name, its unit from the name's ending.
+        it every column of numbers is read under its own name, its unit from the file.
     time : column of the time stamps, optional
-        Found by its name (`t`, `time`, `t_s`, `time [ms]` ...) where not given. A file without
-        one needs `Ts`.
+        Found by its name (`t`, `time`, `t_ms`, `t / s`, `Zeit [min]` ...), or as the one column of
+        dates, where not given. Numbers with a unit of time, dates, times of day, seconds since
+        1970, serial days of Excel or MATLAB. A file without one needs `Ts`.
     window : (start, stop), optional
         Seconds of the record's own clock; ends may be infinite. Only samples inside are judged.
     name : str, optional
@@ -48,6 +52,9 @@ def read_record(
         Sample time [s] of a file without time stamps; its clock starts at 0.
     mark_missing : bool
         Mark empty cells, NaN and Inf as missing instead of refusing them.
+    form : FileFormat, optional
+        How the file is written, where the file itself leaves it open: order of dates, decimal
+        mark, encoding, sheet, time zone, cells that stand for no value.
 
     Returns
     -------
@@ -62,7 +69,7 @@ def read_record(
     UnitError
         For a unit that cannot be read or does not fit the channel.
     """
-    options = ReadingOptions(time, window, name, resample, Ts, mark_missing)
+    options = ReadingOptions(time, window, name, resample, Ts, mark_missing, form)
     return _sound_record(survey(path, columns, options, describe=False))
 
 
@@ -77,7 +84,7 @@ def _sound_record(found: Survey) -> Record:
     return found.record
 
 
-def column_names(path: str | Path) -> tuple[str, ...]:
+def column_names(path: str | Path, form: FileFormat | None = None) -> tuple[str, ...]:
     """Return the names of a file's columns, in order, without reading its samples.
 
     A window behind the path, `run.csv@12:194`, is passed over.
@@ -87,4 +94,4 @@ def column_names(path: str | Path) -> tuple[str, ...]:
     DataError
         If there is no such file, or it is no table.
     """
-    return tuple(Table(source_of(path)[0]).columns)
+    return tuple(open_table(source_of(path)[0], form).columns)

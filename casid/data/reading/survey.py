@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from casid.data.reading.cells import non_finite, numbers_of, times_of
-from casid.data.reading.clocks import time_faults, window_rows
+from casid.data.reading.clocks import UNIFORM, time_faults, window_rows
 from casid.data.reading.column_survey import column_surveys
-from casid.data.reading.columns import Columns, ColumnSpec, resolve
+from casid.data.reading.columns import Columns, ColumnSpec, Time, resolve, time_unit
 from casid.data.reading.faults import Fault, Survey
+from casid.data.reading.file_format import FileFormat
+from casid.data.reading.opening import open_table
 from casid.data.reading.resampling import resampled
 from casid.data.reading.sources import limit_text, sha256, source_of
 from casid.data.reading.tables import Table
@@ -28,14 +30,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ReadingOptions:
-    """How a file is read: `time` to `mark_missing` of `casid.read_record`."""
+    """How a file is read: `time` to `form` of `casid.read_record`."""
 
-    time: str | ColumnSpec | Sequence[str | None] | None = None
+    time: Time = None
     window: tuple[float, float] | None = None
     name: str | None = None
     resample: float | None = None
     Ts: float | None = None
     mark_missing: bool = False
+    form: FileFormat | None = None
+
+    @property
+    def format(self) -> FileFormat:
+        """`form`, with the sample time."""
+        form = self.form or FileFormat()
+        return form if self.Ts is None else replace(form, Ts=self.Ts)
 
 
 def survey(
@@ -60,39 +69,21 @@ def survey(
     source, own_window = source_of(path)
     options = options or ReadingOptions()
     window = own_window if options.window is None else options.window
-    Ts, resample = options.Ts, options.resample
-    _require_positive(resample=resample, Ts=Ts)
+    resample = options.resample
+    _require_positive(resample=resample, Ts=options.Ts)
     found = Survey(source)
-    try:
-        table = Table(source)
-        frame = table.read(table.columns) if describe else None
-    except DataError as error:
-        return found.with_fault(Fault("file", str(error), ""))
-    try:
-        specs, clock = _resolved(table, columns, options.time, Ts)
-        if frame is None:
-            frame = table.read(_used(specs, clock))
-    except DataError as error:
-        if frame is not None:
-            found.columns = column_surveys(table, frame, None, None)
-        return found.with_fault(
-            Fault("unit" if isinstance(error, UnitError) else "file", str(error), "")
-        )
-    N = len(frame)
+    opened = _opened(found, columns, options.time, options.format, describe=describe)
+    if opened is None:
+        return found
+    N = len(opened.frame)
     if N < 2:
         count = f"{N} sample{'' if N == 1 else 's'}"
         text = f"{source.name}: {count}; a record needs at least 2."
         return found.with_fault(Fault("length", text, "Give a longer file."))
-    steps = [f"read {source.name} (sha256 {sha256(source)}), {N} samples"]
-    if clock is None:
-        assert Ts is not None
-        found.times = Ts * np.arange(N, dtype=np.float64)
-        steps.append(f"no time column; Ts = {Ts:g} s given, clock starts at 0")
-    else:
-        found.times, found.clock = times_of(table, frame, clock, found), clock.column
-        steps.append(f"time column {clock.column} [{clock.unit}]")
+    steps = [f"read {source.name}{_digest(source)}, {N} samples"]
+    _read_clock(opened, found, steps, is_chosen=options.time is not None)
     if describe:
-        found.columns = column_surveys(table, frame, found.clock, found.times)
+        found.columns = column_surveys(opened.table, opened.frame, found.clock, found.times)
     rows: NDArray[np.intp] = np.arange(N)
     if found.times is not None and window is not None:
         inside = window_rows(source.name, found.times, window, found)
@@ -101,14 +92,113 @@ def survey(
             rows = rows[inside]
             steps.append(f"window {_window_text(window)} s: {rows.size} samples")
     skip_text, mark = columns is None, options.mark_missing
-    channels = _channels(table, frame, specs, rows, found, steps, skip_text=skip_text, mark=mark)
-    if found.times is None or not _is_even(table, clock, rows, found, resample):
+    channels = _channels(opened, rows, found, steps, skip_text=skip_text, mark=mark)
+    steps += [f"remark: {note}" for note in found.notes]
+    if found.times is None or not _is_even(opened, rows, found, resample):
         return found
     if not channels.values:
         return found
-    label = options.name or source.stem + (f"@{_window_text(window)}" if window is not None else "")
+    label = options.name or _stem(source) + (
+        f"@{_window_text(window)}" if window is not None else ""
+    )
     found.record = _record(channels, found, resample, label, steps)
     return found
+
+
+class _Opened(NamedTuple):
+    """A table, its cells, the channels to read from it, and its clock."""
+
+    table: Table
+    frame: pd.DataFrame
+    specs: dict[str, ColumnSpec]
+    clock: ColumnSpec | None
+
+
+def _opened(
+    found: Survey, columns: Columns | None, time: Time, form: FileFormat, *, describe: bool
+) -> _Opened | None:
+    """The table, its cells, the channels to read and the clock; None, with a fault noted, else."""
+    try:
+        table = open_table(found.path, form)
+        found.notes += table.remarks
+        frame = table.read(table.columns) if describe else None
+    except DataError as error:
+        found.with_fault(Fault("file", str(error), ""))
+        return None
+    try:
+        specs, clock = _resolved(table, columns, time)
+        if frame is None:
+            frame = table.read(_used(table, specs, clock))
+        return _Opened(table, frame, specs, clock)
+    except DataError as error:
+        if frame is not None:
+            found.columns = column_surveys(table, frame, None, None)
+        kind = "unit" if isinstance(error, UnitError) else "file"
+        found.with_fault(Fault(kind, str(error), ""))
+        return None
+
+
+def _read_clock(opened: _Opened, found: Survey, steps: list[str], *, is_chosen: bool) -> None:
+    """Read the time stamps into `found`, its faults with them."""
+    table, frame, _, clock = opened
+    if clock is None:
+        step = table.form.Ts
+        assert step is not None
+        found.times = step * np.arange(len(frame), dtype=np.float64)
+        steps.append(f"no time column; Ts = {step:g} s given, clock starts at 0")
+        return
+    found.times, found.clock = times_of(table, frame, clock, found), clock.column
+    unit = clock.unit or ("" if found.notes[len(table.remarks) :] else "s, the file names no unit")
+    steps.append(f"time column {clock.column}" + (f" [{unit}]" if unit else ""))
+    if is_chosen or found.times is None:
+        return
+    _compare_clocks(table, frame, clock, found.times, found)
+
+
+def _compare_clocks(
+    table: Table, frame: pd.DataFrame, clock: ColumnSpec, times: FloatArray, found: Survey
+) -> None:
+    """Add the fault of a second clock that disagrees with the first, whose times [s] are given."""
+    for other in (c for c in table.clocks if c != clock.column and c in frame):
+        second = _times_quietly(table, frame, other)
+        if second is None or second.size != times.size:
+            continue
+        apart = _distance(times, second)
+        if apart is None:
+            found.notes.append(f"time was read from {clock.column!r}, as {other!r} shows it too")
+            continue
+        found.faults.append(
+            Fault(
+                "clocks",
+                f"{table.path.name}: two clocks, columns {clock.column!r} and {other!r}, which "
+                f"differ by up to {apart:.4g} s.",
+                f"Say which one the channels were sampled by, --map t='{clock.column}' or "
+                f"--map t='{other}'; channels of the other one belong into a file of their own.",
+                other,
+            )
+        )
+        return
+
+
+def _times_quietly(table: Table, frame: pd.DataFrame, column: str) -> FloatArray | None:
+    """The time stamps of a second clock [s]; None where they cannot be read."""
+    origin, table.origin = table.origin, None
+    try:
+        spec = ColumnSpec(column, time_unit(table, column), "s")
+        return times_of(table, frame, spec, Survey(table.path))
+    finally:
+        table.origin = origin
+
+
+def _distance(times: FloatArray, second: FloatArray) -> float | None:
+    """How far two clocks run apart [s]; None where no farther than they can resolve."""
+    a, b = times - times[0], second - second[0]
+    steps = [s[s > 0] for s in (np.diff(a), np.diff(b))]
+    if any(s.size == 0 for s in steps):
+        return None
+    coarse = [s.min() if s.size < times.size - 1 else 0.0 for s in steps]
+    apart = float(np.abs(a - b).max())
+    return apart if apart > UNIFORM * float(np.median(steps[0])) + 1.01 * max(coarse) else None
 
 
 def _require_positive(**seconds: float | None) -> None:
@@ -116,6 +206,15 @@ def _require_positive(**seconds: float | None) -> None:
     for option, value in seconds.items():
         if value is not None and not (np.isfinite(value) and value > 0):
             raise DataError(f"{option} = {value!r} s. Give a positive number of seconds.")
+
+
+def _digest(source: Path) -> str:
+    return f" (sha256 {sha256(source)})" if source.is_file() else ""
+
+
+def _stem(source: Path) -> str:
+    """The file's name without its ending; `run.csv.gz` is `run`."""
+    return Path(source.stem).stem if source.suffix == ".gz" else source.stem
 
 
 @dataclass(slots=True)
@@ -128,32 +227,32 @@ class _Channels:
 
 
 def _resolved(
-    table: Table,
-    columns: Columns | None,
-    time: str | ColumnSpec | Sequence[str | None] | None,
-    Ts: float | None,
+    table: Table, columns: Columns | None, time: Time
 ) -> tuple[dict[str, ColumnSpec], ColumnSpec | None]:
     """The channels to read from a table, and its clock; refused where there is none."""
-    specs, clock = resolve(table, columns, time)
-    if clock is None and Ts is None:
+    specs, clock = resolve(table, columns, time if table.form.Ts is None else None)
+    if table.form.Ts is not None and time is None:
+        return specs, None
+    if clock is None:
         alone = len(table.columns) == 1
         raise DataError(
             f"{table.path.name}: no time column found among {', '.join(table.columns)}. "
             + ("Separate columns by comma, semicolon or tab. " if alone else "")
-            + "Name it with time='column', or give the sample time with Ts=0.01."
+            + "Name it with --map t=COLUMN (time='column'), or give the sample time with "
+            "--sample-time 0.01 (Ts=0.01)."
         )
     return specs, clock
 
 
-def _used(specs: Mapping[str, ColumnSpec], clock: ColumnSpec | None) -> list[str]:
+def _used(table: Table, specs: Mapping[str, ColumnSpec], clock: ColumnSpec | None) -> list[str]:
     """The columns that are read, each once."""
-    return list(dict.fromkeys(s.column for s in (*specs.values(), *([clock] if clock else ()))))
+    beside = [*table.clocks, *([table.date_column] if table.date_column else [])] if clock else []
+    wanted = [*(s.column for s in specs.values()), *([clock.column] if clock else []), *beside]
+    return list(dict.fromkeys(wanted))
 
 
 def _channels(
-    table: Table,
-    frame: pd.DataFrame,
-    specs: Mapping[str, ColumnSpec],
+    opened: _Opened,
     rows: NDArray[np.intp],
     found: Survey,
     steps: list[str],
@@ -162,12 +261,16 @@ def _channels(
     mark: bool,
 ) -> _Channels:
     """Read the channels; faults and steps are noted."""
+    table, frame, specs, _ = opened
     channels = _Channels()
     for channel, spec in specs.items():
         numbers = numbers_of(table, frame, channel, spec, found, skip_text=skip_text)
         if numbers is None:
             if not found.faults or found.faults[-1].column != spec.column:
                 steps.append(f"column {spec.column} left out: it holds no numbers")
+            continue
+        if skip_text and not np.isfinite(numbers).any():
+            steps.append(f"column {spec.column} left out: it is empty")
             continue
         numbers = numbers[rows]
         bad = ~np.isfinite(numbers)
@@ -180,7 +283,10 @@ def _channels(
         channels.values[channel] = to_si(numbers, unit, target)
         kept = target if target and parse_unit(target).is_si else si_unit(unit)
         channels.units[channel] = kept
-        steps.append(f"column {spec.column} [{unit}] to {channel} [{kept}]")
+        steps.append(
+            f"column {spec.column} [{unit}] to {channel} [{kept}]{conversion_text(unit)}"
+            + (f"; unit {spec.origin}" if spec.origin else "")
+        )
     if not channels.values and not found.faults:
         text = f"{table.path.name}: no column of numbers beside the time stamps."
         remedy = f"The file holds {', '.join(table.columns)}; give a file with measurements."
@@ -189,13 +295,10 @@ def _channels(
 
 
 def _is_even(
-    table: Table,
-    clock: ColumnSpec | None,
-    rows: NDArray[np.intp],
-    found: Survey,
-    resample: float | None,
+    opened: _Opened, rows: NDArray[np.intp], found: Survey, resample: float | None
 ) -> bool:
     """Whether the clock can be used; its faults are noted otherwise."""
+    table, clock = opened.table, opened.clock
     if clock is None or found.times is None:
         return True
     faults = time_faults(found.times, table.path.name, lambda k: table.place(int(rows[k])))
@@ -222,6 +325,14 @@ def _record(
         remedy = f"Resample nearer to the median interval, resample={median:.6g}."
         found.faults.append(Fault("resample", str(error), remedy))
         return None
+
+
+def conversion_text(unit: str) -> str:
+    """How a number in `unit` becomes SI: `: times 0.001`, `: plus 273.15`; empty for none."""
+    parsed = parse_unit(unit)
+    parts = [f"times {parsed.factor:.9g}"] if parsed.factor != 1.0 else []
+    parts += [f"plus {parsed.offset:.9g}"] if parsed.offset else []
+    return f": {', '.join(parts)}" if parts else ""
 
 
 def _window_text(window: tuple[float, float]) -> str:

@@ -1,0 +1,185 @@
+"""Units as headers write them: `phi [deg]`, `u (V)`, `P in kW`, `i/mA`, `t / s`, `phi_deg`."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+from casid.errors import UnitError
+from casid.model.units import ambiguous_units, parse_unit, same_dimension
+
+_BRACKET = re.compile(r"(.*?)\s*(?:\[\s*([^\]]*?)\s*\]|\(\s*([^)]*?)\s*\)|<\s*([^>]*?)\s*>)\s*(.*)")
+_IN = re.compile(r"(.+?)[\s_,]+in[\s_]+(\S.*)", re.IGNORECASE)
+_SLASH = re.compile(r"(.+?)\s*/\s*([^\s\d].*)")
+_SPACE = re.compile(r"(.*\S)[\s,]+(\S+)")
+# Endings that are more often a word, an index or another unit than what the list reads: x_in is an
+# input, x_bar a mean, x_min a minimum, a_s a sensor's signal, u_ms metres a second.
+_NO_ENDINGS = frozenset(
+    "none 1 h hr min t s in rev bar L l ms us mg sec second seconds minute minutes hour hours "
+    "foot feet amp percent pct d day days - % gram grams".split()
+)
+# What the list of units does not have, as loggers write it.
+_WRITTEN = {
+    "sek": "s",
+    "sekunde": "s",
+    "sekunden": "s",
+    "msek": "ms",
+    "millisekunden": "ms",
+    "milliseconds": "ms",
+    "microseconds": "us",
+    "minuten": "min",
+    "mins": "min",
+    "std": "h",
+    "stunde": "h",
+    "stunden": "h",
+    "umdr/min": "rpm",
+    "umin": "rpm",
+    "u/min": "rpm",
+    "1/min (rpm)": "rpm",
+    "grad celsius": "degC",
+    "grad c": "degC",
+    "deg c": "degC",
+    "deg_c": "degC",
+    "°celsius": "degC",
+    "º": "deg",
+    "ºc": "degC",
+    "prozent": "%",
+    "liter/min": "L/min",
+    "w/m²": "W/m^2",
+    "arb. units": "1",
+    "a.u.": "1",
+    "raw": "1",
+    "counts": "1",
+    "count": "1",
+    "digits": "1",
+    "lsb": "1",
+    "bool": "1",
+    "0/1": "1",
+}
+# Names with two readings, as units of the list; the model's unit may settle which.
+_READINGS = {
+    "C": ("degC", "A s"),
+    "F": ("degF", "A s/V"),
+    "g": ("gram", "g0"),
+    "G": ("g0",),
+    "KN": ("kN", "kn"),
+    "Kn": ("kN", "kn"),
+    "KT": ("kn", "t"),
+    "kt": ("kn", "t"),
+    "nm": ("nmi", "N m", "um"),
+    "NM": ("nmi", "N m"),
+    "nM": ("nmi", "N m"),
+    "T": ("t", "s"),
+    "S": ("s", "1/ohm"),
+    "lb": ("lbm", "lbf"),
+    "lbs": ("lbm", "lbf"),
+    "grad": ("deg", "degC"),
+}
+_TWO_FOLD = {
+    "grad": "deg (degree of angle) or degC (degree Celsius)",
+    "1/min": "rpm (revolutions a minute) or rad/min",
+    "min-1": "rpm (revolutions a minute) or rad/min",
+    "min^-1": "rpm (revolutions a minute) or rad/min",
+    "/min": "rpm (revolutions a minute) or rad/min",
+}
+
+
+class HeaderUnit(NamedTuple):
+    """A unit that a header may name.
+
+    Attributes
+    ----------
+    text : as written.
+    unit : as the list of units reads it; None where it cannot be read in one way.
+    stem : the header without it.
+    is_sure : it stands in brackets, behind "in" or a slash, or in a row of units; a mere ending of
+        the name is a hint.
+    why : where it cannot be read, the readings or that there is none.
+    """
+
+    text: str
+    unit: str | None
+    stem: str
+    is_sure: bool
+    why: str = ""
+
+
+def header_unit(column: str) -> HeaderUnit | None:
+    """The unit that a column's name ends with; None where it has none."""
+    bracket = _BRACKET.fullmatch(column)
+    if bracket and bracket[1] and (bracket[2] is not None or not bracket[5]):
+        text = next(t for t in bracket.groups()[1:4] if t is not None)
+        found = written_unit(text, bracket[1])
+        if found.unit is not None or found.why or bracket[2] is not None:
+            return found
+        return None  # (filtered) is part of the name
+    if " / " not in column and _reads(column) is not None and column[:2] != "t/":
+        return None  # a unit without a name; t / s is a time in seconds, not tonnes
+    space = _SPACE.fullmatch(column)
+    if space and "/" in space[2][1:] and not space[1].endswith("/") and _reads(space[2]):
+        return HeaderUnit(space[2], _reads(space[2]), space[1], True)
+    for pattern in (_IN, _SLASH):
+        match = pattern.fullmatch(column)
+        if match:
+            found = written_unit(match[2], match[1])
+            if found.unit is not None or found.why:
+                return found
+    stem, underscore, ending = column.rpartition("_")
+    if stem and underscore and ending:
+        hint = None if ending in _NO_ENDINGS else _reads(ending)
+        return HeaderUnit(ending, hint, stem, False) if hint else None
+    if space and space[2] not in _NO_ENDINGS and (len(space[2]) > 1 or not space[2].isalpha()):
+        hint = _reads(space[2])
+        return HeaderUnit(space[2], hint, space[1], space[2][0] in "°%") if hint else None
+    return None
+
+
+def written_unit(text: str, stem: str = "") -> HeaderUnit:
+    """A unit where one is written: in brackets, or in a row of units."""
+    text = text.strip()
+    text = re.sub(r"^[\[(<]\s*(.*?)\s*[\])>]$", r"\1", text) if len(text) > 1 else text
+    unit = _reads(text)
+    if unit is not None:
+        return HeaderUnit(text, unit, stem, True)
+    if re.fullmatch(r"\d+", text):  # an index
+        return HeaderUnit(text, "1", stem, False)
+    return HeaderUnit(text, None, stem, True, _readings_of(text))
+
+
+def _reads(text: str) -> str | None:
+    """The unit of the list that `text` stands for, where there is one alone."""
+    if not text:
+        return "1"
+    if text.casefold() in _TWO_FOLD:
+        return None
+    for candidate in (text, _WRITTEN.get(text.casefold())):
+        if candidate is None:
+            continue
+        try:
+            parse_unit(candidate)
+        except UnitError:
+            continue
+        return candidate
+    return None
+
+
+def _readings_of(text: str) -> str:
+    return ambiguous_units().get(text) or _TWO_FOLD.get(text.casefold(), "")
+
+
+def settled(found: HeaderUnit, target: str) -> str | None:
+    """The one reading of an ambiguous unit that has the target's dimension; None otherwise."""
+    readings = _READINGS.get(found.text) or _READINGS.get(found.text.casefold(), ())
+    fits = [u for u in readings if same_dimension(u, target)]
+    return fits[0] if len(fits) == 1 else None
+
+
+def looks_like_unit(cell: str) -> bool:
+    """Whether a cell may be one of a row of units; empty ones and dashes may."""
+    cell = cell.strip()
+    if not cell or cell in {"-", "--"}:
+        return True
+    if re.fullmatch(r"[hdmyHMSDYTjJ:./\- ]{5,}", cell):  # hh:mm:ss, dd.mm.yyyy
+        return True
+    found = written_unit(cell)
+    return found.is_sure and (found.unit is not None or bool(found.why))
