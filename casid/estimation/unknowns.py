@@ -86,6 +86,8 @@ class Unknowns:
         if clip:
             start = float(np.clip(start, lower, upper))
         elif not lower <= start <= upper:
+            if source in self.model.declared_units:
+                start, lower, upper = (self.model.shown(source, v) for v in (start, lower, upper))
             raise SolveError(
                 f"start {name} = {start:g} lies outside its bounds [{lower:g}, {upper:g}]; "
                 "move the start inside or widen the bounds"

@@ -30,7 +30,14 @@ from casid.model.declared_units import (
     si_text,
 )
 from casid.model.serialisation import packed, unpacked
-from casid.model.units import from_si, is_si, same_dimension, to_si, unit_quotient
+from casid.model.units import (
+    difference_from_si,
+    from_si,
+    is_si,
+    same_dimension,
+    to_si,
+    unit_quotient,
+)
 
 Expr = Any  # a CasADi SX expression, or a number where one is meant
 Hold = Literal["zoh", "foh"]
@@ -506,6 +513,14 @@ class Model:
     def _converted(self, name: str, value: float, convert: Callable[..., Any]) -> float:
         unit = self.declared_units.get(name.partition("@")[0].partition("(")[0])
         return value if unit is None or self.takes_si else float(convert(value, unit))
+
+    def shown(self, name: str, value: float) -> float:
+        """An SI value of a parameter, state, input or output in the unit that it declares."""
+        return float(from_si(value, self.unit_of(name)))
+
+    def shown_size(self, name: str, size: float) -> float:
+        """An SI difference, RMS error or standard deviation in the unit that `name` declares."""
+        return float(difference_from_si(size, self.unit_of(name)))
 
     def taking_si(self, yes: bool = True) -> Model:
         """A copy whose methods take numbers by name in SI, as the library's own calls do."""

@@ -195,7 +195,7 @@ class Planner:
             new.append(Experiment(made.record, {**made.known, **known}, made.name))
             starts.append(start)
         old = self.again()
-        values = ", ".join(f"{k} = {v:g}" for k, v in known.items())
+        values = ", ".join(f"{k} = {self.model.shown(k, v):g}" for k, v in known.items())
         return Planned(
             f"second load: {name}",
             f"a second record under the load {name} ({values}), analysed with the present one",

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from casid.estimation.estimate import Estimated
+from casid.model.units import parse_unit, si_unit
 
 Verdict = Literal["adequate", "deficient", "undecided"]
 
@@ -54,12 +55,22 @@ class Cause:
     # record -> parameter -> value; empty where one value explains all records
 
     def in_units(self, units: Mapping[str, str]) -> Cause:
-        """The cause with the parameters that `units` names in those units."""
+        """The cause with its parameters in the units that `units` has for them.
+
+        What is no parameter of a model (the limit of clipped samples) has the channel's unit.
+        """
+        channel = units.get(self.where)
+
+        def converted(p: Estimated) -> Estimated:
+            if p.name not in units and channel is not None and si_unit(channel) == p.unit:
+                return p if parse_unit(channel).offset else p.in_unit(channel)
+            return p.in_unit(units.get(p.name, p.unit))
+
         return replace(
             self,
-            parameters=tuple(p.in_unit(units.get(p.name, p.unit)) for p in self.parameters),
+            parameters=tuple(converted(p) for p in self.parameters),
             by_record={
-                record: {n: p.in_unit(units.get(n, p.unit)) for n, p in values.items()}
+                record: {n: converted(p) for n, p in values.items()}
                 for record, values in self.by_record.items()
             },
         )

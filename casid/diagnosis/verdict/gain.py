@@ -84,7 +84,11 @@ def bounds_met(problem: Problem, fit: Fit) -> dict[str, str]:
         p = problem.model.parameters.get(v.source)
         for side in ("lower", "upper"):
             if p is not None and v.name in getattr(fit.solution, f"at_{side}"):
-                met[v.name] = f"{v.name} at its {side} bound ({getattr(p, side):g} {p.unit})"
+                end, unit = (
+                    problem.model.shown(p.name, getattr(p, side)),
+                    problem.model.unit_of(p.name),
+                )
+                met[v.name] = f"{v.name} at its {side} bound ({end:g} {unit})"
     return met
 
 

@@ -112,8 +112,9 @@ def verdict_sentence(
     for output, before in part.get("baseline_rmse", {}).items():
         after = part.get("extended_rmse", {}).get(output)
         if after is not None:
-            unit = problem.model.outputs[output][1]
-            gains.append(f"{output} from {before:.3g} to {after:.3g} {unit}")
+            low, high = (problem.model.shown_size(output, e) for e in (after, before))
+            unit = problem.model.unit_of(output)
+            gains.append(f"{output} from {high:.3g} to {low:.3g} {unit}")
     what = "it" if len(causes) == 1 else "them"
     gain = f" Including {what} lowers the RMS error of {', '.join(gains)}." if gains else ""
     return f"{text[0].upper()}{text[1:]}.{gain}"
@@ -121,24 +122,29 @@ def verdict_sentence(
 
 def noise_text(at: Weighted) -> dict[str, str]:
     """Channel or balance -> what the noise found there is."""
+
+    def text_of(name: str, sd: float) -> str:
+        return f"{at.model.shown_size(name, sd):.3g} {at.model.unit_of(name)}"
+
     out = {
-        name: f"white output noise {sd:.3g} {at.model.outputs[name][1]}"
+        name: f"white output noise {text_of(name, sd)}"
         for name, sd in zip(at.criterion.outputs, at.full.output_sd.tolist(), strict=True)
     }
     for source, sd in at.full.source_sd.items():
         if sd <= 0:
             continue
         if source in at.model.inputs:
-            own, unit = at.input_sd.get(source, 0.0), at.model.inputs[source].unit
-            text = f"white input noise {own:.3g} {unit}"
+            own = at.input_sd.get(source, 0.0)
+            text = f"white input noise {text_of(source, own)}"
             moves = max(float(np.std(e.record[source])) for e in at.criterion.experiments)
             if sd > moves:
                 text += (
                     f"; the residual implies more than the motion of {source} itself "
-                    f"({moves:.3g} {unit}): it is model error, not noise of {source}"
+                    f"({text_of(source, moves)}): it is model error, not noise of {source}"
                 )
             elif sd > JUDGING.more_noise * max(own, TINY):
-                text += f"; the residual implies as much as {sd:.3g}, a disturbance or model error"
+                most = text_of(source, sd)
+                text += f"; the residual implies as much as {most}, a disturbance or model error"
         else:
             text = f"disturbance {sd:.3g} {at.model.balances[source].unit} a sample"
         out[source] = text
