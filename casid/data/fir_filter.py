@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike
 
 from casid.data.record import BoolArray, FloatArray, Record
 from casid.errors import DataError
+from casid.presentation import Presented, present
 
 Edges = Literal["trim", "reflect"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FirFilter:
+class FirFilter(Presented):
     """A symmetric FIR filter, applied centred: zero phase at every frequency.
 
     Attributes
@@ -67,15 +68,7 @@ class FirFilter:
 
     def describe(self, frequencies_hz: Iterable[float] = ()) -> str:
         """Return the design and the gain at DC, at given frequencies, and where it halves."""
-        lines = [f"{self.design}; {self.taps.size} taps, Ts = {self.Ts:g} s, zero phase"]
-        grid = np.linspace(0.0, 0.5 / self.Ts, 4001)
-        below = np.flatnonzero(self.gain(grid) < 0.5)
-        lines.append(f"  gain at DC      {float(self.gain(0.0)):.9f}")
-        for f in frequencies_hz:
-            lines.append(f"  gain at {f:g} Hz".ljust(17) + f" {float(self.gain(f)):.4f}")
-        if below.size:
-            lines.append(f"  gain 0.5 at     {grid[below[0]]:.4g} Hz")
-        return "\n".join(lines)
+        return str(present(self, "text", tuple(frequencies_hz)))
 
     def __repr__(self) -> str:
         return f"<FirFilter {self.design}: {self.taps.size} taps, Ts = {self.Ts:g} s>"

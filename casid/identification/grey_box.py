@@ -6,7 +6,6 @@ criterion (2.36)-(2.38) of Linder (2017), an NLP whose criterion is one pass ove
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Unpack
@@ -28,6 +27,7 @@ from casid.identifiability.requirement import require_identifiable
 from casid.linear.kalman import Predictor
 from casid.linear.noisy_model import White
 from casid.model.model import Model
+from casid.presentation import Presented
 
 SOURCES = (
     "L. Ljung, System Identification, 2nd ed., Prentice Hall 1999: prediction error",
@@ -56,7 +56,7 @@ ASSUMES = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
+class Prediction(Presented):
     """A minimum of the prediction-error criterion: the estimate and the predictors it gives."""
 
     estimate: Estimate
@@ -112,13 +112,6 @@ class Prediction:
 
     def __repr__(self) -> str:
         return f"<Prediction {self.estimate!r}>"
-
-    def __str__(self) -> str:
-        noise = ", ".join(f"{name} {sd:.4g}" for name, (sd, _) in self.noise.items())
-        return f"{self.estimate}\n  noise         standard deviations: {noise}"
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(str(self))}</pre>"
 
 
 def minimize_prediction_error(

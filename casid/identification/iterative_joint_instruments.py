@@ -28,6 +28,7 @@ from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.reference_filter import Filter
 from casid.identification.moment_estimators import instrumental_variables
 from casid.model.model import Model
+from casid.presentation import Presented
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,7 @@ class BlackBoxSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class IterativeJoint:
+class IterativeJoint(Presented):
     """The estimate of Algorithm 8.1, and its iterations.
 
     Attributes
@@ -81,14 +82,6 @@ class IterativeJoint:
 
     def __repr__(self) -> str:
         return f"<IterativeJoint {self.estimate.estimate.problem}: {self.convergence!r}>"
-
-    def __str__(self) -> str:
-        return f"{self.estimate}\n{self.black_boxes}\n{self.convergence}"
-
-    def _repr_html_(self) -> str:
-        import html
-
-        return f"<pre>{html.escape(str(self))}</pre>"
 
 
 def iterative_joint(

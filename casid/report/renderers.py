@@ -48,11 +48,13 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
         "figure": "figures.estimates.estimate_figure",
         "report": "pages.estimate_page.estimate_report",
     },
+    "FirFilter": {"document": "texts.records.filter_document"},
     "Invariants": {"document": "texts.moments.invariants_document"},
     "Isolability": {
         "document": "texts.diagnosis.isolability_document",
         "figure": "figures.isolability.isolability_figure",
     },
+    "IterativeJoint": {"document": "texts.estimates.iterative_document"},
     "ModuleEstimate": {"document": "texts.networks.module_document"},
     "MomentEstimate": {"document": "texts.estimates.moment_estimate_document"},
     "MonteCarlo": {
@@ -62,13 +64,20 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
     },
     "Network": {"document": "texts.networks.network_document"},
     "NodeEquations": {"document": "texts.networks.equations_document"},
+    "NodeSets": {"document": "texts.networks.node_sets_document"},
+    "ObservabilityMatrix": {"document": "texts.identifiability.observability_document"},
+    "PolynomialModel": {"document": "texts.polynomial_models.polynomial_document"},
     "Practical": {"document": "texts.identifiability.practical_document"},
+    "Prediction": {"document": "texts.estimates.prediction_document"},
     "PredictorTable": {"document": "texts.networks.predictors_document"},
     "Profile": {"figure": "figures.profiles.moment_profile_figure"},
     "Profiles": {"figure": "figures.profiles.profiles_figure"},
     "Reconciled": {"document": "texts.estimates.reconciled_document"},
     "Record": {"document": "texts.records.record_document"},
+    "ReducedForm": {"document": "texts.identifiability.reduced_document"},
     "RegressionEstimate": {"document": "texts.estimates.regression_document"},
+    "SensorSubsets": {"document": "texts.identifiability.subsets_document"},
+    "Solution": {"document": "texts.solvers.solution_document"},
     "SolverComparison": {
         "document": "texts.solvers.solver_document",
         "figure": "figures.solvers.solver_figure",
@@ -115,8 +124,8 @@ def _listed(kind: type, form: str) -> str | None:
     return next((RENDERERS[n][form] for n in names if form in RENDERERS.get(n, {})), None)
 
 
-def _text(result: object) -> str:
-    return terminal_text(renderer(type(result), "document")(result))
+def _text(result: object, *arguments: Any) -> str:
+    return terminal_text(renderer(type(result), "document")(result, *arguments))
 
 
 def _html(result: object) -> str:

@@ -17,15 +17,23 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from casid.estimation.prediction_error.polynomial.misfit import Misfit
+from casid.estimation.prediction_error.polynomial.model import PolynomialModel, Search
 
 from casid.algebra.rational import Rational
 from casid.campaigns.campaign import Campaign
 from casid.campaigns.monte_carlo import Accuracy, MonteCarlo
 from casid.data.files import plain
+from casid.data.fir_filter import FirFilter
 from casid.diagnosis.advice.next_experiment import Advice
+from casid.estimation.nlp.solution import Solution
 from casid.estimation.reconciliation import Reconciliation
 from casid.identifiability.assessment import Assessment
+from casid.identifiability.equations.equation_text import parse_system
+from casid.identifiability.equations.system import System
 from casid.identifiability.procedure import assess_identifiability
+from casid.identifiability.remedies.sensor_subsets import sensor_subsets
+from casid.identifiability.symbolic.observability_matrix import observability_matrix
 from casid.linear.closed_loop import ClosedLoopView, closed_loop_view
 from casid.linear.linear_model import linearise
 from casid.model.model import Model
@@ -33,6 +41,7 @@ from casid.unknown_inputs.limits.comparison import Comparison
 from casid.unknown_inputs.limits.remedies import compare_remedies
 from casid.unknown_inputs.networks.equations import node_equations
 from casid.unknown_inputs.networks.network import Network, dynamic_network
+from casid.unknown_inputs.networks.node_sets import node_sets
 from problems.pendulum import direct_model
 from problems.static_input import VALUES, signals
 from tests.support import sample_parts, samples
@@ -122,8 +131,6 @@ def transfer() -> Any:
 
 def assessment() -> Assessment:
     """A mass and an unknown force: confounded, with fixing sets and classes of the input."""
-    from casid.identifiability.equations.equation_text import parse_system
-
     system = {
         "states": ["v"],
         "params": ["m", "d"],
@@ -155,6 +162,70 @@ def next_experiments() -> Advice:
     return Advice(sample_parts.KEYS[:2], same, (first, second), "Let it decay.")
 
 
+def mass_on_spring() -> System:
+    """A mass on a spring with a force, position and speed measured."""
+    return parse_system(
+        {
+            "states": ["x", "v"],
+            "params": ["k", "m"],
+            "known_inputs": ["F"],
+            "equations": {"x": "v", "v": "(F - k*x)/m"},
+            "outputs": {"position": "x", "speed": "v"},
+        },
+        name="mass on a spring",
+    )
+
+
+def solution() -> Solution:
+    """Two variables, one at its bound, one constraint; not converged."""
+    return Solution(
+        ("stiffness", "d"),
+        np.array([10.52, 0.0]),
+        1.25,
+        "Maximum_Iterations_Exceeded",
+        200,
+        3e-3,
+        2e-8,
+        ("d",),
+        (),
+        np.eye(2),
+        np.ones((1, 2)),
+        "ipopt",
+    )
+
+
+def polynomial_model() -> PolynomialModel:
+    """A Box-Jenkins model of two inputs, put together."""
+    names = ("a1", "b1[u]", "f1[u]", "b0[w]", "c1", "d1")
+    theta = np.array([-0.7, 0.5, -0.8, 1.5, 0.3, -0.9])
+    misfit = Misfit(
+        0.0101,
+        0.005,
+        93.25,
+        60,
+        (np.cos(np.arange(62.0) ** 2),),
+        (2,),
+        {"u": np.linspace(-1.2, 0.8, 26)},
+    )
+    return PolynomialModel(
+        "Box-Jenkins",
+        np.array([1, -0.7]),
+        {"u": np.array([0, 0.5]), "w": np.array([1.5])},
+        np.array([1, 0.3]),
+        np.array([1, -0.9]),
+        {"u": np.array([1, -0.8]), "w": np.array([1.0])},
+        {"u": 1, "w": 0},
+        names,
+        theta,
+        np.diag([0.01, 0.02, 0.03, 0.04, 0.05, 0.06]) ** 2,
+        "white residuals",
+        0.1,
+        misfit,
+        Search("converged", True, 7, 3e-9, "instrumental variables"),
+        ("a root of C was reflected",),
+    )
+
+
 TEXTS: dict[str, Callable[[], object]] = {
     "estimate": samples.estimate,
     "estimate_extended": lambda: samples.estimate(extended=True),
@@ -172,6 +243,13 @@ TEXTS: dict[str, Callable[[], object]] = {
     "comparison_in_numbers": comparison_in_numbers,
     "asymptotics": lambda: comparison_in_numbers()["neglect, LS"],
     "network": network,
+    "node_sets": lambda: node_sets(network(), 3),
+    "solution": solution,
+    "polynomial_model": polynomial_model,
+    "sensor_subsets": lambda: sensor_subsets(mass_on_spring(), costs={"position": 2.0}),
+    "observability_matrix": lambda: observability_matrix(mass_on_spring()),
+    "reduced_form": lambda: observability_matrix(mass_on_spring()).row_reduced(),
+    "fir_filter": lambda: FirFilter(np.array([0.25, 0.5, 0.25]), 0.1).describe([1.0, 2.5]),
     "node_equations": lambda: node_equations(network()),
     "closed_loop": loop,
     "transfer_functions": transfer,

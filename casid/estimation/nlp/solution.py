@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from casid.arrays import TINY, Array
 from casid.deprecation import renamed
 from casid.errors import SolveError
+from casid.presentation import Presented
 
 _REMEDIES = {
     "Infeasible_Problem_Detected": "the constraints contradict each other near the start: "
@@ -50,7 +51,7 @@ def stacked(at: Evaluation, constraints: Array, jacobian: Array) -> Evaluation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class Solution(Presented):
     """Where a solver stopped, why, and whether that is an optimum."""
 
     names: tuple[str, ...]
@@ -107,25 +108,9 @@ class Solution:
             f"{self.solver} {self.status}>"
         )
 
-    def __str__(self) -> str:
-        active = self.active
-        width = max(map(len, self.names), default=0)
-        lines = [f"{'Converged' if self.is_converged else 'Not converged'}: {self._account()}"]
-        for name, value in zip(self.names, self.x, strict=True):
-            at = f"  at its {active[name]} bound" if name in active else ""
-            lines.append(f"  {name:<{width}} = {value:.8g}{at}")
-        lines.append(f"  value {self.value:.8g}, scaled gradient {self.scaled_gradient:.1e}")
-        count = len(self.constraint_jacobian)
-        if count:
-            lines.append(
-                f"  {count} constraint{'s' if count > 1 else ''}, largest violation "
-                f"{self.constraint_violation:.1e}"
-            )
-        if not self.is_converged:
-            lines.append(f"  remedy: {self.remedy}")
-        return "\n".join(lines)
-
-    def _account(self) -> str:
+    @property
+    def account(self) -> str:
+        """Solver, status and iterations."""
         plural = "" if self.iterations == 1 else "s"
         return f"{self.solver}, {self.status} after {self.iterations} iteration{plural}"
 

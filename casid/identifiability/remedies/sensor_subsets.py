@@ -16,6 +16,7 @@ from casid.errors import IdentifiabilityError, nearest
 from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.remedies.output_spans import OutputSpans, Spans
+from casid.presentation import Presented
 
 Subset = tuple[int, ...]  # positions of outputs, ascending
 
@@ -42,7 +43,7 @@ class SensorSubset:
 
 
 @dataclass(frozen=True, slots=True)
-class SensorSubsets:
+class SensorSubsets(Presented):
     """All non-empty subsets of the outputs, the cheapest first.
 
     Attributes
@@ -83,26 +84,6 @@ class SensorSubsets:
         known = {y for s in self.subsets for y in s.outputs}
         stray = next(iter(sorted(wanted - known)), "")
         raise IdentifiabilityError(f"{self.name} has no output {stray!r}{nearest(stray, known)}")
-
-    def __str__(self) -> str:
-        n = len(self.parameters)
-        lines = [
-            f"{self.name}: {len(self.subsets)} subsets of outputs, {self.unknowns} unknowns, "
-            f"{n} of them parameters",
-            "    cost  rank  deficiency  identifiable  outputs",
-        ]
-        for s in self.subsets:
-            mark = "*" if s in self.cheapest else "+" if s in self.minimal else " "
-            lines.append(
-                f"{mark} {s.cost:6g}  {s.rank:4d}  {s.deficiency:10d}  "
-                f"{len(s.identifiable):6d} of {n:<3d}  {', '.join(s.outputs)}"
-            )
-        lines.append("* the cheapest as informative as all outputs, + other minimal ones")
-        if self.error_bound:
-            lines.append(f"probability that any row is wrong: below {self.error_bound:.1e}")
-        if not self.is_certified:
-            lines.append("special values: later derivatives might raise a deficient rank")
-        return "\n".join(lines)
 
     def to_json(self) -> dict[str, Any]:
         """Plain lists and numbers."""

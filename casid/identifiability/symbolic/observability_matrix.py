@@ -22,9 +22,9 @@ from casid.identifiability.symbolic.reduced_form import (
     ReducedForm,
     derivative_name,
     latex_table,
-    text_table,
 )
 from casid.identifiability.symbolic.symbolic_rank import Profile, profile, reduced_row_echelon, tidy
+from casid.presentation import Presented
 
 Expr = Any  # a sympy expression
 Matrix = Any  # a sympy matrix
@@ -97,7 +97,7 @@ def observability_matrix(
 
 
 @dataclass(frozen=True, eq=False)
-class ObservabilityMatrix:
+class ObservabilityMatrix(Presented):
     """Extended observability matrix (2), symbolic; its verdicts hold at almost every point.
 
     Attributes
@@ -196,12 +196,7 @@ class ObservabilityMatrix:
 
     def to_latex(self) -> str:
         """The matrix as a LaTeX array, labelled."""
-        return latex_table(self.matrix, self._labels, self.columns)
-
-    def __str__(self) -> str:
-        m, n = self.matrix.shape
-        title = f"Extended observability matrix of {self.system}: {m} x {n}, rank {self.rank()}"
-        return title + "\n" + text_table(self.matrix, self._labels, self.columns)
+        return latex_table(self.matrix, self.row_names, self.columns)
 
     def __repr__(self) -> str:
         m, n = self.matrix.shape
@@ -217,7 +212,8 @@ class ObservabilityMatrix:
         return ReducedForm(self.system, matrix.as_immutable(), self.columns, pivots)
 
     @property
-    def _labels(self) -> list[str]:
+    def row_names(self) -> list[str]:
+        """The output or its derivative in each row."""
         return [derivative_name(*row) for row in self.rows]
 
     def _place(self, column: str) -> int:

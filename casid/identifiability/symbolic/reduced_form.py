@@ -1,4 +1,4 @@
-"""A row-reduced observability matrix, and labelled matrices as text and LaTeX.
+"""A row-reduced observability matrix, and labelled matrices as LaTeX.
 
 Source of the form: Linder (2017), (7.20)-(7.23).
 """
@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from casid.identifiability.symbolic.symbolic_rank import tidy
+from casid.presentation import Presented
 
 Matrix = Any  # a sympy matrix
-
-WIDEST = 110
-"""A table with longer lines is written entry by entry."""
 
 
 def derivative_name(name: str, order: int) -> str:
@@ -24,7 +22,7 @@ def derivative_name(name: str, order: int) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedForm:
+class ReducedForm(Presented):
     """Reduced row echelon form of an observability matrix, without its zero rows.
 
     Attributes
@@ -58,41 +56,15 @@ class ReducedForm:
 
     def to_latex(self) -> str:
         """The form as a LaTeX array, labelled."""
-        return latex_table(self.matrix, self._labels, self.columns)
-
-    def __str__(self) -> str:
-        title = f"Row-reduced observability matrix of {self.system}, rank {self.rank}"
-        return title + "\n" + text_table(self.matrix, self._labels, self.columns)
+        return latex_table(self.matrix, self.row_names, self.columns)
 
     def __repr__(self) -> str:
         return f"<ReducedForm {self.system}: rank {self.rank} of {len(self.columns)} columns>"
 
     @property
-    def _labels(self) -> list[str]:
+    def row_names(self) -> list[str]:
+        """The column of the one in each row."""
         return [self.columns[j] for j in self.pivots]
-
-
-def text_table(matrix: Matrix, rows: Sequence[str], columns: Sequence[str]) -> str:
-    """A labelled matrix in aligned columns; where that is too wide, its entries one by one."""
-    m, n = matrix.shape
-    cells = [["", *columns]]
-    cells += [[rows[i], *[str(matrix[i, j]) for j in range(n)]] for i in range(m)]
-    widths = [max(len(line[j]) for line in cells) for j in range(n + 1)]
-    if sum(widths) + 2 * n <= WIDEST:
-        lines = []
-        for label, *line in cells:
-            aligned = [c.rjust(w) for c, w in zip(line, widths[1:], strict=True)]
-            lines.append("  ".join([label.ljust(widths[0]), *aligned]).rstrip())
-        return "\n".join(lines)
-    entries = [
-        (f"{rows[i]}, {columns[j]}", str(matrix[i, j]))
-        for i in range(m)
-        for j in range(n)
-        if matrix[i, j] != 0
-    ]
-    width = max((len(label) for label, _ in entries), default=0)
-    listed = [f"  {label.ljust(width)}  {value}" for label, value in entries]
-    return "\n".join(["(row, column: entry; all others are 0)", *listed])
 
 
 def latex_table(matrix: Matrix, rows: Sequence[str], columns: Sequence[str]) -> str:

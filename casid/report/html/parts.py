@@ -129,7 +129,11 @@ def _cells(row: Sequence[Inline] | str, table: Table) -> Html:
     if isinstance(row, str):
         return element("td", row, colspan=str(len(table.header)))
     return join(
-        element("td", inline(cell), **_class("n" if i in table.numbers else ""))
+        element(
+            "td",
+            "\u2013" if cell == "--" else inline(cell),
+            **_class("n" if i in table.numbers else ""),
+        )
         for i, cell in enumerate(row)
     )
 

@@ -17,13 +17,9 @@ from casid.report.document import (
     Table,
 )
 from casid.report.numbers import estimated_texts, number_text, p_text
+from casid.report.texts.diagnosis import effect_name
 
 _SIZES = ("parameter", "estimate", "std. error", "95 % interval", "unit", "note")
-
-
-def effect_name(kind: str, where: str) -> tuple[str, ...]:
-    """An effect and its place, as code."""
-    return Code(kind), " in ", Code(where)
 
 
 def cause_part(i: int, c: Cause, by_record: Figure | None) -> Section:

@@ -35,6 +35,7 @@ from casid.report.pages.limit_parts import (
 )
 from casid.report.pages.remainder_parts import gain_table, moved_table, remaining_parts
 from casid.report.pages.unexplained_parts import unexplained_parts
+from casid.report.texts.diagnosis import gain_rows
 
 _VERDICTS = {
     "adequate": "The model explains this record",
@@ -100,12 +101,10 @@ def _key_numbers(d: Diagnosis) -> Iterator[Card]:
 
     A table further down has the rest.
     """
-    part, numbers = ("held out", d.held_out)
-    if not numbers.get("baseline_rmse"):
-        part, numbers = ("fitted", d.fitted)
-    for output, before in numbers.get("baseline_rmse", {}).items():
-        after = numbers.get("extended_rmse", {}).get(output)
-        floor = numbers.get("noise_floor", {}).get(output)
+    shown = "held out" if d.held_out.get("baseline_rmse") else "fitted"
+    for part, output, before, after, floor in gain_rows(d):
+        if part != shown:
+            continue
         value, rest = number_text(before), list[str]()
         if after is not None:
             value += f" \u2192 {number_text(after)}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -26,6 +25,7 @@ from casid.report.figures.identifiability import figures
 from casid.report.numbers import number_text, value_text
 from casid.report.pages.estimate_parts import notice, provenance
 from casid.report.texts.assessment import family_lines, group_words, verdict_words
+from casid.report.texts.identifiability import practical_table
 
 _LISTED = 60  # fixing sets in the table
 
@@ -226,24 +226,8 @@ def _practical(a: Assessment) -> list[Part]:
     p = a.practical
     if p is None:
         return []
-    rows = []
-    for r in p.rows:
-        is_relative = r.relative is not None and math.isfinite(r.relative)
-        rows.append(
-            (
-                Code(r.name),
-                r.unit,
-                value_text(r.value),
-                number_text(r.std_error) if math.isfinite(r.std_error) else "\u2013",
-                f"{100 * (r.relative or 0.0):.3g} %" if is_relative else "\u2013",
-                "\u2013" if r.correlation is None else f"{r.correlation:+.3f} {r.partner}",
-                r.verdict + (f": {r.note}" if r.note else ""),
-            )
-        )
-    caption = f"Expected errors from {', '.join(p.records)} ({p.samples} samples)"
-    head = ("", "unit", "value", "std. error", "relative", "correlated", "with these records")
     return [
-        Table(head, rows, numbers=(2, 3, 4), caption=caption),
+        practical_table(p),
         Bullets([f"weakest: {d}" for d in p.weakest[:3]]),
         f"What the error bar assumes: {p.assumes}.",
     ]

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 
+from casid.diagnosis.advice.isolability import label
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.report.document import Bullets, Code, Inline, Part, Table
 from casid.report.numbers import number_text
-from casid.report.pages.cause_parts import effect_name
-
-_PAIRS = 12  # in the table of pairs
-_NEVER = 1e6  # beyond it, an energy means never
+from casid.report.texts.diagnosis import effect_name, pairs_table
 
 
 def inseparable(d: Diagnosis) -> Table | str | None:
@@ -42,25 +40,10 @@ def pairs_parts(d: Diagnosis) -> list[Part]:
     if found is None:
         return []
     same = [
-        "Indistinguishable in this record: "
-        + ", ".join(f"{kind} in {where}" for kind, where in group)
+        "Indistinguishable in this record: " + ", ".join(map(label, group))
         for group in found.groups
     ]
-    rows = [
-        (
-            effect_name(*p.first),
-            effect_name(*p.second),
-            f"{p.cosine:+.3f}",
-            number_text(p.energy) if p.energy < _NEVER else "never",
-        )
-        for p in found.pairs[:_PAIRS]
-    ]
-    caption = (
-        "Hardest to distinguish. Energy: of the misfit, in units of the noise, at which the right "
-        f"one wins by {found.margin:g} units of BIC with probability {found.power:g}"
-    )
-    head = ("cause", "or", "cosine", "energy needed")
-    return [Bullets(same), Table(head, rows, numbers=(2, 3), caption=caption)]
+    return [Bullets(same), pairs_table(found)]
 
 
 def invisible_parts(d: Diagnosis) -> list[Part]:

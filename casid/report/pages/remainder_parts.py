@@ -6,26 +6,23 @@ from casid.diagnosis.diagnosis import Diagnosis
 from casid.estimation.estimate import Estimated
 from casid.report.document import Code, Paragraph, Part, Table
 from casid.report.numbers import change_text, number_text, p_text, plus_minus
+from casid.report.texts.diagnosis import gain_rows
 
 
 def gain_table(d: Diagnosis) -> Table:
     """Rms errors before and after beside the noise floor."""
-    rows = []
-    for part, numbers in (("fitted", d.fitted), ("held out", d.held_out)):
-        for output, before in numbers.get("baseline_rmse", {}).items():
-            after = numbers.get("extended_rmse", {}).get(output)
-            floor = numbers.get("noise_floor", {}).get(output)
-            rows.append(
-                (
-                    part,
-                    output,
-                    d.output_units.get(output, ""),
-                    number_text(before),
-                    "\u2013" if after is None else number_text(after),
-                    "\u2013" if after is None else change_text(before, after),
-                    "\u2013" if floor is None else number_text(floor),
-                )
-            )
+    rows = [
+        (
+            part,
+            output,
+            d.output_units.get(output, ""),
+            number_text(before),
+            "\u2013" if after is None else number_text(after),
+            "\u2013" if after is None else change_text(before, after),
+            "\u2013" if floor is None else number_text(floor),
+        )
+        for part, output, before, after, floor in gain_rows(d)
+    ]
     return Table(
         ("part", "output", "unit", "before", "after", "change", "noise floor"),
         rows,

@@ -10,10 +10,12 @@ from casid.diagnosis.advice.next_experiment import Advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Cause, Diagnosis
 from casid.estimation.estimate import Estimated
-from casid.report.document import Document, Labelled, Table, labelled
+from casid.report.document import Code, Document, Labelled, Table, labelled
+from casid.report.numbers import number_text
 
 _LISTED = 5  # of what the page has in full
 _PAIRS = 12  # of causes that are hardest to separate
+_NEVER = 1e6  # beyond it, an energy means never
 
 
 def diagnosis_document(diagnosis: Diagnosis) -> Document:
@@ -47,13 +49,19 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
     return Document(f"Diagnosis of {d.problem}: {d.verdict}", parts)
 
 
-def _gain(d: Diagnosis) -> Table:
-    rows = []
+def gain_rows(d: Diagnosis) -> Iterator[tuple[str, str, float, float | None, float | None]]:
+    """Part, output, and its rms errors before and after and its noise floor, in its unit."""
     for part, numbers in (("fitted", d.fitted), ("held out", d.held_out)):
         for output, before in numbers.get("baseline_rmse", {}).items():
-            others = (numbers.get(k, {}).get(output) for k in ("extended_rmse", "noise_floor"))
-            shown = ("" if x is None else f"{x:.4g}" for x in others)
-            rows.append((part, output, f"{before:.4g}", *shown))
+            after = numbers.get("extended_rmse", {}).get(output)
+            yield part, output, before, after, numbers.get("noise_floor", {}).get(output)
+
+
+def _gain(d: Diagnosis) -> Table:
+    rows = [
+        (part, output, *("" if x is None else number_text(x) for x in numbers))
+        for part, output, *numbers in gain_rows(d)
+    ]
     head = ("rms error", "output", "before", "after", "noise floor")
     return Table(head, rows, numbers=(2, 3, 4), widths=(22, 14, 12, 12, 13))
 
@@ -91,19 +99,40 @@ def _first(names: list[str]) -> str:
 
 def isolability_document(found: Isolability) -> Document:
     """The pairs of causes that are hardest to separate, and groups that cannot be separated."""
-    rows = [
-        (label(p.first), label(p.second), f"{p.cosine:.3f}", _number(p.energy))
-        for p in found.pairs[:_PAIRS]
-    ]
-    head = ("cause", "or", "cosine", "energy")
     return Document(
         f"Hardest to distinguish: energy for a margin of {found.margin:g} BIC with probability "
         f"{found.power:g}",
         [
-            Table(head, rows, numbers=(2, 3), widths=(40, 40, 8, 10)),
+            pairs_table(found),
             *(f"  the same here: {', '.join(label(k) for k in g)}" for g in found.groups),
         ],
     )
+
+
+def pairs_table(found: Isolability) -> Table:
+    """The pairs of causes that are hardest to distinguish, the hardest first."""
+    rows = [
+        (
+            effect_name(*p.first),
+            effect_name(*p.second),
+            f"{p.cosine:+.3f}",
+            number_text(p.energy) if p.energy < _NEVER else "never",
+        )
+        for p in found.pairs[:_PAIRS]
+    ]
+    return Table(
+        ("cause", "or", "cosine", "energy needed"),
+        rows,
+        numbers=(2, 3),
+        widths=(40, 40, 8, 15),
+        caption="Hardest to distinguish. Energy: of the misfit, in units of the noise, at which "
+        f"the right one wins by {found.margin:g} units of BIC with probability {found.power:g}",
+    )
+
+
+def effect_name(kind: str, where: str) -> tuple[str, ...]:
+    """An effect and its place, as code."""
+    return Code(kind), " in ", Code(where)
 
 
 def advice_document(advice: Advice) -> Document:

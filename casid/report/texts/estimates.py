@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from casid.campaigns.monte_carlo import MonteCarlo
@@ -9,7 +11,10 @@ from casid.estimation.estimate import Estimate
 from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.reconciliation import Reconciled
 from casid.estimation.regression_estimate import RegressionEstimate
+from casid.identification.grey_box import Prediction
+from casid.identification.iterative_joint_instruments import IterativeJoint
 from casid.report.document import Document, Labelled, Table
+from casid.report.texts.moments import black_box_document, convergence_document
 
 _WIDEST, _LONGEST = 100, 14  # of a printed study, and of a parameter with its unit in it
 
@@ -83,6 +88,21 @@ def moment_estimate_document(found: MomentEstimate) -> Document:
         stages = [("stages", text)]
     evidence = [(f"{name} ", text) for name, text in found.estimate.evidence.items()]
     return Document(document.title, [*document.parts, *stages, *evidence])
+
+
+def prediction_document(found: Prediction) -> Document:
+    """The estimate, and the noise that it estimates beside."""
+    document = estimate_document(found.estimate)
+    noise = ", ".join(f"{name} {sd:.4g}" for name, (sd, _) in found.noise.items())
+    parts = [*document.parts, ("noise", f"standard deviations: {noise}")]
+    return replace(document, parts=parts)
+
+
+def iterative_document(found: IterativeJoint) -> Document:
+    """The estimate, the black boxes behind its instruments, and how it converged."""
+    document = moment_estimate_document(found.estimate)
+    behind, steps = black_box_document(found.black_boxes), convergence_document(found.convergence)
+    return replace(document, parts=[*document.parts, behind.title, *behind.parts, *steps.parts])
 
 
 def regression_document(estimate: RegressionEstimate) -> Document:

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 from casid.identifiability.records.practical_result import UNDETERMINED, Practical, Row
+from casid.identifiability.remedies.sensor_subsets import SensorSubsets
+from casid.identifiability.symbolic.observability_matrix import ObservabilityMatrix
+from casid.identifiability.symbolic.reduced_form import ReducedForm
 from casid.linear.discretisation_bias import BiasTable
-from casid.report.document import Document, Labelled, Table
+from casid.report.document import Code, Document, Labelled, Table
+from casid.report.numbers import number_text, value_text
+
+WIDEST = 110
+"""A matrix with longer lines is written entry by entry."""
 
 
 def practical_document(found: Practical) -> Document:
     """Expected errors of every parameter and initial state, and the weakest combinations."""
-    head = ("", "unit", "value", "std. error", "relative", "correlated", "with this record")
     parts: list[str | Labelled | Table] = [
-        Table(head, [_cells(r) for r in found.rows]),
+        practical_table(found),
         (
             "sensitivities",
             f"rank {found.rank} of {found.unknowns}, condition {found.condition:.3g}",
@@ -40,16 +48,27 @@ def practical_document(found: Practical) -> Document:
     )
 
 
+def practical_table(found: Practical) -> Table:
+    """Expected errors, one row a parameter or initial state."""
+    return Table(
+        ("", "unit", "value", "std. error", "relative", "correlated", "with these records"),
+        [_cells(r) for r in found.rows],
+        numbers=(2, 3, 4),
+        caption=f"Expected errors from {', '.join(found.records)} ({found.samples} samples)",
+    )
+
+
 def _cells(row: Row) -> tuple[str, ...]:
     def percent(share: float | None) -> str:
         return "--" if share is None or not math.isfinite(share) else f"{100 * share:.3g} %"
 
     close = "--" if row.correlation is None else f"{row.correlation:+.3f} {row.partner}"
-    error = f"{row.std_error:.3g}" if math.isfinite(row.std_error) else "--"
+    error = number_text(row.std_error) if math.isfinite(row.std_error) else "--"
     is_long = row.verdict == UNDETERMINED and row.note.count(",") > 1
     note = "only in combination, see below" if is_long else row.note
     verdict = f"{row.verdict}: {note}" if note else row.verdict
-    return row.name, row.unit, f"{row.value:.5g}", error, percent(row.relative), close, verdict
+    value = value_text(row.value)
+    return Code(row.name), row.unit, value, error, percent(row.relative), close, verdict
 
 
 def bias_document(found: BiasTable) -> Document:
@@ -70,3 +89,62 @@ def bias_document(found: BiasTable) -> Document:
         f"Relative bias of the regression of {found.output}; truth: {found.truth}",
         [Table(head, rows, numbers=numbers, widths=widths)],
     )
+
+
+def subsets_document(found: SensorSubsets) -> Document:
+    """Every subset of the outputs, the sufficient ones marked."""
+    n = len(found.parameters)
+    rows = [
+        (
+            "*" if s in found.cheapest else "+" if s in found.minimal else "",
+            f"{s.cost:g}",
+            str(s.rank),
+            str(s.deficiency),
+            f"{len(s.identifiable)} of {n}",
+            ", ".join(s.outputs),
+        )
+        for s in found.subsets
+    ]
+    head = ("", "cost", "rank", "deficiency", "identifiable", "outputs")
+    notes = ["* the cheapest as informative as all outputs, + other minimal ones"]
+    if found.error_bound:
+        notes.append(f"probability that any row is wrong: below {found.error_bound:.1e}")
+    if not found.is_certified:
+        notes.append("special values: later derivatives might raise a deficient rank")
+    return Document(
+        f"{found.name}: {len(found.subsets)} subsets of outputs, {found.unknowns} unknowns, "
+        f"{n} of them parameters",
+        [Table(head, rows, numbers=(1, 2, 3, 4), indent=0), *notes],
+    )
+
+
+def observability_document(found: ObservabilityMatrix) -> Document:
+    """The matrix under its columns."""
+    m, n = found.matrix.shape
+    title = f"Extended observability matrix of {found.system}: {m} x {n}, rank {found.rank()}"
+    return _matrix_document(title, found.matrix, found.row_names, found.columns)
+
+
+def reduced_document(found: ReducedForm) -> Document:
+    """The form under its columns."""
+    title = f"Row-reduced observability matrix of {found.system}, rank {found.rank}"
+    return _matrix_document(title, found.matrix, found.row_names, found.columns)
+
+
+def _matrix_document(
+    title: str, matrix: Any, rows: Sequence[str], columns: Sequence[str]
+) -> Document:
+    """A labelled matrix in aligned columns; where that is too wide, its entries one by one."""
+    cells = [[name, *map(str, matrix.row(i))] for i, name in enumerate(rows)]
+    table = Table(["", *columns], cells, numbers=range(1, len(columns) + 1), indent=0)
+    if max(map(len, table.lines())) <= WIDEST:
+        return Document(title, [table])
+    entries = [
+        (f"{row}, {column}", cell)
+        for row, *found in cells
+        for column, cell in zip(columns, found, strict=True)
+        if cell != "0"
+    ]
+    width = max((len(label) for label, _ in entries), default=0)
+    note = "(row, column: entry; all others are 0)"
+    return Document(title, [note, *entries], label=width + 2)

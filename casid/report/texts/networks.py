@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from casid.algebra.rational import Rational
-from casid.report.document import Document, Lines, Table
+from casid.report.document import Document, Lines, Part, Table
 from casid.unknown_inputs.networks.equations import NodeEquations
 from casid.unknown_inputs.networks.estimation.module_estimate import ModuleEstimate
 from casid.unknown_inputs.networks.network import Network
+from casid.unknown_inputs.networks.node_sets import NodeSets
 from casid.unknown_inputs.networks.nodes import edge_label, labels, node_label, path_text
 from casid.unknown_inputs.networks.prediction.predictors import INDIRECT, PredictorTable
 
@@ -132,3 +133,24 @@ def module_document(found: ModuleEstimate) -> Document:
         rows,
         label=max(len(label) for label, _ in rows) + 2,
     )
+
+
+def node_sets_document(sets: NodeSets) -> Document:
+    """Every set with its nodes, then where paths to and from unobservable nodes lead."""
+    names = {
+        "N": "predictor inputs",
+        "S": "observable",
+        "U": "unobservable",
+        "K": "observable predictor inputs",
+        "A": "additional observable",
+        "sU": "unobservable predictor inputs",
+        "Ut": "remaining unobservable",
+        "D": "direct observations",
+        "I": "indirect observations",
+        "O": "remaining observable",
+    }
+    parts: list[Part] = [(f"{k:<3} {v}", labels(getattr(sets, k))) for k, v in names.items()]
+    for u in sets.U:
+        to, since = labels(sets.upstream[u]), labels(sets.downstream[u])
+        parts.append(f"  {node_label(u)}: upstream {to}; downstream {since}")
+    return Document(f"Node sets of {node_label(sets.target)}", parts, label=35)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+
+from casid.data.fir_filter import FirFilter
 from casid.data.quality import CheckReport
 from casid.data.record import Record
 from casid.report.document import Document, Labelled, Table
@@ -71,3 +76,15 @@ def _statistics(record: Record) -> list[tuple[str, ...]]:
             numbers = [f"{x:.5g}" for x in (kept.min(), kept.max(), kept.mean(), kept.std())]
         rows.append((channel, record.units[channel], *numbers, str(int(mask.sum()))))
     return rows
+
+
+def filter_document(fir: FirFilter, frequencies_hz: Sequence[float] = ()) -> Document:
+    """The design, and the gain at DC, at given frequencies, and where it halves."""
+    gains = [("gain at DC", f"{float(fir.gain(0.0)):.9f}")]
+    gains += [(f"gain at {f:g} Hz", f"{float(fir.gain(f)):.4f}") for f in frequencies_hz]
+    grid = np.linspace(0.0, 0.5 / fir.Ts, 4001)
+    below = np.flatnonzero(fir.gain(grid) < 0.5)
+    if below.size:
+        gains.append(("gain 0.5 at", f"{grid[below[0]]:.4g} Hz"))
+    title = f"{fir.design}; {fir.taps.size} taps, Ts = {fir.Ts:g} s, zero phase"
+    return Document(title, gains, label=16)

@@ -1,9 +1,10 @@
-"""A comparison of solvers as a document."""
+"""Solutions of nonlinear programs, and a comparison of solvers, as documents."""
 
 from __future__ import annotations
 
 from casid.estimation.nlp.comparison_table import SolverComparison
-from casid.report.document import Document, Table
+from casid.estimation.nlp.solution import Solution
+from casid.report.document import Document, Part, Table
 
 
 def solver_document(comparison: SolverComparison) -> Document:
@@ -20,3 +21,22 @@ def solver_document(comparison: SolverComparison) -> Document:
             *(f"  {row.solver}: {row.reason}" for row in c.rows if row.reason),
         ],
     )
+
+
+def solution_document(solution: Solution) -> Document:
+    """Status, every variable, what the optimum rests on, and what to try where there is none."""
+    s, active = solution, solution.active
+    parts: list[Part] = [
+        (name, f"= {value:.8g}" + (f"  at its {active[name]} bound" if name in active else ""))
+        for name, value in zip(s.names, s.x, strict=True)
+    ]
+    parts.append(f"  value {s.value:.8g}, scaled gradient {s.scaled_gradient:.1e}")
+    count = len(s.constraint_jacobian)
+    if count:
+        plural = "s" if count > 1 else ""
+        largest = f"largest violation {s.constraint_violation:.1e}"
+        parts.append(f"  {count} constraint{plural}, {largest}")
+    if not s.is_converged:
+        parts.append(f"  remedy: {s.remedy}")
+    title = f"{'Converged' if s.is_converged else 'Not converged'}: {s.account}"
+    return Document(title, parts, label=max(map(len, s.names), default=0) + 1)

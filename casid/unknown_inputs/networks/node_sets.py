@@ -6,13 +6,14 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from casid.errors import ModelError
+from casid.presentation import Presented
 from casid.unknown_inputs.networks.graph import downstream, upstream
 from casid.unknown_inputs.networks.network import Network
 from casid.unknown_inputs.networks.nodes import Edge, Node, as_nodes, edge_label, labels, node_label
 
 
 @dataclass(frozen=True, slots=True)
-class NodeSets:
+class NodeSets(Presented):
     """Which node is what to the target j, each set in the order of the network.
 
     Attributes
@@ -39,28 +40,6 @@ class NodeSets:
     O: tuple[Node, ...]  # noqa: E741
     upstream: dict[Node, tuple[Node, ...]]
     downstream: dict[Node, tuple[Node, ...]]
-
-    def __str__(self) -> str:
-        names = {
-            "N": "predictor inputs",
-            "S": "observable",
-            "U": "unobservable",
-            "K": "observable predictor inputs",
-            "A": "additional observable",
-            "sU": "unobservable predictor inputs",
-            "Ut": "remaining unobservable",
-            "D": "direct observations",
-            "I": "indirect observations",
-            "O": "remaining observable",
-        }
-        lines = [f"Node sets of {node_label(self.target)}"]
-        lines += [f"  {k:<3} {what:<31}{labels(getattr(self, k))}" for k, what in names.items()]
-        lines += [
-            f"  {node_label(u)}: upstream {labels(self.upstream[u])}; "
-            f"downstream {labels(self.downstream[u])}"
-            for u in self.U
-        ]
-        return "\n".join(lines)
 
 
 def node_sets(

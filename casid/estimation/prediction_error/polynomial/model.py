@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 from casid.arrays import TINY, Array
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, SolveError
-from casid.estimation.covariance import whiteness
-from casid.estimation.prediction_error.polynomial.misfit import LAGS, Misfit
+from casid.estimation.prediction_error.polynomial.misfit import Misfit
 from casid.estimation.prediction_error.polynomial.orders import is_stable
 from casid.estimation.prediction_error.polynomial.records import one_record
 from casid.grouping import Grouped
 from casid.linear.stability import largest_root
+from casid.presentation import Presented
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Search:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PolynomialModel:
+class PolynomialModel(Presented):
     """An estimate of A y = sum_i (B_i/F_i) u_i + (C/D) e, e white with variance `noise_variance`.
 
     Attributes
@@ -241,73 +241,7 @@ class PolynomialModel:
             f"fit {self.fit:.1f} %{word}>"
         )
 
-    def __str__(self) -> str:
-        errors = self.std_errors
-        left = "y(t)" if len(self.A) == 1 else "A(q) y(t)"
-        right = []
-        lines = []
-        if len(self.A) > 1:
-            lines.append(("A(q)", _text(self.A, "a", "", errors)))
-        for i in self.inputs:
-            mark = f"[{i}]" if len(self.inputs) > 1 else ""
-            over = len(self.F[i]) > 1
-            right.append(f"{'[' if over else ''}B{mark}(q){f'/F{mark}(q)]' if over else ''} {i}(t)")
-            lines.append((f"B{mark}(q)", _text(self.B[i], "b", f"[{i}]", errors)))
-        c, d = len(self.C) > 1, len(self.D) > 1
-        noise = f"{'[' if d else ''}{'C(q)' if c else '1' if d else ''}{'/D(q)]' if d else ''}"
-        right.append(f"{noise} e(t)".strip())
-        for name, p in (("C", self.C), ("D", self.D)):
-            if len(p) > 1:
-                lines.append((f"{name}(q)", _text(p, name.lower(), "", errors)))
-        for i in self.inputs:
-            if len(self.F[i]) > 1:
-                mark = f"[{i}]" if len(self.inputs) > 1 else ""
-                lines.append((f"F{mark}(q)", _text(self.F[i], "f", f"[{i}]", errors)))
-        width = max((len(label) for label, _ in lines), default=0)
-        head = f"{self.structure} model: {left} = {' + '.join(right)}, Ts = {self.Ts:g} s"
-        body = [f"  {label:<{width}} = {text}" for label, text in lines]
-        body.append("  (+/- one standard error; a delay shows as the first power of q^-1)")
-        first = ", ".join(str(d) for d in self.discarded[:5])
-        first += ", .." if len(self.discarded) > 5 else ""
-        body += [
-            f"  status          {self.status}, {self.iterations} iterations, scaled gradient "
-            f"{self.scaled_gradient:.0e}",
-            f"  start           {self.start}",
-            f"  residuals       N = {self.N}, {len(self.residuals)} record(s), first samples that "
-            f"do not count: {first}",
-            f"  residual tests  {self._residual_tests()}",
-            f"  noise variance  {self.noise_variance:.6g}   loss {self.loss:.6g}",
-            f"  fit             {self.fit:.2f} % (one step ahead)",
-            f"  AIC {self.aic:.6g}   BIC {self.bic:.6g}",
-            f"  errors assume   {self.assumes}",
-        ]
-        body += [f"  NOTE            {note}" for note in self.notes]
-        return "\n".join([head, *body])
-
-    def _residual_tests(self) -> str:
-        """Whiteness, and correlation with each input, as counts of lags."""
-        lags = min(LAGS, self.N - 2)
-        said = [f"whiteness: {whiteness(self.residual)} of {lags} lags outside 95 %"]
-        for name, ratio in self.input_correlation.items():
-            outside = int(np.sum(np.abs(ratio) > 1))
-            said.append(f"correlation with {name}: {outside} of {len(ratio)} lags outside")
-        return "; ".join(said)
-
 
 def _at(polynomial: Array, z: Array) -> Array:
     """A polynomial in ascending powers at z = exp(-i omega Ts)."""
     return np.asarray(np.polynomial.polynomial.polyval(z, polynomial))
-
-
-def _text(polynomial: Array, letter: str, mark: str, errors: Mapping[str, float]) -> str:
-    """1 - 1.5 (+/- 0.01) q^-1 + ..., monic or with leading zeros left out."""
-    parts: list[str] = []
-    for lag, value in enumerate(polynomial.tolist()):
-        error = errors.get(f"{letter}{lag}{mark}")
-        if error is None and value == 0.0:
-            continue
-        sign = "-" if value < 0 else "+" if parts else ""
-        size = f"{abs(value):.5g}" + (f" (+/- {error:.2g})" if error is not None else "")
-        power = f" q^-{lag}" if lag else ""
-        parts.append(f"{sign}{' ' if parts else ''}{size}{power}")
-    return " ".join(parts)
