@@ -6,6 +6,8 @@ import json
 import math
 import os
 import tempfile
+from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +35,9 @@ def write_bytes(path: Path, content: bytes) -> Path:
 
 
 def plain(value: Any) -> Any:
-    """NumPy numbers as Python's, NaN and Inf as null: JSON knows neither."""
+    """NumPy numbers as Python's, NaN and Inf as null: JSON knows neither; parts by their own."""
+    if hasattr(value, "to_json"):
+        return value.to_json()
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -43,6 +47,21 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def plain_fields(
+    result: Any, *more: str, leave_out: Sequence[str] = (), **keys: str
+) -> dict[str, Any]:
+    """The fields of a dataclass as JSON holds them.
+
+    Parameters
+    ----------
+    more : other attributes, behind the fields.
+    leave_out : fields.
+    keys : attribute -> its key, where that is another.
+    """
+    own = [field.name for field in fields(result) if field.name not in leave_out]
+    return {keys.get(name, name): plain(getattr(result, name)) for name in (*own, *more)}
 
 
 def write_json(path: Path, content: dict[str, Any]) -> Path:

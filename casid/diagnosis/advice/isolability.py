@@ -38,6 +38,7 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 from casid.arrays import TINY, Array
+from casid.data.files import plain_fields
 from casid.deprecation import renamed
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.thresholds import PLANNING, SCORES
@@ -132,13 +133,7 @@ class Pair:
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers; an infinite energy is None."""
-        return {
-            "first": list(self.first),
-            "second": list(self.second),
-            "cosine": self.cosine,
-            "energy": self.energy if np.isfinite(self.energy) else None,
-            "same": self.is_same,
-        }
+        return plain_fields(self, "is_same", is_same="same")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

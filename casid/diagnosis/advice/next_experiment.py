@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.arrays import finite_or_none
+from casid.data.files import plain_fields
 from casid.data.problem import Problem
 from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.advice.isolability import (
@@ -86,16 +86,7 @@ class Proposal:
 
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`; None where no length or energy separates the causes."""
-        return {
-            "name": self.name,
-            "description": self.description,
-            "pair": [list(k) for k in self.pair],
-            "cosine": self.cosine,
-            "energy_needed": finite_or_none(self.energy_needed),
-            "record_length": finite_or_none(self.record_length),
-            "gain_factor": finite_or_none(self.gain_factor),
-            "bands": [list(b) for b in self.bands],
-        }
+        return plain_fields(self, leave_out=["seconds"])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,12 +109,7 @@ class Advice(Presented):
 
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`."""
-        return {
-            "tied": [list(k) for k in self.tied],
-            "now": self.now.to_json(),
-            "proposals": [p.to_json() for p in self.proposals],
-            "sentence": self.sentence,
-        }
+        return plain_fields(self)
 
     def __repr__(self) -> str:
         return f"<Advice: {len(self.proposals)} experiments for {len(self.tied)} tied causes>"

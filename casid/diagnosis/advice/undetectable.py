@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from casid.data.files import plain_fields
 from casid.data.record import Experiment
 from casid.deprecation import renamed
 from casid.diagnosis.evidence.score_tests import ScoreTable
@@ -66,16 +67,7 @@ class Invisible:
 
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`."""
-        return {
-            "kind": self.kind,
-            "where": self.where,
-            "reason": self.reason,
-            "visible": self.visible,
-            "absorbed_by": list(self.absorbed_by),
-            "told": list(self.identifiable),
-            "why": self.why,
-            "mend": self.remedy,
-        }
+        return plain_fields(self, identifiable="told", remedy="mend")
 
     def __str__(self) -> str:
         return f"{self.kind} in {self.where}: {self.reason}. {self.why} {self.remedy}"

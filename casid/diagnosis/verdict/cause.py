@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from casid.data.files import plain_fields
 from casid.estimation.estimate import Estimated
 from casid.model.units import parse_unit, si_unit
 
@@ -30,13 +31,7 @@ class Alternative:
 
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` has it."""
-        return {
-            "kind": self.kind,
-            "where": self.where,
-            "p_value": self.p_value,
-            "why": self.why,
-            "description": self.description,
-        }
+        return plain_fields(self)
 
 
 @dataclass(frozen=True, slots=True)

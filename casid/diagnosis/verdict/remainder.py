@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from casid.data.files import plain_fields
 from casid.diagnosis.thresholds import JUDGING
 from casid.estimation.estimate import Estimate, Estimated
 
@@ -43,16 +44,7 @@ class Moved:
 
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`."""
-        return {
-            "name": self.name,
-            "unit": self.unit,
-            "before": self.before,
-            "after": self.after,
-            "std_error_before": self.std_error_before,
-            "std_error_after": self.std_error_after,
-            "bias": self.bias,
-            "shift": self.shift,
-        }
+        return plain_fields(self, "bias", "shift")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +57,7 @@ class Explained:
 
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`."""
-        return {"kind": self.kind, "where": self.where, "share": self.share}
+        return plain_fields(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,14 +77,7 @@ class Remaining:
 
     def to_json(self) -> dict[str, Any]:
         """Part of `diagnosis.json`."""
-        return {
-            "explained": [e.to_json() for e in self.explained],
-            "unexplained": self.unexplained,
-            "over_floor": dict(self.over_floor),
-            "p_value": self.p_value,
-            "test": self.test,
-            "sentence": self.sentence,
-        }
+        return plain_fields(self)
 
 
 def moved_parameters(

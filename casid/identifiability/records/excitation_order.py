@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.files import plain_fields
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.estimation.covariance import autocorrelation
@@ -113,17 +114,7 @@ class Excitation:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {
-            "schema": "casid.excitation/1",
-            "record": self.record,
-            "samples": self.samples,
-            "channels": [c.to_json() for c in self.channels],
-            "joint": self.joint,
-            "joint_limit": self.joint_limit,
-            "spacing": self.spacing,
-            "note": self.note,
-            "sources": list(self.sources),
-        }
+        return {"schema": "casid.excitation/1"} | plain_fields(self)
 
 
 def excitation_orders(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from casid.arrays import Array, finite_or_none
+from casid.data.files import plain_fields
 from casid.deprecation import renamed
 from casid.grouping import Grouped
 from casid.identifiability.records.planned_experiment import Noise
@@ -96,7 +97,7 @@ class Direction:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {"error": finite_or_none(self.error), "moves": dict(self.moves)}
+        return plain_fields(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from casid.arrays import Array
+from casid.data.files import plain_fields
 from casid.presentation import present
 
 Kind = Literal["identifiable", "practically non-identifiable", "flat"]
@@ -59,18 +60,7 @@ class ProfileLikelihood:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; an open end is None."""
-        return {
-            "name": self.name,
-            "unit": self.unit,
-            "best": self.best,
-            "lower": self.lower if math.isfinite(self.lower) else None,
-            "upper": self.upper if math.isfinite(self.upper) else None,
-            "threshold": self.threshold,
-            "grid": self.grid.tolist(),
-            "deviance": self.deviance.tolist(),
-            "kind": self.kind,
-            "note": self.note,
-        }
+        return plain_fields(self, leave_out=["path"])
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -122,17 +112,7 @@ class Profiles:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {
-            "schema": "casid.profiles/1",
-            "problem": self.problem,
-            "records": list(self.records),
-            "confidence": self.confidence,
-            "profiles": [p.to_json() for p in self.profiles],
-            "noise": dict(self.noise),
-            "noise_source": dict(self.noise_source),
-            "assumes": self.assumes,
-            "sources": list(self.sources),
-        }
+        return {"schema": "casid.profiles/1"} | plain_fields(self, leave_out=["names"])
 
     def plot(self) -> Any:
         """Plotly figure: deviance against each parameter, with the threshold of the interval."""

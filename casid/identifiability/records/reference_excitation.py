@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.files import plain_fields
 from casid.data.problem import Problem
 from casid.errors import DataError, nearest
 from casid.estimation.estimate import Estimate
@@ -88,17 +89,7 @@ class Reference:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return {
-            "unknown": self.unknown,
-            "channel": self.channel,
-            "unit": self.unit,
-            "channel_order": self.channel_order,
-            "order": self.order,
-            "limit": self.limit,
-            "share": self.share,
-            "rms": self.rms,
-            "is_exciting": self.is_exciting,
-        }
+        return plain_fields(self, "is_exciting")
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -18,6 +18,7 @@ import numpy as np
 
 from casid.algebra.prime_field import random_prime
 from casid.algebra.row_basis import Basis, unit_vectors
+from casid.data.files import plain_fields
 from casid.errors import IdentifiabilityError
 from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import RankEvaluation
@@ -91,15 +92,7 @@ class ReplicasNeeded:
 
     def to_json(self) -> dict[str, Any]:
         """Plain lists and numbers."""
-        return {
-            "parameters": list(self.parameters),
-            "deficiencies": list(self.deficiencies),
-            "identifiable": [list(names) for names in self.identifiable],
-            "needed": self.needed,
-            "enough": self.enough,
-            "is_cut": self.is_cut,
-            "error_bound": self.error_bound,
-        }
+        return plain_fields(self)
 
 
 def replicas_needed(

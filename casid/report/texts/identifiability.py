@@ -114,7 +114,7 @@ def subsets_document(found: SensorSubsets) -> Document:
     return Document(
         f"{found.name}: {len(found.subsets)} subsets of outputs, {found.unknowns} unknowns, "
         f"{n} of them parameters",
-        [Table(head, rows, numbers=(1, 2, 3, 4), indent=0), *notes],
+        [Table(head, rows, numbers=(1, 2, 3, 4), widths=(1, 6, 6, 12, 14), indent=0), *notes],
     )
 
 
