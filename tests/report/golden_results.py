@@ -17,8 +17,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from casid.estimation.prediction_error.polynomial.misfit import Misfit
-from casid.estimation.prediction_error.polynomial.model import PolynomialModel, Search
 
 from casid.algebra.rational import Rational
 from casid.campaigns.campaign import Campaign
@@ -27,6 +25,8 @@ from casid.data.files import plain
 from casid.data.fir_filter import FirFilter
 from casid.diagnosis.advice.next_experiment import Advice
 from casid.estimation.nlp.solution import Solution
+from casid.estimation.prediction_error.polynomial.misfit import Misfit
+from casid.estimation.prediction_error.polynomial.model import PolynomialModel, Search
 from casid.estimation.reconciliation import Reconciliation
 from casid.identifiability.assessment import Assessment
 from casid.identifiability.equations.equation_text import parse_system
