@@ -71,6 +71,7 @@ from .model.effects.effect import Effect
 from .model.effects.user_effects import balance_effect, channel_effect, parameter_effect
 from .model.model import Model, Parameter
 from .report.figures.network_drawing import network_figure
+from .saving.archive import load
 from .unknown_inputs.indirect.direct_model import direct_model
 from .unknown_inputs.indirect.feedforward import feedforward
 from .unknown_inputs.indirect.indirect_model import indirect_model
@@ -201,6 +202,7 @@ __all__ = [
     "least_squares",
     "left_inverse",
     "linearise",
+    "load",
     "load_problem",
     "lowpass",
     "montecarlo",

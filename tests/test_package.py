@@ -33,13 +33,14 @@ LAYERS = """
 model:
 algebra:
 data: model
+saving: model
 linear: model algebra data
-estimation: model algebra data linear
-identifiability: model algebra data linear estimation
-identification: model algebra data linear estimation identifiability
+estimation: model algebra data saving linear
+identifiability: model algebra data saving linear estimation
+identification: model algebra data saving linear estimation identifiability
 unknown_inputs: model algebra data linear estimation identifiability identification
 campaigns: model data estimation identification
-diagnosis: model algebra data linear estimation identifiability identification campaigns
+diagnosis: model algebra data saving linear estimation identifiability identification campaigns
 export: model data linear estimation
 report: model algebra data linear estimation identifiability identification unknown_inputs
   campaigns diagnosis
@@ -49,7 +50,10 @@ __main__: cli
 """
 
 # Modules right below casid, of the standard library and NumPy alone, that every package may use.
-GROUND = {"arrays", "deprecation", "errors", "exportable", "presentation", "versions", "grouping"}
+GROUND = {
+    *("arrays", "deprecation", "errors", "exportable", "pickling", "presentation"),
+    *("versions", "grouping"),
+}
 
 
 def imports_of(path: Path, *, in_folder: bool = False) -> Iterator[tuple[str, bool]]:

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
+from casid.pickling import PickledByFields
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Derived:
+class Derived(PickledByFields):
     """How a channel is computed from others of the same record.
 
     Attributes

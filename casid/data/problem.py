@@ -8,10 +8,10 @@ import math
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from casid.data.derived import Derived, derive
 from casid.data.reading.columns import ColumnSpec
@@ -135,6 +135,20 @@ class Problem:
                     f"problem {self.name}: {name!r} is derived from {twice[0]!r}, which is derived "
                     f"itself; compute {name!r} from the sources of {twice[0]!r}"
                 )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled by its fields; functions of a problem file are those of the file, read again."""
+        given: dict[str, Any] = {}
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            given[entry.name] = dict(value) if isinstance(value, MappingProxyType) else value
+        if self.source is not None:
+            for name in _FUNCTIONS:
+                del given[name]
+        return _read_again, (given,)
+
+    def __deepcopy__(self, memo: Any) -> Problem:
+        return self  # nothing in it changes
 
     def __repr__(self) -> str:
         return f"<Problem {self.name}: {self.model!r}>"
@@ -325,6 +339,19 @@ class Problem:
     def with_si_values(self, values: Mapping[str, float]) -> Problem:
         """A copy whose model knows the given values, in SI."""
         return replace(self, model=self.model.with_si_values(values))
+
+
+_FUNCTIONS = ("derived", "example", "simulate", "effects")
+"""Fields of a problem that hold functions."""
+
+
+def _read_again(given: Mapping[str, Any]) -> Problem:
+    source = given.get("source")
+    functions = {}
+    if source is not None:
+        file = load_problem(source)
+        functions = {name: getattr(file, name) for name in _FUNCTIONS}
+    return Problem(**given, **functions)
 
 
 def _near(name: str, names: Sequence[str]) -> str:

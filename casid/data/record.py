@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from casid.errors import DataError
 from casid.model.units import parse_unit, si_unit, to_si
+from casid.pickling import PickledByFields
 from casid.presentation import Presented
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Record(Presented):
+class Record(Presented, PickledByFields):
     """One experiment, sampled uniformly; immutable, every change gives a new record.
 
     Attributes
@@ -93,20 +94,6 @@ class Record(Presented):
         set_field(self, "Ts", float(self.Ts))
         set_field(self, "t0", float(self.t0))
         set_field(self, "provenance", tuple(self.provenance))
-
-    def __reduce__(self) -> tuple[Any, ...]:  # mapping proxies do not pickle; campaigns need it
-        return (
-            Record,
-            (
-                dict(self.channels),
-                dict(self.units),
-                self.Ts,
-                self.t0,
-                self.name,
-                dict(self.missing),
-                self.provenance,
-            ),
-        )
 
     # ------------------------------------------------------------------ reading it
 
@@ -377,7 +364,7 @@ class Record(Presented):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Experiment:
+class Experiment(PickledByFields):
     """A record with its load case.
 
     Attributes
@@ -412,9 +399,6 @@ class Experiment:
                 )
         object.__setattr__(self, "known", MappingProxyType(known))
         object.__setattr__(self, "name", self.name or self.record.name)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (Experiment, (self.record, dict(self.known), self.name))
 
     def __repr__(self) -> str:
         known = ", ".join(f"{n} = {v:g}" for n, v in self.known.items()) or "nothing known"

@@ -18,6 +18,7 @@ from casid.estimation.estimate import Estimate, Origin, RecordView, measure_in
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.grouping import Grouped
 from casid.presentation import Presented, present, write
+from casid.saving.saved import Saved
 
 __all__ = [
     "Alternative",
@@ -64,7 +65,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Diagnosis(Presented):
+class Diagnosis(Presented, Saved):
     """What the simulation gets wrong, why, and what including the cause gains.
 
     Every field of `evidence`, `gain`, `limits` and `origin` is an attribute of the diagnosis, too.

@@ -17,6 +17,7 @@ from casid.estimation.fitted.fitted_model import FittedModel
 from casid.grouping import Grouped
 from casid.model.units import from_si, is_si, parse_unit, si_unit, to_si
 from casid.presentation import Presented, present
+from casid.saving.saved import Saved
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -194,7 +195,7 @@ class Trust:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate(Presented):
+class Estimate(Presented, Saved):
     """Values, covariance, what it assumes, solver evidence, fit and provenance."""
 
     problem: str

@@ -12,6 +12,7 @@ from casid.arrays import finite_or_none
 from casid.deprecation import renamed
 from casid.grouping import Grouped
 from casid.presentation import Presented, present, write
+from casid.saving.saved import Saved
 
 if TYPE_CHECKING:
     from casid.identifiability.combinations.closed_form import IdentifiableCombinations
@@ -171,7 +172,7 @@ class Provenance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Assessment(Presented):
+class Assessment(Presented, Saved):
     """Identifiability of a model's parameters from the experiments given.
 
     Fields are grouped by question; the attributes of all groups can be read here as well.

@@ -42,15 +42,26 @@ def unpacked(state: Mapping[str, Any], text: str) -> State:
     DataError
         If CasADi cannot read the text: it is damaged, or from a later version of CasADi.
     """
+    expressions = expressions_of(text)
+    return {name: _unpacked(value, expressions) for name, value in state.items()}
+
+
+def expressions_of(text: str) -> list[Any]:
+    """The SX expressions in a text.
+
+    Raises
+    ------
+    DataError
+        As `unpacked`.
+    """
     try:
-        expressions = ca.StringDeserializer(text).unpack()
+        return list(ca.StringDeserializer(text).unpack())
     except Exception as error:
         reason, version = str(error).splitlines()[0], ca.CasadiMeta.version()
         raise DataError(
             f"the expressions of the model cannot be read by CasADi {version} ({reason}); save the "
             "result again, or install the version of CasADi that saved it"
         ) from error
-    return {name: _unpacked(value, expressions) for name, value in state.items()}
 
 
 def _packed(value: Any, expressions: list[Any]) -> Any:

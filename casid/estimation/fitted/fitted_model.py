@@ -24,6 +24,7 @@ from casid.estimation.simulation.initial_state import fit_initial_state
 from casid.estimation.simulation.known_simulation import KnownSimulation
 from casid.exportable import Exportable
 from casid.model.model import Model
+from casid.saving.saved import Saved
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +34,7 @@ Inputs: TypeAlias = "Record | Experiment | pd.DataFrame | Mapping[str, Array | f
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FittedModel(Exportable):
+class FittedModel(Saved, Exportable):
     """A model with its estimated values, and all that is needed to simulate it as the fit did.
 
     Every number is in SI units; `model.declared_units` has the units that the user declared.

@@ -18,12 +18,13 @@ from casid.algebra.readable import neat, tidy
 from casid.errors import IdentifiabilityError
 from casid.identifiability.combinations.null_direction import NullDirection
 from casid.identifiability.combinations.scalar_flow import integrate_scalar
+from casid.pickling import PickledByFields
 
 Expr: TypeAlias = Any  # a sympy expression
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Family:
+class Family(PickledByFields):
     """A curve of parameter values with the same outputs.
 
     Attributes

@@ -19,11 +19,12 @@ import numpy as np
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError
 from casid.identifiability.combinations.family import Family, family
+from casid.pickling import PickledByFields
 from casid.presentation import Presented
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AlongFamily(Presented):
+class AlongFamily(Presented, PickledByFields):
     """An estimate and its images along a family.
 
     Attributes

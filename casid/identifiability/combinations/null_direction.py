@@ -17,6 +17,7 @@ from casid.algebra.interpolation import interpolate
 from casid.algebra.prime_field import echelon
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, nearest
+from casid.pickling import PickledByFields
 
 Expr: TypeAlias = Any  # a sympy expression
 NullAt: TypeAlias = Callable[[Mapping[str, int], int], Array]
@@ -25,7 +26,7 @@ columns; it raises ZeroDivisionError at points where these columns cannot be fre
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NullDirection:
+class NullDirection(PickledByFields):
     """d theta / d free: how parameters move together without a change of any output.
 
     Attributes

@@ -1,0 +1,1 @@
+"""Results kept in files: JSON, Parquet and CasADi's own serialisation, and read again."""
