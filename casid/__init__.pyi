@@ -67,7 +67,9 @@ from .linear.closed_loop import closed_loop_view
 from .linear.discretisation_bias import bias_table
 from .linear.linear_model import linearise
 from .model.clock_signals import Always, RampOver, StepAt, TimeSince
+from .model.effects.channel_effects import hold, saturation, sensor_lag, time_delay
 from .model.effects.effect import Effect
+from .model.effects.structure_effects import actuator_lag
 from .model.effects.user_effects import balance_effect, channel_effect, parameter_effect
 from .model.model import Model, Parameter
 from .report.figures.network_drawing import network_figure
@@ -162,6 +164,7 @@ __all__ = [
     "System",
     "TimeSince",
     "UnitError",
+    "actuator_lag",
     "affine_hull",
     "assess_identifiability",
     "balance_effect",
@@ -191,6 +194,7 @@ __all__ = [
     "estimate_from_moments",
     "estimate_module",
     "feedforward",
+    "hold",
     "identify",
     "immerse",
     "indirect_equations",
@@ -232,11 +236,14 @@ __all__ = [
     "regress",
     "regression_limit",
     "replica",
+    "saturation",
     "sensor",
+    "sensor_lag",
     "sensor_subsets",
     "simulate_network",
     "smooth_track",
     "special_case",
+    "time_delay",
     "transfer_matrix",
     "two_stage_limit",
     "validate",

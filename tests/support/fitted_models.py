@@ -70,11 +70,10 @@ def fitted_model(
     assert set(free) <= set(values)
     return FittedModel(
         name=problem.name,
-        model=model.with_known(**values),
+        model=model.with_si_values(values),
         records=(FittedRecord("example", Ts, 0.0, N, {}, np.array([x0], dtype=float)),),
         covariance_names=free,
         covariance=1e-6 * np.eye(len(free)),
-        baseline=problem.model,
         causes=tuple(causes),
         settings=SimulationSettings(substeps, 1, np.ones(len(model.outputs))),
         channels=Channels(dict(problem.channels), dict(problem.recorded), {}, str(problem.time)),
