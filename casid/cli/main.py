@@ -16,6 +16,7 @@ import click
 from casid import __version__
 from casid.cli.check import check
 from casid.cli.diagnose import diagnose
+from casid.cli.example import example
 from casid.cli.identifiability import identifiability
 from casid.cli.identify import identify
 from casid.cli.montecarlo import montecarlo
@@ -96,7 +97,7 @@ def main(context: click.Context) -> None:
         print_text(context.get_help())
 
 
-for command in (new, check, diagnose, identify, identifiability, montecarlo):
+for command in (new, check, diagnose, identify, identifiability, montecarlo, example):
     main.add_command(command)
 
 

@@ -132,12 +132,6 @@ def new_problem(
     _refuse_path(path, force=force)
     draft = _draft(chosen, data, mapping or {}, known or {})
     body = chosen.write(draft)
-    unused = sorted(set(draft.given) - set(draft.declared))
-    if unused:
-        raise DataError(
-            f"template {chosen.name} has no parameter {unused[0]!r} for this file"
-            f"{nearest(unused[0], draft.declared)}"
-        )
     text, recorded = _written(chosen, draft, body, path)
     if path is not None:
         write_text(path, text)
@@ -219,6 +213,12 @@ def _written(
     template: Template, draft: Draft, body: Body, path: Path | None
 ) -> tuple[str, dict[str, FileChannel]]:
     """The text of the file, and the columns recorded beside the model's."""
+    unused = sorted(set(draft.given) - set(draft.declared))
+    if unused:
+        raise DataError(
+            f"template {template.name} has no parameter {unused[0]!r} for this file"
+            f"{nearest(unused[0], draft.declared)}"
+        )
     file = draft.file
     title = f"{template.title[0].upper()}{template.title[1:]}, to fill in for {file.path.name}."
     equations = [
