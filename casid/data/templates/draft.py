@@ -8,11 +8,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-import numpy as np
-
 from casid.data.record import FloatArray
 from casid.data.templates.file_channels import FileChannel, FileChannels, free_name
-from casid.data.templates.roles import Role, same_quantity
+from casid.data.templates.roles import Role, is_command, same_quantity
 from casid.errors import DataError
 from casid.model.units import parse_unit, si_unit
 
@@ -96,7 +94,8 @@ class Draft:
 
     def input(self, role: str, symbol: str, what: str) -> str:
         """The declaration of a recorded input."""
-        hold = "zoh" if self.columns[role].is_held else "foh"
+        channel = self.columns[role]
+        hold = "zoh" if channel.is_held or is_command(channel) else "foh"
         call = f"{symbol} = m.input({quoted(role)}, {quoted(self.unit(role))}, hold={quoted(hold)})"
         return _line(call, what, self._doubt(role))
 
@@ -148,8 +147,7 @@ class Draft:
 
     def first(self, role: str) -> float:
         """The first value of a signal, in its unit: a start of its state."""
-        few = self[role][: max(1, min(10, self[role].size // 20))]
-        return in_unit(float(np.mean(few)), self.unit(role))
+        return in_unit(float(self[role][0]), self.unit(role))
 
     def _doubt(self, role: str) -> str:
         """What is not sure about the column of a signal."""

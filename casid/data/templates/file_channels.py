@@ -14,6 +14,7 @@ import numpy as np
 
 from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.faults import Survey
+from casid.data.reading.header_units import header_unit
 from casid.data.reading.sources import limit_text, source_of
 from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.record import FloatArray, Record
@@ -46,7 +47,7 @@ class FileChannel:
     @property
     def words(self) -> tuple[str, ...]:
         """The words of the column's name, in small ASCII letters."""
-        stem = ascii_text(stem_of(self.column, self.unit))
+        stem = ascii_text(stem_of(self.column))
         text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", stem)
         return tuple(re.findall(r"[a-z]+", text.lower()))
 
@@ -154,7 +155,7 @@ def file_channels(
         if record.is_missing(column).all():
             left_out[column] = "it holds no values in this window"
             continue
-        name = free_name(identifier(stem_of(column, unit)), {c.name for c in channels})
+        name = free_name(identifier(stem_of(column)), {c.name for c in channels})
         known = unit_aliases().get(unit, unit) if unit is not None else None
         channels.append(FileChannel(name, column, known, record.filled(column)))
     return FileChannels(
@@ -198,13 +199,10 @@ def _read(
     return survey(path, specs, options, describe=False)
 
 
-def stem_of(column: str, unit: str | None) -> str:
+def stem_of(column: str) -> str:
     """A column's name without the unit at its end: `U_Mot (V)` gives `U_Mot`."""
-    if unit is None or unit not in column:
-        return column
-    before = column[: column.rindex(unit)]
-    stem = re.sub(r"(?:\s+in|[\s/\[(_,:-])+$", "", before)
-    return stem or column
+    found = header_unit(column)
+    return found.stem.strip() if found is not None and found.stem.strip() else column
 
 
 def ascii_text(text: str) -> str:

@@ -72,11 +72,10 @@ def write(d: Draft) -> Body:
     return Body(
         equations=[
             f"tau dy/dt = {total} - y    for every output y",
-            "",
-            "These are placeholders: put the equations of your system in their place. A motion of",
-            "second order has a state for its rate, m.derivative(x, v), and a balance such as",
-            'm.balance(v, "force", inertia=M, terms=[F, -d * v, -k * x]).',
         ],
+        advice="These are placeholders: put the equations of your system in their place. A motion "
+        "of second order has a state for its rate, m.derivative(x, v), and a balance such as "
+        'm.balance(v, "force", inertia=M, terms=[F, -d * v, -k * x]).',
         inputs=[d.input(u, u, "") for u in inputs],
         states=[f'{y} = m.state("{y}", "{d.unit(y)}", start={d.first(y):.4g})' for y in outputs],
         parameters=parameters,

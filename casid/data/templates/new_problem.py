@@ -81,7 +81,7 @@ class NewProblem:
         )
 
     def __str__(self) -> str:
-        lines = [f"{self.path or 'a problem file'}: {TEMPLATES[self.template].title}"]
+        lines = [f"{self.path or 'a problem file, not written'}: {TEMPLATES[self.template].title}"]
         for head, channels in (("model", self.channels), ("recorded", self.recorded)):
             for name, column in channels.items():
                 lines.append(f"  {head:<9} {name} from {column}")
@@ -221,15 +221,13 @@ def _written(
         )
     file = draft.file
     title = f"{template.title[0].upper()}{template.title[1:]}, to fill in for {file.path.name}."
-    equations = [
-        f"    {line}" if not line.endswith((".", ":", "as")) else line for line in body.equations
-    ]
-    span = f"{file.N} samples, every {file.Ts:.6g} s, {file.N * file.Ts:.6g} s long"
-    about = textwrap.fill(
+    span = f"{file.N} samples, one every {duration(file.Ts)}, {duration(file.N * file.Ts)} long"
+    about = (
         f"The record has {span}. Lines with CHECK hold a guess or want a value of yours; delete "
-        "the remark when it is right. Numbers are in the unit beside them.",
-        WIDTH,
+        "the remark when it is right. Numbers are in the unit beside them."
     )
+    paragraphs = [textwrap.fill(text, WIDTH) for text in (body.advice, about) if text]
+    equations = "\n".join(f"    {line}" for line in body.equations if line)
     imports = ["import casid"]
     if template.needs_casadi:
         imports = ["import casadi as ca", "", "import casid"]
@@ -237,7 +235,7 @@ def _written(
     taken = set(re.findall(r'm\.\w+\("(\w+)"', declared))
     name = identifier(file.path.stem) if path is None else path.stem
     beside, problem = draft.problem(name, template.title, taken)
-    head = "\n".join(line.rstrip() for line in [f'"""{title}', "", *equations, "", about, '"""'])
+    head = "\n\n".join([f'"""{title}', equations, *paragraphs]) + '\n"""'
     parts = [
         head,
         "\n".join(imports),
@@ -246,3 +244,11 @@ def _written(
         problem,
     ]
     return "\n\n".join(parts) + "\n", beside
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that people would take: `5 ms`, `40 s`, `14 days`."""
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.4g} {unit}"
+    return f"{seconds:.4g} s" if seconds >= 1 else f"{1e3 * seconds:.4g} ms"

@@ -70,6 +70,11 @@ def _hits(parts: str, words: Sequence[str]) -> int:
     return sum(any(w == p or (len(p) > 2 and p in w) for p in listed) for w in words)
 
 
+def is_command(channel: FileChannel) -> bool:
+    """True if a column's name calls it a command, which is held between samples."""
+    return _hits("cmd command soll setpoint sollwert pwm", channel.words) > 0
+
+
 def assign(roles: Sequence[Role], channels: Sequence[FileChannel]) -> Mapping[str, FileChannel]:
     """The columns that fit the roles best together; a role that none fits is left out."""
     from scipy.optimize import linear_sum_assignment

@@ -18,6 +18,7 @@ class Body:
     ----------
     equations : in words, for the head of the file.
     relations : derivatives and balances.
+    advice : a paragraph for the head of the file.
     """
 
     equations: Sequence[str]
@@ -26,6 +27,7 @@ class Body:
     parameters: Sequence[str]
     relations: Sequence[str]
     outputs: Sequence[str]
+    advice: str = ""
 
     def paragraphs(self) -> list[str]:
         """Each matter below its comment."""
