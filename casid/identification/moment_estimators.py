@@ -20,7 +20,7 @@ from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.stage_plan import StageSpec
-from casid.estimation.moments.staged_estimation import StagedEstimation
+from casid.estimation.moments.staged_estimation import Programs, StagedEstimation
 from casid.identifiability.requirement import require_identifiable
 from casid.model.model import Model
 
@@ -153,6 +153,7 @@ class Reusable:
     -------
     ``estimator = Reusable(problem, stages, instruments); estimator(experiments)`` gives what
     `multistage` gives, at the cost of the data alone from the second call on.
+    ``dataclasses.replace(estimator, prior=...)`` has the same programs and another prior.
     """
 
     problem: Problem | Model
@@ -160,13 +161,12 @@ class Reusable:
     instruments: Instruments | None = None
     prior: Prior | None = None
     settings: MomentSettings | None = None
-    _cache: dict[Any, Any] = field(default_factory=dict)
+    _programs: Programs = field(default_factory=Programs)
+    _answers: dict[Any, str] = field(default_factory=dict)
 
     def __call__(self, experiments: Sequence[Experiment] | Experiment) -> MomentEstimate:
         """The estimate from records of the same names, load cases and sample times."""
-        if not self._cache:
-            estimation = StagedEstimation(
-                self.problem, self.stages, self.instruments, self.prior, self.settings
-            )
-            self._cache.update(estimation=estimation, answers={})
-        return _estimate(self._cache["estimation"], experiments, self._cache["answers"])
+        estimation = StagedEstimation(
+            self.problem, self.stages, self.instruments, self.prior, self.settings, self._programs
+        )
+        return _estimate(estimation, experiments, self._answers)

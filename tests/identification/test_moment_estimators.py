@@ -170,6 +170,18 @@ def test_a_reusable_estimator_gives_what_a_fresh_one_gives(study: PendulumRecord
         assert again[name] == pytest.approx(fresh[name], rel=1e-7)  # the solver's tolerance
 
 
+def test_a_reusable_estimator_follows_another_prior(study: PendulumRecords) -> None:
+    estimator = Reusable(model(), STAGES, WRONG_LAG, settings=MomentSettings(form="linear"))
+    records, prior = study.experiments(4), Prior({"M": 22.24, "z_g": -0.0181}, {"M": 0.1})
+    plain = estimator(records)
+    again = replace(estimator, prior=prior)(records)
+    fresh = multistage(model(), records, STAGES, WRONG_LAG, prior=prior)
+    for name in FREE:
+        assert again[name] == pytest.approx(fresh[name], rel=1e-7)  # the solver's tolerance
+        assert again.std_error(name) == pytest.approx(fresh.std_error(name), rel=1e-4)
+    assert abs(again["I_x"] - plain["I_x"]) > 1e-6
+
+
 def test_a_wrong_reference_filter_costs_variance_not_consistency(records) -> None:
     """F_delta with 0.1 s instead of 0.2 s, and no filter at all."""
     for instruments in (TRUE_LAG, WRONG_LAG, Instruments("ref")):

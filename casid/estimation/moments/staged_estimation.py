@@ -6,7 +6,7 @@ A joint estimate is the case of one stage with all records (Linder 2017, Approac
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from casid.data.problem import Problem
@@ -24,6 +24,15 @@ from casid.linear.difference_equation import DifferenceEquation
 from casid.model.model import Model
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Programs:
+    """What is built once for all records of one form, whatever the values of a prior."""
+
+    equations: dict[tuple[str, float], DifferenceEquation] = field(default_factory=dict)
+    loops: dict[float, Loop] = field(default_factory=dict)
+    stages: dict[tuple[Any, ...], Stage] = field(default_factory=dict)
+
+
 class StagedEstimation:
     """Stages whose programs are built once, for any records of the same form.
 
@@ -32,6 +41,7 @@ class StagedEstimation:
     stages : in order; without `free`, those parameters that the model declares unknown.
     instruments : None: least squares.
     prior : known values with their uncertainty.
+    programs : those of an estimation that differs in the values of its prior alone.
 
     Raises
     ------
@@ -47,6 +57,7 @@ class StagedEstimation:
         instruments: Instruments | None = None,
         prior: Prior | None = None,
         settings: MomentSettings | None = None,
+        programs: Programs | None = None,
     ) -> None:
         self.name = problem.name
         self.model = model = with_prior(problem, prior)
@@ -71,9 +82,7 @@ class StagedEstimation:
                 raise ModelError(
                     f"{f} is estimated and has a prior value; take it out of one of the two"
                 )
-        self._equations: dict[tuple[str, float], DifferenceEquation] = {}
-        self._loops: dict[float, Loop] = {}
-        self._built: dict[tuple[Any, ...], Stage] = {}
+        self._programs = programs or Programs()
 
     def read(self, experiments: Sequence[Experiment]) -> list[StageRecords]:
         """The records of all stages.
@@ -101,7 +110,7 @@ class StagedEstimation:
                 chosen,
                 method=own.method,
                 outputs=own.outputs,
-                equations=self._equations,
+                equations=self._programs.equations,
             )
             before = {f for earlier in self.stages[:i] for f in earlier.free}
             refuse_undetermined(self.stages, i, parts, {*self.declared} - before - {*s.free})
@@ -114,21 +123,21 @@ class StagedEstimation:
         found: dict[str, float] = {}
         for s in stages:
             key = (s.number, *((p.name, p.Ts, p.known) for p in s.parts))
-            if key not in self._built:
-                self._built[key] = Stage(
+            if key not in self._programs.stages:
+                self._programs.stages[key] = Stage(
                     self.model,
                     s.parts,
                     s.free,
                     s.settings,
                     self.instruments,
-                    loops=self._loops,
+                    loops=self._programs.loops,
                     name=f"stage {s.number + 1}",
                 )
             values = [
                 {**p.values, **{k: v for k, v in found.items() if k not in p.known}}
                 for p in s.parts
             ]
-            fits.append(self._built[key].fit(s.parts, values))
+            fits.append(self._programs.stages[key].fit(s.parts, values))
             found |= dict(zip(s.free, fits[-1].theta_p.tolist(), strict=True))
         return tuple(fits)
 
