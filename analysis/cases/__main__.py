@@ -1,7 +1,5 @@
 """`python -m analysis.cases`."""
 
-import sys
-
 from analysis.cases.study import STUDY
 
-sys.exit(STUDY.main())
+STUDY.run()

@@ -7,7 +7,10 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from casid.diagnosis.diagnosis import Diagnosis
 
 
 @dataclass
@@ -35,20 +38,14 @@ class Output:
         if self.folder is not None:
             figure.write_html(self.folder / f"{name}.html", include_plotlyjs="directory")
 
+    def report(self, name: str, diagnosis: Diagnosis) -> None:
+        """Write the report of a diagnosis into a folder."""
+        if self.folder is not None:
+            (self.folder / name).mkdir(exist_ok=True)
+            diagnosis.write(self.folder / name)
+
     def json(self, name: str, content: Any) -> None:
         """Write plain data as JSON."""
         if self.folder is not None:
             text = json.dumps(content, indent=1) + "\n"
             (self.folder / f"{name}.json").write_text(text, encoding="utf-8")
-
-
-def titled(figure: Any, title: str, height: int) -> Any:
-    """A Plotly figure with its title, which is its caption too, `height` pixels high."""
-    figure.update_layout(
-        title={"text": title, "font": {"size": 15}},
-        height=height,
-        width=1100,
-        template="plotly_white",
-        meta={"caption": title},
-    )
-    return figure

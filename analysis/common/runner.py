@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from analysis.common.output import Output
 from analysis.common.targets import Target, report
@@ -71,6 +71,10 @@ class Study:
     out: str = OUT  # help of --out
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # flag -> add_argument
     file: str = "targets.json"
+
+    def run(self) -> NoReturn:
+        """End the process with the status of the study."""
+        sys.exit(self.main())
 
     def main(self, arguments: list[str] | None = None) -> int:
         """Print each number beside its target; 1 if one is missed, 2 if shared data are absent."""

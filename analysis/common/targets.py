@@ -29,13 +29,23 @@ class Target:
         )
 
 
-def at_most(what: str, found: SupportsFloat, limit: float, unit: str) -> Target:
+def at_most(what: str, found: SupportsFloat, limit: float, unit: str = "") -> Target:
     """A number that must not exceed a limit."""
     found = float(found)
     return Target(what, f"{found:.4g} {unit}", f"<= {limit:g} {unit}", found <= limit)
 
 
-def near(what: str, found: float, wanted: float, relative: float, unit: str) -> Target:
+def holds(what: str, found: object, wanted: object, is_met: object) -> Target:
+    """Anything beside what is wanted of it."""
+    return Target(what, str(found), str(wanted), bool(is_met))
+
+
+def equal(what: str, found: object, wanted: object) -> Target:
+    """Something that must be just this."""
+    return holds(what, found, wanted, found == wanted)
+
+
+def near(what: str, found: float, wanted: float, relative: float, unit: str = "") -> Target:
     """A number within a relative distance of another."""
     met = abs(found - wanted) <= relative * abs(wanted)
     return Target(what, f"{found:.5g} {unit}", f"{wanted:g} {unit} +- {100 * relative:g} %", met)

@@ -104,17 +104,10 @@ def wave_forces(
         for k in range(BLOCK):
             if first <= BLOCK * block + k < first + periods:
                 s_, d_ = slope[k], np.abs(eta[k]) ** 2
-                made.append(
-                    np.stack(
-                        [
-                            -loads.c_X * s_ * cos + loads.D_X * cos * d_,
-                            -loads.c_Y * s_ * sin + loads.D_Y * sin * d_,
-                            -loads.c_K * s_ * sin,
-                            -loads.c_N * s_ * twice + loads.D_N * twice * d_,
-                        ],
-                        axis=1,
-                    )
-                )
+                X = -loads.c_X * s_ * cos + loads.D_X * cos * d_
+                Y = -loads.c_Y * s_ * sin + loads.D_Y * sin * d_
+                N = -loads.c_N * s_ * twice + loads.D_N * twice * d_
+                made.append(np.stack([X, Y, -loads.c_K * s_ * sin, N], axis=1))
     return np.concatenate(made)
 
 

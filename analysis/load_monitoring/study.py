@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.common.figures import Chart
 from analysis.common.runner import Run, Study, sections
 from analysis.common.targets import Target, at_most
 from analysis.load_monitoring.records import ABOARD, PERIOD, TS, Calibration, calibrate, instruments
@@ -236,19 +237,13 @@ def margins(s: Voyages) -> list[Target]:
     false = sum(a.kind == "limit" for a in s.quiet.alarms)
     return [
         at_most(f"k + S g = {truth(with_more(0.6))['k + S g']:.2f}: delay", first, 300.0, "s"),
-        Target(
-            "no alarm of the margin before that load",
-            f"{first:.0f} s",
-            "> 0 s",
-            first > 0.0,
-        ),
+        Target("no alarm of the margin before that load", f"{first:.0f} s", "> 0 s", first > 0.0),
         at_most(f"false alarms of the margin in {s.hours:g} h", false, 0, ""),
     ]
 
 
 def intervals(s: Voyages) -> list[Target]:
     """Coverage of five minutes' intervals, without a change and after one."""
-    out = []
     quiet = covered(s.quiet.status, ABOARD)
     last = [run.status[-1] for run in s.runs[0.2]]
     after = covered(last, with_more(0.2), 1)
@@ -258,16 +253,15 @@ def intervals(s: Voyages) -> list[Target]:
         print(f"  {name:<8} true {truth(ABOARD)[name]:.4g}, typically {typical[name]}: {held}")
     n = len(s.quiet.status) // (SPAN // 3)
     slack = 100.0 * 3.0 * math.sqrt(0.95 * 0.05 / n)
-    for name in ("m", "zbar_m"):
-        out.append(
-            Target(
-                f"95 % interval of {name} holds the truth, {n} spans of 5 min",
-                f"{quiet[name]:.1f} %",
-                f">= {95.0 - slack:.1f} %",
-                quiet[name] >= 95.0 - slack,
-            )
+    return [
+        Target(
+            f"95 % interval of {name} holds the truth, {n} spans of 5 min",
+            f"{quiet[name]:.1f} %",
+            f">= {95.0 - slack:.1f} %",
+            quiet[name] >= 95.0 - slack,
         )
-    return out
+        for name in ("m", "zbar_m")
+    ]
 
 
 def trade_off(s: Voyages) -> list[Target]:
@@ -294,55 +288,32 @@ def trade_off(s: Voyages) -> list[Target]:
 
 def figure(s: Voyages) -> Any:
     """Delay against false alarms; and the mass over the voyage with three loads."""
-    import plotly.graph_objects as go
-    from plotly.subplots import make_subplots
-
-    drawn = make_subplots(
-        rows=2,
-        cols=1,
-        subplot_titles=(
-            "Delay of detection against false alarms, as stated and as seen",
-            "Load over a voyage: 0.2, 0.4, 0.8 kg, with 95 % intervals of up to 5 min",
-        ),
+    titles = (
+        "Delay of detection against false alarms, as stated and as seen",
+        "Load over a voyage: 0.2, 0.4, 0.8 kg, with 95 % intervals of up to 5 min",
     )
+    chart = Chart("A load that comes aboard under way", 800, rows=2, subplot_titles=titles)
     rates = [rate * PERIOD / DAY for rate in RATES]
+    seen = [s.false_alarms(rate) for rate in rates]
     for added in s.runs:
         medians = [float(np.median(s.delays(added, rate))) for rate in rates]
-        for x, dash, what in (
-            (list(RATES), "solid", "stated"),
-            ([s.false_alarms(rate) for rate in rates], "dot", "seen"),
-        ):
-            drawn.add_trace(
-                go.Scatter(
-                    x=x,
-                    y=[d if math.isfinite(d) else None for d in medians],
-                    mode="lines+markers",
-                    line={"dash": dash},
-                    name=f"+{added:g} kg, {what}",
-                ),
-                row=1,
-                col=1,
-            )
+        y = [d if math.isfinite(d) else None for d in medians]
+        for x, dash, what in ((list(RATES), "solid", "stated"), (seen, "dot", "seen")):
+            chart.line(x, y, f"+{added:g} kg, {what}", dash=dash, mode="lines+markers")
     t = [status.time / 60.0 for status in s.example.status]
     m = [status["m"] for status in s.example.status]
-    for y, options in (
-        ([i.upper for i in m], {"line": {"width": 0}, "showlegend": False}),
-        (
-            [i.lower for i in m],
-            {"line": {"width": 0}, "fill": "tonexty", "name": "95 % interval of m"},
-        ),
-        ([i.value for i in m], {"line": {"color": "#1b9e77"}, "name": "m"}),
-    ):
-        drawn.add_trace(go.Scatter(x=t, y=y, mode="lines", **options), row=2, col=1)
+    bare: dict[str, Any] = {"at": (2, 1), "line": {"width": 0}}
+    chart.line(t, [i.upper for i in m], **bare)
+    chart.line(t, [i.lower for i in m], "95 % interval of m", fill="tonexty", **bare)
+    chart.line(t, [i.value for i in m], "m", "#1b9e77", at=(2, 1))
     for alarm in s.example.alarms:
         colour = "#d95f02" if alarm.kind == "change" else "#7570b3"
-        drawn.add_vline(x=alarm.time / 60.0, line_color=colour, row=2, col=1)
-    drawn.update_xaxes(title_text="false alarms a day", type="log", row=1, col=1)
-    drawn.update_yaxes(title_text="median delay [s]", row=1, col=1)
-    drawn.update_xaxes(title_text="time [min]", row=2, col=1)
-    drawn.update_yaxes(title_text="mass of the load m [kg]", row=2, col=1)
-    drawn.update_layout(height=800)
-    return drawn
+        chart.figure.add_vline(x=alarm.time / 60.0, line_color=colour, row=2, col=1)
+    chart.x_axis("false alarms a day", type="log", row=1)
+    chart.y_axis("median delay [s]", row=1)
+    chart.x_axis("time [min]", row=2)
+    chart.y_axis("mass of the load m [kg]", row=2)
+    return chart.figure
 
 
 SECTIONS = {

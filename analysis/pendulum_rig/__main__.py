@@ -1,7 +1,5 @@
 """`python -m analysis.pendulum_rig`."""
 
-import sys
-
 from analysis.pendulum_rig.study import STUDY
 
-sys.exit(STUDY.main())
+STUDY.run()

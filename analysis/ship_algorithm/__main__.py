@@ -1,7 +1,5 @@
 """`python -m analysis.ship_algorithm`."""
 
-import sys
-
 from analysis.ship_algorithm.study import STUDY
 
-sys.exit(STUDY.main())
+STUDY.run()

@@ -1,7 +1,5 @@
 """`python -m analysis.solver_comparison`."""
 
-import sys
-
 from analysis.solver_comparison.study import STUDY
 
-sys.exit(STUDY.main())
+STUDY.run()

@@ -18,16 +18,15 @@ Targets: agreement with the reference to 1e-7 relative, or the reason why not, i
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from analysis.common.figures import Chart
+from analysis.common.output import Output
 from analysis.common.runner import Run, Study
 from analysis.common.targets import Target
 from analysis.pendulum_study.records import INSTRUMENT_LAG, TS, PendulumRecords
@@ -220,22 +219,14 @@ def judge(case: Case, found: SolverComparison) -> Iterator[Target]:
         what = f"{case.key}: criterion of {len(near)} solvers"
         yield Target(what, f"within {off:.1e}", f"<= {FLAT:g}", off <= FLAT)
     silent = [row.solver for row in found.rows if not row.agrees and not row.reason]
-    yield Target(
-        f"{case.key}: those that miss say why",
-        ", ".join(silent)
-        or f"{len(found.rows) - len(found.agreeing)} of {len(found.rows) - len(found.agreeing)}",
-        "all",
-        not silent,
-    )
+    missing = len(found.rows) - len(found.agreeing)
+    text = ", ".join(silent) or f"{missing} of {missing}"
+    yield Target(f"{case.key}: those that miss say why", text, "all", not silent)
     if case.expected is not None and found.reference is not None:
         at = dict(zip(found.names, found.reference.tolist(), strict=True))
         off = max(abs(at[n] - v) / abs(v) for n, v in case.expected.items())
-        yield Target(
-            f"{case.key}: reference against the estimator",
-            f"{off:.1e}",
-            f"<= {TOLERANCE:g}",
-            off <= TOLERANCE,
-        )
+        what = f"{case.key}: reference against the estimator"
+        yield Target(what, f"{off:.1e}", f"<= {TOLERANCE:g}", off <= TOLERANCE)
 
 
 def forms_agree(results: Mapping[str, SolverComparison]) -> Iterator[Target]:
@@ -273,47 +264,31 @@ def overview(results: Mapping[str, SolverComparison]) -> str:
 
 def figure(results: Mapping[str, SolverComparison]) -> Any:
     """Distance to the reference for each solver (Plotly), one colour a problem."""
-    import plotly.graph_objects as go
-
-    picture = go.Figure()
+    chart = Chart("Solvers on the estimation problems of section 7.5.1")
     for key, r in results.items():
         rows = [row for row in r.rows if row.x is not None and np.isfinite(row.distance)]
-        if not rows:
-            continue
-        picture.add_scatter(
-            x=[row.solver for row in rows],
-            y=[max(row.distance, 1e-16) for row in rows],
-            mode="markers",
-            name=key,
-            hovertext=[row.reason or row.status for row in rows],
-        )
-    picture.add_hline(y=TOLERANCE, line_dash="dash", annotation_text="agreement")
-    picture.update_yaxes(
-        type="log", title="largest relative distance to the reference", exponentformat="power"
-    )
-    picture.update_xaxes(title="solver")
-    picture.update_layout(title="Solvers on the estimation problems of section 7.5.1")
-    return picture
+        if rows:
+            x, y = [row.solver for row in rows], [max(row.distance, 1e-16) for row in rows]
+            chart.points(x, y, key, hovertext=[row.reason or row.status for row in rows])
+    chart.figure.add_hline(y=TOLERANCE, line_dash="dash", annotation_text="agreement")
+    chart.x_axis("solver")
+    distance = "largest relative distance to the reference"
+    chart.y_axis(distance, type="log", exponentformat="power")
+    return chart.figure
 
 
-def write(out: Path, results: Mapping[str, SolverComparison], titles: Mapping[str, str]) -> None:
+def write(out: Output, results: Mapping[str, SolverComparison], titles: Mapping[str, str]) -> None:
     """Tables (text, CSV, JSON) and figures of all problems."""
-    figures = out / "figures"
-    figures.mkdir(parents=True, exist_ok=True)
+    assert out.folder is not None
+    figures = Output(out.folder / "figures")
     for key, r in results.items():
-        (out / f"{key}.txt").write_text(f"{titles[key]}\n{r}\n", encoding="utf-8")
-        r.plot().write_html(figures / f"{key}.html", include_plotlyjs="directory")
-    figure(results).write_html(figures / "overview.html", include_plotlyjs="directory")
-    everything = {key: r.to_json() | {"title": titles[key]} for key, r in results.items()}
-    (out / "solvers.json").write_text(json.dumps(everything, indent=1) + "\n", encoding="utf-8")
-    with (out / "solvers.csv").open("w", newline="", encoding="utf-8") as file:
-        keys = [key for key in next(iter(results.values())).rows[0].to_json() if key != "x"]
-        writer = csv.DictWriter(file, ["problem", *keys])
-        writer.writeheader()
-        for problem, r in results.items():
-            for row in r.rows:
-                plain = row.to_json()
-                writer.writerow({"problem": problem} | {key: plain[key] for key in keys})
+        (out.folder / f"{key}.txt").write_text(f"{titles[key]}\n{r}\n", encoding="utf-8")
+        figures.figure(key, r.plot())
+    figures.figure("overview", figure(results))
+    out.json("solvers", {key: r.to_json() | {"title": titles[key]} for key, r in results.items()})
+    rows = [(key, row.to_json()) for key, r in results.items() for row in r.rows]
+    plain = [{n: v for n, v in row.items() if n != "x"} for _, row in rows]
+    out.table("solvers", [{"problem": k} | p for (k, _), p in zip(rows, plain, strict=True)])
 
 
 def study(run: Run) -> Iterator[Target]:
@@ -330,7 +305,7 @@ def study(run: Run) -> Iterator[Target]:
     print(f"\n{overview(results)}\n")
     yield from targets
     if run.folder is not None:
-        write(run.folder, results, titles)
+        write(run.output, results, titles)
 
 
 STUDY = Study(

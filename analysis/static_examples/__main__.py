@@ -1,7 +1,5 @@
 """`python -m analysis.static_examples`."""
 
-import sys
-
 from analysis.static_examples.study import STUDY
 
-sys.exit(STUDY.main())
+STUDY.run()
