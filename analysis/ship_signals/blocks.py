@@ -62,6 +62,26 @@ class Wire:
     via: tuple[Point, ...] = ()
 
 
+def wires(*paths: tuple[str | Point | int, ...]) -> tuple[Wire, ...]:
+    """Wires along paths of signals, from name to name.
+
+    A point before a name is a corner on the way to it, -1 the sign with which it is entered.
+    """
+    made: list[Wire] = []
+    for start, *steps in paths:
+        corners: list[Point] = []
+        sign = 1
+        for step in steps:
+            if isinstance(step, str):
+                made.append(Wire(str(start), step, sign, tuple(corners)))
+                start, corners, sign = step, [], 1
+            elif isinstance(step, int):
+                sign = step
+            else:
+                corners.append(step)
+    return tuple(made)
+
+
 @dataclass(frozen=True, slots=True)
 class Diagram:
     """A block diagram.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from analysis.ship_signals.blocks import Diagram, Kind, Node, Point, Wire
+from analysis.ship_signals.blocks import Diagram, Kind, Node, Point, wires
 from analysis.ship_signals.formulas import Hull, Roll, responses
 
 NOTES = {
@@ -76,16 +76,11 @@ def roll_subsystem() -> Diagram:
             sum={"+1": (2.4, 0), "+2": (3.2, 0)},
             sink={"y": (5.8, 0)},
         ),
-        (
-            Wire("a_s", "+1"),
-            Wire("r", "F_r"),
-            Wire("F_r", "+1", via=((2.4, 1),)),
-            Wire("delta", "F_d"),
-            Wire("F_d", "+2", via=((3.2, 2),)),
-            Wire("+1", "+2"),
-            Wire("tau", "+2"),
-            Wire("+2", "G"),
-            Wire("G", "y"),
+        wires(
+            ("a_s", "+1", "+2", "G", "y"),
+            ("r", "F_r", (2.4, 1), "+1"),
+            ("delta", "F_d", (3.2, 2), "+2"),
+            ("tau", "+2"),
         ),
     )
 
@@ -98,38 +93,22 @@ def accelerometer_loop() -> Diagram:
         _nodes(
             source={"vdot": (2.8, -1), "r": (0, 1), "delta": (0, 2), "tau": (5.8, -0.8)},
             block={
-                "U": (1.7, 0),
-                "F_r": (3.6, 1),
-                "F_d": (3.6, 2),
-                "G": (7, 0),
-                "F_y": (6.8, -1.6),
+                "U": (1.7, 0), "F_r": (3.6, 1), "F_d": (3.6, 2), "G": (7, 0), "F_y": (6.8, -1.6),
             },
             sum={"+0": (2.8, 0), "+1": (3.6, 0), "+2": (5, 0), "+3": (5.8, 0)},
             tap={".r": (0.8, 1), ".a": (4.3, 0), ".y": (8, 0)},
             sink={"a_s": (4.3, -0.8), "y": (8.8, 0)},
         ),
-        (
-            Wire("r", ".r"),
-            Wire(".r", "U", via=((0.8, 0),)),
-            Wire("U", "+0", -1),
-            Wire("vdot", "+0", -1),
-            Wire("+0", "+1"),
-            Wire("+1", ".a"),
-            Wire(".a", "a_s"),
-            Wire(".a", "+2"),
-            Wire(".r", "F_r"),
-            Wire("F_r", "+2", via=((5, 1),)),
-            Wire("+2", "+3"),
-            Wire("delta", "F_d"),
-            Wire("F_d", "+3", via=((5.8, 2),)),
-            Wire("tau", "+3"),
-            Wire("+3", "G"),
-            Wire("G", ".y"),
-            Wire(".y", "y"),
-            Wire(".y", "F_y", via=((8, -1.6),)),
-            Wire("F_y", "+1", via=((3.6, -1.6),)),
+        wires(
+            ("r", ".r", (0.8, 0), "U", -1, "+0", "+1", ".a", "+2", "+3", "G", ".y", "y"),
+            ("vdot", -1, "+0"),
+            (".a", "a_s"),
+            (".r", "F_r", (5, 1), "+2"),
+            ("delta", "F_d", (5.8, 2), "+3"),
+            ("tau", "+3"),
+            (".y", (8, -1.6), "F_y", (3.6, -1.6), "+1"),
         ),
-    )
+    )  # fmt: skip
 
 
 def rudder_paths() -> Diagram:
@@ -148,29 +127,14 @@ def rudder_paths() -> Diagram:
             },
             sink={"a_s": (6, -0.8), "y": (10.1, 0)},
         ),
-        (
-            Wire("delta", ".d1"),
-            Wire(".d1", "F_d"),
-            Wire(".d1", ".d2"),
-            Wire(".d2", "G_dr"),
-            Wire(".d2", "G_dv", via=((0.8, -1),)),
-            Wire("G_dr", ".r"),
-            Wire(".r", "F_r"),
-            Wire(".r", "U", via=((2.8, 0),)),
-            Wire("U", "+0", -1),
-            Wire("G_dv", "+0", -1, via=((4.7, -1),)),
-            Wire("+0", "+1"),
-            Wire("+1", ".a"),
-            Wire(".a", "a_s"),
-            Wire(".a", "+2"),
-            Wire("F_r", "+2", via=((6.7, 1),)),
-            Wire("+2", "+3"),
-            Wire("F_d", "+3", via=((7.4, 2),)),
-            Wire("+3", "G"),
-            Wire("G", ".y"),
-            Wire(".y", "y"),
-            Wire(".y", "F_y", via=((9.3, -1.6),)),
-            Wire("F_y", "+1", via=((5.4, -1.6),)),
+        wires(
+            ("delta", ".d1", "F_d", (7.4, 2), "+3"),
+            (".d1", ".d2", "G_dr", ".r", (2.8, 0), "U", -1, "+0", "+1", ".a", "+2", "+3"),
+            ("+3", "G", ".y", "y"),
+            (".d2", (0.8, -1), "G_dv", (4.7, -1), -1, "+0"),
+            (".r", "F_r", (6.7, 1), "+2"),
+            (".a", "a_s"),
+            (".y", (9.3, -1.6), "F_y", (5.4, -1.6), "+1"),
         ),
     )  # fmt: skip
 
@@ -190,29 +154,13 @@ def sway_and_yaw() -> Diagram:
             tap={".d": (0.4, -1.5), ".y": (0.9, 1.5), ".v": (6.8, 1.5), ".r": (6.3, -1.5)},
             sink={"vdot": (7.6, 1.5), "r": (7.6, -1.5)},
         ),
-        (
-            Wire("y", ".y"),
-            Wire(".y", "C"),
-            Wire("C", "+v1"),
-            Wire(".y", "F", via=((0.9, -0.6),)),
-            Wire("F", "+r1", via=((3.2, -0.6),)),
-            Wire("delta", ".d"),
-            Wire(".d", "H"),
-            Wire("H", "+r1"),
-            Wire(".d", "E", via=((0.4, 0.6),)),
-            Wire("E", "+v1", via=((3.2, 0.6),)),
-            Wire("+v1", "+v2"),
-            Wire("+v2", "1/A"),
-            Wire("1/A", ".v"),
-            Wire(".v", "vdot"),
-            Wire("+r1", "+r2"),
-            Wire("+r2", "1/B"),
-            Wire("1/B", ".r"),
-            Wire(".r", "r"),
-            Wire(".r", "D", via=((6.3, 0.5),)),
-            Wire("D", "+v2", via=((4, 0.5),)),
-            Wire(".v", "G'", via=((6.8, -0.5),)),
-            Wire("G'", "+r2", via=((4, -0.5),)),
+        wires(
+            ("y", ".y", "C", "+v1", "+v2", "1/A", ".v", "vdot"),
+            ("delta", ".d", "H", "+r1", "+r2", "1/B", ".r", "r"),
+            (".y", (0.9, -0.6), "F", (3.2, -0.6), "+r1"),
+            (".d", (0.4, 0.6), "E", (3.2, 0.6), "+v1"),
+            (".r", (6.3, 0.5), "D", (4, 0.5), "+v2"),
+            (".v", (6.8, -0.5), "G'", (4, -0.5), "+r2"),
         ),
     )  # fmt: skip
 
@@ -235,29 +183,14 @@ def torque_loops() -> Diagram:
             },
             sink={"y": (7.6, 0), "a_s": (1.8, 0.8), "r": (3.4, -4.1)},
         ),
-        (
-            Wire("tau", "+3"),
-            Wire("+2", "+3"),
-            Wire("+3", "G"),
-            Wire("G", ".y"),
-            Wire(".y", "y"),
-            Wire(".y", ".y1"),
-            Wire(".y1", "F_y"),
-            Wire(".y1", ".y2"),
-            Wire(".y2", "V_y"),
-            Wire(".y2", "R_y", via=((6.8, -3.4),)),
-            Wire("F_y", "+B"),
-            Wire("V_y", "+A", -1),
-            Wire("R_y", ".r"),
-            Wire(".r", "r"),
-            Wire(".r", "U"),
-            Wire("U", "+A", -1, via=((1, -3.4),)),
-            Wire(".r", "F_r"),
-            Wire("F_r", "+2"),
-            Wire("+A", "+B"),
-            Wire("+B", ".a", via=((1, 0),)),
-            Wire(".a", "a_s"),
-            Wire(".a", "+2"),
+        wires(
+            ("tau", "+3", "G", ".y", "y"),
+            (".y", ".y1", ".y2", "V_y", -1, "+A", "+B", (1, 0), ".a", "+2", "+3"),
+            (".y1", "F_y", "+B"),
+            (".y2", (6.8, -3.4), "R_y", ".r", "U", (1, -3.4), -1, "+A"),
+            (".r", "F_r", "+2"),
+            (".r", "r"),
+            (".a", "a_s"),
         ),
     )  # fmt: skip
 

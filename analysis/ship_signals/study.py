@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from analysis.common.runner import Run, Study
-from analysis.common.targets import Target, at_most
+from analysis.common.targets import Target, at_most, holds
 from analysis.ship_signals import formulas as section_8_2
 from analysis.ship_signals.blocks import draw
 from analysis.ship_signals.correlation import (
@@ -63,10 +63,6 @@ def _printed(what: str, found: float, text: str) -> Target:
     """A number that must be a printed one to all its digits."""
     digits = len(text.partition(".")[2])
     return Target(what, f"{found:.{digits}f}", text, f"{found:.{digits}f}" == text)
-
-
-def _holds(what: str, found: object, wanted: object, is_met: bool) -> Target:
-    return Target(what, str(found), str(wanted), bool(is_met))
 
 
 # -- (a) the five states -------------------------------------------------------------------------
@@ -134,9 +130,9 @@ def formulas(draws: int) -> Iterator[Target]:
     }
     for name, residue in zero.items():
         left = [e for e in residue if e != 0]
-        yield _holds(f"model less {name}, symbolic", left or 0, 0, not left)
+        yield holds(f"model less {name}, symbolic", left or 0, 0, not left)
     failing = [name for name, r in section_8_2.loop_residue().items() if r != 0]
-    yield _holds("(8.27)-(8.36), failing symbolic identities", failing, [], not failing)
+    yield holds("(8.27)-(8.36), failing symbolic identities", failing, [], not failing)
     rng = np.random.default_rng(82)
     worst: dict[str, float] = {}
     least: dict[str, float] = {}
@@ -167,7 +163,7 @@ def formulas(draws: int) -> Iterator[Target]:
         yield at_most(f"{name}, {draws} random systems", apart, ROUNDING, "rel.")
     for name, apart in least.items():
         found = f"off by {100 * apart:.2g} % or more"
-        yield _holds(f"{name}, {draws} random systems", found, "> 0.01 %", apart > 1e-4)
+        yield holds(f"{name}, {draws} random systems", found, "> 0.01 %", apart > 1e-4)
 
 
 def direct_terms(view: ClosedLoopView) -> Iterator[Target]:
@@ -179,12 +175,12 @@ def direct_terms(view: ClosedLoopView) -> Iterator[Target]:
     apart = sympy.cancel(
         ratio - section_8_2.direct_term_a_s(q) / section_8_2.coefficients(q)["beta1"]
     )
-    yield _holds("(8.36)-(8.38) lim G Fbar_y, symbolic", apart, 0, apart == 0)
+    yield holds("(8.36)-(8.38) lim G Fbar_y, symbolic", apart, 0, apart == 0)
     turn = found["r'"] / found["p'"]
     apart = sympy.cancel(turn - section_8_2.yaw_limit(q))
-    yield _holds("lim r/y, [N_pdot (M_t-Y_vdot) + N_vdot (S+Y_pdot)]/..", apart, 0, apart == 0)
+    yield holds("lim r/y, [N_pdot (M_t-Y_vdot) + N_vdot (S+Y_pdot)]/..", apart, 0, apart == 0)
     as_printed = sympy.cancel(turn - section_8_2.printed_yaw_limit(q)) == 0
-    yield _holds("the same without N_vdot, as printed", as_printed, False, not as_printed)
+    yield holds("the same without N_vdot, as printed", as_printed, False, not as_printed)
     v = values_of()
     far = [1j * x for x in (1e4, 1e5)]
     loops = [
@@ -196,16 +192,14 @@ def direct_terms(view: ClosedLoopView) -> Iterator[Target]:
         "G Fbar_y at 1e5 rad/s against its limit", abs(loops[1][0] / limit - 1), 1e-3, "rel."
     )
     fall = abs(loops[1][1] / loops[0][1])
-    yield _holds("r-loop from 1e4 to 1e5 rad/s", f"{fall:.4f}", "0.1000", abs(fall - 0.1) < 1e-3)
+    yield holds("r-loop from 1e4 to 1e5 rad/s", f"{fall:.4f}", "0.1000", abs(fall - 0.1) < 1e-3)
     _, D = accelerometer(v)
-    yield _holds(
-        "a unit torque in a_s at once [m/s^2 per N m]", f"{D[1]:.4f}", "not 0", D[1] != 0.0
-    )
+    yield holds("a unit torque in a_s at once [m/s^2 per N m]", f"{D[1]:.4f}", "not 0", D[1] != 0.0)
     table = {n: x for n, x in roll_table().items() if n in view.parameters}
     own = float(view.direct_term_at(table)[0, 0])
     c = section_8_2.coefficients(v)
-    yield at_most("casid's direct term of the roll subsystem", abs(own - c["beta1"] * v["z_s"]),
-                  1e-9, "1")  # fmt: skip
+    apart = abs(own - c["beta1"] * v["z_s"])
+    yield at_most("casid's direct term of the roll subsystem", apart, 1e-9, "1")
     print(f"  lim G F_y = beta1 z_s = {own:.4f}: the roll subsystem alone, v' and r held")
     print(f"  lim G Fbar_y = {limit:.4f}: sway gives way to the roll at once")
     print(
@@ -241,17 +235,17 @@ def correlation_targets(found: Sequence[tuple[str, Found]]) -> Iterator[Target]:
         ):
             wanted = f"{theory:.4f} (z = {z:+.1f})"
             text = f"{mean:.4f} +- {error:.4f}"
-            yield _holds(f"{label}: {name}", text, wanted, bool(abs(z) < 4.5))
+            yield holds(f"{label}: {name}", text, wanted, bool(abs(z) < 4.5))
     f = found[0][1]
     for i, signal in enumerate(SIGNALS):
         far = max(abs(f.mean[k] / f.error[k]) for k in (i, 3 + i))
-        yield _holds(
+        yield holds(
             f"{signal} is correlated with tau", f"{far:.0f} standard errors", "> 5", bool(far > 5)
         )
     coarse, fine = sampled(0.02).at_once(), sampled(0.002).at_once()
     for i, (signal, fall) in enumerate(zip(SIGNALS, (0.1, 1.0, 0.1), strict=True)):
         ratio = float(fine[i] / coarse[i])
-        yield _holds(
+        yield holds(
             f"gain at once of {signal}, Ts 0.02 to 0.002 s",
             f"{ratio:.3f}",
             f"{fall:g} +- 0.02",
@@ -278,11 +272,9 @@ def on_large_motions() -> None:
 def inputs(view: ClosedLoopView) -> Iterator[Target]:
     """casid's verdicts on the accelerometer's loop and on the yaw rate's, in words."""
     text = str(view.external[0])
-    yield _holds(
-        "outside of the loop, a_s = F_y y + ..", text, "-U*r - vdot", text == "-U*r - vdot"
-    )
+    yield holds("outside of the loop, a_s = F_y y + ..", text, "-U*r - vdot", text == "-U*r - vdot")
     left = [e for e in view.difference() if e != 0]
-    yield _holds("the loop is the direct model again (prop. 7.1)", not left, True, not left)
+    yield holds("the loop is the direct model again (prop. 7.1)", not left, True, not left)
     wanted = {
         ("a_s", True, False): (False, False, False, True),
         ("a_s", True, True): (False, False, False, True),
@@ -294,17 +286,16 @@ def inputs(view: ClosedLoopView) -> Iterator[Target]:
         ("r", False, False): (True, True, True, True),
     }
     for (signal, disturbed, noisy), row in wanted.items():
+        acting = {"input_noise": noisy, "disturbed": disturbed}
         found = (
-            view.estimators(input_noise=noisy, disturbed=disturbed)
+            view.estimators(**acting)
             if signal == "a_s"
-            else verdicts(
-                ("gyro",), ("r",), direct_term=False, input_noise=noisy, disturbed=disturbed
-            )
+            else verdicts(("gyro",), ("r",), direct_term=False, **acting)
         )
         good = tuple(v.is_consistent for v in found)
         acts = " and ".join([*(["torque"] * disturbed), *(["noise"] * noisy)]) or "nothing"
         what = f"{signal} as an input, {acts} acting: LS PE OE IV"
-        yield _holds(what, _marks(good), _marks(row), good == row)
+        yield holds(what, _marks(good), _marks(row), good == row)
         if disturbed and noisy:
             for v in found:
                 for i, line in enumerate(wrap(v.why, 84)):
@@ -350,24 +341,24 @@ def leaning() -> tuple[dict[str, Lean], list[Target]]:
             what = f"{hull}, z_r = {1e3 * found.z_r:.1f} mm: zero to the right"
             zero = ", ".join(f"{a:.4g}" for a in found.right) or "none"
             met = (len(found.right) == 1) == is_right and (found.onset < 0) == is_right
-            targets.append(_holds(what, zero, "one" if is_right else "none", met))
+            targets.append(holds(what, zero, "one" if is_right else "none", met))
             if z_r is None:
                 low = found
                 heel = f"{np.degrees(low.inward):.4f} in, {np.degrees(low.outward):.3f} out"
                 met = 0.0 < low.inward < low.outward and low.turn < 0
                 targets.append(
-                    _holds(f"{hull}, the simulator's heel [deg]", heel, "in, then out", met)
+                    holds(f"{hull}, the simulator's heel [deg]", heel, "in, then out", met)
                 )
         level = lean(0.0, hull=hull)
         share = level.inward / low.inward
         what = f"{hull}, z_r = 0: lean by that of the low rudder"
         if star > 0.0:
             met = not level.right and level.inward == 0.0
-            targets.append(_holds(what, f"{share:.2g}, no zero", "0, no zero", met))
+            targets.append(holds(what, f"{share:.2g}, no zero", "0, no zero", met))
         else:
             met = share < 1e-3 and level.right[0] > 100.0
             found_text = f"{share:.2g}, zero at {level.right[0]:.0f}"
-            targets.append(_holds(what, found_text, "< 1e-3, zero > 100", met))
+            targets.append(holds(what, found_text, "< 1e-3, zero > 100", met))
         if hull == "chapter 9":
             kept |= {"z_r = 112.5 mm": low}
         kept[f"z_r = 0, K_vdot of {hull}"] = level
