@@ -24,14 +24,14 @@ digits are no target.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 import casid
 from analysis.common.output import Output
-from analysis.common.runner import Study, runs
+from analysis.common.runner import Run, Study, runs
 from analysis.common.targets import Target, at_most
 from analysis.ship_algorithm.records import (
     FOUR,
@@ -92,20 +92,34 @@ def fit(
     )
 
 
+def refusal(model: Model, experiments: Sequence[casid.Experiment]) -> str:
+    """Why the estimate is refused, if it is."""
+    try:
+        fit(model, experiments)
+    except IdentifiabilityError as error:
+        return str(error)
+    return "estimated all the same"
+
+
 def apart(estimate: MomentEstimate, name: str) -> float:
     """Distance from the truth in standard errors; infinite where a bound took them."""
     error = estimate.std_error(name)
     return abs(estimate[name] - TRUTH[name]) / error if error > 1e-9 else float("inf")
 
 
+def print_estimate(label: str, found: MomentEstimate, truth: Mapping[str, float]) -> None:
+    """Each parameter beside the truth."""
+    print(f"{label}: surplus p = {found.propagated.p_value:.2g}")
+    for n in found.names:
+        print(
+            f"    {n:8}{found[n]:>10.4f} +- {found.std_error(n):<8.2g} truth {truth[n]:>8.4f}  "
+            f"error {100 * abs(found[n] / truth[n] - 1):>6.2f} %"
+        )
+
+
 def show(label: str, estimate: MomentEstimate) -> dict[str, object]:
     """Print an estimate beside the truth; a row of a table."""
-    print(f"{label}: surplus p = {estimate.propagated.p_value:.2g}")
-    for n in estimate.names:
-        print(
-            f"    {n:8}{estimate[n]:>10.4f} +- {estimate.std_error(n):<8.2g} truth "
-            f"{TRUTH[n]:>8.4f}  error {100 * abs(estimate[n] / TRUTH[n] - 1):>6.2f} %"
-        )
+    print_estimate(label, estimate, TRUTH)
     row: dict[str, object] = {"estimator": label}
     row |= {n: estimate[n] if n in estimate.names else TRUTH[n] for n in NINE}
     return row | {f"se {n}": estimate.std_error(n) if n in estimate.names else 0.0 for n in NINE}
@@ -158,11 +172,7 @@ def _small_move(found: IterativeJoint) -> bool:
 def nine(experiments: Sequence[casid.Experiment]) -> Iterator[Target]:
     """Without a choice the nine are refused."""
     three = [e for e in experiments if e.name in THREE]
-    try:
-        fit(ALL, three)
-        said = "estimated all the same"
-    except IdentifiabilityError as refusal:
-        said = str(refusal)
+    said = refusal(ALL, three)
     print(f"-- the nine, one calibration\n{said}")
     named = all(n in said for n in NINE if n != "zbar_m") and "zbar_m_calibration + k" in said
     yield Target(
@@ -193,22 +203,13 @@ def choices(
         )
     moved = along(fixed, family)
     print(moved)
-    out.table(
-        "along_the_family",
-        [
-            {
-                "parameter": n,
-                "estimate": v,
-                "std_error": moved.std_errors[n],
-                "per_z_f": moved.slopes[n],
-                "moves_from": moved.ranges[n][0],
-                "moves_to": moved.ranges[n][1],
-                "from": moved.intervals[n][0],
-                "to": moved.intervals[n][1],
-            }
-            for n, v in moved.values.items()
-        ],
-    )
+    rows = []
+    for n, v in moved.values.items():
+        row: dict[str, object] = {"parameter": n, "estimate": v, "std_error": moved.std_errors[n]}
+        row["per_z_f"] = moved.slopes[n]
+        row |= zip(("moves_from", "moves_to"), moved.ranges[n], strict=True)
+        rows.append(row | dict(zip(("from", "to"), moved.intervals[n], strict=True)))
+    out.table("along_the_family", rows)
     told = ", ".join(moved.invariant)
     yield Target("identifiable whatever the choice", told, "zbar_m", told == "zbar_m")
     yield at_most("m: its move along the family", moved.spread("m"), 1.0, "std. errors")
@@ -229,11 +230,7 @@ def along(estimate: MomentEstimate, family: Family) -> AlongFamily:
 def weak_sway() -> Iterator[Target]:
     """The added mass of Table 8.2 and a small rudder."""
     experiments = low_passed(linear_experiments(1, ship=Ship(), hold=1.5))
-    try:
-        fit(EIGHT, experiments)
-        said = "estimated all the same"
-    except IdentifiabilityError as refusal:
-        said = str(refusal)
+    said = refusal(EIGHT, experiments)
     print(f"-- Table 8.2's added mass\n{said}")
     yield Target(
         "sway of Table 8.2's added mass", "refused" if "correlated" in said else said,
@@ -314,23 +311,23 @@ def coverage(runs: int, family: Family, out: Output) -> Iterator[Target]:
     yield at_most("draws refused", 100 * len(failed) / (2 * runs), 10.0, "%")
 
 
-def study(out: Output, *, quick: bool, runs: int) -> Iterator[Target]:
+def study(run: Run) -> Iterator[Target]:
     """All parts in turn."""
     experiments = low_passed(linear_experiments(1, cases=FOUR))
     three = [e for e in experiments if e.name in THREE]
-    yield from convergence(three, out, quick=quick)
+    yield from convergence(three, run.output, quick=run.quick)
     yield from nine(experiments)
     family = casid.assess_identifiability(ALL, three, practical=False).families[0]
-    yield from choices(experiments, family, out)
+    yield from choices(experiments, family, run.output)
     yield from weak_sway()
-    yield from nonlinear(out)
-    yield from coverage(runs, family, out)
+    yield from nonlinear(run.output)
+    yield from coverage(run.runs(200, quick=20), family, run.output)
 
 
 STUDY = Study(
     "ship_algorithm",
     __doc__,
-    lambda run: study(run.output, quick=run.quick, runs=run.runs(200, quick=20)),
+    study,
     quick="20 draws, prefilter 1 alone",
     options=runs(200, quick=20),
 )

@@ -8,24 +8,25 @@ unit (`nonlinear_basin`). The thesis does not publish its rudder: here it is a r
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 import casid
 from analysis.ship_algorithm.records import (
+    BEFORE,
     SIDEWAYS,
     TS,
     Disturbance,
-    coloured,
+    linear_record,
+    load_of,
     low_passed,
-    respond,
+    ship_record,
     telegraph,
-    unit,
 )
-from problems.ship_4dof import Load, Ship, simulate
-from problems.ship_simulator.sensors import for_roll, measure
+from casid.arrays import Array
+from problems.ship_4dof import Load, Ship
 
 LIGHT = {"m": 0.2, "zbar_m": -0.256}
 HEAVY = {"m": 0.4, "zbar_m": -0.268}
@@ -86,48 +87,32 @@ def basin(seed: int, how: Basin | None = None) -> list[casid.Record]:
     Channels gyro [rad/s], accel [m/s^2], r [rad/s], delta [rad]; the ship has moved for 20 s.
     """
     how = how or Basin()
-    d, before, made = how.disturbance, 1000, []
-    for i, (weight, seconds) in enumerate(zip(how.weights, how.seconds, strict=True)):
-        rng = np.random.default_rng(np.random.SeedSequence((seed, i)))
-        N = round(seconds / TS)
-        delta = telegraph(N + before, angle=how.angle, hold=how.hold, rng=rng)
-        forces = [coloured(s, d.corner, N + before, rng) for s in (d.sway, d.torque, d.yaw)]
-        y = respond(how.ship, _load(weight), np.column_stack([delta, *forces]))[before:]
-        y += np.array([d.gyro, d.accel, d.r]) * rng.standard_normal((N, 3))
-        y += np.array([d.gyro_bias, d.accel_bias, 0.0])
-        made.append(
-            casid.Record(
-                {"gyro": y[:, 0], "accel": y[:, 1], "r": y[:, 2], "delta": delta[before:]},
-                {"gyro": "rad/s", "accel": "m/s^2", "r": "rad/s", "delta": "rad"},
-                Ts=TS,
-                name=f"record {i + 1}",
-                provenance=(f"linear ship by the trapezoidal rule, seed {seed}",),
-            )
-        )
-    return made
+    return [
+        linear_record(delta, how.ship, weight, how.disturbance, rng, name)
+        for name, rng, weight, delta in _driven(seed, how)
+    ]
 
 
 def nonlinear_basin(seed: int, how: Basin | None = None) -> list[casid.Record]:
     """The same of the manoeuvring ship, whose speed drops in turns and whose rudder has a rate."""
     how = how or Basin()
-    d, before, made = how.disturbance, 1000, []
+    return [
+        ship_record(command, how.ship, weight, how.disturbance, rng, name=name)[0]
+        for name, rng, weight, command in _driven(seed, how)
+    ]
+
+
+def _driven(seed: int, how: Basin) -> Iterator[tuple[str, np.random.Generator, Load, Array]]:
+    """Name, generator, weight and rudder of each record."""
     for i, (weight, seconds) in enumerate(zip(how.weights, how.seconds, strict=True)):
         rng = np.random.default_rng(np.random.SeedSequence((seed, i)))
-        N = round(seconds / TS) + before
-        command = telegraph(N, angle=how.angle, hold=how.hold, rng=rng)
-        own = [coloured(s, d.corner, N, rng) for s in (d.sway, d.torque, d.yaw)]
-        forces = np.column_stack([np.zeros(N), *own])
-        motion = simulate(
-            command, ship=how.ship, load=_load(weight), forces=forces, Ts=TS, substeps=5
+        N = round(seconds / TS) + BEFORE
+        yield (
+            f"record {i + 1}",
+            rng,
+            load_of(weight),
+            telegraph(N, angle=how.angle, hold=how.hold, rng=rng),
         )
-        name = f"record {i + 1}"
-        record = for_roll(measure(motion, unit(d), seed=int(rng.integers(2**31)), name=name))
-        made.append(record.between(before * TS, record.t[-1]))
-    return made
-
-
-def _load(weight: Mapping[str, float]) -> Load:
-    return Load(weight["m"], weight.get("zbar_m", 0.0))
 
 
 def experiments_of(

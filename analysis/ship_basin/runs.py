@@ -5,8 +5,7 @@ Programs are built once for each process and kept for all of its draws (`estimat
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,32 +55,22 @@ class How:
 INSTRUMENTS, LEAST_SQUARES = How(), How(lags=None)
 
 
-@functools.cache
-def _estimator(how: How, names: tuple[str, ...]) -> dict[str, Any]:
-    """Where the programs of one kind of estimate are kept."""
-    return {}
+_ESTIMATORS: dict[tuple[How, tuple[str, ...]], Reusable] = {}
+"""Programs of each kind of estimate, built once a process."""
 
 
 def estimated(experiments: Sequence[casid.Experiment], how: How = INSTRUMENTS) -> MomentEstimate:
     """Algorithm 8.1 as `iterative_joint` has it, z_f known, its programs used again."""
-    kept = _estimator(how, tuple(e.name for e in experiments))
-    settings = replace(ALGORITHM, weighting=how.weighting, noise_model=how.noise_model)  # type: ignore[arg-type]
-    if how.lags is None:
-        if not kept:
-            kept["estimator"] = Reusable(EIGHT, [StageSpec(())], settings=settings)
-        return _call(kept, experiments)
-    boxes = black_box_references(experiments, "delta", CHANNELS, na=how.na, nb=how.nb)
-    if not kept:
-        instruments = black_box_instruments(
-            EIGHT, boxes, n_y=how.lags, n_u=how.lags, n_delta=2
-        )  # names of channels alone: nothing of this draw
-        kept["estimator"] = Reusable(EIGHT, [StageSpec(())], instruments, settings=settings)
-    return _call(kept, boxes.experiments)
-
-
-def _call(kept: Mapping[str, Any], experiments: Sequence[casid.Experiment]) -> MomentEstimate:
-    estimator: Reusable = kept["estimator"]
-    return estimator(experiments)
+    key, instruments = (how, tuple(e.name for e in experiments)), None
+    if how.lags is not None:
+        boxes = black_box_references(experiments, "delta", CHANNELS, na=how.na, nb=how.nb)
+        # names of channels alone: nothing of this draw
+        instruments = black_box_instruments(EIGHT, boxes, n_y=how.lags, n_u=how.lags, n_delta=2)
+        experiments = boxes.experiments
+    if key not in _ESTIMATORS:
+        settings = replace(ALGORITHM, weighting=how.weighting, noise_model=how.noise_model)  # type: ignore[arg-type]
+        _ESTIMATORS[key] = Reusable(EIGHT, [StageSpec(())], instruments, settings=settings)
+    return _ESTIMATORS[key](experiments)
 
 
 def row(

@@ -31,9 +31,9 @@ from typing import Any
 import numpy as np
 
 from analysis.common.output import Output
-from analysis.common.runner import Study, jobs
+from analysis.common.runner import Run, Study, jobs
 from analysis.common.targets import Target, at_most
-from analysis.ship_algorithm.study import SETTINGS
+from analysis.ship_algorithm.study import SETTINGS, print_estimate
 from analysis.ship_basin import figures
 from analysis.ship_basin.records import (
     CASES,
@@ -95,25 +95,12 @@ QUICK = Extent(20, 6, 5, 5, 2, 2)
 def table(case: int, label: str, found: MomentEstimate) -> list[dict[str, object]]:
     """Print and return the parameters of one estimate, as Tables 9.5 to 9.11."""
     truth = TABLE_8_2 | truth_of(case)
-    print(f"-- case {case}, {label}: surplus p = {found.propagated.p_value:.2g}")
+    print_estimate(f"-- case {case}, {label}", found, truth)
     rows: list[dict[str, object]] = []
     for n in found.names:
-        error = 100 * abs(found[n] / truth[n] - 1)
-        print(
-            f"    {n:8}{found[n]:>10.4f} +- {found.std_error(n):<8.2g} truth {truth[n]:>8.4f}  "
-            f"error {error:>6.2f} %"
-        )
-        rows.append(
-            {
-                "case": case,
-                "estimator": label,
-                "parameter": n,
-                "estimate": found[n],
-                "std_error": found.std_error(n),
-                "truth": truth[n],
-                "error, %": error,
-            }
-        )
+        row: dict[str, object] = {"case": case, "estimator": label, "parameter": n}
+        row |= {"estimate": found[n], "std_error": found.std_error(n), "truth": truth[n]}
+        rows.append(row | {"error, %": 100 * abs(found[n] / truth[n] - 1)})
     return rows
 
 
@@ -314,35 +301,25 @@ def nonlinear(out: Output) -> Iterator[Target]:
     out.table("nonlinear", rows)
 
 
-def study(
-    out: Output, *, quick: bool, draws: int | None = None, jobs: int = 2, with_turns: bool = True
-) -> Iterator[Target]:
+def study(run: Run) -> Iterator[Target]:
     """All parts in turn."""
-    extent = QUICK if quick else FULL
-    extent = replace(extent, cases=draws or extent.cases)
-    desk = Desk(jobs, out.folder)
+    out, extent = run.output, QUICK if run.quick else FULL
+    extent = replace(extent, cases=run.options.draws or extent.cases)
+    desk = Desk(run.options.jobs, out.folder)
     yield from voyage(out)
-    yield from cases(desk, extent, out)
-    yield from lighter(desk, extent, out)
-    yield from split(desk, extent, out)
-    yield from settings(desk, extent, out)
+    for part in (cases, lighter, split, settings):
+        yield from part(desk, extent, out)
     yield from nonlinear(out)
-    if with_turns:
+    if not run.options.no_turns:
         from analysis.ship_basin_turns.study import turns
 
-        yield from turns(out, quick)
+        yield from turns(out, run.quick)
 
 
 STUDY = Study(
     "ship_basin",
     __doc__,
-    lambda run: study(
-        run.output,
-        quick=run.quick,
-        draws=run.options.draws,
-        jobs=run.options.jobs,
-        with_turns=not run.options.no_turns,
-    ),
+    study,
     quick="20 draws, under a minute",
     out="folder for tables, figures, draws, targets.json",
     options=jobs(2)

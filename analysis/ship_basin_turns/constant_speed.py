@@ -6,7 +6,7 @@ What a constant speed costs is the size of the error, which the stated one knows
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -75,11 +75,15 @@ def constant_speed(out: Output, *, quick: bool) -> Iterator[Target]:
     ]
     out.table("turns_constant_speed", rows)
     print("-- errors of m and zbar_m over draws of rudder and noise, % of the truth")
-    for row in rows:
-        print(
-            "    " + "  ".join(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row.values())
-        )
+    print_rows(rows, ".2f")
     yield from _verdicts(rows)
+
+
+def print_rows(rows: Iterable[Mapping[str, object]], form: str = ".4f") -> None:
+    """The values of each row on a line."""
+    for row in rows:
+        values = (f"{v:{form}}" if isinstance(v, float) else str(v) for v in row.values())
+        print("    " + "  ".join(values))
 
 
 def _row(kind: str, name: str, table: Array) -> dict[str, str | float | int]:

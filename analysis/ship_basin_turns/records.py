@@ -20,15 +20,14 @@ from analysis.ship_algorithm.records import (
     THREE,
     TS,
     Disturbance,
-    coloured,
+    generator,
     load,
-    unit,
+    ship_record,
 )
 from casid.arrays import Array
 from casid.errors import ModelError
 from problems.ship import LOAD_CASES
-from problems.ship_4dof import Actuator, Motion, PolynomialArm, Ship, simulate
-from problems.ship_simulator.sensors import for_roll, measure
+from problems.ship_4dof import Actuator, Motion, PolynomialArm, Ship
 
 Mask = NDArray[np.bool_]
 
@@ -156,15 +155,11 @@ def sail(
     name: str | None = None,
 ) -> Sailed:
     """Sail one record; `first` samples are left out of it."""
-    d, N = disturbance, len(command)
-    rng = np.random.default_rng(np.random.SeedSequence((seed, list(LOAD_CASES).index(case))))
-    own = [coloured(s, d.corner, N, rng) for s in (d.sway, d.torque, d.yaw)]
-    forces = np.column_stack([np.zeros(N), *own])
-    motion = simulate(command, ship=ship, load=load(case), forces=forces, Ts=TS, substeps=4)
-    record = for_roll(measure(motion, unit(d), seed=int(rng.integers(2**31)), name=name or case))
-    record = record.between(first * TS, record.t[-1])
-    experiment = casid.Experiment(record, LOAD_CASES[case], name or case)
-    return Sailed(experiment, motion, command, first)
+    name, rng = name or case, generator(seed, case)
+    record, motion = ship_record(
+        command, ship, load(case), disturbance, rng, name=name, first=first, substeps=4
+    )
+    return Sailed(casid.Experiment(record, LOAD_CASES[case], name), motion, command, first)
 
 
 def long_sets(

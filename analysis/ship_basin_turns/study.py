@@ -41,13 +41,9 @@ from analysis.common.runner import Study
 from analysis.common.targets import Target, at_most, near
 from analysis.ship_algorithm.records import SIDEWAYS, THREE, load
 from analysis.ship_basin_turns.ablation import residuals
-from analysis.ship_basin_turns.constant_speed import speed
+from analysis.ship_basin_turns.constant_speed import print_rows, speed
 from analysis.ship_basin_turns.decay import Decay, identified, kicked
-from analysis.ship_basin_turns.figures import (
-    decays_figure,
-    lean_figure,
-    portrait,
-)
+from analysis.ship_basin_turns.figures import decays_figure, lean_figure, portrait
 from analysis.ship_basin_turns.records import GROUPS, SHIPS, Sailed, s_turn, switched_off
 from analysis.ship_basin_turns.short_sets import (
     Heel,
@@ -75,21 +71,18 @@ def portraits(out: Output) -> Iterator[Target]:
     for c in THREE:
         steady = steady_turn(SHORT, ship=SIDEWAYS, load=load(c))
         rows += [
-            {"load": c, "by": "short set, last second of the turn", **asdict(found[c][1])},
-            {"load": c, "by": "linear theory at 1 m/s", **asdict(theory[c])},
-            {
-                "load": c,
-                "by": "steady turn of the simulator",
-                "phi": steady.state["phi"],
-                "accel": steady.accel(SIDEWAYS.g),
-                "rate": 0.0,
-            },
+            {"load": c, "by": by} | asdict(heel)
+            for by, heel in (
+                ("short set, last second of the turn", found[c][1]),
+                ("linear theory at 1 m/s", theory[c]),
+                (
+                    "steady turn of the simulator",
+                    Heel(steady.state["phi"], steady.accel(SIDEWAYS.g), 0.0),
+                ),
+            )
         ]
     out.table("turns_portrait", rows)
-    for row in rows:
-        print(
-            "    " + "  ".join(f"{v:.4f}" if isinstance(v, float) else str(v) for v in row.values())
-        )
+    print_rows(rows)
     away = [
         steady_turn(d, ship=SIDEWAYS, load=load("nominal")).state["phi"]
         / linear_turn(d, "nominal").phi
@@ -192,15 +185,9 @@ def decay_by_term(delta: float = SHORT) -> list[dict[str, object]]:
         ship = switched_off(SIDEWAYS, *groups)
         turn = steady_turn(delta, ship=ship, load=load("nominal"))
         straight = steady_turn(0.0, ship=ship, load=load("nominal"))
-        rows.append(
-            {
-                "ship": name,
-                "straight": straight.decay,
-                "in the turn": turn.decay,
-                "difference": straight.decay - turn.decay,
-                "u in the turn [m/s]": turn.state["u"],
-            }
-        )
+        row: dict[str, object] = {"ship": name, "straight": straight.decay}
+        row |= {"in the turn": turn.decay, "difference": straight.decay - turn.decay}
+        rows.append(row | {"u in the turn [m/s]": turn.state["u"]})
     return rows
 
 
@@ -210,36 +197,23 @@ def decay_by_term(delta: float = SHORT) -> list[dict[str, object]]:
 def leans(out: Output) -> Iterator[Target]:
     """Part 5."""
     found: dict[str, tuple[Lean, Lean]] = {}
+    first: dict[str, list[tuple[float, ...]]] = {"entry": [], "exit": []}
     rows: list[dict[str, object]] = []
     for c in THREE:
         sailed, _ = simulated_turn(SHORT, c)
         found[c] = lean_at(sailed, 0), lean_at(sailed, 1)
         for where, lean in zip(("entry", "exit"), found[c], strict=True):
             (t, phi), (t_theory, theory) = lean.first(lean.phi), lean.first(lean.linear)
-            rows.append(
-                {
-                    "load": c,
-                    "where": where,
-                    "time [s]": t,
-                    "inwards [rad]": phi,
-                    "linear: time [s]": t_theory,
-                    "linear: inwards [rad]": theory,
-                }
-            )
+            row: dict[str, object] = {"load": c, "where": where, "time [s]": t}
+            row |= {"inwards [rad]": phi, "linear: time [s]": t_theory}
+            rows.append(row | {"linear: inwards [rad]": theory})
+            first[where].append((t, phi, t_theory, theory))
     print("-- lean")
-    for row in rows:
-        print(
-            "    " + "  ".join(f"{v:.4f}" if isinstance(v, float) else str(v) for v in row.values())
-        )
+    print_rows(rows)
     out.table("turns_lean", rows)
     for where, side in (("entry", 1.0), ("exit", -1.0)):
-        own = [r for r in rows if r["where"] == where]
-        sizes = np.array(
-            [[float(str(r[k])) for k in ("inwards [rad]", "linear: inwards [rad]")] for r in own]
-        )
-        times = np.array(
-            [[float(str(r[k])) for k in ("time [s]", "linear: time [s]")] for r in own]
-        )
+        own = np.array(first[where])
+        times, sizes = own[:, [0, 2]], own[:, [1, 3]]
         yield Target(
             f"{where}: first heel, three loads",
             ", ".join(f"{np.degrees(a):+.2f} deg" for a in sizes[:, 0]),

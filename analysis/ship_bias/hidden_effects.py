@@ -22,7 +22,8 @@ from typing import Literal
 import numpy as np
 
 import casid
-from analysis.ship_bias.records import CASES, SHIP, TS, Rudder, load
+from analysis.ship_algorithm.records import THREE, TS, load
+from analysis.ship_bias.records import SHIP, Rudder
 from casid.arrays import Array
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.estimation.estimate import Estimated
@@ -157,7 +158,7 @@ def records(
     unit = InertialUnit(
         gyro=Channel(noise=2e-4), accel=Channel(noise=2e-3), yaw_gyro=Channel(noise=2e-4)
     )
-    for i, case in enumerate(CASES):
+    for i, case in enumerate(THREE):
         rng, before = np.random.default_rng((seed, i)), 500
         command = Rudder(angle, 0.0, 1.5).draw(round(seconds / TS) + before, rng)
         motion = simulate(command, ship=SHIPS[hidden], load=load(case), substeps=5)

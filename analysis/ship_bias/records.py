@@ -15,20 +15,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 import casid
+from analysis.ship_algorithm.records import (
+    BEFORE,
+    THREE,
+    TS,
+    coloured,
+    generator,
+    load,
+    respond,
+    roll_record,
+)
 from casid.arrays import Array
-from problems.ship import LOAD_CASES, TABLE_8_2
-from problems.ship_4dof import Coefficients, Load, Ship, linearised
+from problems.ship import LOAD_CASES
+from problems.ship_4dof import Coefficients, Ship
 
-TS = 0.02  # s
-CASES = ("nominal", "calibration", "loaded")
 SECONDS = 300.0  # of each record
-UNITS = {"gyro": "rad/s", "accel": "m/s^2", "r": "rad/s", "delta": "rad"}
 
 SHIP = Ship(coefficients=replace(Coefficients(), Y_vdot=-22.0))
 """Table 8.2, but for the added mass in sway."""
@@ -88,52 +93,6 @@ class Rudder:
         return np.asarray(self.mean + self.angle * (sign - sign.mean()))
 
 
-def load(case: str) -> Load:
-    """The weight of a load case, that of Table 8.2 where it is to be found."""
-    own = LOAD_CASES[case] or {n: TABLE_8_2[n] for n in ("m", "zbar_m")}
-    return Load(own["m"], own.get("zbar_m", 0.0))
-
-
-@lru_cache(maxsize=32)
-def _modes(ship: Ship, weight: Load, U: float) -> tuple[Any, ...]:
-    """The trapezoidal image of (8.3): poles, input and output maps of the modes, direct terms."""
-    found = linearised(U, ship=ship, load=weight)
-    keep = [0, 2, 3, 4]  # nothing depends on the heading
-    A = found.A[np.ix_(keep, keep)]
-    B = np.column_stack([found.B, np.linalg.solve(found.E, found.T)])[keep]
-    left, one = np.linalg.inv(np.eye(4) - TS / 2 * A), np.eye(4)
-    z_s = TABLE_8_2["zbar_s"] + ship.z_f
-    rate = np.array([0.0, -1.0, z_s, 0.0])  # of phi, v, p, r in a_s
-    C = np.vstack([one[2], rate @ A + [ship.g, 0.0, 0.0, -U], one[3]])
-    D = np.vstack([np.zeros(4), rate @ B, np.zeros(4)])
-    poles, V = np.linalg.eig(left @ (one + TS / 2 * A))
-    return poles, np.linalg.solve(V, TS / 2 * left @ B), C @ V, D
-
-
-def respond(inputs: Array, weight: Load, *, ship: Ship = SHIP, U: float = 1.0) -> Array:
-    """(N, 3) p, a_s, r of the linear ship from rest.
-
-    Parameters
-    ----------
-    inputs : (N, 4) rudder [rad], sway force [N], torques in roll and yaw [N m].
-    """
-    from scipy.signal import lfilter
-
-    poles, B, C, D = _modes(ship, weight, U)
-    drive = inputs @ B.T  # x_t - A x_(t-1) = B (u_t + u_(t-1))
-    states = [lfilter([1.0, 1.0], [1.0, -pole], drive[:, i]) for i, pole in enumerate(poles)]
-    return np.asarray(np.real(np.column_stack(states) @ C.T) + inputs @ D.T)
-
-
-def coloured(N: int, rng: np.random.Generator, corner: float = 6.0) -> Array:
-    """(N,) a first-order disturbance of variance 1."""
-    from scipy.signal import lfilter
-
-    keep = np.exp(-corner * TS)
-    e = rng.standard_normal(N + 500)
-    return np.asarray(np.sqrt(1 - keep**2) * lfilter([1.0], [1.0, -keep], e)[500:])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Answers:
     """One ship's answers to everything, (N, 3) each: p, a_s, r; imperfections add them up."""
@@ -158,13 +117,7 @@ class Answers:
             + np.array([wrong.gyro, wrong.accel, wrong.r]) * self.noise
             + np.array([wrong.gyro_bias, wrong.accel_bias, wrong.r_bias])
         )
-        record = casid.Record(
-            {"gyro": y[:, 0], "accel": y[:, 1], "r": y[:, 2], "delta": self.delta},
-            UNITS,
-            Ts=TS,
-            name=self.case,
-            provenance=("linear ship by the trapezoidal rule, analysis/ship_bias/records.py",),
-        )
+        record = roll_record(y, self.delta, self.case)
         return casid.Experiment(record, LOAD_CASES[self.case], self.case)
 
 
@@ -172,7 +125,7 @@ def answers(
     seed: int,
     rudder: Rudder | None = None,
     *,
-    cases: tuple[str, ...] = CASES,
+    cases: tuple[str, ...] = THREE,
     seconds: float = SECONDS,
     ship: Ship = SHIP,
     U: float = 1.0,
@@ -184,20 +137,20 @@ def answers(
     seed : of rudder, forces and noise.
     seconds : of each record.
     """
-    rudder, made, before = rudder or Rudder(), [], 1000
+    rudder, made = rudder or Rudder(), []
     for case in cases:
-        rng = np.random.default_rng(np.random.SeedSequence((seed, list(LOAD_CASES).index(case))))
-        N = round(seconds / TS) + before
+        rng = generator(seed, case)
+        N = round(seconds / TS) + BEFORE
         delta, weight = rudder.draw(N, rng), load(case)
-        forces = np.column_stack([coloured(N, rng) for _ in range(3)])
+        forces = np.column_stack([coloured(1.0, 6.0, N, rng) for _ in range(3)])
         inputs = np.column_stack([delta, np.ones(N), forces])
         parts = {}
         for i, (what, enters) in enumerate(_ENTERS.items()):
             own = np.zeros((N, 4))
             own[:, enters] = inputs[:, i]
-            parts[what] = respond(own, weight, ship=ship, U=U)[before:]
-        noise = rng.standard_normal((N - before, 3))
-        made.append(Answers(case, delta[before:], noise=noise, **parts))
+            parts[what] = respond(ship, weight, own, U=U)[BEFORE:]
+        noise = rng.standard_normal((N - BEFORE, 3))
+        made.append(Answers(case, delta[BEFORE:], noise=noise, **parts))
     return made
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.ship_bias.records import SHIP, TS, Answers, Imperfection, Rudder, answers, respond
-from analysis.ship_bias.records import load as load_of
+from analysis.ship_algorithm.records import BEFORE, TS, load, respond
+from analysis.ship_bias.records import SHIP, Imperfection, Rudder, answers
 from analysis.ship_bias.table import LAGS, TRUE, Estimator, model_at_truth
 from casid.arrays import Array
 from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
@@ -107,18 +107,13 @@ def at_sea(Hs: float, draws: int, *, seconds: float, period: float = 8.0) -> AtS
                     U=1.0,
                     beta=math.pi / 2,
                 )
-                N = len(made.delta)
-                forces = sea.forces(TS * np.arange(N + 1000, dtype=np.float64))
-                moved = respond(
-                    np.column_stack([np.zeros(N + 1000), forces[:, 1:]]), load_of(made.case)
-                )
+                N = len(made.delta) + BEFORE
+                forces = sea.forces(TS * np.arange(N, dtype=np.float64))
+                inputs = np.column_stack([np.zeros(N), forces[:, 1:]])
+                moved = respond(SHIP, load(made.case), inputs)[BEFORE:]
                 torque = float(forces[:, 2].std())
-                made = _with(made, moved[1000:])
+                made = replace(made, rudder=made.rudder + moved)
             records.append(made.experiment(SENSORS))
         squares.append(estimator.least_squares(records) - TRUE)
         instruments.append(estimator.instruments(records)[0] - TRUE)
     return AtSea(Hs, np.array(squares), np.array(instruments), torque)
-
-
-def _with(made: Answers, waves: Array) -> Answers:
-    return replace(made, rudder=made.rudder + waves)

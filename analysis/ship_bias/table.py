@@ -13,7 +13,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 import casid
-from analysis.ship_bias.records import IMPERFECTIONS, Imperfection, Rudder, answers
+from analysis.ship_algorithm.records import TS
+from analysis.ship_bias.records import IMPERFECTIONS, Imperfection, Rudder, answers, regressors
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
@@ -159,8 +160,6 @@ def mean_in_instruments(wrong: Imperfection, rudder: Rudder, seed: int) -> dict[
     Two-stage least squares of the nominal record's five coefficients on lags of the rudder angle:
     as it is, without its mean, and differenced over two samples.
     """
-    from analysis.ship_bias.records import TS, regressors
-
     (nominal,) = answers(seed, rudder, cases=("nominal",))
     record = nominal.experiment(with_background(wrong)).record
     Phi, Y = regressors(record)

@@ -25,12 +25,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from time import process_time
 from typing import Any
 
 import numpy as np
 
+from analysis.identifiability_tables.models import ship_family
 from analysis.ship_initial_values.records import TS, Integrator, instruments, of_case, record
 from casid.arrays import Array
 from casid.estimation.moments.moment_equations import MomentEquations
@@ -172,7 +173,7 @@ class Program:
         """(5 records,) what is identifiable: the coefficients of every record at x."""
         return np.concatenate([theta(v, self.setting.finer) for v in self.at(x)])
 
-    @property
+    @cached_property
     def true_coefficients(self) -> Array:
         """The coefficients of every record at the truth."""
         return np.concatenate([theta(true_values(c), self.setting.finer) for c in self.cases])
@@ -277,43 +278,32 @@ class Ends:
         return np.asarray(np.max(np.abs(self.nine / truth - 1), axis=1))
 
 
-def _run(setting: Setting, chosen: Array) -> Ends:
+def _solved(setting: Setting, chosen: Array) -> tuple[list[tuple[Solution, int, bool]], float]:
+    """Where runs from these starts end, and the processor time of them all [s]."""
     began = process_time()
-    p = program(setting)
-    truth = p.true_coefficients
-    found = [p.solve(s) for s in chosen]
-    x = np.array([s.x[: len(setting.free)] for s, _, _ in found])
-    return Ends(
-        setting,
-        x,
-        np.array([s.value for s, _, _ in found]),
-        np.array([np.max(np.abs(p.coefficients(row) - truth)) for row in x]),
-        np.array([n for _, n, _ in found]),
-        np.array([s.is_converged for s, _, _ in found]),
-        tuple(s.status for s, _, _ in found),
-        np.array([m for _, _, m in found]),
-        process_time() - began,
-    )
+    return [program(setting).solve(s) for s in chosen], process_time() - began
 
 
 def run(setting: Setting, n: int, *, jobs: int = 1, seed: int = 86) -> Ends:
     """Solve from n random starts, all of them."""
     from joblib import Parallel, delayed, parallel_config
 
-    chosen = starts(setting, n, seed)
-    pieces = np.array_split(chosen, max(1, min(8 * jobs, n)))
+    pieces = np.array_split(starts(setting, n, seed), max(1, min(8 * jobs, n)))
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        parts = Parallel(n_jobs=jobs)(delayed(_run)(setting, piece) for piece in pieces)
+        parts = Parallel(n_jobs=jobs)(delayed(_solved)(setting, piece) for piece in pieces)
+    solutions, iterations, mirrored = zip(*(r for found, _ in parts for r in found), strict=True)
+    p = program(setting)
+    x = np.array([s.x[: len(setting.free)] for s in solutions])
     return Ends(
         setting,
-        np.concatenate([e.x for e in parts]),
-        np.concatenate([e.V for e in parts]),
-        np.concatenate([e.distance for e in parts]),
-        np.concatenate([e.iterations for e in parts]),
-        np.concatenate([e.is_optimal for e in parts]),
-        tuple(s for e in parts for s in e.status),
-        np.concatenate([e.mirrored for e in parts]),
-        sum(e.seconds for e in parts),
+        x,
+        V=np.array([s.value for s in solutions]),
+        distance=np.array([np.max(np.abs(p.coefficients(e) - p.true_coefficients)) for e in x]),
+        iterations=np.array(iterations),
+        is_optimal=np.array([s.is_converged for s in solutions]),
+        status=tuple(s.status for s in solutions),
+        mirrored=np.array(mirrored),
+        seconds=sum(seconds for _, seconds in parts),
     )
 
 
@@ -358,24 +348,9 @@ def family(z_f: Array) -> dict[str, Array]:
     With lam = (zbar_c + z_f')/(zbar_c + z_f), all torques scale by lam; what the calibration weight
     would distinguish, it determines only through the ratio that is known beforehand.
     """
-    v = TABLE_8_2
-    c = LOAD_CASES["calibration"]["zbar_m"]
-    z_g, z_s = v["zbar_g"] + v["z_f"], v["zbar_s"] + v["z_f"]
-    lever = v["zbar_g"] - v["zbar_s"]
-    lam = (c + z_f) / (c + v["z_f"])
-    K_vdot = lam * (v["K_vdot"] + v["M"] * z_g) - v["M"] * (v["zbar_g"] + z_f)
-    A_2 = v["A_x"] + v["M"] * z_g * lever - v["K_vdot"] * z_s
-    return {
-        "k": lam * (v["k"] - v["K_vdot"] * v["g"]) + K_vdot * v["g"],
-        "A_x": lam * A_2 - v["M"] * (v["zbar_g"] + z_f) * lever + K_vdot * (v["zbar_s"] + z_f),
-        "d": lam * v["d"],
-        "K_r": lam * v["K_r"],
-        "K_vdot": K_vdot,
-        "K_delta": lam * v["K_delta"],
-        "z_f": np.asarray(z_f, dtype=np.float64),
-        "m": lam * v["m"] * (v["zbar_m"] + v["z_f"]) / (v["zbar_m"] + z_f),
-        "zbar_m": np.full_like(z_f, v["zbar_m"]),
-    }
+    values = TABLE_8_2 | {"zbar_c": LOAD_CASES["calibration"]["zbar_m"]}
+    members = ship_family(values, np.asarray(z_f, dtype=np.float64))
+    return {name: np.broadcast_to(x, np.shape(z_f)) for name, x in members.items()}
 
 
 def admissible() -> tuple[float, float]:

@@ -17,7 +17,7 @@ How a start is used, and why the solver's own word is not the verdict: `ship_ini
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -132,21 +132,15 @@ def ranks() -> Iterator[Target]:
     model = indirect_model()
     for setting, wanted in ((THE_NINE, 14), (Z_F_KNOWN, 14), (SECOND_HEIGHT, 17)):
         what = f"{len(setting.free)} parameters, {len(setting.cases)} records"
-        asked = _experiments(setting.cases)
+        found = "all identifiable"
         try:
-            said = require_identifiable(model, asked, free=setting.free)
-            refused = False
+            said = require_identifiable(model, _experiments(setting.cases), free=setting.free)
         except IdentifiabilityError as error:
-            said, refused = str(error), True
+            said, found = str(error), "refused"
         print(f"  {what}: {said}")
-        met = f"rank {wanted} of" in said and refused == (setting == THE_NINE)
         verdict = "refused" if setting == THE_NINE else "all identifiable"
-        yield Target(
-            what,
-            "refused" if refused else "all identifiable",
-            f"rank {wanted}, {verdict}",
-            bool(met),
-        )
+        met = f"rank {wanted} of" in said and found == verdict
+        yield Target(what, found, f"rank {wanted}, {verdict}", met)
     p = program(THE_NINE)
     truth = np.array([TABLE_8_2[n] for n in NINE])
     J = p.residual_slopes(truth) * np.abs(truth)
@@ -200,7 +194,11 @@ def _experiments(cases: Sequence[str]) -> list[casid.Experiment]:
 # -- the starts ------------------------------------------------------------------------------------
 
 
-def _told(what: str, ends: Ends, seconds: float) -> None:
+def _solved(what: str, setting: Setting, n: int, jobs: int) -> Ends:
+    """The ends of n runs; prints how they went."""
+    began = perf_counter()
+    ends = run(setting, n, jobs=jobs)
+    seconds = perf_counter() - began
     words = ", ".join(f"{k} {v}" for k, v in Counter(ends.status).most_common())
     p = program(ends.setting)
     begun = [np.min(p.inertias(x)) < 0 for x in start_points(ends.setting, len(ends.x))]
@@ -212,24 +210,20 @@ def _told(what: str, ends: Ends, seconds: float) -> None:
         "pole, at a local optimum, and were mirrored",
         flush=True,
     )
+    return ends
 
 
 def _all(what: str, met: Array) -> Target:
     return Target(what, f"{int(met.sum())} of {len(met)}", "all", bool(met.all()))
 
 
-def starts(extent: Extent, jobs: int) -> Iterator[Target | Mapping[str, Ends]]:
-    """Every start to its end, in three settings; ends with the ends."""
+def starts(extent: Extent, jobs: int) -> Generator[Target, None, Ends]:
+    """Every start to its end, in three settings; returns the ends with nine free."""
     print("Random starts within the bounds of Table 8.3")
-    began = perf_counter()
-    nine = run(THE_NINE, extent.starts, jobs=jobs)
-    _told("nine free, one calibration", nine, perf_counter() - began)
-    second = perf_counter()
-    pinned = run(Z_F_KNOWN, extent.starts, jobs=jobs)
-    _told("z_f fixed at the truth", pinned, perf_counter() - second)
-    second = perf_counter()
-    other = run(SECOND_HEIGHT, extent.second_height, jobs=jobs)
-    _told("nine free, a second calibration 0.1 m lower", other, perf_counter() - second)
+    nine = _solved("nine free, one calibration", THE_NINE, extent.starts, jobs)
+    pinned = _solved("z_f fixed at the truth", Z_F_KNOWN, extent.starts, jobs)
+    lower = "nine free, a second calibration 0.1 m lower"
+    other = _solved(lower, SECOND_HEIGHT, extent.second_height, jobs)
     yield _all("nine free: at an optimum (casid's measure)", nine.is_optimal)
     yield _all("nine free: identifiable coefficients within 1e-8", nine.distance < 1e-8)
     yield at_most("nine free: the worst of them", float(nine.distance.max()), 1e-8, "")
@@ -248,11 +242,11 @@ def starts(extent: Extent, jobs: int) -> Iterator[Target | Mapping[str, Ends]]:
         spent = (nine.seconds + pinned.seconds) / jobs / 60
         what = f"{extent.starts} starts, nine free and z_f fixed, a process of {jobs}"
         yield at_most(what, spent, 5.0, "min")
-    yield {"nine": nine, "pinned": pinned, "other": other}
+    return nine
 
 
-def spread(extent: Extent, nine: Ends, jobs: int) -> Iterator[Target | Mapping[str, Array]]:
-    """Table 8.3 beside where our runs end, and why it is the family; ends with all ends."""
+def spread(extent: Extent, nine: Ends, jobs: int) -> Generator[Target, None, dict[str, Array]]:
+    """Table 8.3 beside where our runs end, and why it is the family; returns all ends."""
     long = run(replace(THE_NINE, allowed=1500), extent.to_the_end, jobs=jobs)
     other = trust_region(THE_NINE, extent.trust_region)
     drawn = np.random.default_rng(83).normal(*TABLE_8_3["z_f"], 100_000)
@@ -316,7 +310,7 @@ def spread(extent: Extent, nine: Ends, jobs: int) -> Iterator[Target | Mapping[s
         f"  the trust region stands on the family in {np.sum(off < 1e-8)} of its {len(off)} runs"
         + (f"; the others stop at V = {_costs(p, stray)}" if len(stray) else "")
     )
-    yield {"nine": nine.nine, "end": long.nine, "trust region": other[off < 1e-8]}
+    return {"nine": nine.nine, "end": long.nine, "trust region": other[off < 1e-8]}
 
 
 def _costs(p: Program, x: Array) -> str:
@@ -436,23 +430,13 @@ def study(extent: Extent, jobs: int, output: Output) -> Iterator[Target]:
     """All targets; prints the tables on the way."""
     yield from known_numbers()
     yield from ranks()
-    ends: Mapping[str, Ends] = {}
-    for part in starts(extent, jobs):
-        if isinstance(part, Target):
-            yield part
-        else:
-            ends = part
-    clouds: Mapping[str, Array] = {}
-    for item in spread(extent, ends["nine"], jobs):
-        if isinstance(item, Target):
-            yield item
-        else:
-            clouds = item
+    nine = yield from starts(extent, jobs)
+    clouds = yield from spread(extent, nine, jobs)
     yield from curvature()
     yield from discretisation(extent)
     if output.folder is not None:
         file, head = output.folder / "ends.csv", ",".join(NINE)
-        np.savetxt(file, ends["nine"].nine, delimiter=",", header=head, comments="")
+        np.savetxt(file, nine.nine, delimiter=",", header=head, comments="")
         output.figure("figure_8_10_cost_map", figures.cost_map(program(THE_NINE)))
         output.figure("ends_on_the_family", figures.cloud(clouds))
 

@@ -15,7 +15,9 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 import casid
-from analysis.ship_bias.records import CASES, SHIP, UNITS, load
+from analysis.ship_algorithm.records import THREE as CASES
+from analysis.ship_algorithm.records import UNITS, load
+from analysis.ship_bias.records import SHIP
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.rounds import Search
