@@ -74,9 +74,7 @@ def diagnosed(run: Run) -> Iterator[Target]:
             d = casid.diagnose(pendulum.problem, experiment)
             right, counts = judge(d, truth)
             named = ", ".join(f"{c.kind}({c.where}) {c.p_value:.0e}" for c in d.causes) or d.verdict
-            if run.folder is not None:
-                (run.folder / truth["case"]).mkdir(exist_ok=True)
-                d.write(run.folder / truth["case"])
+            run.output.report(truth["case"], d)
         except casid.CasidError as error:
             right, counts, named = False, True, f"{type(error).__name__}: {error}"
         word = "right" if right else "wrong"

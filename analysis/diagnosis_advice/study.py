@@ -288,16 +288,8 @@ def energies(runs: int, pairs: Sequence[tuple[Key, Key]], output: Output) -> Ite
         pairs, predicted, measured(setting, pairs, predicted, runs), strict=True
     ):
         ratio = p / m.energy
-        rows.append(
-            {
-                "cause": " ".join(a),
-                "rival": " ".join(b),
-                "cosine": setting.cosine(a, b),
-                "predicted": p,
-                "simulated": m.energy,
-                "won at predicted": m.share,
-            }
-        )
+        row = {"cause": " ".join(a), "rival": " ".join(b), "cosine": setting.cosine(a, b)}
+        rows.append(row | {"predicted": p, "simulated": m.energy, "won at predicted": m.share})
         yield Target(
             f"{text(a)} from {text(b)} (cos {setting.cosine(a, b):.2f})",
             f"{p:.3g} against {m.energy:.3g}, x {ratio:.2f}",
@@ -331,19 +323,15 @@ def advised(runs: int, pairs: Sequence[tuple[Key, Key]], output: Output) -> Iter
         before = next(measured(narrow, [(a, b)], [narrow.predicted(a, b)], runs))
         after = next(measured(there, [(a, b)], [there.predicted(a, b)], runs))
         found = before.energy / after.energy
-        rows.append(
-            {
-                "cause": " ".join(a),
-                "rival": " ".join(b),
-                "experiment": best.name,
-                "predicted before": advice.now.energy_needed,
-                "predicted after": best.energy_needed,
-                "simulated before": before.energy,
-                "simulated after": after.energy,
-                "seconds before": advice.now.record_length,
-                "seconds after": best.record_length,
-            }
-        )
+        row: dict[str, Any] = {"cause": " ".join(a), "rival": " ".join(b)}
+        row["experiment"] = best.name
+        for what, x, y in (
+            ("predicted", advice.now.energy_needed, best.energy_needed),
+            ("simulated", before.energy, after.energy),
+            ("seconds", advice.now.record_length, best.record_length),
+        ):
+            row |= {f"{what} before": x, f"{what} after": y}
+        rows.append(row)
         yield Target(
             f"{text(a)} from {text(b)}: {best.name}",
             f"energy / {found:.1f} (predicted {best.gain_factor:.1f})",

@@ -179,33 +179,23 @@ def _null(number: int, rng: np.random.Generator) -> Case:
     return Case("nulls", number, "pendulum", kind, where, seed, duration, Ts, noise, size=size)
 
 
-def _single(number: int, rng: np.random.Generator) -> Case:
-    kind, where = SINGLE[number % len(SINGLE)]
+def _sampled(rng: np.random.Generator) -> tuple[int, float, float, float]:
+    """Seed, length, sample time and noise of a pendulum's record."""
     duration, Ts = SETTINGS[int(rng.integers(len(SETTINGS)))]
     noise = float(rng.choice(NOISE))
-    return Case(
-        "single", number, "pendulum", kind, where, _seed(rng), duration, Ts, noise, _energy(rng)
-    )
+    return _seed(rng), duration, Ts, noise
+
+
+def _single(number: int, rng: np.random.Generator) -> Case:
+    kind, where = SINGLE[number % len(SINGLE)]
+    return Case("single", number, "pendulum", kind, where, *_sampled(rng), _energy(rng))
 
 
 def _pair(number: int, rng: np.random.Generator) -> Case:
-    first, other = rng.choice(len(PAIRED), 2, replace=False)
-    duration, Ts = SETTINGS[int(rng.integers(len(SETTINGS)))]
-    noise, seed = float(rng.choice(NOISE)), _seed(rng)
-    energies = [_energy(rng, 300.0, ENERGY[1]) for _ in range(2)]
-    return Case(
-        "pairs",
-        number,
-        "pendulum",
-        PAIRED[int(first)],
-        None,
-        seed,
-        duration,
-        Ts,
-        noise,
-        energies[0],
-        second=(PAIRED[int(other)], energies[1]),
-    )
+    kind, other = (PAIRED[int(i)] for i in rng.choice(len(PAIRED), 2, replace=False))
+    sampled = _sampled(rng)
+    energy, second = (_energy(rng, 300.0, ENERGY[1]) for _ in range(2))
+    return Case("pairs", number, "pendulum", kind, None, *sampled, energy, second=(other, second))
 
 
 STRANGE: tuple[str, ...] = (
@@ -228,26 +218,13 @@ ALIKE = (*TIMING, "actuator_lag")
 
 def _unlisted(number: int, rng: np.random.Generator) -> Case:
     """By turns, an effect that no catalogue has and one whose kind is taken out of it."""
-    duration, Ts = SETTINGS[int(rng.integers(len(SETTINGS)))]
-    noise, seed, energy = float(rng.choice(NOISE)), _seed(rng), _energy(rng)
+    sampled, energy = _sampled(rng), _energy(rng)
     kind, where = STRANGE[number // 2 % len(STRANGE)], None
     without: tuple[str, ...] = ()
     if number % 2:
         kind, where = SINGLE[number // 2 % len(SINGLE)]
         without = ALIKE if kind in TIMING else (kind,)
-    return Case(
-        "unlisted",
-        number,
-        "pendulum",
-        kind,
-        where,
-        seed,
-        duration,
-        Ts,
-        noise,
-        energy,
-        without=without,
-    )
+    return Case("unlisted", number, "pendulum", kind, where, *sampled, energy, without=without)
 
 
 ROLL = ("none", "quadratic_damping", "cubic_stiffness", "coulomb_friction")

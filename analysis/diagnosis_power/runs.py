@@ -59,39 +59,18 @@ def judged_by_peers(part: str, number: int) -> Row:
     hidden = make(draw_case(part, number))
     began = time.process_time()
     found = peers_of(problem_of(hidden.case.system), hidden)
-    return {
-        "part": "peers",
-        "of": part,
-        "number": number,
-        "kind": hidden.case.kind,
-        "where": hidden.where,
-        "peers": found,
-        "cpu": time.process_time() - began,
-    }
+    row: Row = {"part": "peers", "of": part, "number": number, "kind": hidden.case.kind}
+    return row | {"where": hidden.where, "peers": found, "cpu": time.process_time() - began}
 
 
 def _of_case(hidden: Hidden) -> Row:
     case = hidden.case
-    row: Row = {
-        "part": case.part,
-        "number": case.number,
-        "system": case.system,
-        "kind": case.kind,
-        "where": hidden.where,
-        "seed": case.seed,
-        "duration": case.duration,
-        "Ts": case.Ts,
-        "noise": case.noise,
-        "strength": hidden.strength,
-        "without": list(case.without),
-        "N": hidden.record.N,
-    }
+    same = ("part", "number", "system", "kind", "seed", "duration", "Ts", "noise")
+    row: Row = {name: getattr(case, name) for name in same}
+    row |= {"where": hidden.where, "strength": hidden.strength, "without": list(case.without)}
+    row["N"] = hidden.record.N
     if hidden.second is not None:
-        row["second"] = {
-            "kind": hidden.second[0],
-            "where": hidden.second[1],
-            "strength": hidden.second[2],
-        }
+        row["second"] = dict(zip(("kind", "where", "strength"), hidden.second, strict=True))
     return row
 
 

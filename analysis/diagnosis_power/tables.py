@@ -88,12 +88,7 @@ def _nulls(rows: list[Row]) -> Summary:
     return {
         "pooled": _share(rows, is_alarm),
         "cells": [
-            {
-                "duration": duration,
-                "noise": noise,
-                **_share(of, is_alarm),
-                "named": _named(of),
-            }
+            {"duration": duration, "noise": noise, **_share(of, is_alarm), "named": _named(of)}
             for (duration, noise), of in sorted(cells.items())
         ],
         "named": _named(rows),
@@ -107,21 +102,19 @@ def _named(rows: list[Row]) -> dict[str, int]:
 def _single(rows: list[Row]) -> Summary:
     named = [r for r in rows if is_named(r)]
     extra = [r for r in rows if len(r["causes"]) > 1]
+    claims: dict[str, Callable[[Row], bool]] = {
+        "right": is_right,
+        "detected": is_alarm,
+        "wrong": is_wrong_name,
+        "doubtful": is_doubtful,
+        "flagged": is_flagged,
+    }
     bins = []
     for low, high in zip(EDGES[:-1], EDGES[1:], strict=True):
         inside = [r for r in rows if low <= r["energy"] < high]
         if inside:
-            bins.append(
-                {
-                    "from": low,
-                    "to": high,
-                    "right": _share(inside, is_right),
-                    "detected": _share(inside, is_alarm),
-                    "wrong": _share(inside, is_wrong_name),
-                    "doubtful": _share(inside, is_doubtful),
-                    "flagged": _share(inside, is_flagged),
-                }
-            )
+            counted = {name: _share(inside, claim) for name, claim in claims.items()}
+            bins.append({"from": low, "to": high, **counted})
     above = {str(e): [r for r in rows if r["energy"] >= e] for e in (30, 100, 300)}
     return {
         "right": {e: _share(of, is_right) for e, of in above.items()},
@@ -251,10 +244,8 @@ def _rivals(peers: list[Row], singles: Mapping[int, Row], nulls: list[Row]) -> S
                 (found["kind"], found["where"]), (r["kind"], r["where"])
             )
 
-        groups = {
-            "all": judged,
-            "expressible": [r for r in judged if can_express(peer, r["kind"])],
-        }
+        own = [r for r in judged if can_express(peer, r["kind"])]
+        groups = {"all": judged, "expressible": own}
         out[peer] = {
             name: {
                 "peer": _share(of, is_named_right),

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from analysis.common.runner import AbsentError, Study, sections, shared_folder
-from analysis.common.targets import Target
+from analysis.common.targets import Target, equal
 from analysis.identifiability_tables import models
 from casid.algebra.prime_field import random_prime, to_field
 from casid.identifiability.combinations.fixing_sets import Exclusion, fixing_sets
@@ -55,11 +55,6 @@ KNOWN_PAIRS = (
     "M K_ur, M A_x, M k, M zbar_g"
 )
 """Pairs that, once known, leave nine identifiable parameters in three records (K_ur free)."""
-
-
-def equal(what: str, found: object, wanted: object) -> Target:
-    """Something that must be just this."""
-    return Target(what, str(found), str(wanted), found == wanted)
 
 
 # -- chapter 7 -------------------------------------------------------------------------------------

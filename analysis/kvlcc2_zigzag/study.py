@@ -26,6 +26,7 @@ from statistics import NormalDist
 import numpy as np
 
 import casid
+from analysis.common.output import Output
 from analysis.common.runner import Run, Study, shared_folder
 from analysis.common.targets import Target, at_most, completed, near
 from casid.estimation.covariance import autocorrelation
@@ -88,14 +89,9 @@ def frequencies(data: Mapping[str, casid.Experiment]) -> Iterator[Target]:
                 f"< {100 * abs(FIRST[name] / OMEGA_0 - 1):.1f} %, the first regression's",
                 closer,
             )
-        lone = equation_error(alone, e, prefilter=PREFILTER, decimate=4).estimate
-        yield near(
-            f"{name}, regression without inputs: roll frequency",
-            frequency(lone)[0],
-            ALONE[name],
-            0.1,
-            "rad/s",
-        )
+        lone, _ = frequency(equation_error(alone, e, prefilter=PREFILTER, decimate=4).estimate)
+        what = f"{name}, regression without inputs: roll frequency"
+        yield near(what, lone, ALONE[name], 0.1, "rad/s")
 
 
 def surge_speeds(folder: Path) -> Iterator[Target]:
@@ -127,25 +123,20 @@ def pooled(data: Mapping[str, casid.Experiment]) -> Iterator[Target]:
     both = [kvlcc2_zigzag.coarse(e) for e in data.values()]
     estimate = casid.identify(problem, both, settings=casid.FitSettings(starts=1, own=own))
     omega, error = frequency(estimate)
-    yield Target(
-        "both, simulation: one roll frequency",
-        _text(omega, error),
-        f"{OMEGA_0:g} rad/s +- 6 %",
-        abs(omega / OMEGA_0 - 1) <= 0.06,
-    )
+    met = abs(omega / OMEGA_0 - 1) <= 0.06
+    wanted = f"{OMEGA_0:g} rad/s +- 6 %"
+    yield Target("both, simulation: one roll frequency", _text(omega, error), wanted, met)
 
 
 # -- the wrong model -------------------------------------------------------------------------------
 
 
-def diagnosed(data: Mapping[str, casid.Experiment], out: Path | None) -> Iterator[Target]:
+def diagnosed(data: Mapping[str, casid.Experiment], out: Output) -> Iterator[Target]:
     """What the diagnosis says of the roll without inputs."""
     alone = kvlcc2_zigzag.without_inputs()
     for name, e in data.items():
         d = casid.diagnose(alone, kvlcc2_zigzag.coarse(e))
-        if out is not None:
-            (out / name).mkdir(parents=True, exist_ok=True)
-            d.write(out / name)
+        out.report(name, d)
         named = [(c.kind, c.where) for c in d.causes]
         said = {*named, *((a.kind, a.where) for c in d.causes for a in c.alternatives)}
         yield Target(
@@ -155,12 +146,8 @@ def diagnosed(data: Mapping[str, casid.Experiment], out: Path | None) -> Iterato
             bool(named) and named[0][0] == "extra_input",
         )
         inputs = sorted(where for kind, where in said if kind == "extra_input")
-        yield Target(
-            f"{name}, no inputs: missing, or not to be rejected",
-            ", ".join(inputs) or "none",
-            "a_y among them",
-            "a_y" in inputs,
-        )
+        what = f"{name}, no inputs: missing, or not to be rejected"
+        yield Target(what, ", ".join(inputs) or "none", "a_y among them", "a_y" in inputs)
         before = d.held_out["baseline_rmse"]["phi"]
         after = d.held_out.get("extended_rmse", d.held_out["baseline_rmse"])["phi"]
         yield Target(
@@ -216,13 +203,10 @@ def extended(data: Mapping[str, casid.Experiment]) -> Iterator[Target]:
         for effect in extensions(problem.model):
             wider = replace(problem, model=problem.model.extend(effect), truth={}, simulate=None)
             what = f"{effect.kind} in {effect.where}"
+            held = [coarse[other]]
             try:
                 fit = casid.identify(
-                    wider,
-                    coarse[name],
-                    hold_out=[coarse[other]],
-                    settings=settings,
-                    start=start,
+                    wider, coarse[name], hold_out=held, settings=settings, start=start
                 )
             except (casid.SolveError, casid.IdentifiabilityError) as error:
                 found = f"not estimated: {type(error).__name__}"
@@ -234,19 +218,11 @@ def extended(data: Mapping[str, casid.Experiment]) -> Iterator[Target]:
             there = _gain(plain.held_out_rmse[other], fit.held_out_rmse[other])
             gains.setdefault(what, []).append(there)
             size = f"{ratio:.1f} s.e." if math.isfinite(ratio) else row.note.split(":")[0]
-            yield Target(
-                f"{name}: {what}",
-                f"{size}, gain {here:+.1f} %, on {other} {there:+.1f} %",
-                "reported",
-                True,
-            )
+            text = f"{size}, gain {here:+.1f} %, on {other} {there:+.1f} %"
+            yield Target(f"{name}: {what}", text, "reported", True)
     helpful = [what for what, both in gains.items() if len(both) == 2 and min(both) > 0.5]
-    yield Target(
-        "extensions that gain on the other record both ways",
-        ", ".join(helpful) or "none",
-        "reported",
-        True,
-    )
+    what = "extensions that gain on the other record both ways"
+    yield Target(what, ", ".join(helpful) or "none", "reported", True)
 
 
 def _gain(before: Mapping[str, float], after: Mapping[str, float]) -> float:
@@ -314,7 +290,7 @@ def study(run: Run) -> Iterator[Target]:
     yield from surge_speeds(folder)
     if not run.quick:
         yield from pooled(data)
-        yield from diagnosed(data, run.folder)
+        yield from diagnosed(data, run.output)
         yield from extended(data)
 
 

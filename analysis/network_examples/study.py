@@ -28,7 +28,7 @@ import numpy as np
 import sympy
 
 from analysis.common.output import Output
-from analysis.common.runner import Study, runs
+from analysis.common.runner import Run, Study, runs
 from analysis.common.targets import Target, at_most, near
 from analysis.network_examples.feedforward import compared
 from analysis.network_examples.figures import predictions, rings, signals
@@ -140,19 +140,13 @@ def recursion(out: Output, *, quick: bool) -> Iterator[Target]:
     """Figure 4.2: the model grows with every ring."""
     found = eliminate_recursively(chain(4 if quick else 6), "target")
     print(found)
-    table = [
-        {
-            "ring": r.number,
-            "eliminated": " ".join(map(str, r.eliminated)),
-            "by": " ".join(map(str, r.by)),
-            "inputs": len(r.inputs),
-            "unobserved": len(r.unobserved),
-            "involved": len(r.involved),
-            "degree": r.degree,
-        }
-        for r in found.rings
-    ]
-    out.table("rings", table)
+    rows = []
+    for r in found.rings:
+        row = {"ring": r.number, "eliminated": " ".join(map(str, r.eliminated))}
+        row |= {"by": " ".join(map(str, r.by)), "inputs": len(r.inputs)}
+        row |= {"unobserved": len(r.unobserved), "involved": len(r.involved), "degree": r.degree}
+        rows.append(row)
+    out.table("rings", rows)
     out.figure("figure_4_2", rings(found))
     involved = [len(r.involved) for r in found.rings]
     degrees = [r.degree or 0 for r in found.rings]
@@ -266,20 +260,16 @@ def filtering(*, quick: bool) -> Iterator[Target]:
         yield near(f"  error variance of w{n} - tau_{n}", got, stated, 1.5 * spread, "")
 
 
-def study(out: Output, *, quick: bool, runs: int) -> Iterator[Target]:
+def study(run: Run) -> Iterator[Target]:
     """All parts in turn."""
-    yield from structure(out)
+    yield from structure(run.output)
     yield from formulas()
-    yield from recursion(out, quick=quick)
-    yield from predictors(out, runs)
-    yield from filtering(quick=quick)
+    yield from recursion(run.output, quick=run.quick)
+    yield from predictors(run.output, run.runs(200, quick=20))
+    yield from filtering(quick=run.quick)
     yield from compared()
 
 
 STUDY = Study(
-    "network_examples",
-    __doc__,
-    lambda run: study(run.output, quick=run.quick, runs=run.runs(200, quick=20)),
-    quick="20 realisations",
-    options=runs(200, quick=20),
+    "network_examples", __doc__, study, quick="20 realisations", options=runs(200, quick=20)
 )

@@ -102,11 +102,9 @@ def read_model(lines: Sequence[str]) -> str:
 
 def cases(folder: Path) -> Iterator[Case]:
     """All sets of the folder that holds ``nist_strd_nonlinear.json``, in its order."""
-    for name, entry in json.loads((folder / "nist_strd_nonlinear.json").read_text())[
-        "sets"
-    ].items():
-        path = folder / f"{name}.csv"
-        with path.open(encoding="utf-8") as file:
+    sets = json.loads((folder / "nist_strd_nonlinear.json").read_text())["sets"]
+    for name, entry in sets.items():
+        with (folder / f"{name}.csv").open(encoding="utf-8") as file:
             columns = file.readline().strip().split(",")
             table = np.loadtxt(file, delimiter=",")
         parameters: dict[str, dict[str, float]] = entry["parameters"]
@@ -160,25 +158,14 @@ def measure(case: Case, start: str, *, compare: bool = False) -> Row:
             others["sqpmethod_digits"] = digits(case.fit(start, Solver("sqpmethod")).values, wanted)
         except CasidError:
             others["sqpmethod_digits"] = 0.0
-    found: dict[str, Any]
     try:
         fit = case.fit(start)
-        found = {
-            "parameter_digits": digits(fit.values, wanted),
-            "error_digits": digits(fit.std_errors, list(case.std_errors.values())),
-            "iterations": fit.iterations,
-            "hessian": fit.hessian,
-            "status": fit.status,
-        }
+        reached = digits(fit.values, wanted)
+        of_errors = digits(fit.std_errors, list(case.std_errors.values()))
+        how = fit.iterations, fit.hessian, fit.status
     except CasidError as error:
-        found = {
-            "parameter_digits": 0.0,
-            "error_digits": 0.0,
-            "iterations": 0,
-            "hessian": "",
-            "status": str(error),
-        }
-    return Row(case.name, case.level, start, error_target=case.error_digits, **found, **others)
+        reached, of_errors, how = 0.0, 0.0, (0, "", str(error))
+    return Row(case.name, case.level, start, reached, of_errors, case.error_digits, *how, **others)
 
 
 def table(rows: Sequence[Row]) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 import casid
 from casid.arrays import Array
-from casid.data.fir_filter import equiripple
+from casid.data.fir_filter import FirFilter, equiripple
 from problems import pendulum_rig as rig
 
 TORQUE = 0.0045
@@ -82,14 +82,6 @@ class Draws:
         kappa: float = 0.0,
         seed: int = 1,
     ) -> None:
-        self.settings = {
-            "duration": duration,
-            "amplitude": amplitude,
-            "torque": torque,
-            "sensors": sensors or rig.Sensors(),
-            "kappa": kappa,
-            "seed": seed,
-        }
         self.torque, self.sensors = torque, sensors or rig.Sensors()
         known = rig.problem.load_cases
         self.plants = {c: rig.Pendulum(m=known[c]["m"], kappa=kappa) for c in self.cases}
@@ -112,23 +104,15 @@ class Draws:
             late = run.pendulum.t > run.released + rig.SETTLING
             self.angle[case] = float(np.std(run.truth["phi"][late]))
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return _draws, (self.settings,)
-
     @cached_property
-    def _taps(self) -> Array:
-        once = equiripple(0.5, TS / 2, stop_hz=6.0, order=20).taps
-        return np.asarray(np.convolve(once, once), dtype=np.float64)
-
-    def _gain(self, N: int) -> Array:
-        """Of the filter forward and backward at the lines of N samples, (N // 2 + 1,)."""
-        frequencies = np.fft.rfftfreq(N, TS)
-        return np.asarray(equiripple(0.5, TS / 2, stop_hz=6.0, order=20).gain(frequencies) ** 2)
+    def _filter(self) -> FirFilter:
+        return equiripple(0.5, TS / 2, stop_hz=6.0, order=20)
 
     def _noise(self, N: int, rng: np.random.Generator) -> Array:
         """White noise of unit variance at 100 Hz, filtered, one sample in two kept: (N,)."""
-        white = rng.standard_normal(2 * N + len(self._taps) - 1)
-        return np.asarray(np.convolve(white, self._taps, "valid")[: 2 * N : 2], dtype=np.float64)
+        taps = np.convolve(self._filter.taps, self._filter.taps)  # forward and backward
+        white = rng.standard_normal(2 * N + len(taps) - 1)
+        return np.asarray(np.convolve(white, taps, "valid")[: 2 * N : 2], dtype=np.float64)
 
     def experiments(
         self,
@@ -162,7 +146,8 @@ class Draws:
     ) -> None:
         N = len(signals["gyro"])
         torque = rig.dragged(TS * np.arange(N, dtype=np.float64), rms, rng, BAND)
-        smooth = np.fft.irfft(self._gain(N) * np.fft.rfft(torque), N).astype(np.float64)
+        gain = np.asarray(self._filter.gain(np.fft.rfftfreq(N, TS)) ** 2)  # forward and backward
+        smooth = np.fft.irfft(gain * np.fft.rfft(torque), N).astype(np.float64)
         for name, response in torque_response(self.plants[case], smooth, TS).items():
             signals[name] += response
 
@@ -179,7 +164,3 @@ class Draws:
         signals["gyro"] += sensors.gyro * gyro
         signals["accel"] += sensors.accel * own
         signals["ref"] += sensors.cart * (own if shared else cart)
-
-
-def _draws(settings: dict[str, object]) -> Draws:
-    return Draws(**settings)  # type: ignore[arg-type]

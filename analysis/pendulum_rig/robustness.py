@@ -7,21 +7,14 @@ full records with both. All estimates are multi-stage with prefilter 1.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-import casid
+from analysis.common.figures import Chart
 from analysis.common.output import Output
 from analysis.common.targets import Target, at_most, near
-from analysis.pendulum_rig.estimators import (
-    FREE,
-    INSTRUMENTS,
-    MODEL,
-    STEPS,
-    TRUTH,
-    staged,
-)
+from analysis.pendulum_rig.estimators import FREE, INSTRUMENTS, MODEL, STEPS, TRUTH, staged
 from analysis.pendulum_rig.records import AMPLITUDE, Draws
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.validation import validate
@@ -68,17 +61,10 @@ def stiffening(
         if not plain:
             plain = {n: found[n] for n in FREE}
             continue
-        rows.append(
-            Stiffening(
-                kappa,
-                draws.angle["nominal"],
-                draws.angle["loaded"],
-                found["k"] / plain["k"] - 1,
-                3 * kappa * draws.angle["nominal"] ** 2,
-                (found["m"] - plain["m"]) / errors["m"],
-                (found["z_m"] - plain["z_m"]) / errors["z_m"],
-            )
-        )
+        angle, loaded = draws.angle["nominal"], draws.angle["loaded"]
+        m, z_m = ((found[n] - plain[n]) / errors[n] for n in LOAD)
+        k, predicted = found["k"] / plain["k"] - 1, 3 * kappa * angle**2
+        rows.append(Stiffening(kappa, angle, loaded, k, predicted, m, z_m))
     return rows
 
 
@@ -125,9 +111,7 @@ def amplitudes(
         experiments = draws.experiments()
         found = indirect(experiments)
         with_cart = [
-            casid.Experiment(
-                e.record.with_channel("a_y", e.record["ref"], "m/s^2"), e.known, e.name
-            )
+            replace(e, record=e.record.with_channel("a_y", e.record["ref"], "m/s^2"))
             for e in experiments
         ]
         settings = MomentSettings(form="linear", outputs=("gyro",))
@@ -135,20 +119,11 @@ def amplitudes(
         first = first or {n: (found[n], direct[n]) for n in LOAD}
         scale = {n: errors[n] * AMPLITUDE / value for n in LOAD}
         check = validate(MODEL, truth, experiments, INSTRUMENTS)
-        apart = {n: (found[n] - first[n][0]) / scale[n] for n in LOAD}
-        direct_apart = {n: (direct[n] - first[n][1]) / scale[n] for n in LOAD}
-        rows.append(
-            Amplitude(
-                amplitude=value,
-                angle=draws.angle["loaded"],
-                m=apart["m"],
-                z_m=apart["z_m"],
-                direct_m=direct_apart["m"],
-                direct_z_m=direct_apart["z_m"],
-                fit_gyro=check["loaded", "gyro"].fit,
-                fit_accel=check["loaded", "accel"].fit,
-            )
-        )
+        m, z_m = ((found[n] - first[n][0]) / scale[n] for n in LOAD)
+        direct_m, direct_z_m = ((direct[n] - first[n][1]) / scale[n] for n in LOAD)
+        gyro, accel = (check["loaded", channel].fit for channel in ("gyro", "accel"))
+        angle = draws.angle["loaded"]
+        rows.append(Amplitude(value, angle, m, z_m, direct_m, direct_z_m, gyro, accel))
     return rows
 
 
@@ -196,16 +171,8 @@ def references(*, duration: float, seed: int = 1) -> list[Reference]:
     for what, sensors, shared in cases:
         rng = np.random.default_rng(seed)
         e = estimator(draws.experiments(rng, sensors=sensors, shared=shared))
-        rows.append(
-            Reference(
-                what,
-                e["m"],
-                e.std_error("m"),
-                e["z_m"],
-                e.std_error("z_m"),
-                e.propagated.p_value,
-            )
-        )
+        (m, m_error), (z_m, z_m_error) = ((e[n], e.std_error(n)) for n in LOAD)
+        rows.append(Reference(what, m, m_error, z_m, z_m_error, e.propagated.p_value))
     return rows
 
 
@@ -225,8 +192,6 @@ def limits(
     errors: Mapping[str, float], out: Output, *, duration: float, quick: bool
 ) -> Iterator[Target]:
     """Springs that stiffen, angles that grow."""
-    import plotly.graph_objects as go
-
     kappas = (0.25, 1.0, 4.0) if quick else (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
     springs = stiffening(kappas, errors, duration=duration)
     print(f"{'kappa':>8}{'angle rms':>11}{'k %':>8}{'theory %':>10}{'m/se':>8}{'z_m/se':>8}")
@@ -279,25 +244,19 @@ def limits(
         "found within the sweep",
         bool(np.isfinite(from_angle)),
     )
-    figure = go.Figure()
+    chart = Chart("What the linear regression bears before it is biased")
+    scaled = [s.angle_loaded * s.kappa**0.5 for s in springs]
     for label, x, y in (
-        ("m, stiffening", [s.angle_loaded * s.kappa**0.5 for s in springs], [s.m for s in springs]),
-        (
-            "z_m, stiffening",
-            [s.angle_loaded * s.kappa**0.5 for s in springs],
-            [s.z_m for s in springs],
-        ),
+        ("m, stiffening", scaled, [s.m for s in springs]),
+        ("z_m, stiffening", scaled, [s.z_m for s in springs]),
         ("m, linear springs, indirect", [a.angle for a in angles], [a.m for a in angles]),
         ("m, linear springs, direct", [a.angle for a in angles], [a.direct_m for a in angles]),
     ):
-        figure.add_scatter(x=x, y=np.abs(y), mode="lines+markers", name=label)
-    figure.add_hline(y=1.0, line_dash="dash")
-    figure.update_xaxes(type="log", title_text="rms angle [rad]; stiffening: times sqrt(kappa) [1]")
-    figure.update_yaxes(type="log", title_text="bias in standard errors [1]")
-    figure.update_layout(
-        template="plotly_white", title="What the linear regression bears before it is biased"
-    )
-    out.figure("limits", figure)
+        chart.line(x, np.abs(y), label, mode="lines+markers")
+    chart.figure.add_hline(y=1.0, line_dash="dash")
+    chart.x_axis("rms angle [rad]; stiffening: times sqrt(kappa) [1]", type="log")
+    chart.y_axis("bias in standard errors [1]", type="log")
+    out.figure("limits", chart.figure)
 
 
 def noisy_references(out: Output, *, duration: float) -> Iterator[Target]:

@@ -110,16 +110,8 @@ def coverages(campaign: Campaign, centre: Mapping[str, float]) -> list[Coverage]
         for n in FREE:
             x = campaign.column(f"{value} {n}") - centre[n]
             se = campaign.column(f"{error} {n}")
-            out.append(
-                Coverage(
-                    kind,
-                    n,
-                    len(x),
-                    float(np.sqrt(np.mean(x**2))),
-                    float(np.mean(se)),
-                    float(np.mean(np.abs(x) < 1.96 * se)),
-                )
-            )
+            spread, covered = float(np.sqrt(np.mean(x**2))), float(np.mean(np.abs(x) < 1.96 * se))
+            out.append(Coverage(kind, n, len(x), spread, float(np.mean(se)), covered))
     return out
 
 

@@ -28,8 +28,9 @@ from typing import Any
 
 import numpy as np
 
+from analysis.common.figures import Chart
 from analysis.common.output import Output
-from analysis.common.runner import Study, jobs, runs
+from analysis.common.runner import Run, Study, jobs, runs
 from analysis.common.targets import Target, at_most, near
 from analysis.pendulum_rig.estimators import (
     FREE,
@@ -47,17 +48,8 @@ from analysis.pendulum_rig.estimators import (
 )
 from analysis.pendulum_rig.records import TORQUE, TS
 from analysis.pendulum_rig.robustness import limits, noisy_references
-from analysis.pendulum_rig.runs import (
-    RigRun,
-    coverages,
-    largest_disagreement,
-    noise_models,
-)
-from analysis.pendulum_rig.tables import (
-    PUBLISHED,
-    PUBLISHED_FITS,
-    PUBLISHED_VALUES,
-)
+from analysis.pendulum_rig.runs import RigRun, coverages, largest_disagreement, noise_models
+from analysis.pendulum_rig.tables import PUBLISHED, PUBLISHED_FITS, PUBLISHED_VALUES
 from casid.campaigns.campaign import campaign
 from casid.data.alignment import align
 from casid.data.record import Experiment
@@ -103,18 +95,9 @@ def table_7_5(estimates: Mapping[str, MomentEstimate], out: Output) -> Iterator[
                 f"{errors[quantity]:>10.2g}{relative:>9.2f}   "
                 + (f"{other:g} ({theirs:g} %)" if other is not None else "--")
             )
-            rows.append(
-                {
-                    "estimator": name,
-                    "quantity": quantity,
-                    "truth": truth[quantity],
-                    "estimate": value,
-                    "std_error": errors[quantity],
-                    "error_percent": relative,
-                    "thesis_estimate": other,
-                    "thesis_error_percent": theirs,
-                }
-            )
+            row = {"estimator": name, "quantity": quantity, "truth": truth[quantity]}
+            row |= {"estimate": value, "std_error": errors[quantity], "error_percent": relative}
+            rows.append(row | {"thesis_estimate": other, "thesis_error_percent": theirs})
         print(
             f"{name:22}{'d, k':9}{'':11}{e['d']:>11.4g}, {e['k']:.4g}; moments p = "
             f"{e.propagated.p_value:.2g}, {sum(s.iterations for s in e.stages)} iterations"
@@ -208,9 +191,7 @@ def comparison(run: RigRun, out: Output, *, quick: bool) -> Iterator[Target]:
 
 def clouds(estimates: Mapping[str, MomentEstimate], out: Output) -> Iterator[Target]:
     """Figure 7.15: m against z_m."""
-    import plotly.graph_objects as go
-
-    figure = go.Figure()
+    chart = Chart("Load and its height: N(theta, P) through the maps (Figure 7.15)")
     rows = []
     stages, together = estimates["multi-stage (7.60)"], estimates["joint (7.60)"]
     kinds = (
@@ -226,37 +207,23 @@ def clouds(estimates: Mapping[str, MomentEstimate], out: Output) -> Iterator[Tar
             f"cloud, {name}: m {middle:.4f}, 95 % {low:.4f} to {high:.4f} kg; z_m "
             f"{bottom:.4f} to {top:.4f} m"
         )
-        rows.append(
-            {
-                "cloud": name,
-                "m_std": m.std(),
-                "z_m_std": z_m.std(),
-                "m_low": low,
-                "m_high": high,
-                "z_m_low": bottom,
-                "z_m_high": top,
-            }  # fmt: skip
-        )
+        row = {"cloud": name, "m_std": m.std(), "z_m_std": z_m.std(), "m_low": low}
+        rows.append(row | {"m_high": high, "z_m_low": bottom, "z_m_high": top})
         inside = low < TRUTH["m"] < high and bottom < TRUTH["z_m"] < top
         se = e.std_error("m", propagated=propagated)
         yield near(f"cloud of {name}: spread of m", float(m.std()), se, 0.1, "kg")
         if propagated:
             yield Target(f"cloud of {name}: holds the truth", str(inside), "True", bool(inside))
-        figure.add_scattergl(
-            x=z_m[:4000], y=m[:4000], mode="markers", name=name,
-            marker={"size": 3, "opacity": 0.35, "color": colour},
-        )  # fmt: skip
-    figure.add_scatter(
-        x=[TRUTH["z_m"]], y=[TRUTH["m"]], mode="markers", name="truth",
-        marker={"symbol": "x", "size": 12, "color": "black"},
-    )  # fmt: skip
-    figure.update_layout(
-        template="plotly_white",
-        title="Load and its height: N(theta, P) through the maps (Figure 7.15)",
-        xaxis_title="height of the load z_m [m]",
-        yaxis_title="mass of the load m [kg]",
-    )
-    out.figure("figure_7_15", figure)
+        look: dict[str, Any] = {
+            "mode": "markers",
+            "marker": {"size": 3, "opacity": 0.35, "color": colour},
+        }
+        chart.add("Scattergl", name=name, x=z_m[:4000], y=m[:4000], **look)
+    cross = {"symbol": "x", "size": 12}
+    chart.points([TRUTH["z_m"]], [TRUTH["m"]], "truth", "black", marker=cross)
+    chart.x_axis("height of the load z_m [m]")
+    chart.y_axis("mass of the load m [kg]")
+    out.figure("figure_7_15", chart.figure)
     out.table("clouds", rows)
 
 
@@ -384,37 +351,33 @@ def estimate_all(
     return found
 
 
-def study(out: Output, *, quick: bool, runs: int, jobs: int) -> Iterator[Target]:
+def study(run: Run) -> Iterator[Target]:
     """All parts in turn."""
-    run = RigRun()
+    out, quick, made = run.output, run.quick, RigRun()
     yield from clocks()
     experiments = rig.experiments(seed=1, torque=TORQUE)
     sizes = {e.record.N for e in experiments}
     yield Target("samples of a record", str(sizes), "{30000}", sizes == {30_000})
     estimates = estimate_all(experiments, iterations=1 if quick else 5)
     yield from table_7_5(estimates, out)
-    yield from discretisation(run)
-    yield from comparison(run, out, quick=quick)
+    yield from discretisation(made)
+    yield from comparison(made, out, quick=quick)
     yield from clouds(estimates, out)
     stages = estimates["multi-stage (7.60)"]
-    yield from validation(
-        stages, run, run.estimators[0](run.draws.experiments()).values, out,
-        duration=120.0 if quick else 600.0,
-    )  # fmt: skip
+    clean = made.estimators[0](made.draws.experiments()).values
+    yield from validation(stages, made, clean, out, duration=120.0 if quick else 600.0)
     errors = {n: stages.std_error(n) for n in FREE}
     yield from limits(errors, out, duration=300.0 if quick else 600.0, quick=quick)
-    yield from monte_carlo(run, runs, jobs, out)
+    yield from monte_carlo(made, run.runs(200, quick=20), run.options.jobs, out)
     if not quick:
-        yield from prefilters(run, 12, 2, out)
+        yield from prefilters(made, 12, 2, out)
         yield from noisy_references(out, duration=600.0)
 
 
 STUDY = Study(
     "pendulum_rig",
     __doc__,
-    lambda run: study(
-        run.output, quick=run.quick, runs=run.runs(200, quick=20), jobs=run.options.jobs
-    ),
+    study,
     quick="short sweeps, 20 runs",
     options=runs(200, quick=20) | jobs(1),
 )

@@ -173,11 +173,8 @@ class PendulumRecords:
         for i, case in enumerate(self.cases):
             rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, i)))
             ref = telegraph(raw, TS, amplitude=amplitude, hold=HELD_FOR, rng=rng)
-            gyro, accel = self._sensed(ref, load if case == "loaded" else 0.0)
-            self.clean[case] = {
-                name: self._smoothed(signal)
-                for name, signal in (("gyro", gyro), ("accel", accel), ("ref", ref))
-            }
+            signals = (*self._sensed(ref, load if case == "loaded" else 0.0), ref)
+            self.clean[case] = {n: self._smoothed(x) for n, x in zip(UNITS, signals, strict=True)}
         self._filter = BlockFilter(noise * self.low_pass.taps, N)
         self._drawn = {
             case: {"gyro": np.empty(N), "accel": np.empty(N), "ref": self.clean[case]["ref"]}

@@ -16,7 +16,7 @@ shows. --quick: fewer and shorter runs, and no verdict on time. Exit 1 where a t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
@@ -96,11 +96,10 @@ class Desk:
 # -- time and memory -------------------------------------------------------------------------------
 
 
-def timing(desk: Desk, extent: Extent) -> Iterator[Target | tuple[str, Any]]:
-    """The 10 000 runs against the clock and the floor; ends with the table."""
+def timing(desk: Desk, extent: Extent) -> Generator[Target, None, Any]:
+    """The 10 000 runs against the clock and the floor; returns their table."""
     runs = Runs(SHOWN, N=extent.N, every=extent.every)
     done, seconds = desk.do(f"{extent.runs} runs at A = {SHOWN:g}", runs, extent.runs)
-    yield "table", done.table
     floor, _ = desk.do("floor", Floor(runs), extent.floor, seed=99)
     ms = {k: floor.column(k) for k in floor.table.columns if k.endswith("_ms")}
     normal, tap = (float(np.median(floor.column(k))) for k in ("ns_normal", "ns_tap"))
@@ -121,12 +120,13 @@ def timing(desk: Desk, extent: Extent) -> Iterator[Target | tuple[str, Any]]:
     yield at_most("peak memory of a process", float(floor.column("peak_MB").max()), 1000.0, "MB")
     if not extent.is_full or done.found:
         print("  no verdict on time: " + ("resumed" if done.found else "a quick study"))
-        return
+        return done.table
     yield at_most(f"{extent.runs} runs on {desk.jobs} processes", seconds / 60, 5.0, "min")
     ratio = float(ms["run_ms"].sum() / ms["floor_ms"].sum())
     yield at_most("a run against the floor, in turn", ratio, 2.5, "times")
     yield at_most("a normal (the floor is not slow)", normal, 10.0, "ns")
     yield at_most("a filter tap (the floor is not slow)", tap, 0.3, "ns")
+    return done.table
 
 
 # -- numbers ---------------------------------------------------------------------------------------
@@ -305,18 +305,13 @@ def little_excitation(desk: Desk, extent: Extent, table: Any) -> Iterator[Target
             for k in ("", ".delta", ".sampled", ".identity.delta")
         }
         room = 2.5 * (0.95 * 0.05 / len(kept)) ** 0.5
-        yield Target(
-            f"A = {A:g}: default, {p}: profile intervals cover",
-            f"{held['']:.1%} of {len(kept)} (delta {held['.delta']:.1%})",
-            f"95 % +- {room:.1%}",
-            bool(abs(held[""] - 0.95) <= room),
-        )
-        yield Target(
-            f"A = {A:g}: Q = I, {p}: sampled intervals cover",
-            f"{held['.sampled']:.1%} of {len(kept)} (delta {held['.identity.delta']:.1%})",
-            f"95 % +- {room:.1%}",
-            bool(abs(held[".sampled"] - 0.95) <= room),
-        )
+        for what, key, delta in (
+            (f"default, {p}: profile", "", ".delta"),
+            (f"Q = I, {p}: sampled", ".sampled", ".identity.delta"),
+        ):
+            text = f"{held[key]:.1%} of {len(kept)} (delta {held[delta]:.1%})"
+            met = abs(held[key] - 0.95) <= room
+            yield Target(f"A = {A:g}: {what} intervals cover", text, f"95 % +- {room:.1%}", met)
 
 
 # -- the nonlinear truth ---------------------------------------------------------------------------
@@ -332,25 +327,16 @@ def nonlinear(extent: Extent, errors: dict[float, float]) -> list[dict[str, floa
     slope = float(np.median([e * A for A, e in errors.items()]))  # errors fall with 1/A
     for A in (0.15, 0.3, 0.5, 1.0, 2.0, 3.0):
         indirect = {
-            truth: Bench(PendulumRecords(A, N=extent.N_nonlinear, truth=truth, seed=2)).noise_free(
-                ("iv",)
-            )
+            truth: Bench(PendulumRecords(A, N=extent.N_nonlinear, truth=truth, seed=2))
             for truth in ("nonlinear", "linear")
         }
-        change = indirect["nonlinear"]["iv"] / indirect["linear"]["iv"] - 1
+        found, plain = (own.noise_free(("iv",))["iv"] for own in indirect.values())
         direct = direct_regression(A, extent.N_nonlinear)
-        rows.append(
-            {
-                "amplitude": A,
-                "largest angle [deg]": direct["angle"],
-                "direct I_x": direct["I_x"],
-                "direct k": direct["k"],
-                "direct d": direct["d"],
-                "indirect I_x": float(change[0]),
-                "indirect m": float(change[2]),
-                "standard error": slope / A,
-            }
-        )
+        row = {"amplitude": A, "largest angle [deg]": direct.pop("angle")}
+        row |= {f"direct {name}": error for name, error in direct.items()}
+        row |= {"indirect I_x": float(found[0] / plain[0] - 1)}
+        row |= {"indirect m": float(found[2] / plain[2] - 1), "standard error": slope / A}
+        rows.append(row)
     return rows
 
 
@@ -409,11 +395,8 @@ def study(desk: Desk, extent: Extent) -> Iterator[Target]:
     rows: list[Line] = []
     everything: tuple[Estimator, ...] = ("ls", "iv", "identity")
     print("Campaigns")
-    for part in timing(desk, extent):
-        if isinstance(part, Target):
-            yield part
-        else:
-            large = part[1][part[1]["failed"].isna()]
+    large = yield from timing(desk, extent)
+    large = large[large["failed"].isna()]
     for A in AMPLITUDES:
         function = Runs(A, N=extent.N, estimators=everything)
         done, _ = desk.do(f"all estimators at A = {A:g}", function, extent.others, seed=1)
@@ -421,14 +404,13 @@ def study(desk: Desk, extent: Extent) -> Iterator[Target]:
     print(HEADER)
     for A in AMPLITUDES:
         limit = bench(A, extent.N, 1, 0.01).noise_free(everything)
-        fresh = lines(A, tables[A], everything, limit)
         if A == SHOWN:  # the 10 000 runs for what they have
-            fresh = lines(A, large, ("ls", "iv"), limit) + [
-                line for line in fresh if line.estimator == "identity"
-            ]
+            fresh = lines(A, large, ("ls", "iv"), limit)
+            fresh += lines(A, tables[A], ("identity",), limit)
+        else:
+            fresh = lines(A, tables[A], everything, limit)
         rows += fresh
-        for line in fresh:
-            print(line)
+        print(*fresh, sep="\n")
     found = {(r.amplitude, r.estimator, r.parameter): r for r in rows}
     bilinear_offsets(found)
     yield from verdicts(found, tables, large, is_full=extent.is_full)
@@ -456,8 +438,7 @@ def found(run: Run) -> Iterator[Target]:
     if options.runs is not None:
         extent = replace(extent, runs=options.runs)
     desk = Desk(options.jobs, run.output, options.resume)
-    items = timing(desk, extent) if options.timing else study(desk, extent)
-    yield from (item for item in items if isinstance(item, Target))
+    yield from timing(desk, extent) if options.timing else study(desk, extent)
 
 
 STUDY = Study(

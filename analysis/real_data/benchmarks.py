@@ -14,8 +14,9 @@ from typing import Literal
 import numpy as np
 
 import casid
-from analysis.common.targets import Target, at_most, near
-from analysis.real_data.judgement import few_causes, keep, rms_after
+from analysis.common.output import Output
+from analysis.common.targets import Target, at_most, equal, near
+from analysis.real_data.judgement import causes, few_causes, rms_after
 from casid.model.effects.balance_effects import coulomb_friction, cubic_stiffness, quadratic_damping
 from casid.model.effects.decoys import power_law
 from problems import cascaded_tanks, multiarm_pendulum, silverbox
@@ -36,7 +37,7 @@ def _fit(
     return casid.identify(changed, data, hold_out=hold_out, settings=ONCE, start=start)
 
 
-def circuit(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
+def circuit(folder: Path, out: Output, *, quick: bool) -> Iterator[Target]:
     """Silverbox: 40 000 samples fitted, 10 000 held out; quick: 2000 and 500."""
     problem = silverbox.problem
     data = problem.read(folder / "multisine.csv")
@@ -56,19 +57,15 @@ def circuit(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
     rms = 1000 * next(iter(fit.held_out_rmse.values()))["y"]
     yield at_most("silverbox, foh: cubic, rms held out", rms, 1.1, "mV")
     d = casid.diagnose(problem, data, hold_out=0.2, **few_causes(2, quick))
-    keep(d, out, "silverbox")
+    out.report("silverbox", d)
     kinds = [c.kind for c in d.causes]
-    yield Target(
-        "silverbox, declared zoh: causes",
-        ", ".join(kinds) or d.verdict,
-        "hold, then cubic_stiffness",
-        kinds[:2] == ["hold", "cubic_stiffness"],
-    )
+    met = kinds[:2] == ["hold", "cubic_stiffness"]
+    yield causes("silverbox, declared zoh: causes", d, "hold, then cubic_stiffness", met)
     rms = 1000 * rms_after(d.held_out, "y")
     yield at_most("silverbox, declared zoh: extended, rms held out", rms, 1.1, "mV")
 
 
-def tanks(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
+def tanks(folder: Path, out: Output, *, quick: bool) -> Iterator[Target]:
     """Cascaded tanks: the linear law, the root, and what the diagnosis says of the former."""
     problem = cascaded_tanks.problem
     data = problem.read(folder / "estimation.csv")
@@ -84,18 +81,11 @@ def tanks(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
     root = fit.rmse["estimation"]["y"]
     yield near("tanks: square roots, rms of the whole record", root, 0.603, 0.005, "V")
     d = casid.diagnose(problem, data, **few_causes(2, quick))
-    keep(d, out, "cascaded_tanks")
+    out.report("cascaded_tanks", d)
     names = [c.kind for c in d.causes]
-    yield Target(
-        "tanks: verdict on the linear law", d.verdict, "deficient", d.verdict == "deficient"
-    )
+    yield equal("tanks: verdict on the linear law", d.verdict, "deficient")
     powers = [p.name for c in d.causes for p in c.parameters if p.name.startswith("exponent")]
-    yield Target(
-        "tanks: causes",
-        ", ".join(names) or d.verdict,
-        "a power of a level among them",
-        bool(powers),
-    )
+    yield causes("tanks: causes", d, "a power of a level among them", bool(powers))
     told = "saturation" in names or any("clipped" in n for n in d.notes)
     yield Target(
         "tanks: overflow at 10 V",
@@ -105,19 +95,14 @@ def tanks(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
     )
 
 
-def swing(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
+def swing(folder: Path, out: Output, *, quick: bool) -> Iterator[Target]:
     """A free swing in three pieces, from 1.6, 1.2 and 0.9 rad; 100 Hz, but for the first fit."""
     problem = multiarm_pendulum.problem
     names = ["est_1", "est_2", "est_3"]
     whole = [problem.read(folder / f"{n}.csv") for n in names]
     fit = _fit(problem, problem.model, whole[0])
-    yield near(
-        "swing, 1 kHz: viscous, rms of est_1",
-        1000 * fit.rmse["est_1"]["theta"],
-        2.01,
-        0.01,
-        "mrad",
-    )
+    rms = 1000 * fit.rmse["est_1"]["theta"]
+    yield near("swing, 1 kHz: viscous, rms of est_1", rms, 2.01, 0.01, "mrad")
     runs = [problem.experiment(e.record.decimate(10)) for e in whole]
     total: dict[str, float] = {}
     for label, kinds in {
@@ -133,9 +118,8 @@ def swing(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
             model = model.extend(coulomb_friction(model, "torque", 0.2))
         start = {"d": 0.01, "d_2": 0.004, "F_c": 0.15} if len(kinds) == 2 else {}
         joint = _fit(problem, model, runs, start=start)
-        total[label] = 1000 * float(
-            np.sqrt(np.mean([r["theta"] ** 2 for r in joint.rmse.values()]))
-        )
+        squares = [r["theta"] ** 2 for r in joint.rmse.values()]
+        total[label] = 1000 * float(np.sqrt(np.mean(squares)))
     found = ", ".join(f"{v:.2f}" for v in total.values())
     yield Target(
         "swing, joint: viscous; drag; dry; drag and dry",
@@ -144,18 +128,14 @@ def swing(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
         total["viscous, drag and dry"] < 0.75 * min(list(total.values())[:3]),
     )
     d = casid.diagnose(problem, runs, hold_out=0.0, **few_causes(2, quick))
-    keep(d, out, "multiarm_pendulum")
+    out.report("multiarm_pendulum", d)
     # Drag by its name, or a force that grows with the cube of the rate.
     told = {c.kind if c.kind != "unknown" else c.description for c in d.causes}
     beside = {a.kind for c in d.causes for a in c.alternatives}
     steep = {"quadratic_damping", "a force that grows with the cube of rate"}
     dry = {"coulomb_friction"}
-    yield Target(
-        "swing, joint: causes",
-        ", ".join(c.kind for c in d.causes) or d.verdict,
-        "damping is not viscous only",
-        bool((steep | dry) & told),
-    )
+    met = bool((steep | dry) & told)
+    yield causes("swing, joint: causes", d, "damping is not viscous only", met)
     for c in d.causes:
         print(f"     swing, joint: {c.sentence or c.kind}")
     both = bool(steep & told) and bool(dry & told)

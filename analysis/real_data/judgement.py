@@ -1,9 +1,8 @@
-"""Targets of the diagnosis of a measured record, and where its report is kept."""
+"""Targets of the diagnosis of a measured record, and rms errors of its parts."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,24 +17,19 @@ def named(
     """The wanted kinds are among the causes, or the first of them, and not more than `most`."""
     kinds = [c.kind for c in diagnosis.causes]
     met = wanted <= set(kinds[: len(wanted)] if first else kinds) and len(kinds) <= most
-    return Target(
-        what,
-        ", ".join(kinds) or diagnosis.verdict,
-        f"{' and '.join(sorted(wanted))} {'first' if first else 'named'}, at most {most}",
-        met,
-    )
+    text = f"{' and '.join(sorted(wanted))} {'first' if first else 'named'}, at most {most}"
+    return causes(what, diagnosis, text, met)
+
+
+def causes(what: str, diagnosis: casid.Diagnosis, wanted: str, is_met: bool) -> Target:
+    """The kinds of the causes, or the verdict where there are none."""
+    found = ", ".join(c.kind for c in diagnosis.causes) or diagnosis.verdict
+    return Target(what, found, wanted, is_met)
 
 
 def few_causes(most: int, quick: bool) -> dict[str, Any]:
     """Settings of a diagnosis in short order: at most so many causes, and no plans."""
     return {"max_causes": most, "advise": False} if quick else {}
-
-
-def keep(diagnosis: casid.Diagnosis, out: Path | None, name: str) -> None:
-    """Write the report where a folder is named."""
-    if out is not None:
-        (out / name).mkdir(parents=True, exist_ok=True)
-        diagnosis.write(out / name)
 
 
 def rms_after(part: Mapping[str, Mapping[str, float]], output: str) -> float:

@@ -19,10 +19,11 @@ from pathlib import Path
 import numpy as np
 
 import casid
+from analysis.common.output import Output
 from analysis.common.runner import Run, Study, shared_folder
 from analysis.common.targets import Target, at_most, completed, near
 from analysis.real_data.benchmarks import circuit, swing, tanks
-from analysis.real_data.judgement import few_causes, keep, named, rms_by_record
+from analysis.real_data.judgement import causes, few_causes, named, rms_by_record
 from casid.data.preparation import decimate
 from casid.estimation.equation_error import equation_error
 from casid.estimation.measured_motion import Butterworth
@@ -35,13 +36,12 @@ from casid.model.effects.balance_effects import (
 from casid.model.effects.decoys import decoys
 from problems import emps, roll_decay
 
-STUDIES = ("roll", "circuit", "tanks", "swing", "positioning")
 ONCE = casid.FitSettings(starts=1)
 RUNS = {"run_21337": (27.0, 91.0), "run_21338": (12.0, 194.0)}  # s, after the release
 PUBLISHED = {"M": (95.1089, "kg"), "F_v": (203.5034, "N s/m"), "F_c": (20.3935, "N")}
 
 
-def roll(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
+def roll(folder: Path, out: Output, *, quick: bool) -> Iterator[Target]:
     """The two decays: fitted whole, on each other, and 70 % against 30 %."""
     problem, deg = roll_decay.problem, np.rad2deg
     data = _decays(folder)
@@ -52,7 +52,7 @@ def roll(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
         return
     for name in RUNS:
         d = casid.diagnose(problem, data[name], hold_out=0.0)
-        keep(d, out, name)
+        out.report(name, d)
         linear, extended = limits[name]
         before = float(deg(d.fitted["baseline_rmse"]["phi"]))
         after = float(deg(d.fitted.get("extended_rmse", d.fitted["baseline_rmse"])["phi"]))
@@ -61,16 +61,14 @@ def roll(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
         # The longer run also shows friction, which takes its share from the drag.
         yield named(f"{name}: causes", d, wanted, 4, first=name == "run_21337")
     d = casid.diagnose(problem, data["run_21337"], hold_out=0.3)
-    keep(d, out, "run_21337_last_30_percent")
+    out.report("run_21337_last_30_percent", d)
     held = {k: float(deg(v["phi"])) for k, v in d.held_out.items()}
-    after = held.get("extended_rmse", held["baseline_rmse"])
-    yield near(
-        "run_21337: linear, rms of the held-out 30 %", held["baseline_rmse"], 0.36, 0.1, "deg"
-    )
+    before, after = held["baseline_rmse"], held.get("extended_rmse", held["baseline_rmse"])
+    yield near("run_21337: linear, rms of the held-out 30 %", before, 0.36, 0.1, "deg")
     yield at_most("run_21337: extended, rms of the held-out 30 %", after, 0.055, "deg")
     for name, other in (("run_21337", "run_21338"), ("run_21338", "run_21337")):
         d = casid.diagnose(problem, data[name], hold_out=[data[other]])
-        keep(d, out, f"{name}_against_{other}")
+        out.report(f"{name}_against_{other}", d)
         before = float(deg(d.held_out["baseline_rmse"]["phi"]))
         after = float(deg(d.held_out.get("extended_rmse", d.held_out["baseline_rmse"])["phi"]))
         yield Target(
@@ -89,9 +87,7 @@ def _decays(folder: Path) -> dict[str, casid.Experiment]:
     return {n: problem.experiment(r.between(*RUNS[n])) for n, r in slow.items()}
 
 
-def jointly(
-    data: Mapping[str, casid.Experiment], out: Path | None, *, quick: bool
-) -> Iterator[Target]:
+def jointly(data: Mapping[str, casid.Experiment], out: Output, *, quick: bool) -> Iterator[Target]:
     """Both decays with one set of parameters, and how far the runs stay apart."""
     problem = roll_decay.problem
     limits = {"run_21337": (0.263, 0.055), "run_21338": (0.233, 0.072)}
@@ -109,16 +105,16 @@ def jointly(
             all(r <= limits[n][1] for n, r in found.items()),
         )
     d = casid.diagnose(problem, list(data.values()), hold_out=0.0, **few_causes(2, quick))
-    keep(d, out, "both_runs")
+    out.report("both_runs", d)
     before, after = (rms_by_record(d, extended=e) for e in (False, True))
     for name, (linear, extended) in limits.items():
         first, last = float(np.rad2deg(before[name])), float(np.rad2deg(after[name]))
         yield near(f"both runs: linear, rms of {name}", first, linear, 0.02, "deg")
         yield at_most(f"both runs: as diagnosed, rms of {name}", last, extended, "deg")
     told = [f"{c.kind}: {c.description}" for c in d.causes]
-    yield Target(
+    yield causes(
         "both runs: causes",
-        ", ".join(c.kind for c in d.causes) or d.verdict,
+        d,
         "a restoring torque and damping, neither linear",
         any("cubic_stiffness" in t or "power of phi" in t for t in told)
         and any("quadratic_damping" in t or "cube of p" in t or "phi squared" in t for t in told),
@@ -174,7 +170,7 @@ def _differences(d: casid.Diagnosis, data: Mapping[str, casid.Experiment]) -> No
         )
 
 
-def positioning(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Target]:
+def positioning(folder: Path, out: Output, *, quick: bool) -> Iterator[Target]:
     """EMPS: equation error, simulation error, diagnosis."""
     problem, model = emps.problem, emps.problem.model
     data = problem.read(folder / "estimation.csv")
@@ -193,14 +189,10 @@ def positioning(folder: Path, out: Path | None, *, quick: bool) -> Iterator[Targ
         yield from _simulated(data, fit.start)
     slow = problem.experiment(data.record.decimate(10))  # friction acts for seconds at a time
     d = casid.diagnose(problem, slow, **few_causes(3, quick))
-    keep(d, out, "emps")
+    out.report("emps", d)
     kinds = [c.kind for c in d.causes]
-    yield Target(
-        "EMPS: causes",
-        ", ".join(kinds) or d.verdict,
-        "coulomb_friction and offset among them",
-        {"coulomb_friction", "offset"} <= set(kinds),
-    )
+    met = {"coulomb_friction", "offset"} <= set(kinds)
+    yield causes("EMPS: causes", d, "coulomb_friction and offset among them", met)
     # Published: 166.7 N s/m forward and 240.4 N s/m backward, 203.5 N s/m without a direction. A
     # force that grows with the rate and is of one sign, v^2 or |v|, distinguishes the directions.
     one_sided = [c.description for c in d.causes if "of one sign" in c.description]
@@ -241,7 +233,7 @@ def study(run: Run) -> Iterator[Target | str]:
     """All targets, or those of one set of records."""
     folder, only = shared_folder("data"), run.options.only
     for records, part in PARTS.values() if only is None else [PARTS[only]]:
-        yield from completed(part(folder / records, run.folder, quick=run.quick))
+        yield from completed(part(folder / records, run.output, quick=run.quick))
 
 
 STUDY = Study(

@@ -23,7 +23,7 @@ import sympy as sp
 from scipy.optimize import brentq
 
 from analysis.common.output import Output
-from analysis.common.runner import Study, runs
+from analysis.common.runner import Run, Study, runs
 from analysis.common.targets import Target, near
 from analysis.static_examples.figures import UNIT, figure_3_5, pair
 from analysis.static_examples.formulas import FORMS, TRUTH, ClosedForm
@@ -195,18 +195,18 @@ def dynamic(out: Output) -> Iterator[Target]:
     yield Target("dynamic: bias of instruments in c1", f"{bias:.1e}", "0", abs(bias) < 1e-9)
 
 
-def study(out: Output, *, quick: bool, runs: int) -> Iterator[Target]:
+def study(run: Run) -> Iterator[Target]:
     """All parts in turn."""
-    yield from examples(out, runs)
-    yield from remedies(out)
-    yield from maps(out, 101 if quick else 301)
-    yield from dynamic(out)
+    yield from examples(run.output, run.runs(4000, quick=1000))
+    yield from remedies(run.output)
+    yield from maps(run.output, 101 if run.quick else 301)
+    yield from dynamic(run.output)
 
 
 STUDY = Study(
     "static_examples",
     __doc__,
-    lambda run: study(run.output, quick=run.quick, runs=run.runs(4000, quick=1000)),
+    study,
     quick="fewer runs, a coarser map",
     options=runs(4000, quick=1000),
 )
