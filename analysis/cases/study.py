@@ -86,8 +86,6 @@ def diagnosed(run: Run) -> Iterator[Target]:
 
 
 STUDY = Study(
-    "cases",
-    __doc__,
     diagnosed,
     quick=f"only {', '.join(QUICK)}",
     out="folder for targets.json and the reports",

@@ -61,16 +61,20 @@ class Study:
     """What `python -m analysis.<name>` computes and shows.
 
     `found` makes the targets, one by one as they are computed, with headings (strings) between
-    them. It writes its tables and figures to the output of the run, which is empty without `--out`.
+    them; its module describes the study. It writes its tables and figures to the output of the run,
+    which is empty without `--out`.
     """
 
-    name: str
-    description: str | None  # the docstring of the study
     found: Callable[[Run], Iterable[Target | str]]
     quick: str = QUICK  # help of --quick
     out: str = OUT  # help of --out
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # flag -> add_argument
     file: str = "targets.json"
+
+    @property
+    def name(self) -> str:
+        """That of the folder."""
+        return self.found.__module__.split(".")[1]
 
     def run(self) -> NoReturn:
         """End the process with the status of the study."""
@@ -80,7 +84,7 @@ class Study:
         """Print each number beside its target; 1 if one is missed, 2 if shared data are absent."""
         parser = argparse.ArgumentParser(
             prog=f"python -m analysis.{self.name}",
-            description=self.description,
+            description=sys.modules[self.found.__module__].__doc__,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         parser.add_argument("--quick", action="store_true", help=self.quick)

@@ -2,7 +2,7 @@
 
     python -m analysis.diagnosis_advice [--quick] [--out DIR]
 
-Records of the cart pendulum from a simulator of its own (`diagnosis_advice_records`), 60 s at 50
+Records of the cart pendulum from a simulator of its own (`records`), 60 s at 50
 Hz, noise on both sensors, one cause at work. Predicted, from angles of signatures alone
 (`casid.diagnosis.advice.isolability`): the energy of the misfit at which the right cause, refitted,
 beats the wrong one by six units of BIC with a probability of 0.95. Simulated: the same energy, from
@@ -290,23 +290,16 @@ def energies(runs: int, pairs: Sequence[tuple[Key, Key]], output: Output) -> Ite
         ratio = p / m.energy
         row = {"cause": " ".join(a), "rival": " ".join(b), "cosine": setting.cosine(a, b)}
         rows.append(row | {"predicted": p, "simulated": m.energy, "won at predicted": m.share})
-        yield Target(
-            f"{text(a)} from {text(b)} (cos {setting.cosine(a, b):.2f})",
-            f"{p:.3g} against {m.energy:.3g}, x {ratio:.2f}",
-            "predicted energy within a factor of 2",
-            0.5 <= ratio <= 2.0,
-        )
+        what = f"{text(a)} from {text(b)} (cos {setting.cosine(a, b):.2f})"
+        found, wanted = f"{p:.3g} against {m.energy:.3g}, x {ratio:.2f}", "within a factor of 2"
+        yield Target(what, found, f"predicted energy {wanted}", 0.5 <= ratio <= 2.0)
     output.table("energies", rows)
     share = float(np.mean([float(r["won at predicted"]) for r in rows]))
     n = runs * len(rows)
     # Three binomial standard errors, and what the approximations of (3) cost.
     room = 3 * float(np.sqrt(PLANNING.power * (1 - PLANNING.power) / n)) + 0.03
-    yield Target(
-        f"won at the predicted energy, {n} records",
-        f"{share:.3f}",
-        f"{PLANNING.power:g} +- {room:.2g}",
-        abs(share - PLANNING.power) <= room,
-    )
+    what, wanted = f"won at the predicted energy, {n} records", f"{PLANNING.power:g} +- {room:.2g}"
+    yield Target(what, f"{share:.3f}", wanted, abs(share - PLANNING.power) <= room)
 
 
 def advised(runs: int, pairs: Sequence[tuple[Key, Key]], output: Output) -> Iterator[Target]:
@@ -373,4 +366,4 @@ def study(run: Run) -> Iterator[Target]:
     yield from advised(count, ADVISED[:1] if quick else ADVISED, run.output)
 
 
-STUDY = Study("diagnosis_advice", __doc__, study, quick="few pairs and records")
+STUDY = Study(study, quick="few pairs and records")

@@ -2,8 +2,8 @@
 
 A case is a few plain numbers. Its records come from the independent simulators of the tests, which
 share no code with casid. How strong an effect is to be follows from the energy that the case is to
-show, drawn log-uniformly; what it does show is measured afterwards (`diagnosis_power_energy`).
-The ship's records are simulated by `diagnosis_power_ship`.
+show, drawn log-uniformly; what it does show is measured afterwards (`energy`).
+The ship's records are simulated by `ship`.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ effect and S the spectrum that the true noise of the sensors leaves in it,
     S = sigma_y^2 + |G(theta)|^2 sigma_u^2.                                                   (2)
 
 For an effect that spoils single samples there is nothing to fit. Of `saturation`, lambda is the
-energy of what the clipping cut off: the squared distance between spoilt and true samples, in units
-of the output's noise; `jitter` and `multiplicative_noise`, which no catalogue has, alike.
+energy of what the clipping cut off: the squared distance of clipped from true samples, in units of
+the output's noise; `jitter` and `multiplicative_noise`, which no catalogue has, alike.
 
 The places of `outliers` are unknown, so that their own energy cannot be seen: a heavy tail can. A
 sample is e + b h with e normal of sd 1, b one with the share q = 1 % and zero otherwise, and h of

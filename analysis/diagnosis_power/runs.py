@@ -1,7 +1,7 @@
 """What one case of the power study gives: a flat row for the file of cases.
 
 A row holds what was hidden, how visible it is, what the diagnosis said and how long it took. It is
-judged later (`diagnosis_power_judging`), so that a change of the rules needs no new run.
+judged later (`judgement`), so that a change of the rules needs no new run.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def diagnosed(part: str, number: int) -> Row:
 
 
 def gained(part: str, number: int) -> Row:
-    """What an oracle gains in one case (`diagnosis_power_gain`)."""
+    """What an oracle gains in one case (`gain`)."""
     from analysis.diagnosis_power.gain import WITHOUT_GAIN, oracle
 
     row: Row = {"part": "gain", "of": part, "number": number}
@@ -53,7 +53,7 @@ def gained(part: str, number: int) -> Row:
 
 
 def judged_by_peers(part: str, number: int) -> Row:
-    """What others would name in one case (`diagnosis_power_peers`)."""
+    """What others would name in one case (`peers`)."""
     from analysis.diagnosis_power.peers import peers_of
 
     hidden = make(draw_case(part, number))

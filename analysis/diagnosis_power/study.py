@@ -5,9 +5,9 @@
 
 Cases are drawn by number and made by simulators that share no code with casid. Every finished case
 is a line of DIR/cases.jsonl at once: a run that was stopped goes on where it was, and parts can be
-run apart. Tables, figures and targets are made from that file; `diagnosis_power_targets` lists what
-is wanted, `diagnosis_power_judging` what counts as right. `--summary` judges the cases there are
-again and runs none: energies of outliers are then those of the present definition.
+run apart. Tables, figures and targets are made from that file; `targets` lists what is wanted,
+`judgement` what counts as right. `--summary` judges the cases there are again and runs none:
+energies of outliers are then those of the present definition.
 """
 
 from __future__ import annotations
@@ -163,8 +163,6 @@ def write(summary: Row, output: Output) -> None:
 
 
 STUDY = Study(
-    "diagnosis_power",
-    __doc__,
     study,
     quick="a dozen cases, judged by what chance",
     out="folder for cases.jsonl, tables and figures",

@@ -13,7 +13,7 @@
     rivals                at least twice the best peer's rate of right names, over all kinds
     time                  95 % of the 60 s records at 100 Hz within 5 s, scoring within 1 s
 
-What counts as right is in `diagnosis_power_judging`. A number stands with its count and its 95 %
+What counts as right is in `judgement`. A number stands with its count and its 95 %
 interval (Clopper and Pearson 1934); a target is met if the number itself meets it.
 """
 

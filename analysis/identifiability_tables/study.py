@@ -107,9 +107,8 @@ def pendulum_two_records() -> Iterator[Target]:
             what = f"{label}, nominal + loaded, {own}"
             found = observability([empty, with_load])
             yield equal(f"{what}: rank of 11", found.rank, 9)
-            yield equal(
-                f"{what}: z_m is identifiable", found.identifiable["z_m"], own == "I_xm = 0"
-            )
+            is_light = own == "I_xm = 0"
+            yield equal(f"{what}: z_m is identifiable", found.identifiable["z_m"], is_light)
             point = found.points[0]
             sets = fixing_sets(point.information, point.parameters, point.prime).sets
             pairs = {frozenset(s) for s in sets}
@@ -140,15 +139,11 @@ def ship_exceptions() -> Iterator[Target]:
         wanted = dict(zip((3, 4, 5), EXCEPTIONS[turn], strict=False))
         for size, exclusion in models.exclusions([system], wanted).items():
             held = models.as_sets(exclusion) == models.holding(names, size, models.ship_rule(turn))
-            yield equal(
-                f"{what}: sets of {size}, single",
-                _share(exclusion),
-                f"{wanted[size]} of {exclusion.total}",
-            )
+            share = f"{wanted[size]} of {exclusion.total}"
+            yield equal(f"{what}: sets of {size}, single", _share(exclusion), share)
             yield equal(f"{what}: sets of {size} by the rule", held, True)
-        yield equal(
-            f"{what}: sets of 6, single", _share(models.exclusions([system], [6])[6]), "462 of 462"
-        )
+        sixes = models.exclusions([system], [6])[6]
+        yield equal(f"{what}: sets of 6, single", _share(sixes), "462 of 462")
         for tied, outputs in ((False, models.BOTH), (True, models.GYRO), (True, models.BOTH)):
             yield from _nines(turn, tied, outputs)
 
@@ -182,18 +177,15 @@ def nine_parameters() -> Iterator[Target]:
     yield equal("(8.20), nine parameters, three records: rank of 15", found.rank, 14)
     yield equal("the same with the numbers of Table 8.2: rank of 15", fitted.rank, 14)
     direct = models.with_sought(models.ship_system(is_indirect=False, outputs=models.BOTH))
-    yield equal(
-        "(8.10), nine parameters, three records: rank of 15",
-        observability(models.ship_records(direct)["with calibration"]).rank,
-        15,
-    )
-    told = [n for n in NINE if found.identifiable[n]]
-    yield equal("identifiable of the nine", _list(told), "zbar_m")
+    rank = observability(models.ship_records(direct)["with calibration"]).rank
+    yield equal("(8.10), nine parameters, three records: rank of 15", rank, 15)
+    identifiable = [n for n in NINE if found.identifiable[n]]
+    yield equal("identifiable of the nine", _list(identifiable), "zbar_m")
     point = found.points[0]
     fixing = fixing_sets(point.information, point.parameters, point.prime)
     single = {s[0] for s in fixing.sets if len(s) == 1}
-    mending = [n for n in NINE if n in single]
-    yield equal("one of these, once known, is a remedy", _list(mending), _list(NINE[:-1]))
+    remedies = [n for n in NINE if n in single]
+    yield equal("one of these, once known, is a remedy", _list(remedies), _list(NINE[:-1]))
     by_rank = [n for n in NINE if observability(_fixing(three, n)).is_full]
     yield equal("the same by ranks, one known at a time", _list(by_rank), _list(NINE[:-1]))
     yield from family()
@@ -202,9 +194,8 @@ def nine_parameters() -> Iterator[Target]:
 
 def family() -> Iterator[Target]:
     """The direction along which the nine can be traded is that of the family, exactly."""
-    three = models.ship_records(models.with_sought(models.ship_system(is_indirect=True)))[
-        "with calibration"
-    ]
+    sought = models.with_sought(models.ship_system(is_indirect=True))
+    three = models.ship_records(sought)["with calibration"]
     slopes, rng = models.ship_slopes(), np.random.default_rng(0)
     prime = random_prime(rng)
     values = {n: to_field(v, prime) for n, v in models.true_ship().items()}
@@ -226,8 +217,8 @@ def family() -> Iterator[Target]:
         yield equal(f"slope of {name} along z_f at Table 8.3", found, text)
     where = {"zbar_m": 12345, "zbar_c": 12345}
     point = rank_at(three, prime, values=where, rng=rng)
-    told = dict(zip(point.parameters, point.identifiable(), strict=True))
-    both = _list([n for n in NINE if told[n]])
+    identifiable = dict(zip(point.parameters, point.identifiable(), strict=True))
+    both = _list([n for n in NINE if identifiable[n]])
     yield equal("identifiable where zbar_m = zbar_c", both, "m, zbar_m")
 
 
@@ -299,8 +290,6 @@ SECTIONS: Mapping[str, Callable[[Sequence[int]], Iterator[Target]]] = {
 }
 
 STUDY = Study(
-    "identifiability_tables",
-    __doc__,
     lambda run: sections(SECTIONS, range(1 if run.quick else 5)),
     quick="one seed instead of five",
     out="folder for identifiability_tables.json",

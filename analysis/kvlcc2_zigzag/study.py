@@ -82,13 +82,9 @@ def frequencies(data: Mapping[str, casid.Experiment]) -> Iterator[Target]:
             omega, error = frequency(estimate)
             met = abs(omega / OMEGA_0 - 1) <= within
             yield Target(f"{name}, {how}: roll frequency", _text(omega, error), wanted, met)
-            closer = abs(omega - OMEGA_0) < abs(FIRST[name] - OMEGA_0)
-            yield Target(
-                f"{name}, {how}: off the published value by",
-                f"{100 * abs(omega / OMEGA_0 - 1):.2f} %",
-                f"< {100 * abs(FIRST[name] / OMEGA_0 - 1):.1f} %, the first regression's",
-                closer,
-            )
+            off, first = (100 * abs(x / OMEGA_0 - 1) for x in (omega, FIRST[name]))
+            what, limit = f"{name}, {how}: off the published value by", f"< {first:.1f} %"
+            yield Target(what, f"{off:.2f} %", f"{limit}, the first regression's", off < first)
         lone, _ = frequency(equation_error(alone, e, prefilter=PREFILTER, decimate=4).estimate)
         what = f"{name}, regression without inputs: roll frequency"
         yield near(what, lone, ALONE[name], 0.1, "rad/s")
@@ -139,23 +135,17 @@ def diagnosed(data: Mapping[str, casid.Experiment], out: Output) -> Iterator[Tar
         out.report(name, d)
         named = [(c.kind, c.where) for c in d.causes]
         said = {*named, *((a.kind, a.where) for c in d.causes for a in c.alternatives)}
-        yield Target(
-            f"{name}, no inputs: first cause",
-            " in ".join(named[0]) if named else d.verdict,
-            "extra_input",
-            bool(named) and named[0][0] == "extra_input",
-        )
+        first = " in ".join(named[0]) if named else d.verdict
+        met = bool(named) and named[0][0] == "extra_input"
+        yield Target(f"{name}, no inputs: first cause", first, "extra_input", met)
         inputs = sorted(where for kind, where in said if kind == "extra_input")
         what = f"{name}, no inputs: missing, or not to be rejected"
         yield Target(what, ", ".join(inputs) or "none", "a_y among them", "a_y" in inputs)
         before = d.held_out["baseline_rmse"]["phi"]
         after = d.held_out.get("extended_rmse", d.held_out["baseline_rmse"])["phi"]
-        yield Target(
-            f"{name}, no inputs: rms of the held-out 30 %",
-            f"{np.rad2deg(before):.4f} -> {np.rad2deg(after):.4f} deg",
-            "better with the causes",
-            after < before,
-        )
+        text = f"{np.rad2deg(before):.4f} -> {np.rad2deg(after):.4f} deg"
+        what = f"{name}, no inputs: rms of the held-out 30 %"
+        yield Target(what, text, "better with the causes", after < before)
 
 
 # -- what (1) may still lack -----------------------------------------------------------------------
@@ -269,7 +259,7 @@ def _memory(e: casid.Experiment) -> float:
     error = np.gradient(r["p"], d.Ts) + v["C_1"] * r["phi"] + v["B_1"] * r["p"] - v["c_0"]
     for name in kvlcc2_zigzag.INPUTS:
         error -= v["b_a" if name == "a_y" else f"b_{name}"] * r[name]
-    error = error[40:-40]  # both ends are spoilt by the filter
+    error = error[40:-40]  # the filter distorts both ends
     rho = autocorrelation(error, round(LONGEST / d.Ts))
     band = NormalDist().inv_cdf(1 - 0.025 / len(rho)) / math.sqrt(len(error))
     outside = np.flatnonzero(np.abs(rho) > band)
@@ -295,8 +285,6 @@ def study(run: Run) -> Iterator[Target]:
 
 
 STUDY = Study(
-    "kvlcc2_zigzag",
-    __doc__,
     lambda run: completed(study(run)),
     quick="frequencies and the rudder alone",
     out="folder for targets.json and the reports",

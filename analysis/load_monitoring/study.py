@@ -336,8 +336,6 @@ def study(run: Run) -> Iterator[Target | str]:
 
 
 STUDY = Study(
-    "load_monitoring",
-    __doc__,
     study,
     quick="3 h and 2 runs of each load",
     out="folder for load_monitoring.json and .html",

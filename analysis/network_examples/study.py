@@ -211,10 +211,8 @@ def fits(
     out.table("fits", rows)
     record = network8.simulate(1, 1000 + SETTLE)
     out.figure("figure_6_1", signals(record, SETTLE))
-    out.figure(
-        "figure_6_2",
-        predictions(record, SETTLE, {name: p for name, (p, _, _) in chosen.items()}),
-    )
+    used = {name: p for name, (p, _, _) in chosen.items()}
+    out.figure("figure_6_2", predictions(record, SETTLE, used))
 
 
 def break_even(table: PredictorTable, without: PredictorTable) -> Iterator[Target]:
@@ -270,6 +268,4 @@ def study(run: Run) -> Iterator[Target]:
     yield from compared()
 
 
-STUDY = Study(
-    "network_examples", __doc__, study, quick="20 realisations", options=runs(200, quick=20)
-)
+STUDY = Study(study, quick="20 realisations", options=runs(200, quick=20))

@@ -205,9 +205,5 @@ def measured(run: Run) -> Iterator[Target]:
 
 
 STUDY = Study(
-    "nist",
-    __doc__,
-    measured,
-    quick="leave out the other solvers",
-    out="folder for nist.csv and targets.json",
+    measured, quick="leave out the other solvers", out="folder for nist.csv and targets.json"
 )

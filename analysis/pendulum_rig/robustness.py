@@ -211,12 +211,9 @@ def limits(
             yield near(
                 f"kappa {s.kappa:g}: k raised as Bussgang has it", s.k, s.predicted_k, 0.3, ""
             )
-    yield Target(
-        "stiffness at which m or z_m is off by a std. error",
-        f"kappa = {min(hurts.values()):.2g}/rad^2",
-        "found within the sweep",
-        bool(np.isfinite(min(hurts.values()))),
-    )
+    least, inside = min(hurts.values()), "found within the sweep"
+    what = "stiffness at which m or z_m is off by a std. error"
+    yield Target(what, f"kappa = {least:.2g}/rad^2", inside, np.isfinite(least))
     sizes = (0.25, 0.5, 1.0) if quick else (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
     angles = amplitudes(sizes, errors, duration=duration)
     print(
@@ -232,18 +229,10 @@ def limits(
     from_angle = crossing(
         [a.angle for a in angles], [max(abs(a.direct_m), abs(a.direct_z_m)) for a in angles]
     )
-    yield at_most(
-        f"linear springs, up to {angles[-1].angle:.2f} rad: m and z_m off by",
-        max(max(abs(a.m), abs(a.z_m)) for a in angles),
-        0.5,
-        "std. errors",
-    )
-    yield Target(
-        "direct linear model off by a std. error",
-        f"from {from_angle:.2g} rad rms",
-        "found within the sweep",
-        bool(np.isfinite(from_angle)),
-    )
+    what = f"linear springs, up to {angles[-1].angle:.2f} rad: m and z_m off by"
+    yield at_most(what, max(max(abs(a.m), abs(a.z_m)) for a in angles), 0.5, "std. errors")
+    what, met = "direct linear model off by a std. error", np.isfinite(from_angle)
+    yield Target(what, f"from {from_angle:.2g} rad rms", inside, met)
     chart = Chart("What the linear regression bears before it is biased")
     scaled = [s.angle_loaded * s.kappa**0.5 for s in springs]
     for label, x, y in (
@@ -268,18 +257,11 @@ def noisy_references(out: Output, *, duration: float) -> Iterator[Target]:
             f"{r.z_m_error:.4f} m, moments p = {r.p_value:.2g}"
         )
         if "shared" in r.what:
-            yield Target(
-                "shared noise: the moments contradict one another",
-                f"p = {r.p_value:.2g}",
-                "< 1e-3",
-                r.p_value < 1e-3,
-            )
+            what = "shared noise: the moments contradict one another"
+            yield Target(what, f"p = {r.p_value:.2g}", "< 1e-3", r.p_value < 1e-3)
         else:
             yield at_most(f"{r.what}: distance to the truth", r.distance, 3.5, "std. errors")
     out.table("references", [asdict(r) for r in rows])
-    yield Target(
-        "a reference as noisy as this costs variance alone",
-        f"m {rows[1].m_error / rows[0].m_error:.2f} times",
-        "> 1 time",
-        rows[1].m_error > rows[0].m_error,
-    )
+    ratio = rows[1].m_error / rows[0].m_error
+    what = "a reference as noisy as this costs variance alone"
+    yield Target(what, f"m {ratio:.2f} times", "> 1 time", ratio > 1)

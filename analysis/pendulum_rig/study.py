@@ -104,19 +104,12 @@ def table_7_5(estimates: Mapping[str, MomentEstimate], out: Output) -> Iterator[
         )
         load = ("m", "z_m", "m z_m", "m z_m^2")
         values = derived(e.values)
-        yield at_most(
-            f"{name}: farthest of m, z_m and products from truth",
-            max(abs(values[q] - truth[q]) / errors[q] for q in load),
-            3.0,
-            "std. errors",
-        )
-        centre = truth["I_x"] + bilinear_offset(TS)["I_x"]
-        yield at_most(
-            f"{name}: I_x from the bilinear transform's value",
-            abs(e["I_x"] - centre) / errors["I_x"],
-            3.0,
-            "std. errors",
-        )
+        farthest = max(abs(values[q] - truth[q]) / errors[q] for q in load)
+        what = f"{name}: farthest of m, z_m and products from truth"
+        yield at_most(what, farthest, 3.0, "std. errors")
+        off = abs(e["I_x"] - truth["I_x"] - bilinear_offset(TS)["I_x"]) / errors["I_x"]
+        what = f"{name}: I_x from the bilinear transform's value"
+        yield at_most(what, off, 3.0, "std. errors")
     out.table("table_7_5", rows)
 
 
@@ -170,22 +163,16 @@ def comparison(run: RigRun, out: Output, *, quick: bool) -> Iterator[Target]:
                     continue
                 apart = abs(e["I_x"] - TRUTH["I_x"] - offset) / e.std_error("I_x")
                 if torque and kind == "least squares":
-                    yield Target(
-                        "least squares: I_x from the bilinear transform's value",
-                        f"{apart:.1f} std. errors",
-                        "> 5: the loop is closed",
-                        apart > 5,
-                    )
+                    what = "least squares: I_x from the bilinear transform's value"
+                    text = f"{apart:.1f} std. errors"
+                    yield Target(what, text, "> 5: the loop is closed", apart > 5)
                 elif torque:
                     yield at_most(f"{kind}: I_x from the same", apart, 3.0, "std. errors")
                 elif kind != "least squares":
-                    yield Target(
-                        f"{kind}, sensor noise alone: offset of I_x",
-                        f"{(e['I_x'] - TRUTH['I_x']) / e.std_error('I_x'):.0f} std. errors, "
-                        f"p = {e.propagated.p_value:.1g}",
-                        "p < 0.01: the moments reject",
-                        e.propagated.p_value < 0.01,
-                    )
+                    p, off = e.propagated.p_value, (e["I_x"] - TRUTH["I_x"]) / e.std_error("I_x")
+                    what = f"{kind}, sensor noise alone: offset of I_x"
+                    text = f"{off:.0f} std. errors, p = {p:.1g}"
+                    yield Target(what, text, "p < 0.01: the moments reject", p < 0.01)
     out.table("comparison", rows)
 
 
@@ -264,12 +251,8 @@ def validation(
             f"at most 3 below; thesis {published} %",
             c.fit >= best[record, channel].fit - 3.0,
         )
-        yield at_most(
-            f"validation, {record} {channel}: period",
-            abs(c.period_error) * c.period / TS,
-            1.0 + 1e-9,
-            "samples",
-        )
+        off = abs(c.period_error) * c.period / TS
+        yield at_most(f"validation, {record} {channel}: period", off, 1.0 + 1e-9, "samples")
     out.table("validation", rows)
     out.figure("figure_7_14", check.plot())
 
@@ -294,12 +277,9 @@ def monte_carlo(run: RigRun, runs: int, jobs: int, out: Output) -> Iterator[Targ
     for kind in ("stages", "joint", "uncertain M, z_g"):
         for n in FREE:
             r = every[kind, n]
-            yield Target(
-                f"{kind}: 95 % intervals of {n} cover",
-                f"{100 * r.covered:.1f} % of {r.runs}",
-                "95 % within 4 binomial deviations",
-                r.is_right,
-            )
+            text = f"{100 * r.covered:.1f} % of {r.runs}"
+            wanted = "95 % within 4 binomial deviations"
+            yield Target(f"{kind}: 95 % intervals of {n} cover", text, wanted, r.is_right)
     for n in ("m", "z_m"):
         r = every["stages, earlier ones exact", n]
         full = every["stages", n]
@@ -310,19 +290,12 @@ def monte_carlo(run: RigRun, runs: int, jobs: int, out: Output) -> Iterator[Targ
             full.std_error / r.std_error >= 1.2,
         )
     r = every["uncertain M, z_g, taken as exact", "k"]
-    yield Target(
-        "step 1 taken as exact: std. error of k too small",
-        f"{r.ratio:.2f} times, covers {100 * r.covered:.1f} %",
-        ">= 1.2 times",
-        r.ratio >= 1.2,
-    )
+    what = "step 1 taken as exact: std. error of k too small"
+    text = f"{r.ratio:.2f} times, covers {100 * r.covered:.1f} %"
+    yield Target(what, text, ">= 1.2 times", r.ratio >= 1.2)
     for n in FREE:
-        yield at_most(
-            f"stages and joint, largest distance in {n}",
-            largest_disagreement(results, n),
-            3.0,
-            "std. errors",
-        )
+        what, most = f"stages and joint, largest distance in {n}", largest_disagreement(results, n)
+        yield at_most(what, most, 3.0, "std. errors")
 
 
 def prefilters(run: RigRun, runs: int, iterations: int, out: Output) -> Iterator[Target]:
@@ -374,10 +347,4 @@ def study(run: Run) -> Iterator[Target]:
         yield from noisy_references(out, duration=600.0)
 
 
-STUDY = Study(
-    "pendulum_rig",
-    __doc__,
-    study,
-    quick="short sweeps, 20 runs",
-    options=runs(200, quick=20) | jobs(1),
-)
+STUDY = Study(study, quick="short sweeps, 20 runs", options=runs(200, quick=20) | jobs(1))

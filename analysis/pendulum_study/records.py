@@ -225,7 +225,7 @@ class PendulumRecords:
                 self._filter(drawn[channel], self.clean[case][channel])
         return self._drawn
 
-    def experiments(self, run: int = 0) -> list[casid.Experiment]:
+    def experiments(self, run: int | np.random.SeedSequence = 0) -> list[casid.Experiment]:
         """One run as experiments: nominal with known m = 0, loaded with nothing known of m."""
         made = []
         for case, drawn in self.draw(self.generator(run)).items():

@@ -99,14 +99,14 @@ class Bench:
             name: [
                 Stage(
                     self.model,
-                    [self._parts[case]],
+                    [part],
                     spec.free,
                     settings,
                     instruments,
                     loops=loops,
                     name=f"{name}, {case}",
                 )
-                for spec, case in zip(STAGES, study.cases, strict=True)
+                for spec, (case, part) in zip(STAGES, self._parts.items(), strict=True)
             ]
             for name, (instruments, settings) in SETTINGS.items()
         }
@@ -236,10 +236,8 @@ def sampled(found: Staged, rng: np.random.Generator, draws: int) -> Array:
         given: dict[str, float] = {}
         row: list[float] = []
         for fit, (e, left), errors in zip(found.stages, equations, noise, strict=True):
-            at = {
-                **fit.values[0],
-                **{q: v for q, v in given.items() if q not in fit.parts[0].known},
-            }
+            at = {**fit.values[0]}
+            at |= {q: v for q, v in given.items() if q not in fit.parts[0].known}
             theta_p, _, _ = fit.stage.programs.solve(
                 [replace(e, Y=left + errors[k])], fit.roots, [at], fit.theta_p
             )
@@ -265,8 +263,7 @@ class Profiles:
     def __call__(self, seed: np.random.SeedSequence) -> dict[str, Any]:
         """Ends of the 95 % intervals of m and z_m."""
         own = bench(self.amplitude, self.N, self.seed, self.noise)
-        experiments = _experiments(own.study, seed)
-        estimate = _reusable(self.amplitude)(experiments)
+        estimate = _reusable()(own.study.experiments(seed))
         identity = own.estimate(own.study._drawn, ("identity",))["identity"]
         errors = np.sqrt(np.diag(identity.propagated().covariance))
         drawn = sampled(identity, np.random.default_rng(seed), self.draws)
@@ -285,26 +282,11 @@ class Profiles:
         return row
 
 
-@functools.lru_cache(maxsize=1)
-def _reusable(_: float) -> Reusable:
+@functools.cache
+def _reusable() -> Reusable:
     model = indirect_model().with_unknown(**STARTS).with_known(k=TABLE_7_2["k"])
     settings = MomentSettings(form="linear", iterations=1)
     return Reusable(model, STAGES, Instruments("ref", LAG), settings=settings)
-
-
-def _experiments(study: PendulumRecords, seed: np.random.SeedSequence) -> list[Any]:
-    """One run as experiments, from the seed that a campaign hands out."""
-    import casid
-    from analysis.pendulum_study.records import UNITS
-
-    return [
-        casid.Experiment(
-            casid.Record(drawn, UNITS, study.Ts, name=case),
-            {"m": 0.0} if case == "nominal" else {},
-            case,
-        )
-        for case, drawn in study.draw(study.generator(seed)).items()
-    ]
 
 
 # -- the floor -----------------------------------------------------------------------------------

@@ -138,12 +138,8 @@ def verdicts(
     """The study's claims on bias, spread, shares and coverage; `large` are the 10 000 runs."""
     for A in (SHOWN, 1.0):
         m = (large if A == SHOWN else table[A])["iv.m"].to_numpy()
-        yield Target(
-            f"A = {A:g}: default, mass > 0",
-            f"{np.mean(m > 0):.2%} of {len(m)}",
-            "100 %",
-            bool((m > 0).all()),
-        )
+        text = f"{np.mean(m > 0):.2%} of {len(m)}"
+        yield Target(f"A = {A:g}: default, mass > 0", text, "100 %", (m > 0).all())
         for p in ("d", "m", "z_m"):
             yield covers(found[A, "iv", p])
         yield covers(found[A, "iv", "I_x"], noise_free=True)
@@ -158,12 +154,8 @@ def verdicts(
         what = f"A = {A:g}: least squares, mean of m as re-created"
         yield near(what, line.mean, line.published_mean, 0.03, "kg")
         gain = found[A, "identity", "m"].spread / found[A, "iv", "m"].spread
-        yield Target(
-            f"A = {A:g}: spread of m, Q = I against the default",
-            f"{gain:.1f} times",
-            ">= 10 times",
-            bool(gain >= 10),
-        )
+        what = f"A = {A:g}: spread of m, Q = I against the default"
+        yield Target(what, f"{gain:.1f} times", ">= 10 times", gain >= 10)
     for A in (0.15, SHOWN):
         ls, iv = found[A, "ls", "m"], found[A, "iv", "m"]
         yield Target(
@@ -176,12 +168,9 @@ def verdicts(
     for key, share in shares(table[0.2]["identity.m"].to_numpy()).items():
         wanted, room = thesis[key]
         if is_full:
-            yield Target(
-                f"A = 0.2: Q = I, share of masses {key} kg",
-                f"{share:.1%}",
-                f"{wanted:.0%} in the thesis, +- {room:.0%}",
-                abs(share - wanted) <= room,
-            )
+            what, text = f"A = 0.2: Q = I, share of masses {key} kg", f"{share:.1%}"
+            within = f"{wanted:.0%} in the thesis, +- {room:.0%}"
+            yield Target(what, text, within, abs(share - wanted) <= room)
     for A in AMPLITUDES:
         print(f"  A = {A:g}: shares of masses > 0, within 0.1 kg, above 0.1 kg:")
         for name in ("identity", "iv", "ls"):
@@ -196,13 +185,10 @@ def verdicts(
         f"{INDIRECT} rad/s"
     )
     yield near("relative offset of I_x by the bilinear map", found_offset, theory, 0.1, "")
-    chance = 4 * line.spread / np.sqrt(line.n)
-    yield Target(
-        "A = 0.3: mean of I_x at its noise-free value",
-        f"{line.mean - line.noise_free:+.1e}",
-        f"within {chance:.1e} (4 errors of the mean)",
-        bool(abs(line.mean - line.noise_free) <= chance),
-    )
+    apart, chance = line.mean - line.noise_free, 4 * line.spread / np.sqrt(line.n)
+    within = f"within {chance:.1e} (4 errors of the mean)"
+    what = "A = 0.3: mean of I_x at its noise-free value"
+    yield Target(what, f"{apart:+.1e}", within, abs(apart) <= chance)
 
 
 def bilinear_prediction() -> dict[str, float]:
@@ -442,8 +428,6 @@ def found(run: Run) -> Iterator[Target]:
 
 
 STUDY = Study(
-    "pendulum_study",
-    __doc__,
     found,
     quick="fewer and shorter runs, not timed",
     out="folder for tables, figures and all runs",

@@ -86,12 +86,12 @@ def tanks(folder: Path, out: Output, *, quick: bool) -> Iterator[Target]:
     yield equal("tanks: verdict on the linear law", d.verdict, "deficient")
     powers = [p.name for c in d.causes for p in c.parameters if p.name.startswith("exponent")]
     yield causes("tanks: causes", d, "a power of a level among them", bool(powers))
-    told = "saturation" in names or any("clipped" in n for n in d.notes)
+    is_noted = "saturation" in names or any("clipped" in n for n in d.notes)
     yield Target(
         "tanks: overflow at 10 V",
-        "saturation" if "saturation" in names else "noted" if told else "not named",
+        "saturation" if "saturation" in names else "noted" if is_noted else "not named",
         "saturation named, or a note of the plateau",
-        told,
+        is_noted,
     )
 
 
@@ -130,18 +130,18 @@ def swing(folder: Path, out: Output, *, quick: bool) -> Iterator[Target]:
     d = casid.diagnose(problem, runs, hold_out=0.0, **few_causes(2, quick))
     out.report("multiarm_pendulum", d)
     # Drag by its name, or a force that grows with the cube of the rate.
-    told = {c.kind if c.kind != "unknown" else c.description for c in d.causes}
+    named = {c.kind if c.kind != "unknown" else c.description for c in d.causes}
     beside = {a.kind for c in d.causes for a in c.alternatives}
     steep = {"quadratic_damping", "a force that grows with the cube of rate"}
     dry = {"coulomb_friction"}
-    met = bool((steep | dry) & told)
+    met = bool((steep | dry) & named)
     yield causes("swing, joint: causes", d, "damping is not viscous only", met)
     for c in d.causes:
         print(f"     swing, joint: {c.sentence or c.kind}")
-    both = bool(steep & told) and bool(dry & told)
+    both = bool(steep & named) and bool(dry & named)
     yield Target(
         "swing, joint: dry friction against damping that grows",
         "both named" if both else "one beside the other" if (steep | dry) & beside else "not both",
         "both named, or one beside the other",
-        both or (bool((steep | dry) & told) and bool((steep | dry) & beside)),
+        both or (bool((steep | dry) & named) and bool((steep | dry) & beside)),
     )

@@ -3,7 +3,7 @@
     python -m analysis.real_data [--quick] [--only STUDY] [--out DIR]
 
 Roll decay of a ship model (KVLCC2, SSPA); silverbox, cascaded tanks and a free swing on a bench
-(`real_data_benchmarks`); and the EMPS benchmark (Janot et al. 2019). Targets of the roll decay are
+(`benchmarks`); and the EMPS benchmark (Janot et al. 2019). Targets of the roll decay are
 rms errors of fits with plain scipy, to be reached or beaten; those of EMPS the published estimates:
 95.11 kg, 203.5 N s/m, 20.39 N and an offset of 3.165 N (as a term of the balance; published with
 the force, -3.165).
@@ -111,15 +111,15 @@ def jointly(data: Mapping[str, casid.Experiment], out: Output, *, quick: bool) -
         first, last = float(np.rad2deg(before[name])), float(np.rad2deg(after[name]))
         yield near(f"both runs: linear, rms of {name}", first, linear, 0.02, "deg")
         yield at_most(f"both runs: as diagnosed, rms of {name}", last, extended, "deg")
-    told = [f"{c.kind}: {c.description}" for c in d.causes]
+    texts = [f"{c.kind}: {c.description}" for c in d.causes]
     yield causes(
         "both runs: causes",
         d,
         "a restoring torque and damping, neither linear",
-        any("cubic_stiffness" in t or "power of phi" in t for t in told)
-        and any("quadratic_damping" in t or "cube of p" in t or "phi squared" in t for t in told),
+        any("cubic_stiffness" in t or "power of phi" in t for t in texts)
+        and any("quadratic_damping" in t or "cube of p" in t or "phi squared" in t for t in texts),
     )
-    for text in told:
+    for text in texts:
         print(f"     both runs: {text}")
     if not quick:
         _differences(d, data)
@@ -237,8 +237,6 @@ def study(run: Run) -> Iterator[Target | str]:
 
 
 STUDY = Study(
-    "real_data",
-    __doc__,
     study,
     quick="both decays jointly alone, less of the silverbox, two or three causes",
     out="folder for targets.json and the reports",

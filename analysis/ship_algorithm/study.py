@@ -10,7 +10,7 @@ a yaw torque of 0.02 N m rms that nobody measures; rudder +-0.2 rad, reversed at
   squares, which takes the noise of its regressors and the loop for dynamics.
 - The nine parameters of (8.62): refused with the family named; with z_f known by choice; with a
   second calibration weight at another height; and without a choice, along the family: zbar_m is
-  told, m nearly, all others within what their bounds leave.
+  identifiable, m nearly, all others within what their bounds leave.
 - What the rudder has to do: with the sway of Table 8.2's added mass it hardly moves the ship
   sideways, and K_vdot is indistinguishable from K_r by any instrument made of it.
 - The nonlinear ship, whose speed drops in turns.
@@ -32,7 +32,7 @@ import numpy as np
 import casid
 from analysis.common.output import Output
 from analysis.common.runner import Run, Study, runs
-from analysis.common.targets import Target, at_most
+from analysis.common.targets import Target, at_most, equal
 from analysis.ship_algorithm.records import (
     FOUR,
     THREE,
@@ -139,9 +139,8 @@ def convergence(
         out.table(f"convergence {kind}".replace(" ", "_"), found.convergence.rows())
         rows.append(show(f"instruments, {kind}", found.estimate))
         for n in LOAD:
-            yield at_most(
-                f"{kind}: {n} from the truth", apart(found.estimate, n), 3.0, "std. errors"
-            )
+            off = apart(found.estimate, n)
+            yield at_most(f"{kind}: {n} from the truth", off, 3.0, "std. errors")
         last = found.convergence.moved[-1]
         yield Target(
             f"{kind}: iterations settle, (8.93)",
@@ -190,16 +189,16 @@ def choices(
     out.table("choices", [show("z_f known", fixed), show("two calibrations", second)])
     distances = {n: apart(fixed, n) for n in fixed.names}
     worst = max(distances, key=lambda n: distances[n])
-    yield at_most(
-        f"z_f known: the farthest, {worst}, from the truth", distances[worst], 3.5, "std. errors"
-    )
+    what = f"z_f known: the farthest, {worst}, from the truth"
+    yield at_most(what, distances[worst], 3.5, "std. errors")
     for n in (*LOAD, "z_f"):
         found = profile(second, n)
-        yield Target(
-            f"two calibrations: 95 % of {n}, by its profile",
+        text, met = (
             f"{found.lower:.4g} to {found.upper:.4g}",
-            f"holds {TRUTH[n]:g}",
             found.lower <= TRUTH[n] <= found.upper,
+        )
+        yield Target(
+            f"two calibrations: 95 % of {n}, by its profile", text, f"holds {TRUTH[n]:g}", met
         )
     moved = along(fixed, family)
     print(moved)
@@ -210,8 +209,7 @@ def choices(
         row |= zip(("moves_from", "moves_to"), moved.ranges[n], strict=True)
         rows.append(row | dict(zip(("from", "to"), moved.intervals[n], strict=True)))
     out.table("along_the_family", rows)
-    told = ", ".join(moved.invariant)
-    yield Target("identifiable whatever the choice", told, "zbar_m", told == "zbar_m")
+    yield equal("identifiable whatever the choice", ", ".join(moved.invariant), "zbar_m")
     yield at_most("m: its move along the family", moved.spread("m"), 1.0, "std. errors")
     elsewhere = 0.5 * (moved.lower + moved.at)
     again = fit(ALL.with_known(z_f=elsewhere), three).estimate
@@ -324,10 +322,4 @@ def study(run: Run) -> Iterator[Target]:
     yield from coverage(run.runs(200, quick=20), family, run.output)
 
 
-STUDY = Study(
-    "ship_algorithm",
-    __doc__,
-    study,
-    quick="20 draws, prefilter 1 alone",
-    options=runs(200, quick=20),
-)
+STUDY = Study(study, quick="20 draws, prefilter 1 alone", options=runs(200, quick=20))

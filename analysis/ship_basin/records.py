@@ -1,6 +1,6 @@
 """Records of the basin, made again: four load cases of the lengths of Table 9.3 of Linder (2017).
 
-The ship is that of Table 8.2, made to sway by her rudder (`ship_algorithm_records.SIDEWAYS`), for
+The ship is that of Table 8.2, made to sway by her rudder (`ship_algorithm.records.SIDEWAYS`), for
 chapter 9 states no hydrodynamics. The weights stand at the heights of Table 9.2. Records obey the
 difference equation of the roll exactly (`basin`), or come from the nonlinear ship and her inertial
 unit (`nonlinear_basin`). The thesis does not publish its rudder: here it is a random telegraph.

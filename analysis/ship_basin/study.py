@@ -8,7 +8,7 @@ the thesis gives is taken from there, what it does not give was chosen:
 - Records 1 to 4 have the lengths of Table 9.3 (63.2, 36.1, 51.1, 65.5 s, 50 Hz), the weights and
   heights of Table 9.2 (0.2 kg at -0.256 m, 0.4 kg at -0.268 m), and are joined as in Table 9.4.
 - The ship is that of Table 8.2 with another added mass in sway and a stronger rudder
-  (`ship_algorithm_records.SIDEWAYS`): with the table's own no rudder distinguishes K_vdot from K_r.
+  (`ship_algorithm.records.SIDEWAYS`): with the table's own no rudder distinguishes K_vdot from K_r.
 - Gyro noise 0.002 rad/s, accelerometer 0.02 m/s^2, yaw rate 0.002 rad/s; biases 0.01 rad/s and
   0.01 m/s^2. Roll torque 0.01 N m, sway force 0.1 N, yaw torque 0.01 N m rms, corner 6 rad/s.
 - One parameter is held, z_f: the nine of (8.62) are not identifiable with one calibration weight.
@@ -124,12 +124,9 @@ def voyage(out: Output) -> Iterator[Target]:
         paths[case] = path
         # Two normal numbers exceed 3.2 once in 400 draws.
         yield at_most(f"case {case}: m, zbar_m of one voyage", apart(case, found), 3.2, "std. err.")
-        yield Target(
-            f"case {case}: iterations settle, (8.93)",
-            f"{len(path.moved)} iterations, last move {path.moved[-1]:.1e}",
-            f"< {SETTINGS.tolerance:g}",
-            path.is_settled,
-        )
+        text = f"{len(path.moved)} iterations, last move {path.moved[-1]:.1e}"
+        wanted = f"< {SETTINGS.tolerance:g}"
+        yield Target(f"case {case}: iterations settle, (8.93)", text, wanted, path.is_settled)
     out.table("estimates", rows)
     out.figure("iterations", figures.iterations(paths, {c: truth_of(c) for c in CASES}))
 
@@ -166,12 +163,9 @@ def cases(desk: Desk, extent: Extent, out: Output) -> Iterator[Target]:
             yield at_most(f"{own}: error of the median {n}", abs(found.median(own, n)), 5.0, "%")
         ours = max(abs(found.median(own, n)) for n in LOAD)
         other = max(abs(squares.median(theirs, n)) for n in LOAD)
-        yield Target(
-            f"{theirs}: the larger of the medians' errors",
-            f"{other:.1f} %, instruments {ours:.2f} %",
-            ">= 3 times",
-            other >= 3 * ours,
-        )
+        text = f"{other:.1f} %, instruments {ours:.2f} %"
+        what = f"{theirs}: the larger of the medians' errors"
+        yield Target(what, text, ">= 3 times", other >= 3 * ours)
         for n in LOAD:
             yield coverage(found, own, n)
         yield at_most(f"{own}: draws refused", 100 * found.refused(own), 1.0, "%")
@@ -243,12 +237,9 @@ def split(desk: Desk, extent: Extent, out: Output) -> Iterator[Target]:
         ratio = found.std_error(part, "m") / own
         # Half the samples; and every piece loses the transient of its instruments, a quarter of
         # it at most: sqrt(2) to sqrt(8/3) beside the whole without one, some allowance for chance.
-        yield Target(
-            f"{part}: standard error of m beside that of whole records",
-            f"{ratio:.2f} times (spread {found.spread(part, 'm') / spread:.2f})",
-            "1.27 to 1.8 times",
-            bool(1.27 <= ratio <= 1.8),
-        )
+        text = f"{ratio:.2f} times (spread {found.spread(part, 'm') / spread:.2f})"
+        what = f"{part}: standard error of m beside that of whole records"
+        yield Target(what, text, "1.27 to 1.8 times", 1.27 <= ratio <= 1.8)
 
 
 def compared(
@@ -292,12 +283,9 @@ def nonlinear(out: Output) -> Iterator[Target]:
         ours, theirs = (
             max(100 * abs(e[n] / v - 1) for n, v in truth_of(case).items()) for e in (found, plain)
         )
-        yield Target(
-            f"case {case}, nonlinear ship: larger error of m, zbar_m",
-            f"{ours:.1f} %, least squares {theirs:.1f} %",
-            "instruments nearer",
-            ours < theirs,
-        )
+        what = f"case {case}, nonlinear ship: larger error of m, zbar_m"
+        text = f"{ours:.1f} %, least squares {theirs:.1f} %"
+        yield Target(what, text, "instruments nearer", ours < theirs)
     out.table("nonlinear", rows)
 
 
@@ -317,8 +305,6 @@ def study(run: Run) -> Iterator[Target]:
 
 
 STUDY = Study(
-    "ship_basin",
-    __doc__,
     study,
     quick="20 draws, under a minute",
     out="folder for tables, figures, draws, targets.json",

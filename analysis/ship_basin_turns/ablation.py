@@ -12,7 +12,7 @@ import numpy as np
 
 import casid
 from analysis.common.output import Output
-from analysis.common.targets import Target, at_most
+from analysis.common.targets import Target, at_most, equal
 from analysis.ship_algorithm.records import NONE, SIDEWAYS, Disturbance, low_passed
 from analysis.ship_algorithm.study import EIGHT, TRUTH, fit
 from analysis.ship_basin_turns.figures import residual_figure
@@ -106,25 +106,17 @@ def residuals(out: Output, *, quick: bool) -> Iterator[Target]:
     linear = long_sets(duration=duration, angle=ANGLE, ship=SHIPS["none of them"])
     rule = equation_errors(EIGHT, [s.experiment for s in linear], TRUTH)
     own = rms(np.concatenate(list(rule.values())))
-    yield at_most(
-        f"residual at the truth: left by the terms ({100 * left / whole:.0f} % of it), over the "
-        "rule's own error on a linear ship",
-        left / own, 1.5, "times",
-    )  # fmt: skip
+    share = f"left by the terms ({100 * left / whole:.0f} % of it)"
+    what = f"residual at the truth: {share}, over the rule's own error on a linear ship"
+    yield at_most(what, left / own, 1.5, "times")
     largest = max(by_term, key=lambda row: float(str(row["rms near changes"])))["term"]
-    yield Target(
-        "the term with the largest error near changes", str(largest),
-        "speed in K_r r", largest == "speed in K_r r",
-    )  # fmt: skip
+    yield equal("the term with the largest error near changes", largest, "speed in K_r r")
     key = "truth: rms near changes"
     single = [n for n in SHIPS if n not in ("all terms", "none of them")]
     cure = min(single, key=lambda n: at(n, key))
-    yield Target(
-        "off one at a time: the least error near changes",
-        f"{cure}: {at(cure, key):.1e} of {at('all terms', key):.1e}",
-        "speed held",
-        cure == "speed held",
-    )
+    text = f"{cure}: {at(cure, key):.1e} of {at('all terms', key):.1e}"
+    what = "off one at a time: the least error near changes"
+    yield Target(what, text, "speed held", cure == "speed held")
     yield Target(
         "rate limit off: error near changes",
         f"{at('no rate limit', key) / at('all terms', key):.2f} times",
@@ -145,13 +137,8 @@ def residuals(out: Output, *, quick: bool) -> Iterator[Target]:
     )
     experiments = low_passed([with_torques(s) for s in sets])
     found = fit(EIGHT, low_passed([s.experiment for s in sets])).estimate
-    out.figure(
-        "turns_residuals",
-        residual_figure(
-            sets[0],
-            experiments[0].record.t,
-            equation_errors(EIGHT, experiments, found.values)[experiments[0].name],
-            equation_errors(EIGHT, experiments, TRUTH)[experiments[0].name],
-            predicted_errors(EIGHT, experiments, TRUTH)[experiments[0].name],
-        ),
-    )
+    first = experiments[0]
+    fitted = equation_errors(EIGHT, experiments, found.values)[first.name]
+    true = equation_errors(EIGHT, experiments, TRUTH)[first.name]
+    parts = predicted_errors(EIGHT, experiments, TRUTH)[first.name]
+    out.figure("turns_residuals", residual_figure(sets[0], first.record.t, fitted, true, parts))

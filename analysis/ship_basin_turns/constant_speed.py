@@ -36,14 +36,10 @@ def speed(out: Output, *, quick: bool) -> Iterator[Target]:
     seen = drop(sets[0], u, float(np.mean(track.u_sd)))
     print(f"-- surge speed, its own lag {surge_time(sets[0]):.1f} s\n    {seen}")
     out.table("turns_speed", [asdict(seen)])
-    yield at_most(
-        f"correlation of u with |rudder| behind the surge's lag (at once {seen.at_once:+.2f})",
-        seen.after_lag, -0.8, "",
-    )  # fmt: skip
-    yield at_most(
-        f"smoothed u: rms error over its stated one, {1e3 * seen.sd:.1f} mm/s",
-        seen.error / seen.sd, 1.2, "",
-    )  # fmt: skip
+    behind = f"behind the surge's lag (at once {seen.at_once:+.2f})"
+    yield at_most(f"correlation of u with |rudder| {behind}", seen.after_lag, -0.8)
+    what = f"smoothed u: rms error over its stated one, {1e3 * seen.sd:.1f} mm/s"
+    yield at_most(what, seen.error / seen.sd, 1.2)
     out.figure("turns_speed", speed_figure(sets[0], u, track.u_sd.mean()))
     yield from constant_speed(out, quick=quick)
 
@@ -57,11 +53,8 @@ def constant_speed(out: Output, *, quick: bool) -> Iterator[Target]:
         held = long_sets(
             duration=300.0, angle=ANGLE, seed=seed, disturbance=QUIET, ship=SHIPS["speed held"]
         )
-        made = {
-            "constant U": [s.experiment for s in sets],
-            "u r for r": at_true_speed(sets),
-            "speed held": [s.experiment for s in held],
-        }
+        made = {"constant U": [s.experiment for s in sets], "u r for r": at_true_speed(sets)}
+        made["speed held"] = [s.experiment for s in held]
         if not quick and seed <= 4:
             made["smoothed u r for r"] = at_smoothed_speed(sets, seed=100 * seed)
         for kind, experiments in made.items():
@@ -117,9 +110,5 @@ def _verdicts(rows: Sequence[Mapping[str, str | float | int]]) -> Iterator[Targe
             ratio >= least,
         )
         mean, error = float(product["mean"]), float(product["std. error of the mean"])
-        yield Target(
-            f"u r in the place of r: mean error of {n}",
-            f"{mean:+.1f} +- {error:.1f} %",
-            "within 3 std. errors of 0",
-            abs(mean) <= 3 * error,
-        )
+        what, met = f"u r in the place of r: mean error of {n}", abs(mean) <= 3 * error
+        yield Target(what, f"{mean:+.1f} +- {error:.1f} %", "within 3 std. errors of 0", met)

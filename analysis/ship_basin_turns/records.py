@@ -33,7 +33,7 @@ Mask = NDArray[np.bool_]
 
 BEFORE = 10.0  # s of straight course before a long set is recorded
 QUIET = Disturbance(torque=0.002, sway=0.02, yaw=0.002, corner=6.0, gyro=2e-4, accel=2e-3, r=2e-4)
-"""A tenth of the disturbances and of the noise of `ship_algorithm_records`."""
+"""A tenth of the disturbances and of the noise of `ship_algorithm.records`."""
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "cross flow in roll": ("K_vv", "K_vr", "K_rv"),

@@ -66,7 +66,7 @@ def lean_at(sailed: Sailed, which: int, *, seconds: float = 2.0) -> Lean:
 
 
 def critical_height(ship: Ship, case: str = "nominal") -> float:
-    """z_r*: a rudder further down heels the ship inwards first [m]; see `ship_signals_lean`."""
+    """z_r*: a rudder further down heels the ship inwards first [m]: `ship_signals.inward_heel`."""
     E = linearised(ship=ship, load=load(case)).E[2:, 2:]
     over = np.linalg.inv(E)[1]  # roll acceleration from forces in sway, roll and yaw
     return float((over[0] + ship.coefficients.x_r * over[2]) / over[1])

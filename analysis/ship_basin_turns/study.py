@@ -3,7 +3,7 @@
     python -m analysis.ship_basin_turns [--quick] [--out DIR]
 
 Linder (2017), sections 9.3-9.6, on the simulator of problems/ship_4dof.py, whose every term can be
-switched off. The hull is `ship_algorithm_records.SIDEWAYS`, rudder +-0.3 rad in long sets of many
+switched off. The hull is `ship_algorithm.records.SIDEWAYS`, rudder +-0.3 rad in long sets of many
 turns and 0.2 rad in short sets of 20 s with one.
 
 - Residuals of Algorithm 8.1 stand out where turns begin and end (Figure 9.17). At the true
@@ -89,10 +89,8 @@ def portraits(out: Output) -> Iterator[Target]:
         - 1
         for d in (1e-3, 2e-3)
     ]
-    yield near(
-        "steady heel against linear theory, off by the first power of the rudder: 2 mrad over 1",
-        away[1] / away[0], 2.0, 0.05, "",
-    )  # fmt: skip
+    what = "steady heel against linear theory, off by the first power of the rudder: 2 mrad over 1"
+    yield near(what, away[1] / away[0], 2.0, 0.05)
     (a_found, p_found), (a_theory, p_theory) = (
         _of_load(*(pair[c] for c in ("nominal", "loaded")))
         for pair in ({c: h for c, (_, h) in found.items()}, theory)
@@ -110,10 +108,8 @@ def portraits(out: Output) -> Iterator[Target]:
         f"S-turn by {100 * (of_s - 1):.0f} %"
     )
     shown = {"U-turn": found, "S-turn": s_turns}
-    out.figure(
-        "turns_portrait",
-        portrait({k: {c: s for c, (s, _) in own.items()} for k, own in shown.items()}),
-    )
+    sailed = {k: {c: s for c, (s, _) in own.items()} for k, own in shown.items()}
+    out.figure("turns_portrait", portrait(sailed))
 
 
 def _of_load(nominal: Heel, loaded: Heel) -> tuple[float, float]:
@@ -141,26 +137,19 @@ def damping(out: Output, *, quick: bool) -> Iterator[Target]:
                 f"    {name:<16}{d.where:<14}{d.found:.4f} +- {d.std_error:.4f}   {d.expected:.4f} "
                 f"({d.tangent:.4f} + {d.quadratic:.4f})"
             )
-            distance = abs(d.found - d.expected) / d.std_error
-            yield at_most(
-                f"{name}: decay {d.where}, from the simulator's", distance, 3.0, "std. errors"
-            )
+            what = f"{name}: decay {d.where}, from the simulator's"
+            yield at_most(what, abs(d.found - d.expected) / d.std_error, 3.0, "std. errors")
     out.table("turns_decay", rows)
     for name, (turn, after) in found.items():
         error = float(np.hypot(turn.std_error, after.std_error))
         apart = (after.found - turn.found) / error
         text = f"{after.found - turn.found:+.4f} +- {error:.4f} 1/s"
+        what = "decay after the turn less in it"
         if name == "none of them":
-            yield Target(
-                "null control: decay after the turn less in it",
-                text,
-                "within 3 std. errors of 0",
-                abs(apart) <= 3,
-            )
+            wanted = "within 3 std. errors of 0"
+            yield Target(f"null control: {what}", text, wanted, abs(apart) <= 3)
         elif name == "all terms":
-            yield Target(
-                "decay after the turn less in it", text, "more than 3 std. errors", apart > 3
-            )
+            yield Target(what, text, "more than 3 std. errors", apart > 3)
     causes = decay_by_term()
     out.table("turns_decay_terms", causes)
     print("  the steady turn's own decay, with one kind of term off")
@@ -222,18 +211,14 @@ def leans(out: Output) -> Iterator[Target]:
         )
         off = float(np.max(np.abs(sizes[:, 0] / sizes[:, 1] - 1)))
         yield at_most(f"{where}: its size against linear theory", 100 * off, 5.0, "%")
-        yield at_most(
-            f"{where}: its time", float(np.max(np.abs(times[:, 0] - times[:, 1]))), 0.0401, "s"
-        )
+        late = np.max(np.abs(times[:, 0] - times[:, 1]))
+        yield at_most(f"{where}: its time", late, 0.0401, "s")
     height = critical_height(SIDEWAYS)
     raised = replace(SIDEWAYS, coefficients=replace(SIDEWAYS.coefficients, z_r=2 * height))
     lean = lean_at(simulated_turn(SHORT, "nominal", ship=raised)[0], 0)
-    yield Target(
-        f"rudder above z_r* = {1e3 * height:.1f} mm: first heel",
-        f"{np.degrees(lean.first(lean.phi)[1]):+.2f} deg",
-        "to the outside at once",
-        lean.first(lean.phi)[1] < 0.0,
-    )
+    _, heel = lean.first(lean.phi)
+    what = f"rudder above z_r* = {1e3 * height:.1f} mm: first heel"
+    yield Target(what, f"{np.degrees(heel):+.2f} deg", "to the outside at once", heel < 0.0)
     out.figure("turns_lean", lean_figure(found["nominal"]))
 
 
@@ -246,9 +231,4 @@ def turns(out: Output, quick: bool) -> Iterator[Target]:
     yield from leans(out)
 
 
-STUDY = Study(
-    "ship_basin_turns",
-    __doc__,
-    lambda run: turns(run.output, run.quick),
-    quick="shorter records, fewer draws",
-)
+STUDY = Study(lambda run: turns(run.output, run.quick), quick="shorter records, fewer draws")

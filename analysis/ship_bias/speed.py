@@ -9,10 +9,8 @@ import numpy as np
 
 from analysis.ship_algorithm.records import BEFORE, TS, load, respond
 from analysis.ship_bias.records import SHIP, Imperfection, Rudder, answers
-from analysis.ship_bias.table import LAGS, TRUE, Estimator, model_at_truth
+from analysis.ship_bias.table import TRUE, Estimator, by_instruments, model_at_truth
 from casid.arrays import Array
-from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
-from casid.identification.moment_estimators import instrumental_variables
 from problems.ship_simulator.waves import Jonswap, sample_sea
 
 SENSORS = Imperfection(gyro=0.0005, accel=0.005, r=0.0005)
@@ -49,11 +47,7 @@ def against_speed(U: float, *, seconds: float, seed: int) -> list[AtSpeed]:
     """k, d and K_r at a constant speed [m/s], by instruments, and what they are."""
     model = model_at_truth().with_known(U=U)
     made = answers(seed, Rudder(), seconds=seconds, ship=FASTER, U=U)
-    black = black_box_references(
-        [a.experiment(SENSORS) for a in made], "delta", ["gyro", "accel", "r"]
-    )
-    chosen = black_box_instruments(model, black, n_y=LAGS, n_u=LAGS)
-    found = instrumental_variables(model, black.experiments, chosen)
+    found = by_instruments(model, [a.experiment(SENSORS) for a in made])
     true, at_one = FASTER.roll_coefficients(U), FASTER.roll_coefficients(1.0)
     return [
         AtSpeed(n, U, found[n], found.std_error(n), true[n], at_one[n]) for n in ("k", "d", "K_r")
@@ -100,13 +94,8 @@ def at_sea(Hs: float, draws: int, *, seconds: float, period: float = 8.0) -> AtS
         records = []
         for i, made in enumerate(answers(seed, Rudder(), seconds=seconds)):
             if Hs > 0.0:
-                sea = sample_sea(
-                    Jonswap(Hs / SCALE, w0),
-                    (0.5 * w0, 4.0 * w0),
-                    seed=1000 * seed + i,
-                    U=1.0,
-                    beta=math.pi / 2,
-                )
+                waves, band, draw = Jonswap(Hs / SCALE, w0), (0.5 * w0, 4.0 * w0), 1000 * seed + i
+                sea = sample_sea(waves, band, seed=draw, U=1.0, beta=math.pi / 2)
                 N = len(made.delta) + BEFORE
                 forces = sea.forces(TS * np.arange(N, dtype=np.float64))
                 inputs = np.column_stack([np.zeros(N), forces[:, 1:]])

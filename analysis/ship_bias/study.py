@@ -24,7 +24,7 @@ import numpy as np
 
 from analysis.common.output import Output
 from analysis.common.runner import Study, sections
-from analysis.common.targets import Target
+from analysis.common.targets import Target, equal
 from analysis.ship_bias.figures import imperfections, speed
 from analysis.ship_bias.figures import sea as sea_figure
 from analysis.ship_bias.hidden_effects import RMSE, SLOPE, Found, Hidden, diagnosed
@@ -53,9 +53,8 @@ def excitation(is_quick: bool, out: Output) -> Iterator[Target]:
         found[name] = weakest(nominal.experiment(Imperfection()).record)
         print(f"  smallest singular value of Phi, added mass in sway {name}: {found[name]:.2g}")
     first, second = found.values()
-    yield Target(
-        "weakest direction, 22 kg over 100 kg", f"{second / first:.2g}", "> 3", second > 3 * first
-    )
+    text, met = f"{second / first:.2g}", second > 3 * first
+    yield Target("weakest direction, 22 kg over 100 kg", text, "> 3", met)
 
 
 def table(is_quick: bool, out: Output) -> Iterator[Target]:
@@ -74,35 +73,28 @@ def table(is_quick: bool, out: Output) -> Iterator[Target]:
             squares, instruments = made[name, "LS"], made[name, "IV"]
             z = np.abs(instruments.bias) * np.sqrt(len(instruments.kept))
             z /= np.nanmean(instruments.stated, axis=0)
-            yield Target(
+            what, text = (
                 f"mean {rudder.mean:g}: IV bias, {name}",
                 f"{np.max(z):.2g} standard errors",
-                "<= 3.5, none refused",
-                bool(np.max(z) <= 3.5 and instruments.refused == 0),
             )
+            met = np.max(z) <= 3.5 and instruments.refused == 0
+            yield Target(what, text, "<= 3.5, none refused", met)
             # The biases of m partly cancel in all together: few draws do not determine the sum.
             is_determined = not (is_quick and name == "all of these")
             if name in BIASED and is_determined and len(squares.kept) > 1:
                 i = BIASED[name]
                 size = abs(squares.bias[i]) / squares.monte_carlo[i]
-                yield Target(
-                    f"mean {rudder.mean:g}: LS bias, {name}",
-                    f"{size:.2g} standard errors",
-                    "> 3",
-                    bool(size > 3),
-                )
+                what = f"mean {rudder.mean:g}: LS bias, {name}"
+                yield Target(what, f"{size:.2g} standard errors", "> 3", size > 3)
     wrong = IMPERFECTIONS["gyro bias 0.01 rad/s"]
     for mean in (0.0, 0.1):
         errors = mean_in_instruments(wrong, Rudder(mean=mean), seed=0)
-        told = ", ".join(f"{what} {e:+.1f} %" for what, e in errors.items())
-        print(f"  T-5, gyro bias, rudder mean {mean:g} rad, error of alpha_2: lags of delta {told}")
+        text = ", ".join(f"{what} {e:+.1f} %" for what, e in errors.items())
+        print(f"  T-5, gyro bias, rudder mean {mean:g} rad, error of alpha_2: lags of delta {text}")
         rest = max(abs(e) for what, e in errors.items() if what != "as it is")
-        yield Target(
-            f"T-5, mean {mean:g}: alpha_2 without a mean in instruments",
-            f"{rest:.2g} %",
-            "<= 5 %, a fifth of as it is",
-            rest <= 5.0 and 5 * rest < abs(errors["as it is"]),
-        )
+        what = f"T-5, mean {mean:g}: alpha_2 without a mean in instruments"
+        met = rest <= 5.0 and 5 * rest < abs(errors["as it is"])
+        yield Target(what, f"{rest:.2g} %", "<= 5 %, a fifth of as it is", met)
 
 
 EXPECTED: Mapping[Hidden, tuple[str, str] | None] = {
@@ -123,19 +115,13 @@ def hidden_effects(is_quick: bool, out: Output) -> Iterator[Target]:
         print(f"  {found}", flush=True)
         if wanted is None:
             plain = found.rmse("baseline_rmse")
-            yield Target(
-                "hidden: nothing",
-                found.diagnosis.verdict if found.diagnosis else "refused",
-                "adequate",
-                found.named == () and found.diagnosis is not None,
-            )
+            verdict = found.diagnosis.verdict if found.diagnosis else "refused"
+            met = found.named == () and found.diagnosis is not None
+            yield Target("hidden: nothing", verdict, "adequate", met)
             continue
-        yield Target(
-            f"hidden: {hidden}",
-            ", ".join(f"{k} in {w}" for k, w in found.named) or "nothing",
-            f"{wanted[0]} in {wanted[1]} reported",
-            wanted in found.reported,
-        )
+        named = ", ".join(f"{k} in {w}" for k, w in found.named) or "nothing"
+        text = f"{wanted[0]} in {wanted[1]} reported"
+        yield Target(f"hidden: {hidden}", named, text, wanted in found.reported)
         if hidden == "speed":
             yield from _speed_targets(found, plain)
 
@@ -149,19 +135,11 @@ def _speed_targets(found: Found, plain: float) -> Iterator[Target]:
     slope, before, after = found.slope, *map(found.rmse, RMSE)
     error = slope.value - SLOPE if slope else math.nan
     size = abs(error) / (slope.std_error or math.nan) if slope else math.nan
-    yield Target(
-        "hidden: speed, slope of K_r",
-        f"{size:.2g} standard errors from {SLOPE:g} N s^2/rad",
-        "named first, <= 3",
-        size <= 3.0,
-    )
+    text = f"{size:.2g} standard errors from {SLOPE:g} N s^2/rad"
+    yield Target("hidden: speed, slope of K_r", text, "named first, <= 3", size <= 3.0)
     share = (before**2 - after**2) / (before**2 - plain**2)
-    yield Target(
-        "hidden: speed, held out",
-        f"{before:.3g} -> {after:.3g} rad/s, {share:.0%} of the way to {plain:.3g}",
-        ">= 80 % in mean square",
-        share >= 0.8,
-    )
+    text = f"{before:.3g} -> {after:.3g} rad/s, {share:.0%} of the way to {plain:.3g}"
+    yield Target("hidden: speed, held out", text, ">= 80 % in mean square", share >= 0.8)
 
 
 def sea_states(is_quick: bool, out: Output) -> Iterator[Target]:
@@ -174,29 +152,16 @@ def sea_states(is_quick: bool, out: Output) -> Iterator[Target]:
         print(f"  {sea}", flush=True)
     out.table("sea_states", [row for sea in found for row in sea.rows()])
     out.figure("sea_states", sea_figure(found))
-    spread = [float(np.nanstd(s.by_instruments[:, 0], ddof=1)) for s in found]
     calm, rough = found[0], next(s for s in found if s.Hs == 0.3)
-    yield Target(
-        "std of m by IV, Hs 0.3 m over calm",
-        f"{spread[found.index(rough)]:.3g} kg over {spread[0]:.3g} kg",
-        "grows",
-        spread[found.index(rough)] > spread[0],
+    before, after = (float(np.nanstd(s.by_instruments[:, 0], ddof=1)) for s in (calm, rough))
+    text = f"{after:.3g} kg over {before:.3g} kg"
+    yield Target("std of m by IV, Hs 0.3 m over calm", text, "grows", after > before)
+    LS, IV, still = (
+        abs(float(np.nanmean(e[:, 0])))
+        for e in (rough.by_squares, rough.by_instruments, calm.by_instruments)
     )
-    by_squares, by_instruments = (
-        abs(float(np.nanmean(e[:, 0]))) for e in (rough.by_squares, rough.by_instruments)
-    )
-    yield Target(
-        "|bias| of m at Hs 0.3 m, LS over IV",
-        f"{by_squares / by_instruments:.2g}",
-        "> 3",
-        by_squares > 3 * by_instruments,
-    )
-    yield Target(
-        "calm: |bias| of m by IV",
-        f"{abs(float(np.nanmean(calm.by_instruments[:, 0]))):.2g} kg",
-        "<= 0.004 kg",
-        abs(float(np.nanmean(calm.by_instruments[:, 0]))) <= 0.004,
-    )
+    yield Target("|bias| of m at Hs 0.3 m, LS over IV", f"{LS / IV:.2g}", "> 3", LS > 3 * IV)
+    yield Target("calm: |bias| of m by IV", f"{still:.2g} kg", "<= 0.004 kg", still <= 0.004)
 
 
 def speeds(is_quick: bool, out: Output) -> Iterator[Target]:
@@ -206,44 +171,29 @@ def speeds(is_quick: bool, out: Output) -> Iterator[Target]:
         found += against_speed(U, seconds=300.0, seed=1)
         for row in found[-3:]:
             print(f"  {row}")
-            yield Target(
-                f"{row.name} at {U:g} m/s",
-                f"{row.z:+.2f} standard errors",
-                "within 3.5",
-                abs(row.z) < 3.5,
-            )
+            what, text = f"{row.name} at {U:g} m/s", f"{row.z:+.2f} standard errors"
+            yield Target(what, text, "within 3.5", abs(row.z) < 3.5)
     out.table("speeds", [asdict(row) for row in found])
     out.figure("speeds", speed(found))
 
 
 def mistakes(is_quick: bool, out: Output) -> Iterator[Target]:
     """Signs and a straight course."""
+    nothing = "nothing suspected"
     for name in ("none", "all of these"):
-        found = suspected(name, seconds=120.0, seed=0)
-        for channel, told in found.items():
+        for channel, suspect in suspected(name, seconds=120.0, seed=0).items():
             flip = f"-{channel}" if channel else "all signs right"
-            yield Target(
-                f"signs, {name}: {flip}",
-                told or "nothing suspected",
-                channel or "nothing suspected",
-                told == channel,
-            )
+            yield equal(f"signs, {name}: {flip}", suspect or nothing, channel or nothing)
     for jitter in (0.0, 0.005):
+        course = f"straight course, rudder +-{jitter:g} rad"
         said = straight_course(seconds=60.0, seed=0, jitter=jitter)
         for method, text in said.items():
-            print(f"  straight course, rudder +-{jitter:g} rad, {method}: {text}")
-        yield Target(
-            f"straight course, rudder +-{jitter:g} rad: instruments",
-            said["instruments"].partition(":")[0],
-            "refuse, and say why",
-            "Error" in said["instruments"],
-        )
-        yield Target(
-            f"straight course, rudder +-{jitter:g} rad: least squares",
-            "warns" if "noise" in said["warnings"] else "does not warn",
-            "warns of noise",
-            "noise" in said["warnings"],
-        )
+            print(f"  {course}, {method}: {text}")
+        why, warns = said["instruments"], "noise" in said["warnings"]
+        refused = "refuse, and say why"
+        yield Target(f"{course}: instruments", why.partition(":")[0], refused, "Error" in why)
+        text = "warns" if warns else "does not warn"
+        yield Target(f"{course}: least squares", text, "warns of noise", warns)
 
 
 SECTIONS: Mapping[str, Callable[[bool, Output], Iterator[Target]]] = {
@@ -256,8 +206,6 @@ SECTIONS: Mapping[str, Callable[[bool, Output], Iterator[Target]]] = {
 }
 
 STUDY = Study(
-    "ship_bias",
-    __doc__,
     lambda run: sections(SECTIONS, run.quick, run.output),
     quick="few draws",
     out="folder for ship_bias.json, tables and figures",

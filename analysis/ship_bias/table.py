@@ -18,9 +18,10 @@ from analysis.ship_bias.records import IMPERFECTIONS, Imperfection, Rudder, answ
 from casid.arrays import Array
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
+from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.stage_plan import StageSpec
-from casid.identification.moment_estimators import Reusable
+from casid.identification.moment_estimators import Reusable, instrumental_variables
 from problems import ship
 from problems.ship import TABLE_8_2
 
@@ -33,6 +34,13 @@ LAGS = 4  # of each simulated signal among the instruments
 def model_at_truth() -> casid.Model:
     """The roll subsystem, eight parameters, the search starting at Table 8.3."""
     return ship.problem.model.with_unknown(**{n: TABLE_8_2[n] for n in ship.problem.truth})
+
+
+def by_instruments(model: casid.Model, experiments: Sequence[casid.Experiment]) -> MomentEstimate:
+    """Algorithm 8.1, instruments made of the rudder."""
+    black = black_box_references(experiments, "delta", ["gyro", "accel", "r"])
+    chosen = black_box_instruments(model, black, n_y=LAGS, n_u=LAGS)
+    return instrumental_variables(model, black.experiments, chosen)
 
 
 def with_background(wrong: Imperfection) -> Imperfection:
@@ -64,16 +72,12 @@ class Estimator:
 
     def instruments(self, experiments: Sequence[casid.Experiment]) -> tuple[Array, Array]:
         """m and zbar_m (2,), and their standard errors, by Algorithm 8.1; nan as above."""
-        black = black_box_references(experiments, "delta", ["gyro", "accel", "r"])
-        chosen = black_box_instruments(self.model, black, n_y=LAGS, n_u=LAGS)
         try:
-            found = Reusable(self.model, [StageSpec(())], chosen)(black.experiments)
+            found = by_instruments(self.model, experiments)
         except (IdentifiabilityError, SolveError):
             return np.full(2, np.nan), np.full(2, np.nan)
-        return (
-            np.array([found[n] for n in SOUGHT]),
-            np.array([found.std_error(n) for n in SOUGHT]),
-        )
+        errors = np.array([found.std_error(n) for n in SOUGHT])
+        return np.array([found[n] for n in SOUGHT]), errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,13 +122,13 @@ class Row:
 
     def numbers(self) -> dict[str, str | float]:
         """The row as it is written down, nan where there are no two estimates."""
-        told: dict[str, str | float] = {"imperfection": self.imperfection, "method": self.method}
+        row: dict[str, str | float] = {"imperfection": self.imperfection, "method": self.method}
         for i, name in enumerate(SOUGHT):
             enough = len(self.kept) > 1
-            told[f"bias of {name}"] = float(self.bias[i]) if enough else np.nan
-            told[f"its standard error, {name}"] = float(self.monte_carlo[i]) if enough else np.nan
-            told[f"std of {name}"] = float(self.deviation[i]) if enough else np.nan
-        return told | {"draws": len(self.errors), "refused": self.refused}
+            row[f"bias of {name}"] = float(self.bias[i]) if enough else np.nan
+            row[f"its standard error, {name}"] = float(self.monte_carlo[i]) if enough else np.nan
+            row[f"std of {name}"] = float(self.deviation[i]) if enough else np.nan
+        return row | {"draws": len(self.errors), "refused": self.refused}
 
     def __str__(self) -> str:
         if len(self.kept) < 2:

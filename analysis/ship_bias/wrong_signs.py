@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import casid
 from analysis.ship_bias.records import IMPERFECTIONS, Rudder, answers
-from analysis.ship_bias.table import LAGS, SOUGHT, Estimator, with_background
-from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
-from casid.identification.moment_estimators import instrumental_variables, least_squares
+from analysis.ship_bias.table import SOUGHT, by_instruments, model_at_truth, with_background
+from casid.identification.moment_estimators import least_squares
 from casid.identification.signs_from_moments import sign_flips
 from problems import ship
 
@@ -45,17 +44,15 @@ def straight_course(*, seconds: float, seed: int, jitter: float = 0.0) -> dict[s
     made = answers(seed, Rudder(angle=jitter, hold=0.2), seconds=seconds)
     records = [a.experiment(wrong) for a in made]
     said = {}
+    model = model_at_truth()
     try:
-        model = Estimator.make().model
-        black = black_box_references(records, "delta", ["gyro", "accel", "r"])
-        chosen = black_box_instruments(model, black, n_y=LAGS, n_u=LAGS)
-        found = instrumental_variables(model, black.experiments, chosen)
+        found = by_instruments(model, records)
         said["instruments"] = ", ".join(
             f"{n} = {found[n]:.3g} +- {found.std_error(n):.2g}" for n in SOUGHT
         )
     except casid.CasidError as error:
         said["instruments"] = f"{type(error).__name__}: {error}"
-    by_squares = least_squares(Estimator.make().model, records)
+    by_squares = least_squares(model, records)
     said["least squares"] = ", ".join(f"{n} = {by_squares[n]:.3g}" for n in SOUGHT)
     said["warnings"] = "; ".join(by_squares.estimate.warnings)
     return said

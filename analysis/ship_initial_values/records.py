@@ -165,17 +165,10 @@ def instruments() -> tuple[Column, ...]:
 
     Without noise the simulated signals are the recorded ones.
     """
-
-    def differenced(channel: str, lags: range) -> list[Column]:
-        return [
+    columns = [Column(f"gyro[t-{i}]", (("gyro", i, 1.0),)) for i in range(16)]
+    for channel, lags in (("accel", 16), ("r", 16), ("delta", 2)):
+        columns += [
             Column(f"mu {channel}[t-{i}]", ((channel, i, 1.0), (channel, i + 2, -1.0)))
-            for i in lags
+            for i in range(lags)
         ]
-
-    y = [Column(f"gyro[t-{i}]", (("gyro", i, 1.0),)) for i in range(16)]
-    return (
-        *y,
-        *differenced("accel", range(16)),
-        *differenced("r", range(16)),
-        *differenced("delta", range(2)),
-    )
+    return tuple(columns)

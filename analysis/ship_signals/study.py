@@ -188,9 +188,8 @@ def direct_terms(view: ClosedLoopView) -> Iterator[Target]:
         for k, h in ((section_8_2.roll_at(v, s), section_8_2.hull_at(v, s)) for s in far)
     ]
     limit = section_8_2.direct_term_a_s(v)
-    yield at_most(
-        "G Fbar_y at 1e5 rad/s against its limit", abs(loops[1][0] / limit - 1), 1e-3, "rel."
-    )
+    apart = abs(loops[1][0] / limit - 1)
+    yield at_most("G Fbar_y at 1e5 rad/s against its limit", apart, 1e-3, "rel.")
     fall = abs(loops[1][1] / loops[0][1])
     yield holds("r-loop from 1e4 to 1e5 rad/s", f"{fall:.4f}", "0.1000", abs(fall - 0.1) < 1e-3)
     _, D = accelerometer(v)
@@ -221,10 +220,8 @@ def correlated(records: int, motions: int) -> Iterator[tuple[str, Found]]:
     """Records of the linear system, then of the simulator."""
     system = sampled()
     yield "linear", linear_records(system, records=records, N=3000, seed=8)
-    yield (
-        "simulator",
-        simulator_records(system, records=motions, seconds=120.0, settle=20.0, seed=9),
-    )
+    found = simulator_records(system, records=motions, seconds=120.0, settle=20.0, seed=9)
+    yield "simulator", found
 
 
 def correlation_targets(found: Sequence[tuple[str, Found]]) -> Iterator[Target]:
@@ -409,8 +406,6 @@ def study(run: Run) -> Iterator[Target | str]:
 
 
 STUDY = Study(
-    "ship_signals",
-    __doc__,
     study,
     quick="fewer records",
     out="folder for the figures and ship_signals.json",

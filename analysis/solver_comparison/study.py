@@ -308,10 +308,4 @@ def study(run: Run) -> Iterator[Target]:
         write(run.output, results, titles)
 
 
-STUDY = Study(
-    "solver_comparison",
-    __doc__,
-    study,
-    quick="records of 20 000 samples",
-    out="folder for tables and figures",
-)
+STUDY = Study(study, quick="records of 20 000 samples", out="folder for tables and figures")

@@ -73,23 +73,16 @@ def examples(out: Output, runs: int) -> Iterator[Target]:
         simulated = beside_theory(form, numbers, draws(sample, runs, N), sample["alpha"])
         for i, name in enumerate(found.names):
             P = numbers.variance(name)
-            rows.append(
-                {
-                    "example": form.example,
-                    "coefficient": name,
-                    "formula of the limit": found[name],
-                    "formula of N var": found.variance(name),
-                    "limit": numbers[name],
-                    "N var": P,
-                    "Monte Carlo mean": simulated.mean[i],
-                    "Monte Carlo N var": simulated.sd[i] ** 2,
-                    "mean off [s.e.]": simulated.mean_off[i],
-                    "variance off [s.e.]": simulated.variance_off[i],
-                }
-            )
+            mean, variance = simulated.mean[i], simulated.sd[i] ** 2
+            row = {"example": form.example, "coefficient": name}
+            row |= {"formula of the limit": found[name], "formula of N var": found.variance(name)}
+            row |= {"limit": numbers[name], "N var": P}
+            row |= {"Monte Carlo mean": mean, "Monte Carlo N var": variance}
+            row |= {"mean off [s.e.]": simulated.mean_off[i]}
+            rows.append(row | {"variance off [s.e.]": simulated.variance_off[i]})
             print(
-                f"    {name}: limit {numbers[name]:.5f} (simulated {simulated.mean[i]:.5f}), N var "
-                f"{P:.5f} ({simulated.sd[i] ** 2:.5f})"
+                f"    {name}: limit {numbers[name]:.5f} (simulated {mean:.5f}), N var "
+                f"{P:.5f} ({variance:.5f})"
             )
             worst["limit"] = max(worst["limit"], abs(simulated.mean_off[i]))
             worst["variance"] = max(worst["variance"], abs(simulated.variance_off[i]))
@@ -101,10 +94,9 @@ def examples(out: Output, runs: int) -> Iterator[Target]:
     # The largest of so many normal distances stays below this in 99 of 100 studies.
     limit = math.sqrt(2) * float(sp.erfinv(1 - 0.01 / count))
     for what, found_off in worst.items():
-        told = f"{found_off:.2f} s.e. of {runs} runs"
-        yield Target(
-            f"Monte Carlo, farthest {what} of {count}", told, f"<= {limit:.2f}", found_off <= limit
-        )
+        text = f"{found_off:.2f} s.e. of {runs} runs"
+        what = f"Monte Carlo, farthest {what} of {count}"
+        yield Target(what, text, f"<= {limit:.2f}", found_off <= limit)
 
 
 def remedies(out: Output) -> Iterator[Target]:
@@ -203,10 +195,4 @@ def study(run: Run) -> Iterator[Target]:
     yield from dynamic(run.output)
 
 
-STUDY = Study(
-    "static_examples",
-    __doc__,
-    study,
-    quick="fewer runs, a coarser map",
-    options=runs(4000, quick=1000),
-)
+STUDY = Study(study, quick="fewer runs, a coarser map", options=runs(4000, quick=1000))
