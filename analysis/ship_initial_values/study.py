@@ -245,12 +245,14 @@ def spread(extent: Extent, nine: Ends, jobs: int) -> Generator[Target, None, dic
     drawn = np.random.default_rng(83).normal(*TABLE_8_3["z_f"], 100_000)
     along = family(drawn)
     found = {
-        "family, its z_f": np.column_stack([along[n] for n in NINE]),
         f"Ipopt, {len(nine.x)} runs": nine.nine,
         f"to its end, {len(long.x)}": long.nine,
         f"trust region, {len(other)}": other,
     }
-    columns = {"thesis, 9995 runs": np.array([TABLE_8_3[n] for n in NINE]).T}
+    columns = {
+        "thesis, 9995 runs": np.array([TABLE_8_3[n] for n in NINE]).T,
+        "family, its z_f": np.array([[along[n].mean(), along[n].std()] for n in NINE]).T,
+    }
     columns |= {name: np.array([x.mean(axis=0), x.std(axis=0)]) for name, x in found.items()}
     print("The spread of Table 8.3, mean and standard deviation, and what it is")
     print(" " * 10 + f"{'truth':>9}" + "".join(f"{c:>23}" for c in columns))
