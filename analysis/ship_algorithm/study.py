@@ -193,13 +193,10 @@ def choices(
     yield at_most(what, distances[worst], 3.5, "std. errors")
     for n in (*LOAD, "z_f"):
         found = profile(second, n)
-        text, met = (
-            f"{found.lower:.4g} to {found.upper:.4g}",
-            found.lower <= TRUTH[n] <= found.upper,
-        )
-        yield Target(
-            f"two calibrations: 95 % of {n}, by its profile", text, f"holds {TRUTH[n]:g}", met
-        )
+        what = f"two calibrations: 95 % of {n}, by its profile"
+        text = f"{found.lower:.4g} to {found.upper:.4g}"
+        met = found.lower <= TRUTH[n] <= found.upper
+        yield Target(what, text, f"holds {TRUTH[n]:g}", met)
     moved = along(fixed, family)
     print(moved)
     rows = []

@@ -73,10 +73,8 @@ def table(is_quick: bool, out: Output) -> Iterator[Target]:
             squares, instruments = made[name, "LS"], made[name, "IV"]
             z = np.abs(instruments.bias) * np.sqrt(len(instruments.kept))
             z /= np.nanmean(instruments.stated, axis=0)
-            what, text = (
-                f"mean {rudder.mean:g}: IV bias, {name}",
-                f"{np.max(z):.2g} standard errors",
-            )
+            what = f"mean {rudder.mean:g}: IV bias, {name}"
+            text = f"{np.max(z):.2g} standard errors"
             met = np.max(z) <= 3.5 and instruments.refused == 0
             yield Target(what, text, "<= 3.5, none refused", met)
             # The biases of m partly cancel in all together: few draws do not determine the sum.
