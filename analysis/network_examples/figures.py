@@ -19,7 +19,8 @@ def signals(record: Record, skip: int) -> Any:
     grid: dict[str, Any] = {"rows": len(names), "shared_xaxes": True, "vertical_spacing": 0.01}
     chart = Chart("The network of Example 6.1, simulated", 110 * len(names), **grid)
     for i, name in enumerate(names, start=1):
-        chart.line(record.t[skip:], record[name][skip:], at=(i, 1), line={"width": 1})
+        look: dict[str, Any] = {"at": (i, 1), "line": {"width": 1}, "showlegend": False}
+        chart.line(record.t[skip:], record[name][skip:], name, **look)
         chart.y_axis(name, row=i)
     chart.x_axis("sample", row=len(names))
     return chart.figure
