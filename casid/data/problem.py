@@ -7,21 +7,25 @@ import importlib.util
 import math
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from casid.data.derived import Derived, derive
 from casid.data.reading.columns import ColumnSpec
-from casid.data.reading.record_file import read_record
+from casid.data.reading.frames import is_frame, record_of_frame, table_of
+from casid.data.reading.record_file import column_names, read_record
+from casid.data.reading.survey import ReadingOptions
 from casid.data.record import Experiment, Record
 from casid.errors import DataError, ModelError
 from casid.model.model import Model
 from casid.model.units import difference_to_si
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from casid.model.effects.user_effects import UserEffect
 
 
@@ -224,11 +228,34 @@ class Problem:
             For a file, column or load case that cannot be used.
         """
         specs = self.columns(mapping)
-        specs = self._present(path, specs, mapping or {})
+        specs = self._present(column_names(path), specs, mapping or {})
         record = read_record(
             path, specs, time=self.time, window=window, resample=resample, name=name
         )
         return self.experiment(record, case=case, known=known)
+
+    def read_frame(
+        self,
+        frame: pd.DataFrame,
+        *,
+        mapping: Mapping[str, str] | None = None,
+        case: str | None = None,
+        known: Mapping[str, float] | None = None,
+        name: str | None = None,
+    ) -> Experiment:
+        """Read a pandas DataFrame in this problem's channels and units, as `read` reads a file.
+
+        Raises
+        ------
+        DataError
+            For a table, column or load case that cannot be used.
+        """
+        there = [str(column) for column in table_of(frame).columns]
+        specs = self._present(there, self.columns(mapping), mapping or {})
+        options = ReadingOptions(time=self.time, name=name)
+        return self.experiment(
+            record_of_frame(frame, specs, options=options), case=case, known=known
+        )
 
     def derive(self, record: Record) -> Record:
         """The record with the derived channels that it lacks, cut where their filters end.
@@ -249,12 +276,10 @@ class Problem:
         return derive(record, wanted, self.in_si().noise)
 
     def _present(
-        self, path: str | Path, specs: dict[str, ColumnSpec], mapping: Mapping[str, str]
+        self, columns: Iterable[str], specs: dict[str, ColumnSpec], mapping: Mapping[str, str]
     ) -> dict[str, ColumnSpec]:
         """Drop channels recorded beside the model's where the file does not have them."""
-        from casid.data.reading.record_file import column_names
-
-        there = set(column_names(path))
+        there = set(columns)
         signals = {*self.model.inputs, *self.model.outputs}
         for name, entry in self.derived.items():
             if name in signals:
@@ -341,6 +366,9 @@ class Problem:
         return replace(self, model=self.model.with_si_values(values))
 
 
+Recorded: TypeAlias = "Experiment | Record | pd.DataFrame"
+"""What a record can be given as; a DataFrame is read through the problem's channels."""
+
 _FUNCTIONS = ("derived", "example", "simulate", "effects")
 """Fields of a problem that hold functions."""
 
@@ -424,7 +452,7 @@ def _line(error: Exception, path: Path) -> str:
 
 def in_si(
     problem: Problem | Model,
-    experiments: Sequence[Experiment | Record] | Experiment | Record | None,
+    experiments: Sequence[Recorded] | Recorded | None,
 ) -> tuple[Problem, list[Experiment]]:
     """Problem and experiments as the library's own functions take them: every number in SI.
 
@@ -449,24 +477,25 @@ def in_si(
 
 
 def experiments_of(
-    problem: Problem, experiments: Sequence[Experiment | Record] | Experiment | Record | None
+    problem: Problem, experiments: Sequence[Recorded] | Recorded | None
 ) -> list[Experiment]:
-    """What the caller gave as a list of experiments, names made unique; the example by default."""
+    """What the caller gave as a list of experiments, names made unique; the example by default.
+
+    A DataFrame is read through the problem's channels, as a file is.
+    """
     if not isinstance(problem, Problem):
-        given = f"model {problem.name}" if isinstance(problem, Model) else repr(problem)
+        what = f"model {problem.name}" if isinstance(problem, Model) else repr(problem)
         raise ModelError(
-            f"{given} is no problem; give casid.Problem(name, model), or "
+            f"{what} is no problem; give casid.Problem(name, model), or "
             "casid.load_problem(path) of a file"
         )
     chosen: list[Experiment]
     if experiments is None:
         chosen = problem.examples()
-    elif isinstance(experiments, Record):
-        chosen = [problem.experiment(experiments)]
-    elif isinstance(experiments, Experiment):
-        chosen = [experiments]
     else:
-        chosen = [problem.experiment(e) if isinstance(e, Record) else e for e in experiments]
+        alone = isinstance(experiments, Record | Experiment) or is_frame(experiments)
+        given: Any = [experiments] if alone else experiments
+        chosen = [_experiment(problem, e) for e in given]
     if not chosen:
         raise DataError("no record given; name at least one")
     seen: dict[str, int] = {}
@@ -476,3 +505,9 @@ def experiments_of(
         seen[e.name] = n + 1
         out.append(e if n == 0 else Experiment(e.record, e.known, f"{e.name}#{n + 1}"))
     return out
+
+
+def _experiment(problem: Problem, given: Recorded) -> Experiment:
+    if isinstance(given, Experiment):
+        return given
+    return problem.experiment(given) if isinstance(given, Record) else problem.read_frame(given)

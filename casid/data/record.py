@@ -17,6 +17,8 @@ from casid.pickling import PickledByFields
 from casid.presentation import Presented
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from casid.data.alignment import Alignment
 
 FloatArray = NDArray[np.float64]
@@ -175,6 +177,69 @@ class Record(Presented, PickledByFields):
             if kept.size == 0 or kept.min() == kept.max():
                 constant.append(channel)
         return tuple(constant)
+
+    # ------------------------------------------------------------------ other libraries' tables
+
+    @staticmethod
+    def from_frame(
+        frame: pd.DataFrame,
+        *,
+        units: Mapping[str, str] | None = None,
+        time: str | None = None,
+        Ts: float | None = None,
+        resample: float | None = None,
+        mark_missing: bool = False,
+        name: str | None = None,
+    ) -> Record:
+        """Read a record from a pandas DataFrame, as `read_record` reads a file with its columns.
+
+        Parameters
+        ----------
+        frame : a column a channel, and the time in a column or as the index: seconds, dates or
+            durations. Columns of text are left out.
+        units : column -> unit of its numbers (kept in SI); else the unit in the column's name,
+            ``phi [deg]``, or none.
+        time : the time column; found by its name, or the index, where not given.
+        Ts : sample time [s] of a table without time; its clock starts at 0.
+        resample : sample time [s] of a uniform grid for a table sampled irregularly.
+        mark_missing : mark NaN and Inf as missing instead of refusing them.
+        name : default the frame's ``attrs["name"]``, or "frame".
+
+        Raises
+        ------
+        DataError
+            For a clock that is not uniform, columns that are missing or not finite.
+        UnitError
+            For a unit that cannot be read.
+        """
+        from casid.data.reading.frames import record_of_frame
+        from casid.data.reading.survey import ReadingOptions
+
+        options = ReadingOptions(
+            time=time, name=name, resample=resample, Ts=Ts, mark_missing=mark_missing
+        )
+        return record_of_frame(frame, None, units, options)
+
+    def to_frame(self) -> pd.DataFrame:
+        """A DataFrame: the time [s] as index `t`, a column a channel (SI), NaN where missing.
+
+        `attrs` has the units by column and the record's name, which `from_frame` reads again.
+        """
+        from casid.data.reading.frames import frame_of
+
+        return frame_of(self)
+
+    def to_xarray(self) -> Any:
+        """An xarray Dataset: a variable a channel (SI) over `t` [s], units in the attributes.
+
+        Raises
+        ------
+        DataError
+            If xarray is not installed: ``pip install "casid[xarray]"``.
+        """
+        from casid.data.reading.frames import dataset_of
+
+        return dataset_of(self)
 
     # ------------------------------------------------------------------ changing it
 

@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from casid.data.problem import Problem, in_si
-from casid.data.record import Experiment, Record
+from casid.data.problem import Problem, Recorded, in_si
+from casid.data.record import Experiment
 from casid.diagnosis.advice.recommendation import recommend
 from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, require_runs
 from casid.diagnosis.calibration.false_alarm_rate import calibrate as run_calibration
@@ -41,7 +41,7 @@ SOURCES = (
 
 def diagnose(
     problem: Problem,
-    experiments: Sequence[Experiment | Record] | Experiment | Record | None = None,
+    experiments: Sequence[Recorded] | Recorded | None = None,
     *,
     hold_out: float | Sequence[Experiment] | Experiment = 0.3,
     false_alarm_rate: float = 0.05,
@@ -58,8 +58,9 @@ def diagnose(
 
     Parameters
     ----------
-    experiments : records in the problem's channels (SI); default the problem's own example. A cause
-        has to explain all of them with one size, or is reported with the size of each record.
+    experiments : records in the problem's channels (SI), or DataFrames with its columns; default
+        the problem's own example. A cause has to explain all of them with one size, or is reported
+        with the size of each record.
     hold_out : share of each record, at its end, that is not fitted (the simulation continues into
         it), or whole records of their own (their initial state is refitted). 0 fits everything.
     false_alarm_rate : family-wise, for the whole catalogue.

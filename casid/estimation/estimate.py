@@ -319,6 +319,25 @@ class Estimate(Presented, Saved):
         theta = np.array([self[n] for n in names])
         return sample_through(of_draw, theta, self.covariance, draws=draws, seed=seed, valid=valid)
 
+    def to_inference_data(self, *, draws: int = 1000, seed: int = 0) -> Any:
+        """Draws of N(theta, P) as the posterior of an ArviZ InferenceData, one chain.
+
+        Estimated parameters and initial states, each with its unit in the variable's attributes.
+        What the normal approximation assumes is in the attribute `assumes`.
+
+        Raises
+        ------
+        DataError
+            If ArviZ is not installed: ``pip install "casid[arviz]"``.
+        """
+        from casid.estimation.inference_data import inference_data
+
+        names = tuple(n for n in self.covariance_names if n in self.names)
+        found = self.sample(lambda values: [values[n] for n in names], draws=draws, seed=seed)
+        units = {p.name: p.unit for p in (*self.parameters, *self.initial_states)}
+        said = {"problem": self.problem, "method": self.method, "assumes": self.assumes}
+        return inference_data(found.values, names, units, said)
+
     def references(self) -> tuple[str, ...]:
         """The papers behind the methods used."""
         return self.sources

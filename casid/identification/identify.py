@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from casid.data.problem import Problem, in_si
-from casid.data.record import Experiment, Record
+from casid.data.problem import Problem, Recorded, in_si
+from casid.data.record import Experiment
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.estimate import Estimate
 from casid.estimation.holdout import record_views, split_records, validation
@@ -20,7 +20,7 @@ from casid.model.model import Model
 
 def identify(
     problem: Problem | Model,
-    experiments: Sequence[Experiment | Record] | Experiment | Record | None = None,
+    experiments: Sequence[Recorded] | Recorded | None = None,
     *,
     hold_out: float | Sequence[Experiment] = 0.0,
     settings: FitSettings | None = None,
@@ -32,8 +32,9 @@ def identify(
     Parameters
     ----------
     problem : or its model alone, where there is nothing to add to it.
-    experiments : records in the problem's channels (SI), each with the values known for it alone;
-        default the problem's own example. Unknown parameters are shared unless `settings.own`.
+    experiments : records in the problem's channels (SI), or DataFrames with its columns, each with
+        the values known for it alone; default the problem's own example. Unknown parameters are
+        shared unless `settings.own`.
     hold_out : share of each record, at its end, or whole records, used for validation only.
     start : start values by variable name, over the model's own, in the units that it declares.
 

@@ -70,14 +70,15 @@ def read_record(
         For a unit that cannot be read or does not fit the channel.
     """
     options = ReadingOptions(time, window, name, resample, Ts, mark_missing, form)
-    return _sound_record(survey(path, columns, options, describe=False))
+    return sound_record(survey(path, columns, options, describe=False))
 
 
-def _sound_record(found: Survey) -> Record:
+def sound_record(found: Survey) -> Record:
     """The record of a file without faults; the first fault raised otherwise."""
     if found.faults:
         first, *others = found.faults
         more = f" ({len(others)} more: casid check {found.path.name} lists all.)" if others else ""
+        more = more if found.path.is_file() else ""  # a table in memory
         error = UnitError if first.kind == "unit" else DataError
         raise error(f"{first}{more}")
     assert found.record is not None

@@ -48,7 +48,7 @@ class ReadingOptions:
 
 
 def survey(
-    path: str | Path,
+    path: str | Path | Table,
     columns: Columns | None = None,
     options: ReadingOptions | None = None,
     *,
@@ -58,6 +58,7 @@ def survey(
 
     Parameters
     ----------
+    path : of the file, or a table that is open already.
     describe : whether the columns are described (`Survey.columns`), used or not.
 
     Returns
@@ -66,13 +67,14 @@ def survey(
         The record is None where the clock cannot be used. Channels with faults are left out of
         it or, where only some samples are not finite, have those marked missing.
     """
-    source, own_window = source_of(path)
+    table = path if isinstance(path, Table) else None
+    source, own_window = (path.path, None) if isinstance(path, Table) else source_of(path)
     options = options or ReadingOptions()
     window = own_window if options.window is None else options.window
     resample = options.resample
     _require_positive(resample=resample, Ts=options.Ts)
     found = Survey(source)
-    opened = _opened(found, columns, options.time, options.format, describe=describe)
+    opened = _opened(found, table, columns, options, describe=describe)
     if opened is None:
         return found
     N = len(opened.frame)
@@ -115,18 +117,23 @@ class _Opened(NamedTuple):
 
 
 def _opened(
-    found: Survey, columns: Columns | None, time: Time, form: FileFormat, *, describe: bool
+    found: Survey,
+    table: Table | None,
+    columns: Columns | None,
+    options: ReadingOptions,
+    *,
+    describe: bool,
 ) -> _Opened | None:
     """The table, its cells, the channels to read and the clock; None, with a fault noted, else."""
     try:
-        table = open_table(found.path, form)
+        table = open_table(found.path, options.format) if table is None else table
         found.notes += table.remarks
         frame = table.read(table.columns) if describe else None
     except DataError as error:
         found.with_fault(Fault("file", str(error), ""))
         return None
     try:
-        specs, clock = _resolved(table, columns, time)
+        specs, clock = _resolved(table, columns, options.time)
         if frame is None:
             frame = table.read(_used(table, specs, clock))
         return _Opened(table, frame, specs, clock)

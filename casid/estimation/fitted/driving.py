@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.reading.columns import ColumnSpec
+from casid.data.reading.frames import is_frame, record_of_frame, table_of
+from casid.data.reading.survey import ReadingOptions
 from casid.data.record import Experiment, Record
 from casid.errors import DataError
 from casid.estimation.fitted.parts import Channels, FittedRecord
@@ -23,7 +26,7 @@ class Driving:
     Attributes
     ----------
     t : (N,) s, on the record's clock. u : (N, nu) in the model's order, SI.
-    known : parameter -> value known for this record.
+    known : parameter -> value known for this record, SI.
     record : None for arrays alone. fitted : the fitted record that it begins as.
     """
 
@@ -58,7 +61,7 @@ def driving_of(
     """
     if Ts is not None and not (np.isfinite(Ts) and Ts > 0):
         raise DataError(f"{model.name}: Ts = {Ts!r} s; give a positive number of seconds")
-    if _is_frame(inputs):
+    if is_frame(inputs):
         inputs = _record_of(inputs, model, channels)
     if isinstance(inputs, Record):
         inputs = Experiment(inputs)
@@ -75,20 +78,29 @@ def driving_of(
             record.t,
             record.Ts,
             input_columns(model, record),
-            inputs.known,
+            model.in_si(inputs.known),
             record,
             known_again[0] if known_again else None,
         )
     return _of_arrays(model, inputs, fitted[0].Ts if Ts is None else float(Ts))
 
 
-def _is_frame(inputs: Any) -> bool:
-    """True of a pandas DataFrame; pandas is not loaded to find out."""
-    return type(inputs).__module__.partition(".")[0] == "pandas" and hasattr(inputs, "columns")
-
-
 def _record_of(frame: Any, model: Model, channels: Channels) -> Record:
-    raise NotImplementedError
+    """The model's signals from a table, each from its column; outputs may be absent."""
+    there = {str(column) for column in table_of(frame).columns}
+    units = {n: u.unit for n, u in model.inputs.items() if u.kind != "generated"}
+    specs = {}
+    for name, unit in {**units, **{n: u for n, (_, u) in model.outputs.items()}}.items():
+        text = channels.columns.get(name, name)
+        column, given = text.rsplit(":", 1) if ":" in text else (text, "")
+        if name in channels.derived and column not in there:
+            raise DataError(
+                f"{model.name}: {name} is computed from other channels ({channels.derived[name]}), "
+                f"which a table does not show; give problem.read_frame(frame), or a column {name}"
+            )
+        if name in units or (column or name) in there:
+            specs[name] = ColumnSpec(column or name, given or None, model.unit_of(name) or unit)
+    return record_of_frame(frame, specs, options=ReadingOptions(time=channels.time or None))
 
 
 def _of_arrays(model: Model, inputs: Any, Ts: float) -> Driving:

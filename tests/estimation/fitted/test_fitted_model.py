@@ -170,3 +170,14 @@ def test_residuals_are_missing_where_the_measurement_is(estimate):
     mask = np.arange(400) == 7
     found = estimate.model.residuals(record().mark_missing("position", mask))
     assert np.array_equal(found.is_missing("position"), mask)
+
+
+def test_draws_for_arviz_have_the_mean_and_spread_of_the_estimate(estimate):
+    pytest.importorskip("arviz")
+    found = estimate.to_inference_data(draws=4000, seed=1).posterior
+    assert set(found.data_vars) == {"d", "k", "x(0)", "v(0)"}
+    assert found["k"].shape == (1, 4000)
+    assert found["k"].attrs["units"] == "N/m"
+    error = estimate.parameter("k").std_error
+    assert float(found["k"].mean()) == pytest.approx(estimate["k"], abs=4 * error / 4000**0.5)
+    assert float(found["k"].std()) == pytest.approx(error, rel=0.05)

@@ -1,0 +1,120 @@
+"""Records from tables in memory, and back: pandas DataFrames and xarray datasets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from casid.data.reading.columns import Columns
+from casid.data.reading.record_file import sound_record
+from casid.data.reading.survey import ReadingOptions, survey
+from casid.data.reading.tables import FrameTable
+from casid.data.record import Record
+from casid.errors import DataError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+
+
+def is_frame(value: Any) -> bool:
+    """True of a pandas DataFrame; pandas is not loaded to find out."""
+    return type(value).__module__.partition(".")[0] == "pandas" and hasattr(value, "columns")
+
+
+def table_of(frame: pd.DataFrame) -> pd.DataFrame:
+    """The columns of a frame, its index among them where that is no mere count of rows."""
+    import pandas as pd
+
+    if not is_frame(frame):
+        raise DataError(
+            f"{type(frame).__name__} is no table; give a pandas DataFrame with a column for each "
+            "channel"
+        )
+    index = frame.index
+    if isinstance(index, pd.RangeIndex) and index.name is None:
+        return frame
+    if isinstance(index, pd.MultiIndex):
+        raise DataError(
+            f"the table has an index of {index.nlevels} levels; give one experiment at a time, "
+            "with the time as its index or as a column"
+        )
+    name = "t" if index.name is None else str(index.name)
+    if name in map(str, frame.columns):
+        return frame
+    moved = frame.reset_index(names=name)
+    moved.attrs = dict(frame.attrs)
+    return moved
+
+
+def record_of_frame(
+    frame: pd.DataFrame,
+    columns: Columns | None = None,
+    units: Mapping[str, str] | None = None,
+    options: ReadingOptions | None = None,
+) -> Record:
+    """A record of a DataFrame, read as a file with the same columns is.
+
+    Parameters
+    ----------
+    units : column -> unit of its numbers, over those of the frame's `attrs["units"]` and of the
+        columns' names.
+
+    Raises
+    ------
+    DataError, UnitError
+        As `casid.read_record`.
+    """
+    options = options or ReadingOptions()
+    name = options.name or str(getattr(frame, "attrs", {}).get("name", "frame"))
+    table_frame = table_of(frame)
+    given = {**table_frame.attrs.get("units", {}), **(units or {})}
+    foreign = [c for c in units or {} if c not in map(str, table_frame.columns)]
+    if foreign:
+        raise DataError(
+            f"{name}: a unit is given for {', '.join(foreign)}, which is no column; there are "
+            f"{', '.join(map(str, table_frame.columns))}"
+        )
+    if len(table_frame) == 0:
+        raise DataError(f"{name}: the table holds no rows")
+    table = FrameTable(Path(name), options.format, table_frame, given)
+    return sound_record(survey(table, columns, options, describe=False))
+
+
+def frame_of(record: Record) -> pd.DataFrame:
+    """A DataFrame of a record: its time [s] as index `t`, a column a channel, SI.
+
+    Missing samples are NaN. `attrs` has the units by column and the record's name.
+    """
+    import pandas as pd
+
+    columns = {
+        name: np.where(record.is_missing(name), np.nan, values)
+        for name, values in record.channels.items()
+    }
+    frame = pd.DataFrame(columns, index=pd.Index(record.t, name="t"))
+    frame.attrs = {"units": {"t": "s", **record.units}, "name": record.name}
+    return frame
+
+
+def dataset_of(record: Record) -> xr.Dataset:
+    """An xarray Dataset of a record: a variable a channel over the coordinate `t` [s], SI.
+
+    Raises
+    ------
+    DataError
+        If xarray is not installed.
+    """
+    try:
+        import xarray as xr
+    except ImportError:
+        raise DataError(
+            'to_xarray needs xarray, which is not installed; pip install "casid[xarray]"'
+        ) from None
+    frame = frame_of(record)
+    variables = {n: ("t", frame[n].to_numpy(), {"units": record.units[n]}) for n in record}
+    time = ("t", record.t, {"units": "s"})
+    return xr.Dataset(variables, {"t": time}, {"name": record.name, "Ts": record.Ts})
