@@ -103,7 +103,7 @@ from .unknown_inputs.networks.prediction.eiv_filter import eiv_filter
 from .unknown_inputs.networks.prediction.predictors import compare_predictors
 from .unknown_inputs.networks.predictor_inputs import predictor_inputs
 from .unknown_inputs.networks.propositions import proposition_3_1, proposition_4_1
-from .unknown_inputs.networks.rings import eliminate_recursively
+from .unknown_inputs.networks.recursive_elimination import eliminate_recursively
 from .unknown_inputs.networks.simulation import simulate_network
 from .unknown_inputs.observers.decoupled_observer import decoupled_observer
 from .unknown_inputs.observers.input_smoother import reconstruct_input

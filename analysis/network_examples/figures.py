@@ -8,7 +8,7 @@ from typing import Any
 from analysis.common.figures import Chart
 from casid.data.record import Record
 from casid.unknown_inputs.networks.prediction.node_predictor import NodePredictor
-from casid.unknown_inputs.networks.rings import RecursiveElimination
+from casid.unknown_inputs.networks.recursive_elimination import RecursiveElimination
 
 COLOURS = ("#E69F00", "#CC79A7", "#56B4E9", "#0072B2", "#D55E00")
 
@@ -42,12 +42,12 @@ def predictions(record: Record, skip: int, predictors: Mapping[str, NodePredicto
 def rings(found: RecursiveElimination) -> Any:
     """How the target's model grows with every ring."""
     chart = Chart("Recursive elimination: the model grows ring by ring (Figure 4.2)")
-    number = [r.number for r in found.rings]
+    number = [r.number for r in found.steps]
     series = {
-        "nodes involved": [len(r.involved) for r in found.rings],
-        "inputs of the model": [len(r.inputs) for r in found.rings],
-        "unobserved nodes in it": [len(r.unobserved) for r in found.rings],
-        "McMillan degree": [r.degree for r in found.rings],
+        "nodes involved": [len(r.involved) for r in found.steps],
+        "inputs of the model": [len(r.inputs) for r in found.steps],
+        "unobserved nodes in it": [len(r.unobserved) for r in found.steps],
+        "McMillan degree": [r.degree for r in found.steps],
     }
     for (name, values), colour in zip(series.items(), COLOURS, strict=False):
         chart.line(number, values, name, colour, mode="lines+markers")

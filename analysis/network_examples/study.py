@@ -51,7 +51,7 @@ from casid.unknown_inputs.networks.prediction.predictors import (
     compare_predictors,
 )
 from casid.unknown_inputs.networks.propositions import proposition_3_1, proposition_4_1
-from casid.unknown_inputs.networks.rings import eliminate_recursively
+from casid.unknown_inputs.networks.recursive_elimination import eliminate_recursively
 from problems import network8
 
 SETTLE = 300  # samples of a record that a predictor started from rest is not judged by
@@ -141,22 +141,22 @@ def recursion(out: Output, *, quick: bool) -> Iterator[Target]:
     found = eliminate_recursively(chain(4 if quick else 6), "target")
     print(found)
     rows = []
-    for r in found.rings:
+    for r in found.steps:
         row = {"ring": r.number, "eliminated": " ".join(map(str, r.eliminated))}
         row |= {"by": " ".join(map(str, r.by)), "inputs": len(r.inputs)}
         row |= {"unobserved": len(r.unobserved), "involved": len(r.involved), "degree": r.degree}
         rows.append(row)
     out.table("rings", rows)
     out.figure("figure_4_2", rings(found))
-    involved = [len(r.involved) for r in found.rings]
-    degrees = [r.degree or 0 for r in found.rings]
+    involved = [len(r.involved) for r in found.steps]
+    degrees = [r.degree or 0 for r in found.steps]
     yield Target(
         "rings: nodes involved; degree of the model",
         f"{involved}; {degrees}",
         "one more with each ring, degree not less, none unobserved at the end",
         involved == list(range(1, len(involved) + 1))
         and degrees == sorted(degrees)
-        and not found.rings[-1].unobserved,
+        and not found.steps[-1].unobserved,
     )
 
 

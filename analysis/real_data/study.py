@@ -33,7 +33,7 @@ from casid.model.effects.balance_effects import (
     offset,
     quadratic_damping,
 )
-from casid.model.effects.decoys import decoys
+from casid.model.effects.unnamed_effects import unnamed_effects
 from problems import emps, roll_decay
 
 ONCE = casid.FitSettings(starts=1)
@@ -131,7 +131,7 @@ def _rolls() -> dict[str, casid.Model]:
     cubic = cubic_stiffness(model, "torque")
     assert cubic is not None
     hard = model.extend(cubic)
-    unnamed = {e.shape: e for e in decoys(hard, "torque", 1e-3)}
+    unnamed = {e.shape: e for e in unnamed_effects(hard, "torque", 1e-3)}
     steep = hard.extend(unnamed["p^3"])
     return {
         "k_3 phi^3, d_2 |p| p": hard.extend(quadratic_damping(hard, "torque")),

@@ -210,7 +210,9 @@ _RANK = {"error": 0, "warning": 1, "note": 2}
 _CONSTANT, _CLIPPED = "constant at", "possibly clipped."
 
 
-def standing(record: Record, channels: Iterable[str], *, least: float = 0.0) -> tuple[Finding, ...]:
+def stuck_channels(
+    record: Record, channels: Iterable[str], *, least: float = 0.0
+) -> tuple[Finding, ...]:
     """What `check` finds of channels that rest, or stand at an extreme as a limit leaves them.
 
     Parameters

@@ -498,7 +498,7 @@ class Judging:
         0.03,
         "share of a signature, in squares, left beside the causes below which they express it: "
         "1 - cos^2; linear signatures of one thing at two sizes of it differ by as much",
-        f"{TESTS}/verdict/test_unnamed_rivals.py",
+        f"{TESTS}/verdict/test_unnamed_alternatives.py",
     )
     alias: float = _is(0.99, "|cosine| of two effects that are the same in this model", POWER_STUDY)
     aliases: int = _is(3, "of them that are listed", POWER_STUDY)

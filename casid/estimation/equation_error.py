@@ -35,7 +35,7 @@ from casid.estimation.estimate import (
     Uncertainty,
 )
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of
-from casid.estimation.measured_motion import Butterworth, decimated, motion_of, spoilt_edge
+from casid.estimation.measured_motion import Butterworth, decimated, filter_edge, motion_of
 from casid.estimation.simulation.signals import signals_of
 from casid.model.effects.effect import Effect
 from casid.model.model import Model
@@ -166,7 +166,7 @@ def equation_error(
     blocks = []
     for d in data:
         sides = regression.sides(d, motion_of(model, d, prefilter))
-        edge = spoilt_edge(d.Ts, prefilter, decimate)
+        edge = filter_edge(d.Ts, prefilter, decimate)
         blocks.append(
             [
                 Block(d.name, balance, *decimated(phi, y, decimate, edge))

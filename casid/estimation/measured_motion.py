@@ -106,7 +106,7 @@ def motion_of(model: Model, d: Signals, prefilter: Butterworth | None) -> Motion
     return Motion(x, x_dot, u)
 
 
-def spoilt_edge(Ts: float, prefilter: Butterworth | None, factor: int) -> int:
+def filter_edge(Ts: float, prefilter: Butterworth | None, factor: int) -> int:
     """Samples of the decimated record that filters and differences spoil at either end.
 
     Five periods of every cutoff (a heuristic), as what lies outside the record is guessed there:

@@ -28,7 +28,7 @@ from casid.identifiability.combinations.fixing_sets import (
 from casid.identifiability.equations.equation_file import EquationFile
 from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
-from casid.identifiability.inputs.unknown_jets import observability_by_jets
+from casid.identifiability.inputs.input_derivatives import observability_by_counting
 from casid.identifiability.question import (
     Assumptions,
     Question,
@@ -182,7 +182,7 @@ def _rank(systems: Sequence[System], options: Any) -> _Rank:
         return _Rank(observability(reduced, **options), reduced, how)
     except IdentifiabilityError as too_large:
         note = f"not eliminated, derivatives of them are unknowns: {too_large}"
-        return _Rank(observability_by_jets(systems, **options), (), (note,))
+        return _Rank(observability_by_counting(systems, **options), (), (note,))
 
 
 def _structure(result: Observability, systems: Sequence[System], limit: int) -> Structure:

@@ -12,7 +12,10 @@ from casid.estimation.estimate import Estimate
 from casid.estimation.holdout import record_views, split_records, validation
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.simulation_estimate import estimate_of, standing_channels
+from casid.estimation.simulation.simulation_estimate import (
+    estimate_of,
+    stuck_channel_notes,
+)
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
 from casid.model.model import Model
@@ -70,7 +73,7 @@ def identify(
     say(f"fit {', '.join(e.name for e in split.fitted)}")
     fit, suspect = _fit(problem, split.fitted, settings, start, say)
     held_out = validation(fit, split)
-    estimate = estimate_of(problem, fit, held_out, notes=standing_channels(problem.model, chosen))
+    estimate = estimate_of(problem, fit, held_out, notes=stuck_channel_notes(problem.model, chosen))
     estimate = replace(
         estimate,
         records=record_views(fit, None, split),

@@ -15,12 +15,12 @@ from casid.diagnosis.verdict.remainder import Moved, what_remains
 from casid.report.figures.candidate_ranking import ranking_figure
 from casid.report.figures.diagnosis import diagnosis_figures, gain_figure
 from casid.report.figures.estimates import parameter_figure
-from casid.report.figures.look import figure_text
 from casid.report.figures.misfit_shares import remaining_figure
 from casid.report.figures.moved_parameters import moved_figure
 from casid.report.figures.residuals import residual_against_figure, residual_spectrum_figure
 from casid.report.figures.simulated import residual_time_figure, simulation_figure
 from casid.report.figures.sizes_by_record import by_record_figure
+from casid.report.figures.style import figure_text
 from casid.report.figures.thinning import POINTS, thinned
 from tests.support import samples
 

@@ -477,7 +477,7 @@ def _table(
                     )
                     with joblib.parallel_config(**where):
                         done = campaign(
-                            run, runs, seed=seed, out=folder, batch=1, progress=_told(say)
+                            run, runs, seed=seed, out=folder, batch=1, progress=_labelled(say)
                         )
             return done.table, False
         except KeyboardInterrupt:
@@ -493,7 +493,7 @@ def _time_text(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
-def _told(say: Callable[[str], None]) -> Callable[[str], None]:
+def _labelled(say: Callable[[str], None]) -> Callable[[str], None]:
     def line(text: str) -> None:
         if not text.endswith("were done before"):
             say(f"calibrate: {text}")

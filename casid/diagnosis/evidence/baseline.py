@@ -1,4 +1,4 @@
-"""The baseline: the model as it is, fitted to records from which spoilt samples are left out."""
+"""The baseline: the model as it is, fitted to records from which corrupted samples are left out."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import partial
 
 from casid.data.problem import Problem
+from casid.diagnosis.evidence.corrupted_samples import CorruptedSamples, without_corrupted
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.recorded_channels import channels_held_out_too, recorded_beside
 from casid.diagnosis.evidence.robust_errors import std_error
-from casid.diagnosis.evidence.spoilt_samples import Spoilt, without_spoilt
 from casid.diagnosis.evidence.sufficiency import (
     few_step_fit,
     weighted_as_white,
@@ -35,13 +35,13 @@ class Baseline:
 
     Attributes
     ----------
-    split : the records as they are judged, spoilt samples marked missing and a wrong sign negated.
+    split : the records as they are judged, with corrupted samples missing and a wrong sign negated.
     recorded : the same with the sign as it was recorded.
     fit : simulation-error fit to `split`.
     reported_fit : the same to `recorded`.
     start : the model under the noise found there.
     channels : recorded beside the model's, on which causes may depend, name -> unit.
-    spoilt : samples left out.
+    corrupted : samples left out.
     negated : a channel that probably has the wrong sign.
     why_undecided : why the records support no answer, or an empty text.
     """
@@ -53,7 +53,7 @@ class Baseline:
     start: Weighted
     weighing: Weighing
     channels: dict[str, str]
-    spoilt: Spoilt = Spoilt()
+    corrupted: CorruptedSamples = CorruptedSamples()
     negated: WrongSign | None = None
     why_undecided: str = ""
     notes: tuple[str, ...] = ()
@@ -79,9 +79,11 @@ def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) ->
         as_recorded = _fit_as_recorded(problem, split, settings.fit, negated)
         split = negated_split(split, negated.channel)
     fit = fit_model(problem.model, split.fitted, settings.fit, throw=False)
-    spoilt, split = without_spoilt(fit, split, settings.alpha, without=tuple(settings.without))
-    if spoilt.count:
-        say(f"leave out {spoilt.count} clipped samples or outliers and fit again")
+    corrupted, split = without_corrupted(
+        fit, split, settings.alpha, without=tuple(settings.without)
+    )
+    if corrupted.count:
+        say(f"leave out {corrupted.count} clipped samples or outliers and fit again")
         fit = fit_model(problem.model, split.fitted, settings.fit, start=fit.values)
     channels, notes = channels_held_out_too(recorded_beside(problem, split.fitted), split.apart)
     weighing = Weighing(
@@ -103,7 +105,7 @@ def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) ->
         start=start,
         weighing=weighing,
         channels=channels,
-        spoilt=spoilt,
+        corrupted=corrupted,
         negated=negated,
         why_undecided=undecided,
         notes=notes,

@@ -165,9 +165,9 @@ def residual_tests(
         whitened, [criterion.simulated(x, k).y for k in range(len(criterion.data))]
     )
     p_time = min(1.0, 3 * min(p_mean, p_power, p_amplitude))
-    share_told = correlated.share if correlated is not None else 0.0
+    share = correlated.share if correlated is not None else 0.0
     return ResidualTests(
-        verdict=_verdict(p_spectrum, p_dependence, p_time, share_told, alpha),
+        verdict=_verdict(p_spectrum, p_dependence, p_time, share, alpha),
         p_spectrum=p_spectrum,
         p_dependence=p_dependence,
         p_time=p_time,

@@ -27,11 +27,11 @@ def causes_of(found: Findings, estimate: Estimate) -> list[Cause]:
     scale = {o: weights[outputs.index(o)] ** 2 / 2 for o in outputs}
     # Few and small spikes are left out of the fit, but are nothing that a user would miss.
     least = JUDGING.small_outliers * fit.solution.value
-    spoilt = found.baseline.spoilt
-    spikes = [s for s in spoilt.spikes if s.energy * scale[s.channel] > least]
+    corrupted = found.baseline.corrupted
+    spikes = [s for s in corrupted.spikes if s.energy * scale[s.channel] > least]
     samples = [(s.energy * scale[s.channel], _outliers(found.search, s)) for s in spikes]
     samples += [  # a fact, however little it cuts off
-        (c.energy * scale[c.channel], _saturation(found.search, c)) for c in spoilt.plateaus
+        (c.energy * scale[c.channel], _saturation(found.search, c)) for c in corrupted.plateaus
     ]
     losses = contributions_of(found.search.weighing, found.adopted, fit)
     effects = [_adopted(found, a, estimate) for a in found.adopted]

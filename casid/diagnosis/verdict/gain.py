@@ -116,7 +116,7 @@ def errors_of(found: Findings) -> tuple[Errors, Errors]:
     reference, clipped = (best_fit, limits) if base.negated is None else (base_fit, {})
     fitted = {"baseline_rmse": rmse(base_fit, reference, base.recorded, clipped, held=False)}
     held = {"baseline_rmse": rmse(base_fit, reference, base.recorded, clipped, held=True)}
-    if found.extended_fit is not None or base.spoilt.count:
+    if found.extended_fit is not None or base.corrupted.count:
         fitted["extended_rmse"] = rmse(best_fit, best_fit, base.split, limits, held=False)
         held["extended_rmse"] = rmse(best_fit, best_fit, base.split, limits, held=True)
     fitted["noise_floor"] = held["noise_floor"] = noise_floor(found.at)

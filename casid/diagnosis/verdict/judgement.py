@@ -23,16 +23,19 @@ from casid.diagnosis.verdict.open_set import (
     Remainder,
     described,
     tested_remainder,
-    with_the_open_rival,
     with_the_unknown,
+    with_the_unnamed_alternative,
 )
 from casid.diagnosis.verdict.ranking import ranking
 from casid.diagnosis.verdict.remainder import Moved, Remaining, moved_parameters, what_remains
 from casid.diagnosis.verdict.sentences import verdict_sentence
-from casid.diagnosis.verdict.unnamed_rivals import open_rivals
+from casid.diagnosis.verdict.unnamed_alternatives import unnamed_alternatives
 from casid.estimation.estimate import Estimate, RecordView
 from casid.estimation.holdout import validation
-from casid.estimation.simulation.simulation_estimate import estimate_of, standing_channels
+from casid.estimation.simulation.simulation_estimate import (
+    estimate_of,
+    stuck_channel_notes,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,20 +129,20 @@ def _compared_with_functions(
         return causes, remainder
     found.search.progress("compare the causes with functions outside the catalogue")
     start = found.baseline.start
-    rivals = open_rivals(found.search, start, found.at, found.adopted)
+    rivals = unnamed_alternatives(found.search, start, found.at, found.adopted)
     if not rivals:
         return causes, remainder
     best = rivals[0]
     if not best.is_better:
-        return with_the_open_rival(causes, best), remainder
+        return with_the_unnamed_alternative(causes, best), remainder
     whole = described(start, found.search, remainder.level, remainder.p_value)
-    return with_the_open_rival(causes, best, whole), whole
+    return with_the_unnamed_alternative(causes, best, whole), whole
 
 
 def notes_on(problem: Problem, found: Findings) -> tuple[str, ...]:
     """Notes that qualify a diagnosis."""
     search, base, negated = found.search, found.baseline, found.baseline.negated
-    notes = standing_channels(problem.model, [*base.recorded.whole, *base.recorded.apart])
+    notes = stuck_channel_notes(problem.model, [*base.recorded.whole, *base.recorded.apart])
     notes += base.notes
     if not base.why_undecided:
         notes += weak_parameters(found.at, partial(std_error, found.at.fit))

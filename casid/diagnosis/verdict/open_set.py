@@ -21,7 +21,7 @@ from casid.diagnosis.thresholds import JUDGING, ROUNDS
 from casid.diagnosis.unexplained.description import Unexplained, unexplained
 from casid.diagnosis.verdict.cause import Alternative, Cause
 from casid.diagnosis.verdict.remainder import Remaining
-from casid.diagnosis.verdict.unnamed_rivals import OpenRival
+from casid.diagnosis.verdict.unnamed_alternatives import UnnamedAlternative
 from casid.model.effects.effect import OF_SAMPLES
 
 
@@ -59,8 +59,8 @@ def _description(at: Weighted, search: Search, level: float) -> Unexplained | No
     return found if found.is_something else None
 
 
-def with_the_open_rival(
-    causes: Sequence[Cause], rival: OpenRival, remainder: Remainder | None = None
+def with_the_unnamed_alternative(
+    causes: Sequence[Cause], rival: UnnamedAlternative, remainder: Remainder | None = None
 ) -> list[Cause]:
     """The causes with an unnamed function among the alternatives of the first, or before them.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.problem import Problem
-from casid.data.quality import standing
+from casid.data.quality import stuck_channels
 from casid.data.record import Experiment
 from casid.estimation.estimate import Agreement, Estimate, Estimated
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver_evidence
@@ -36,13 +36,13 @@ ASSUMES = (
 )
 
 
-def standing_channels(model: Model, experiments: Sequence[Experiment]) -> list[str]:
+def stuck_channel_notes(model: Model, experiments: Sequence[Experiment]) -> list[str]:
     """Warnings of channels that are constant or at a limit, inputs for a tenth of the record."""
     return [
         f"{e.name}: {f.channel}: {f.text} {f.remedy}"
         for e in experiments
         for channels, least in ((model.inputs, 0.1), (model.outputs, 0.0))
-        for f in standing(e.record, channels, least=least)
+        for f in stuck_channels(e.record, channels, least=least)
     ]
 
 

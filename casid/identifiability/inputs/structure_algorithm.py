@@ -31,7 +31,7 @@ from casid.identifiability.inputs.signals import (
 Expr = Any  # a CasADi SX expression
 
 MAX_NODES = 20_000
-"""Derivatives larger than this are refused: the rank would take minutes (see `unknown_jets`)."""
+"""Derivatives larger than this are refused: the rank would take minutes (`input_derivatives`)."""
 
 
 def written(output: str, order: int) -> str:
@@ -186,8 +186,8 @@ class StructureAlgorithm:
             raise IdentifiabilityError(
                 f"{self.system.name}: {written(row.output, row.order)} has more than {MAX_NODES} "
                 f"operations and {', '.join(self.names.values())} are not eliminated yet; use "
-                "observability_by_jets, which writes no derivatives down, or add an output that "
-                "the unknown input affects in a lower derivative"
+                "observability_by_counting, which writes no derivatives down, or add an output "
+                "that the unknown input affects in a lower derivative"
             )
 
     def eliminate(self, row: Row, w: str) -> None:

@@ -18,7 +18,6 @@ from casid.model.effects.channel_effects import (
     sensor_bias,
     time_delay,
 )
-from casid.model.effects.decoys import decoys, is_positive, power_law
 from casid.model.effects.effect import Effect, Sizes
 from casid.model.effects.parameter_effects import (
     jump_times,
@@ -27,6 +26,7 @@ from casid.model.effects.parameter_effects import (
     scheduled_parameter,
 )
 from casid.model.effects.structure_effects import missing_modes_of, structure_effects_of
+from casid.model.effects.unnamed_effects import is_positive, power_law, unnamed_effects
 from casid.model.model import Model
 
 
@@ -66,7 +66,7 @@ def catalogue(
             play = deadzone(model, balance, width, largest)
             effects += [play] if play is not None else []
         effects.append(offset(model, balance))
-        effects += decoys(model, balance, speed)
+        effects += unnamed_effects(model, balance, speed)
         effects += [extra_input(model, balance, c, u) for c, u in recorded.items()]
     for state, ends in sizes.ranges.items():
         law = power_law(model, state, sizes.rates[state]) if is_positive(ends) else None

@@ -94,13 +94,13 @@ def _check_null(model: Model, effect: Effect) -> None:
         good = np.isfinite(b)
         if not np.all(np.isfinite(a[good])):
             raise ModelError(
-                f"{name}: the extended model is not finite at {_told(own, values)}, where it must "
-                "be the model; round what divides by zero or takes the root of it"
+                f"{name}: the extended model is not finite at {_values_text(own, values)}, where "
+                "it must be the model; round what divides by zero or takes the root of it"
             )
         gap = np.abs(a - b)[good] / (1.0 + np.abs(b[good]))
         if np.max(gap, initial=0.0) > 1e-9:
             raise ModelError(
-                f"{name}: at {_told(own, values)} the extended model is not the model (its "
+                f"{name}: at {_values_text(own, values)} the extended model is not the model (its "
                 f"equations differ by {np.max(gap):.2g}), so there is no null value to test; "
                 f"multiply what is added by {effect.parameters[0].name}, or give null="
             )
@@ -128,5 +128,5 @@ def _is_ours(effect: Effect) -> bool:
     return maker.startswith("casid.model.effects.") and maker != "casid.model.effects.user_effects"
 
 
-def _told(names: Sequence[str], values: Sequence[float]) -> str:
+def _values_text(names: Sequence[str], values: Sequence[float]) -> str:
     return ", ".join(f"{n} = {v:g}" for n, v in zip(names, values, strict=True))

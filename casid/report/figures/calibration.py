@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
-from casid.report.figures.look import AFTER, BEFORE, MEASURED, visible_text
 from casid.report.figures.panels import Panels
+from casid.report.figures.style import AFTER, BEFORE, MEASURED, visible_text
 
 
 def calibration_figure(result: Calibration) -> Any:

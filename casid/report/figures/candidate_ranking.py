@@ -8,8 +8,8 @@ from typing import Any
 
 from casid.arrays import TINY
 from casid.diagnosis.diagnosis import Diagnosis, Ranked
-from casid.report.figures.look import AFTER, figure_text, visible_text
 from casid.report.figures.panels import Panels
+from casid.report.figures.style import AFTER, figure_text, visible_text
 from casid.report.numbers import p_text
 
 _SHOWN_CANDIDATES = 15

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casid.report.figures.look import figure_text
+from casid.report.figures.style import figure_text
 from casid.unknown_inputs.limits.decision_map import REGIONS, DecisionMap
 
 _COLOURS = ("#f2f2f2", "#E69F00", "#56B4E9", "#009E73")

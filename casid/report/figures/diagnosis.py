@@ -10,13 +10,13 @@ from casid.diagnosis.diagnosis import Diagnosis
 from casid.diagnosis.unexplained.description import Unexplained
 from casid.report.figures.candidate_ranking import ranking_figure
 from casid.report.figures.estimates import parameter_figure
-from casid.report.figures.look import AFTER, BEFORE, FLOOR, axis_text, figure_text, visible_text
 from casid.report.figures.misfit_shares import remaining_figure
 from casid.report.figures.moved_parameters import moved_figure
 from casid.report.figures.panels import Panels
 from casid.report.figures.residuals import residual_against_figure, residual_spectrum_figure
 from casid.report.figures.simulated import residual_time_figure, simulation_figure
 from casid.report.figures.sizes_by_record import by_record_figure
+from casid.report.figures.style import AFTER, BEFORE, FLOOR, axis_text, figure_text, visible_text
 
 
 def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from casid.estimation.estimate import Estimate, Estimated
-from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text, visible_text
 from casid.report.figures.panels import Panels
+from casid.report.figures.style import AFTER, BEFORE, FLOOR, MEASURED, figure_text, visible_text
 
 
 def estimate_figure(estimate: Estimate) -> Any:

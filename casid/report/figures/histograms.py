@@ -10,8 +10,8 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.campaigns.monte_carlo import Accuracy, MonteCarlo
-from casid.report.figures.look import AFTER, BEFORE, MEASURED, axis_text, hover_text, visible_text
 from casid.report.figures.panels import Panels
+from casid.report.figures.style import AFTER, BEFORE, MEASURED, axis_text, hover_text, visible_text
 
 
 def histogram_figure(result: MonteCarlo) -> Any:

@@ -16,8 +16,8 @@ from casid.identifiability.records.practical_result import (
     Practical,
 )
 from casid.identifiability.records.profile_likelihood import Profiles
-from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text, visible_text
 from casid.report.figures.panels import Panels
+from casid.report.figures.style import AFTER, BEFORE, FLOOR, MEASURED, figure_text, visible_text
 
 _COLOURS = {WELL: FLOOR, POOR: BEFORE, UNDETERMINED: "#5f6073", UNJUDGED: MEASURED}
 

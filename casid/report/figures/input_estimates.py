@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text
+from casid.report.figures.style import AFTER, BEFORE, FLOOR, MEASURED, figure_text
 from casid.report.figures.thinning import thinned
 from casid.unknown_inputs.observers.input_estimate import InputEstimate
 from casid.unknown_inputs.observers.noncausal_inverse import NoncausalInverse

@@ -10,8 +10,8 @@ from scipy.spatial.distance import squareform
 
 from casid.arrays import Array
 from casid.diagnosis.advice.isolability import Isolability
-from casid.report.figures.look import AFTER, BEFORE, figure_text
 from casid.report.figures.panels import Panels
+from casid.report.figures.style import AFTER, BEFORE, figure_text
 
 _SHOWN = 24
 _COLOUR_BAR = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from casid.diagnosis.verdict.remainder import Remaining
-from casid.report.figures.look import AFTER, BEFORE, figure_text
 from casid.report.figures.panels import Panels
+from casid.report.figures.style import AFTER, BEFORE, figure_text
 
 
 def remaining_figure(remaining: Remaining) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
-from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text
+from casid.report.figures.style import AFTER, BEFORE, FLOOR, MEASURED, figure_text
 from casid.unknown_inputs.networks.estimation.module_estimate import ModuleEstimate
 from casid.unknown_inputs.networks.nodes import edge_label
 

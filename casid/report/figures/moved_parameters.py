@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from casid.diagnosis.verdict.remainder import Moved
-from casid.report.figures.look import AFTER, BEFORE, MEASURED, figure_text, visible_text
 from casid.report.figures.panels import Panels
+from casid.report.figures.style import AFTER, BEFORE, MEASURED, figure_text, visible_text
 
 _SHOWN = 8
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from casid.estimation.estimate import RecordView
-from casid.report.figures.look import FONT, figure_text
 from casid.report.figures.record_views import part_shapes, time_range
+from casid.report.figures.style import FONT, figure_text
 
 _AXIS: dict[str, Any] = {
     "title_font": {"size": 13},

@@ -7,7 +7,7 @@ from typing import Any
 
 from casid.identifiability.records.profile_result import Profiles
 from casid.identification.profile_interval import Profile
-from casid.report.figures.look import AFTER, BEFORE, figure_text, visible_text
+from casid.report.figures.style import AFTER, BEFORE, figure_text, visible_text
 
 
 def profiles_figure(profiles: Profiles) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.estimate import RecordView
-from casid.report.figures.look import AFTER, BEFORE, visible_text
+from casid.report.figures.style import AFTER, BEFORE, visible_text
 
 _HELD_OUT = "rgba(86,180,233,0.13)"
 

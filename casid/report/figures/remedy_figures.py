@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.report.figures.look import AFTER, BEFORE, FLOOR, MEASURED, figure_text
+from casid.report.figures.style import AFTER, BEFORE, FLOOR, MEASURED, figure_text
 from casid.unknown_inputs.limits.comparison import Comparison
 
 KIND_COLOURS = {

@@ -10,9 +10,9 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.estimate import RecordView
-from casid.report.figures.look import FLOOR, axis_text, hover_text, translucent
 from casid.report.figures.panels import Panels
 from casid.report.figures.record_views import checked, finite, of_records, residual, simulations
+from casid.report.figures.style import FLOOR, axis_text, hover_text, translucent
 from casid.report.figures.thinning import MOST_POINTS, POINTS, thinned
 
 _SCATTER_POINTS = 800

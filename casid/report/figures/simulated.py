@@ -10,7 +10,6 @@ import numpy as np
 from casid.arrays import Array
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.estimation.estimate import RecordView
-from casid.report.figures.look import MEASURED, axis_text, hover_text
 from casid.report.figures.panels import Panels
 from casid.report.figures.record_views import (
     checked,
@@ -20,6 +19,7 @@ from casid.report.figures.record_views import (
     simulations,
     time_range,
 )
+from casid.report.figures.style import MEASURED, axis_text, hover_text
 from casid.report.figures.thinning import points_a_trace, thinned, thinning_note
 
 _LEFT_OUT = "#CC79A7"

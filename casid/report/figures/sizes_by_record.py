@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 from casid.diagnosis.diagnosis import Cause
-from casid.report.figures.look import AFTER, MEASURED, axis_text, figure_text, visible_text
 from casid.report.figures.panels import Panels
+from casid.report.figures.style import AFTER, MEASURED, axis_text, figure_text, visible_text
 
 
 def by_record_figure(cause: Cause) -> Any:

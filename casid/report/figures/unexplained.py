@@ -9,7 +9,8 @@ import numpy as np
 from casid.diagnosis.unexplained.description import Unexplained
 from casid.diagnosis.unexplained.missing_force import MissingForce
 from casid.diagnosis.unexplained.smoothed_force import SmoothedForce
-from casid.report.figures.look import (
+from casid.report.figures.panels import Panels
+from casid.report.figures.style import (
     AFTER,
     BEFORE,
     FLOOR,
@@ -18,7 +19,6 @@ from casid.report.figures.look import (
     figure_text,
     translucent,
 )
-from casid.report.figures.panels import Panels
 from casid.report.figures.thinning import thinned
 
 _POINTS = 3000

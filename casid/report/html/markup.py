@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Iterable
 
-from casid.report.figures.look import visible_text
+from casid.report.figures.style import visible_text
 
 
 class Html(str):

@@ -14,7 +14,7 @@ import json
 from typing import Any
 
 from casid.report.document import Document, Figure, Section
-from casid.report.figures.look import visible_text
+from casid.report.figures.style import visible_text
 from casid.report.html.drawing import DRAW
 from casid.report.html.markup import Html, element, join
 from casid.report.html.parts import Renderer, inline

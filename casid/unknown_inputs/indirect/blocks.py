@@ -100,7 +100,7 @@ def unstable_poles(matrix: RationalMatrix) -> tuple[Root, ...]:
     return tuple(found)
 
 
-def loudness(matrix: RationalMatrix, weights: Array | None = None) -> float:
+def noise_gain(matrix: RationalMatrix, weights: Array | None = None) -> float:
     """Root mean square over the frequencies of what white noise of size one does through it.
 
     `weights` : (columns,) standard deviations instead of one.

@@ -2,7 +2,7 @@
 
 A square matrix has one inverse. A tall one has many: inverses of square selections of its rows are
 tried first, the quietest of those that are proper and stable is taken, and where none is, a free
-observer gain (`casid.unknown_inputs.indirect.free_gain`) finds one if no zero prevents it.
+observer gain (`casid.unknown_inputs.indirect.observer_inverse`) finds one if no zero prevents it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from casid.unknown_inputs.indirect.blocks import (
     identity,
     is_stable,
     lies_outside,
-    loudness,
+    noise_gain,
     same,
     unstable_poles,
     zeros,
 )
-from casid.unknown_inputs.indirect.free_gain import free_gain_inverse
+from casid.unknown_inputs.indirect.observer_inverse import observer_inverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +166,7 @@ def left_inverse(
         f, how = (proper or candidates)[0]
         return LeftInverse(G, f, how, None)
     if m > n and not any(f.is_proper and is_stable(f) for f, _ in candidates):
-        free = free_gain_inverse(G)
+        free = observer_inverse(G)
         if free is not None:
             candidates.insert(0, (free, "all measurements, with a free gain"))
     if seen_through is None or 0 in seen_through.shape:
@@ -205,7 +205,7 @@ def _grade_of(
         M = of(f)
         ahead, stable = excess(M), is_stable(M)
         kind = 0 if not ahead and stable else 1 if stable or not ahead else 2
-        return kind, ahead, loudness(M) if kind == 0 else 0.0
+        return kind, ahead, noise_gain(M) if kind == 0 else 0.0
 
     return grade
 

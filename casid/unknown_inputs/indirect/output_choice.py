@@ -18,7 +18,7 @@ import numpy as np
 
 from casid.algebra.transfer_matrix import RationalMatrix, transfer_matrix
 from casid.errors import ModelError, nearest
-from casid.unknown_inputs.indirect.blocks import loudness
+from casid.unknown_inputs.indirect.blocks import noise_gain
 from casid.unknown_inputs.indirect.direct_model import direct_model
 from casid.unknown_inputs.indirect.indirect_model import IndirectModel, indirect_model
 
@@ -206,8 +206,8 @@ def _form(
     amplification = float("inf")
     weights = np.array(sd)
     if not model.matrix.parameters and not model.obstacles:
-        own = loudness(model.direct.H_O, weights)
-        error = loudness(model.H_O, weights)
+        own = noise_gain(model.direct.H_O, weights)
+        error = noise_gain(model.H_O, weights)
         amplification = error / own if own > 0 else float("inf") if error > 0 else 0.0
     return Form(
         tuple(names[i] for i in inputs), tuple(names[i] for i in outputs), model, amplification

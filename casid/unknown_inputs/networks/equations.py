@@ -30,7 +30,7 @@ class Field:
 
     Attributes
     ----------
-    name : "symbolic", "exact", "frequencies" or "residues".
+    name : "symbolic", "exact", "frequencies" or "modular".
     one : its unit.
     is_zero : whether an element vanishes; over frequencies nothing computed counts as zero.
     read : a `Rational` as an element.

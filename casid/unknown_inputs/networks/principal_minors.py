@@ -12,8 +12,8 @@ from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
+from casid.algebra.modular_integer import PRIME
 from casid.unknown_inputs.networks.nodes import Edge, Node
-from casid.unknown_inputs.networks.residues import PRIME
 
 if TYPE_CHECKING:
     import networkx

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from casid.algebra.modular_integer import PRIME, ModularInteger
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
 from casid.unknown_inputs.networks.equations import Field, NodeEquations, equations_over
 from casid.unknown_inputs.networks.network import Network
-from casid.unknown_inputs.networks.residues import PRIME, Residue
 
 
 def random_equations(network: Network, seed: int) -> NodeEquations:
@@ -36,11 +36,11 @@ def random_equations(network: Network, seed: int) -> NodeEquations:
             total = (total * q + c.numerator * pow(c.denominator, -1, PRIME)) % PRIME
         return total
 
-    def read(g: Rational) -> Residue:
+    def read(g: Rational) -> ModularInteger:
         g = g.substitute(values)
-        return Residue(polynomial(g.numerator)) / Residue(polynomial(g.denominator))
+        return ModularInteger(polynomial(g.numerator)) / ModularInteger(polynomial(g.denominator))
 
-    field = Field("residues", Residue(1), lambda x: x.value == 0, read, lambda x: x)
+    field = Field("modular", ModularInteger(1), lambda x: x.value == 0, read, lambda x: x)
     return equations_over(network, field)
 
 

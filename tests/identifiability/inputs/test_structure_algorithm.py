@@ -16,7 +16,7 @@ from casid.identifiability.equations.system import System
 from casid.identifiability.inputs import structure_algorithm
 from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
 from casid.identifiability.inputs.experiments import merge, replicas, systems_by_class
-from casid.identifiability.inputs.unknown_jets import observability_by_jets
+from casid.identifiability.inputs.input_derivatives import observability_by_counting
 from casid.identifiability.rank.observability import observability, rank_at
 from problems import pendulum
 from tests.support.shared import shared
@@ -124,7 +124,7 @@ def test_replicas_with_own_unknown_inputs_tell_nothing_new():
 
 
 def test_elimination_and_counting_derivatives_agree_on_random_systems():
-    """Two certificates that have the engine in common and nothing else (see `unknown_jets`)."""
+    """Two certificates that have the engine in common and nothing else (`input_derivatives`)."""
     rng = np.random.default_rng(20)
     terms = "x1 x2 x3 x1*x2 k1*x1 k2*x2 k1*x3 w1 x1*w1 w2 k1*w1 k2*w2 w1^2 u u*x2 w1*w2 k2".split()
     seen = "x1 x2 x3 x1+x2 k1*x1 x1*x2 x1+w1 x2+k2*w1 x1+w1+w2".split()
@@ -140,7 +140,7 @@ def test_elimination_and_counting_derivatives_agree_on_random_systems():
         )
         elimination = eliminate_unknown_inputs(system)
         certified = observability(elimination.system)
-        counted = observability_by_jets(system)
+        counted = observability_by_counting(system)
         where = f"{equations}, {outputs}"
         assert dict(certified.identifiable) == dict(counted.identifiable), where
         for x in system.states:
@@ -154,7 +154,7 @@ def test_elimination_and_counting_derivatives_agree_on_random_systems():
 
 
 def test_counting_derivatives_says_how_sure_it_is():
-    result = observability_by_jets(mass_damper())
+    result = observability_by_counting(mass_damper())
     assert (result.rank, result.unknowns) == (1, 3)
     assert 0.0 < result.error_bound <= 1e-12
     assert result.is_certified
@@ -165,8 +165,8 @@ def test_counting_derivatives_says_how_sure_it_is():
 
 def test_counting_derivatives_of_own_and_of_shared_forces():
     experiments = (mass_damper(), mass_damper("dm"))
-    assert not any(observability_by_jets(experiments).identifiable.values())
-    assert all(observability_by_jets(merge(experiments, shared=["w"])).identifiable.values())
+    assert not any(observability_by_counting(experiments).identifiable.values())
+    assert all(observability_by_counting(merge(experiments, shared=["w"])).identifiable.values())
 
 
 def test_counting_derivatives_reaches_where_they_are_too_large_to_write_down():
@@ -179,15 +179,15 @@ def test_counting_derivatives_reaches_where_they_are_too_large_to_write_down():
     equations[f"x{n}"] = f"-k{n}*x{n}^2 + w + x1"
     params = [f"k{i}" for i in range(1, n + 1)]
     system = system_of(equations, {"y": "x1"}, params=params, unknown=["w"])
-    with pytest.raises(IdentifiabilityError, match="observability_by_jets"):
+    with pytest.raises(IdentifiabilityError, match="observability_by_counting"):
         eliminate_unknown_inputs(system)
-    result = observability_by_jets(system)
+    result = observability_by_counting(system)
     assert (result.rank, result.unknowns) == (n, 2 * n)
     assert [x for x, told in result.observable[0].items() if told] == ["x1"]
 
 
 def test_counting_that_runs_out_of_time_says_so():
-    result = observability_by_jets(mass_damper(), time_limit=0.0)
+    result = observability_by_counting(mass_damper(), time_limit=0.0)
     assert result.is_partial
     assert np.isnan(result.error_bound)
 
@@ -431,5 +431,5 @@ def test_derivatives_that_grow_beyond_bounds_are_refused(monkeypatch):
     system = system_of(
         {"x": "-k*x^2 + q", "q": "w - k*q*x"}, {"y": "x"}, params=["k"], unknown=["w"]
     )
-    with pytest.raises(IdentifiabilityError, match="use observability_by_jets"):
+    with pytest.raises(IdentifiabilityError, match="use observability_by_counting"):
         eliminate_unknown_inputs(system)

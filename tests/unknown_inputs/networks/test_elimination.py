@@ -10,7 +10,7 @@ import sympy
 
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
-from casid.report.figures.ring_figure import ring_figure
+from casid.report.figures.elimination_figure import elimination_figure
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import node_equations
 from casid.unknown_inputs.networks.indirect_equations import (
@@ -22,7 +22,7 @@ from casid.unknown_inputs.networks.indirect_equations import (
 from casid.unknown_inputs.networks.network import dynamic_network
 from casid.unknown_inputs.networks.node_recovery import recoverable, recovery_filters
 from casid.unknown_inputs.networks.node_sets import node_sets
-from casid.unknown_inputs.networks.rings import eliminate_recursively
+from casid.unknown_inputs.networks.recursive_elimination import eliminate_recursively
 from problems import network8
 from tests.support.network_blocks import PARTS, blocks, column, signals, usable
 
@@ -270,25 +270,25 @@ def chain(rings: int):
 def test_rings_are_eliminated_until_no_unobserved_node_is_left_and_the_model_grows():
     """Figure 4.2: each ring brings in one more measured node and one more module."""
     found = eliminate_recursively(chain(4), "j")
-    assert [r.eliminated for r in found.rings] == [(), ("u1",), ("u2",), ("u3",), ("u4",)]
-    assert [r.by for r in found.rings] == [(), ("a1",), ("a2",), ("a3",), ("a4",)]
-    assert found.rings[-1].unobserved == ()
+    assert [r.eliminated for r in found.steps] == [(), ("u1",), ("u2",), ("u3",), ("u4",)]
+    assert [r.by for r in found.steps] == [(), ("a1",), ("a2",), ("a3",), ("a4",)]
+    assert found.steps[-1].unobserved == ()
     assert found.immersed == ()
-    assert [len(r.involved) for r in found.rings] == [1, 2, 3, 4, 5]
-    degrees = [r.degree for r in found.rings]
+    assert [len(r.involved) for r in found.steps] == [1, 2, 3, 4, 5]
+    degrees = [r.degree for r in found.steps]
     assert degrees == sorted(degrees)
-    assert set(found.rings[-1].inputs) == {"a1", "a2", "a3", "a4"}
+    assert set(found.steps[-1].inputs) == {"a1", "a2", "a3", "a4"}
     # tau of unknown nodes is in none of it
-    assert not {n for n in found.rings[-1].externals if n.startswith("u")}
+    assert not {n for n in found.steps[-1].externals if n.startswith("u")}
 
 
 def test_the_figure_of_rings_shows_how_the_model_grows():
     found = eliminate_recursively(chain(3), "j")
-    drawn = {trace.name: list(trace.y) for trace in ring_figure(found).data}
+    drawn = {trace.name: list(trace.y) for trace in elimination_figure(found).data}
     assert drawn["nodes involved"] == [1, 2, 3, 4]
     assert drawn["unobserved nodes"] == [1, 1, 1, 0]
-    assert drawn["McMillan degree"] == [r.degree for r in found.rings]
-    symbolic = ring_figure(eliminate_recursively(SYMBOLIC, 2))
+    assert drawn["McMillan degree"] == [r.degree for r in found.steps]
+    symbolic = elimination_figure(eliminate_recursively(SYMBOLIC, 2))
     assert "McMillan degree" not in {trace.name for trace in symbolic.data}
 
 
@@ -296,17 +296,17 @@ def test_recursion_ends_by_immersing_what_no_measurement_is_left_for():
     network = chain(3).with_sensors(["j", "a1", "a2"])
     found = eliminate_recursively(network, "j")
     assert found.immersed == ("u3",)
-    assert found.rings[-1].by == ()
+    assert found.steps[-1].by == ()
     assert "a sensor on a node that they act on would" in str(found)
-    assert "u3" in found.rings[-1].externals
+    assert "u3" in found.steps[-1].externals
 
 
 def test_recursion_on_the_eight_nodes_ends_after_one_ring_at_4_31():
     found = eliminate_recursively(network8.network, 2)
-    assert [r.eliminated for r in found.rings] == [(), (5,)]
-    assert found.rings[1].inputs == (1, 3, 4)
-    assert found.rings[1].degree == 4  # poles 0.91, 0.53, 0.89 and that of G41
-    assert eliminate_recursively(SYMBOLIC, 2).rings[1].degree is None
+    assert [r.eliminated for r in found.steps] == [(), (5,)]
+    assert found.steps[1].inputs == (1, 3, 4)
+    assert found.steps[1].degree == 4  # poles 0.91, 0.53, 0.89 and that of G41
+    assert eliminate_recursively(SYMBOLIC, 2).steps[1].degree is None
 
 
 # -- refusals ----------------------------------------------------------------------------------

@@ -7,13 +7,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from casid.algebra.modular_integer import PRIME, ModularInteger
 from casid.unknown_inputs.networks.confounders import confounders
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import node_equations
 from casid.unknown_inputs.networks.graph import network_readers
 from casid.unknown_inputs.networks.propositions import open_path
 from casid.unknown_inputs.networks.random_equations import random_equations
-from casid.unknown_inputs.networks.residues import PRIME, Residue
 from casid.unknown_inputs.networks.separators import disjoint_open_paths
 from tests.support.network_samples import point, random_network
 
@@ -40,7 +40,7 @@ def test_residues_compute_as_fractions_do():
     rng = np.random.default_rng(3)
     for _ in range(20):
         a, b, c = (int(x) for x in rng.integers(1, 10**6, 3))
-        x, y, z = Residue(a), Residue(b), Residue(c)
+        x, y, z = ModularInteger(a), ModularInteger(b), ModularInteger(c)
         left = (x / y + z) * y - x
         assert left.value == b * c % PRIME
         assert ((-x) + x).value == 0

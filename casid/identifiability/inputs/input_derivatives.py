@@ -31,7 +31,7 @@ from casid.identifiability.rank.observability import RankEvaluation
 from casid.identifiability.rank.rank_result import Observability, PointRank
 
 
-def observability_by_jets(
+def observability_by_counting(
     systems: System | Sequence[System],
     *,
     seed: int = 0,

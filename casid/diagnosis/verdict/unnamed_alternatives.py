@@ -28,7 +28,7 @@ from casid.diagnosis.verdict.cause import Alternative
 
 
 @dataclass(frozen=True, slots=True)
-class OpenRival:
+class UnnamedAlternative:
     """A function of what is known, in one place."""
 
     place: str  # balance or output
@@ -53,12 +53,12 @@ class OpenRival:
         )
 
 
-def open_rivals(
+def unnamed_alternatives(
     search: Search,
     start: Weighted,
     at: Weighted,
     adopted: Sequence[Adopted],
-) -> tuple[OpenRival, ...]:
+) -> tuple[UnnamedAlternative, ...]:
     """Functions that the record cannot reject against the causes together, best first.
 
     None where the noise model absorbs misfit: (1) is no likelihood there; the remainder decides.
@@ -91,5 +91,5 @@ def open_rivals(
         for name, (gain, by, alone) in near[place].items():
             own = float(beside[name] / alone)
             if own > JUDGING.expressed:
-                found.append(OpenRival(place, name, gain, by, own))
+                found.append(UnnamedAlternative(place, name, gain, by, own))
     return tuple(sorted(found, key=lambda r: -r.ahead))

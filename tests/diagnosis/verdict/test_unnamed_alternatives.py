@@ -15,8 +15,8 @@ import casid
 from casid.diagnosis.diagnosis import Cause
 from casid.diagnosis.evidence.candidate_functions import functions_of
 from casid.diagnosis.thresholds import COMPARISON
-from casid.diagnosis.verdict.open_set import with_the_open_rival
-from casid.diagnosis.verdict.unnamed_rivals import OpenRival
+from casid.diagnosis.verdict.open_set import with_the_unnamed_alternative
+from casid.diagnosis.verdict.unnamed_alternatives import UnnamedAlternative
 from casid.errors import ModelError
 from casid.model.effects.balance_effects import extra_input
 from casid.model.effects.effect import KINDS
@@ -70,8 +70,10 @@ CAUSE = Cause("parameter_jump", "k", 1e-6, (), share=1.0, sentence="k jumps")
 
 
 def test_a_function_as_good_as_the_cause_is_one_of_its_alternatives():
-    rival = OpenRival("torque", "phi growing in time", gain=50.0, ahead=COMPARISON.strong, own=0.2)
-    (cause,) = with_the_open_rival([CAUSE], rival)
+    rival = UnnamedAlternative(
+        "torque", "phi growing in time", gain=50.0, ahead=COMPARISON.strong, own=0.2
+    )
+    (cause,) = with_the_unnamed_alternative([CAUSE], rival)
     assert cause.kind == "parameter_jump"
     (other,) = cause.alternatives
     assert (other.kind, other.where) == ("unknown", "torque")
@@ -79,10 +81,10 @@ def test_a_function_as_good_as_the_cause_is_one_of_its_alternatives():
 
 
 def test_a_function_better_than_the_cause_takes_its_place():
-    rival = OpenRival(
+    rival = UnnamedAlternative(
         "torque", "phi growing in time", gain=50.0, ahead=COMPARISON.strong + 1, own=0.2
     )
-    (cause,) = with_the_open_rival([CAUSE], rival)
+    (cause,) = with_the_unnamed_alternative([CAUSE], rival)
     assert (cause.kind, cause.where) == ("unknown", "torque")
     assert [(a.kind, a.where) for a in cause.alternatives] == [("parameter_jump", "k")]
     assert "phi growing in time" in cause.sentence
@@ -90,10 +92,10 @@ def test_a_function_better_than_the_cause_takes_its_place():
 
 def test_what_was_spoilt_stays_beside_the_function():
     outliers = Cause("outliers", "gyro", 1e-6, (), share=0.1, sentence="outliers in gyro")
-    rival = OpenRival(
+    rival = UnnamedAlternative(
         "torque", "phi growing in time", gain=50.0, ahead=COMPARISON.strong + 1, own=0.2
     )
-    assert with_the_open_rival([CAUSE, outliers], rival)[1:] == [outliers]
+    assert with_the_unnamed_alternative([CAUSE, outliers], rival)[1:] == [outliers]
 
 
 def test_functions_are_evaluated_as_they_are_named():

@@ -23,7 +23,7 @@ PRIORITY = 3
 """Of a named effect and one without a name that do the same, the named one is reported."""
 
 
-def decoys(model: Model, balance: str, speed: float) -> list[Effect]:
+def unnamed_effects(model: Model, balance: str, speed: float) -> list[Effect]:
     """Terms in the rate v and the position q of a balance that have no name of their own.
 
     v^3, v^2 and |v|^1/2 sign(v), and with a position q also q^2, q^5, q v and q^2 v. `speed` (v's

@@ -26,7 +26,7 @@ from casid.arrays import TINY, Array
 from casid.unknown_inputs.indirect.blocks import frequency_grid, is_stable
 
 
-def free_gain_inverse(G: RationalMatrix) -> RationalMatrix | None:
+def observer_inverse(G: RationalMatrix) -> RationalMatrix | None:
     """A stable f with f G = I, proper if it can be, or None where this way finds none.
 
     Parameters

@@ -1,8 +1,8 @@
-"""Recursive elimination: unknown nodes ring by ring, until the target's equation holds none.
+"""Recursive elimination: unknown nodes step by step, until the target's equation holds none.
 
 Eliminating an unknown node by a measurement adds whatever else acts on the measured node.
-Those of them that nobody observes are the next ring, to be eliminated by measurements further out
-(Linder 2017, section 4.3.1 and Figure 4.2); with every ring the model grows.
+Those of them that nobody observes are eliminated in the next step, by measurements further out
+(Linder 2017, section 4.3.1 and Figure 4.2); with every step the model grows.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from casid.algebra.rational import Rational
 from casid.algebra.realisation import mcmillan_degree
 from casid.algebra.transfer_matrix import RationalMatrix
+from casid.deprecation import renamed
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import NodeEquations, node_equations
 from casid.unknown_inputs.networks.indirect_equations import eliminate_by_measurement
@@ -23,14 +24,14 @@ from casid.unknown_inputs.networks.nodes import Node, labels, node_label
 
 
 @dataclass(frozen=True, slots=True)
-class Ring:
-    """The target's equation after one ring.
+class EliminationStep:
+    """The target's equation after one step.
 
     Attributes
     ----------
     number : 0 before anything is eliminated.
-    eliminated : unknown nodes gone in this ring.
-    by : measured nodes that stand for them; empty in the last ring if the rest is immersed.
+    eliminated : unknown nodes gone in this step.
+    by : measured nodes that stand for them; empty in the last step if the rest is immersed.
     inputs : measured nodes in the target's equation.
     unobserved : unknown nodes still in it.
     externals : nodes whose delta and tau are in it.
@@ -50,29 +51,30 @@ class Ring:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecursiveElimination:
-    """The rings, and the equations after the last.
+    """The steps, and the equations after the last.
 
     Attributes
     ----------
     target : j.
-    rings : ring 0 is the target's own equation.
+    steps : step 0 is the target's own equation.
     immersed : unknown nodes that no free measurement was left for.
     equations : of all nodes that are left.
     """
 
     target: Node
-    rings: tuple[Ring, ...]
+    steps: tuple[EliminationStep, ...]
     immersed: tuple[Node, ...]
     equations: NodeEquations
+    rings = renamed("rings", "steps")
 
     def __str__(self) -> str:
         lines = [f"Recursive elimination towards {node_label(self.target)}"]
-        for ring in self.rings:
-            degree = "symbolic" if ring.degree is None else f"degree {ring.degree}"
-            by = f" by {labels(ring.by)}" if ring.by else " immersed" if ring.eliminated else ""
+        for step in self.steps:
+            degree = "symbolic" if step.degree is None else f"degree {step.degree}"
+            by = f" by {labels(step.by)}" if step.by else " immersed" if step.eliminated else ""
             lines.append(
-                f"  {ring.number}  {labels(ring.eliminated)}{by}: inputs {labels(ring.inputs)}; "
-                f"unobserved {labels(ring.unobserved)}; {len(ring.involved)} nodes involved, "
+                f"  {step.number}  {labels(step.eliminated)}{by}: inputs {labels(step.inputs)}; "
+                f"unobserved {labels(step.unobserved)}; {len(step.involved)} nodes involved, "
                 f"{degree}"
             )
         if self.immersed:
@@ -86,7 +88,7 @@ class RecursiveElimination:
 def eliminate_recursively(
     network: Network, target: Node, *, sensors: Iterable[Node] | None = None
 ) -> RecursiveElimination:
-    """Eliminate unknown nodes by measurements, ring by ring, and immerse the rest at the end.
+    """Eliminate unknown nodes by measurements, step by step, and immerse the rest at the end.
 
     Every additional observable node is used once. The field is that of rational functions.
 
@@ -98,25 +100,25 @@ def eliminate_recursively(
     sets = node_sets(network, target, sensors=sensors)
     equations = node_equations(network)
     involved, free = [target], list(sets.A)
-    rings = [_ring(network, equations, target, 0, (), (), involved, sets.S)]
+    steps = [_step(network, equations, target, 0, (), (), involved, sets.S)]
     while True:
         unknown = tuple(k for k in equations.nodes if k in equations.G[target] and k in sets.U)
-        tellers = [m for m in free if any(u in equations.G[m] for u in unknown)]
-        chosen, by = recoverable(equations, unknown, tellers)
+        usable = [m for m in free if any(u in equations.G[m] for u in unknown)]
+        chosen, by = recoverable(equations, unknown, usable)
         if not chosen:
             break
         equations = eliminate_by_measurement(equations, chosen, by)
         involved += by
         free = [m for m in free if m not in by]
-        rings.append(_ring(network, equations, target, len(rings), chosen, by, involved, sets.S))
+        steps.append(_step(network, equations, target, len(steps), chosen, by, involved, sets.S))
     left = tuple(n for n in equations.nodes if n in sets.U)
     needed = _needed(equations, target, left)
     if left:
         equations = immerse(equations, [n for n in equations.nodes if n not in left])
     if needed:
         involved += needed
-        rings.append(_ring(network, equations, target, len(rings), needed, (), involved, sets.S))
-    return RecursiveElimination(target, tuple(rings), needed, equations)
+        steps.append(_step(network, equations, target, len(steps), needed, (), involved, sets.S))
+    return RecursiveElimination(target, tuple(steps), needed, equations)
 
 
 def _needed(equations: NodeEquations, target: Node, left: tuple[Node, ...]) -> tuple[Node, ...]:
@@ -131,7 +133,7 @@ def _needed(equations: NodeEquations, target: Node, left: tuple[Node, ...]) -> t
     return tuple(n for n in left if n in found)
 
 
-def _ring(
+def _step(
     network: Network,
     equations: NodeEquations,
     target: Node,
@@ -140,10 +142,10 @@ def _ring(
     by: tuple[Node, ...],
     involved: list[Node],
     S: tuple[Node, ...],
-) -> Ring:
+) -> EliminationStep:
     row = equations.G[target]
     outside = (*network.excitations, *network.disturbances)
-    return Ring(
+    return EliminationStep(
         number,
         eliminated,
         by,

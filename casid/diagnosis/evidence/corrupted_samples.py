@@ -1,4 +1,4 @@
-"""Samples that a sensor or logger spoilt, left out before anything is judged."""
+"""Samples that a sensor or logger corrupted, left out before anything is judged."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from casid.estimation.simulation.minimization import Fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Spoilt:
+class CorruptedSamples:
     """What was left out."""
 
     spikes: tuple[Spikes, ...] = ()
@@ -44,9 +44,9 @@ class _Simulated:
         ]
 
 
-def without_spoilt(
+def without_corrupted(
     fit: Fit, split: Split, alpha: float, *, without: Sequence[str] = ()
-) -> tuple[Spoilt, Split]:
+) -> tuple[CorruptedSamples, Split]:
     """Mark clipped samples and isolated spikes of every output as missing, held-out ones too.
 
     `without` are kinds that are not looked for.
@@ -69,7 +69,7 @@ def without_spoilt(
             if found is not None:
                 spikes.append(found)
                 split = _masked(split, channel, found.masks)
-    return Spoilt(tuple(spikes), tuple(plateaus)), split
+    return CorruptedSamples(tuple(spikes), tuple(plateaus)), split
 
 
 def _channel(fit: Fit, split: Split, i: int) -> _Simulated:

@@ -13,8 +13,8 @@ from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.dimensions import check_units
 from casid.model.effects.catalogue import catalogue
-from casid.model.effects.decoys import decoys, power_law
 from casid.model.effects.effect import KINDS, Effect
+from casid.model.effects.unnamed_effects import power_law, unnamed_effects
 from problems import pendulum
 
 Array = np.ndarray
@@ -55,8 +55,8 @@ def tank_record(power: float, N: int = 700, seed: int = 0) -> casid.Record:
 
 def both() -> list[tuple[casid.Model, Effect]]:
     model, system = pendulum.problem.model, tanks()
-    out = [(model, e) for e in decoys(model, "torque", 0.01)]
-    out += [(system, e) for b in system.balances for e in decoys(system, b, 0.01)]
+    out = [(model, e) for e in unnamed_effects(model, "torque", 0.01)]
+    out += [(system, e) for b in system.balances for e in unnamed_effects(system, b, 0.01)]
     laws = [power_law(system, h, LEVEL) for h in ("h1", "h2")]
     return out + [(system, law) for law in laws if law is not None]
 
@@ -82,14 +82,14 @@ def test_decoys_are_unknown_each_by_its_shape():
         assert effect.kind == "unknown"
         assert effect.shape
         assert effect.description.startswith("a f")
-    found = decoys(pendulum.problem.model, "torque", 0.01)
+    found = unnamed_effects(pendulum.problem.model, "torque", 0.01)
     assert len({e.key for e in found}) == len(found) == 7
     assert found[0].key == ("unknown", "torque: p^3")
     assert "unknown" in KINDS
 
 
 def test_a_tank_has_no_position_and_no_decoys_of_one():
-    shapes = {e.shape for e in decoys(tanks(), "upper", 0.01)}
+    shapes = {e.shape for e in unnamed_effects(tanks(), "upper", 0.01)}
     assert shapes == {"h1^3", "h1^2", "sqrt|h1|"}
 
 
