@@ -50,10 +50,10 @@ __main__: cli
 """
 
 # Modules right below casid, of the standard library and NumPy alone, that every package may use.
-GROUND = {
-    *("arrays", "deprecation", "errors", "exportable", "pickling", "presentation"),
-    *("versions", "grouping"),
-}
+GROUND = set(
+    "arrays deprecation errors exportable pickling presentation versions grouping"
+    " threshold_table".split()
+)
 
 
 def imports_of(path: Path, *, in_folder: bool = False) -> Iterator[tuple[str, bool]]:

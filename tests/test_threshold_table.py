@@ -1,4 +1,7 @@
-"""A diagnosis decides by the numbers of one table, each with its meaning, source and proof."""
+"""The diagnosis, and the search for effects, decide by the numbers of a table each.
+
+Every number has its meaning, its source, and the test or study that pins it.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,19 @@ from pathlib import Path
 import pytest
 
 from casid.diagnosis import thresholds
-from casid.diagnosis.thresholds import GROUPS, TABLE, Entry
+from casid.model.effects import search_ranges
+from casid.threshold_table import Entry
 
-ROOT = Path(__file__).resolve().parents[2]
-ROOM = ROOT / "casid" / "diagnosis"
-FILES = [p for p in sorted(ROOM.rglob("*.py")) if p.name != "thresholds.py"]
+CASID = Path(__file__).resolve().parents[1] / "casid"
+TABLES = {"diagnosis": thresholds, "model/effects": search_ranges}
+ENTRIES = [e for table in TABLES.values() for e in table.TABLE]
+GROUPS = [g for table in TABLES.values() for g in table.GROUPS]
+FILES = [
+    p
+    for room, table in TABLES.items()
+    for p in sorted((CASID / room).rglob("*.py"))
+    if p.name != Path(table.__file__).name
+]
 
 # Numbers that decide nothing: they are compared with what they are by definition.
 PLAIN = {0, 1, -1, 0.5, 2}
@@ -23,10 +34,10 @@ REGULAR = 1e-6  # and smaller: keeps divisions and decompositions regular
 
 # file, number -> why it stands in a comparison there.
 ALLOWED = {
-    ("advice/next_experiment.py", 120): "seconds that are printed as minutes",
-    ("advice/next_experiment.py", 7200): "seconds that are printed as hours",
-    ("calibration/false_alarm_rate.py", 90): "seconds that are printed as minutes",
-    ("evidence/spikes.py", 3): "a sample with both its neighbours",
+    ("diagnosis/advice/next_experiment.py", 120): "seconds that are printed as minutes",
+    ("diagnosis/advice/next_experiment.py", 7200): "seconds that are printed as hours",
+    ("diagnosis/calibration/false_alarm_rate.py", 90): "seconds that are printed as minutes",
+    ("diagnosis/evidence/spikes.py", 3): "a sample with both its neighbours",
 }
 
 
@@ -37,28 +48,29 @@ def numbers_in(node: ast.AST) -> Iterator[float]:
 
 
 def in_room(path: Path) -> str:
-    return str(path.relative_to(ROOM))
+    return str(path.relative_to(CASID))
 
 
-@pytest.mark.parametrize("entry", TABLE, ids=lambda e: e.name)
+@pytest.mark.parametrize("entry", ENTRIES, ids=lambda e: e.name)
 def test_every_threshold_has_a_meaning_a_source_and_a_proof_that_exists(entry: Entry):
     assert len(entry.meaning) > 10
     assert entry.source
     if entry.pinned_by.startswith("analysis."):
         assert importlib.util.find_spec(entry.pinned_by) is not None
     else:
-        assert (ROOT / entry.pinned_by).is_file()
+        assert (CASID.parent / entry.pinned_by).is_file()
 
 
 def test_the_table_is_frozen_and_every_entry_has_one_name():
-    assert len({e.name for e in TABLE}) == len(TABLE)
+    assert len({e.name for e in ENTRIES}) == len(ENTRIES)
     for group in GROUPS:
         with pytest.raises(dataclasses.FrozenInstanceError):
             setattr(group, dataclasses.fields(group)[0].name, 0)
 
 
 def test_every_threshold_is_used_and_every_one_used_is_in_the_table():
-    instances = {k: v for k, v in vars(thresholds).items() if any(v is g for g in GROUPS)}
+    named = {k: v for table in TABLES.values() for k, v in vars(table).items()}
+    instances = {k: v for k, v in named.items() if any(v is g for g in GROUPS)}
     used = set()
     for path in FILES:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -66,7 +78,7 @@ def test_every_threshold_is_used_and_every_one_used_is_in_the_table():
                 group = instances.get(node.value.id)
                 if group is not None:
                     used.add(f"{type(group).__name__}.{node.attr}")
-    assert used == {e.name for e in TABLE}
+    assert used == {e.name for e in ENTRIES}
 
 
 @pytest.mark.parametrize("path", FILES, ids=in_room)
@@ -96,4 +108,4 @@ def test_no_comparison_decides_by_a_bare_number(path: Path):
 
 def test_every_exception_is_still_needed():
     for name, number in ALLOWED:
-        assert number in set(numbers_in(ast.parse((ROOM / name).read_text(encoding="utf-8"))))
+        assert number in set(numbers_in(ast.parse((CASID / name).read_text(encoding="utf-8"))))

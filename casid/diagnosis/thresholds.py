@@ -7,31 +7,15 @@ division or a decomposition regular, and conversions of units, stand where they 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple
+from dataclasses import dataclass
 
-HEURISTIC = "heuristic"
+from casid.threshold_table import entries
+from casid.threshold_table import threshold as _is
 
 POWER_STUDY = "analysis.diagnosis_power"
 CASES = "analysis.cases"
 ADVICE_STUDY = "analysis.diagnosis_advice"
 TESTS = "tests/diagnosis"
-
-
-class Entry(NamedTuple):
-    """One row of the table."""
-
-    name: str  # group.name
-    value: Any
-    meaning: str
-    source: str  # a reference, or "heuristic"
-    pinned_by: str  # a test, or a study run as `python -m <name>`
-
-
-def _is(value: Any, meaning: str, pinned_by: str, source: str = HEURISTIC) -> Any:
-    return field(
-        default=value, metadata={"meaning": meaning, "source": source, "pinned_by": pinned_by}
-    )
 
 
 # -- evidence -------------------------------------------------------------------------------------
@@ -639,9 +623,5 @@ GROUPS = (
     CALIBRATING,
 )
 
-TABLE = tuple(
-    Entry(f"{type(group).__name__}.{f.name}", getattr(group, f.name), **f.metadata)
-    for group in GROUPS
-    for f in fields(group)
-)
+TABLE = entries(*GROUPS)
 """All of them."""

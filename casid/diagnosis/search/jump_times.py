@@ -13,7 +13,8 @@ from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
 from casid.model.effects.effect import Effect
-from casid.model.effects.parameter_effects import JUMP_TIMES, parameter_jump
+from casid.model.effects.parameter_effects import parameter_jump
+from casid.model.effects.search_ranges import PARAMETER_JUMPS
 
 
 def placed(
@@ -51,7 +52,7 @@ def _placed(
     """Scan ever finer, linearly about the last refit: a ringing leaves many local minima."""
     d = at.criterion.data[0]
     start, stop = float(d.t[0]), float(d.t[-1])
-    reach = JUMPS.reach * (stop - start) / (JUMP_TIMES + 1)
+    reach = JUMPS.reach * (stop - start) / (PARAMETER_JUMPS.times + 1)
     for _ in range(JUMPS.scans):
         now = found.effect.variant
         assert now is not None
@@ -91,6 +92,6 @@ def events_of(adopted: Sequence[Candidate]) -> list[float]:
 def is_known_event(at: Weighted, effect: Effect, known: Sequence[float]) -> bool:
     """True if a jump is at about the instant of a known one: one event, named once."""
     d = at.criterion.data[0]
-    near = JUMPS.same_event * d.N * d.Ts / (JUMP_TIMES + 1)
+    near = JUMPS.same_event * d.N * d.Ts / (PARAMETER_JUMPS.times + 1)
     when = effect.variant
     return when is not None and any(abs(t - when) < near for t in known)

@@ -25,6 +25,7 @@ from casid.model.effects.parameter_effects import (
     parameter_jump,
     scheduled_parameter,
 )
+from casid.model.effects.search_ranges import RANGES, SMOOTHING
 from casid.model.effects.structure_effects import missing_modes_of, structure_effects_of
 from casid.model.effects.unnamed_effects import is_positive, power_law, unnamed_effects
 from casid.model.model import Model
@@ -51,7 +52,7 @@ def catalogue(
     """
     effects: list[Effect] = []
     for balance, b in model.balances.items():
-        speed = 0.03 * max(sizes.rates[b.rate], 1e-12)
+        speed = SMOOTHING.speed * max(sizes.rates[b.rate], 1e-12)
         effects.append(quadratic_damping(model, balance))
         if not is_positive(sizes.ranges.get(b.rate, (-1.0, 1.0))):
             # Where the rate keeps its sign, dry friction is a constant force.
@@ -62,7 +63,7 @@ def catalogue(
         position = model.position_of(b.rate)
         if position is not None:
             largest = sizes.largest_motion(position)
-            width = 0.01 * max(sizes.rates[position], 1e-12)
+            width = SMOOTHING.width * max(sizes.rates[position], 1e-12)
             play = deadzone(model, balance, width, largest)
             effects += [play] if play is not None else []
         effects.append(offset(model, balance))
@@ -81,7 +82,7 @@ def catalogue(
     effects += _parameter_variations(model, sizes, recorded)
     effects += extra
     for channel, largest in sizes.largest.items():
-        effects += [saturation(model, channel, share * largest) for share in (0.96, 0.98, 0.995)]
+        effects += [saturation(model, channel, share * largest) for share in RANGES.limits]
     return [e for e in effects if e.kind not in without]
 
 

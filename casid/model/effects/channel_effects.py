@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from casid.errors import ModelError, UnitError
 from casid.model.effects.effect import Effect, Sizes
+from casid.model.effects.search_ranges import RANGES
 from casid.model.model import Input, Model, Parameter, Stage
 from casid.model.units import same_dimension, unit_quotient
 
@@ -101,7 +102,8 @@ def sensor_scale(model: Model, channel: str) -> Effect:
                 new.substitute_symbol(name, new.symbol(name) / (1 + new.symbol(names[0])))
 
         priority = 2
-    p = Parameter(f"scale_{channel}", "1", 0.0, lower=-0.9, upper=3.0)
+    lower, upper = RANGES.lowest_scale, RANGES.highest_scale
+    p = Parameter(f"scale_{channel}", "1", 0.0, lower=lower, upper=upper)
     return Effect("sensor_scale", channel, (p,), apply, priority=priority)
 
 
@@ -185,7 +187,8 @@ def hold(model: Model, channel: str) -> Effect:
 def saturation(model: Model, channel: str, limit: float) -> Effect:
     """An output clipped at plus and minus a limit, near the largest value measured."""
     unit = model.outputs[channel][1]
-    p = Parameter(f"limit_{channel}", unit, limit, lower=0.8 * limit, upper=1.2 * limit)
+    lower, upper = RANGES.lowest_limit * limit, RANGES.highest_limit * limit
+    p = Parameter(f"limit_{channel}", unit, limit, lower=lower, upper=upper)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         new.stages = (*new.stages, Stage("clip", channel, names[0]))
@@ -204,7 +207,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
     for channel in (*model.outputs, *measured):
         effects.append(sensor_scale(model, channel))
-        effects.append(sensor_lag(model, channel, 2 * sizes.longest_delay))
+        effects.append(sensor_lag(model, channel, RANGES.sensor_lag * sizes.longest_delay))
     beside = {n: unit for n, (_, unit) in model.outputs.items()}
     beside |= {n: model.inputs[n].unit for n in measured} | dict(recorded)
     for channel, (_, own) in model.outputs.items():

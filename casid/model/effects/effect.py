@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casid.errors import ModelError
+from casid.model.effects.search_ranges import SMOOTHING
 from casid.model.model import Model, Parameter
 from casid.model.units import is_si, parse_unit, si_unit
 
@@ -143,7 +144,7 @@ class Sizes:
         """Largest |state| of the simulation; four times its rms where that is all there is."""
         if state in self.ranges:
             return max(abs(end) for end in self.ranges[state])
-        return 4.0 * self.rates.get(state, np.inf)
+        return SMOOTHING.motion * self.rates.get(state, np.inf)
 
 
 _PINNED = {"time_delay", "sensor_lag", "missing_mode"}

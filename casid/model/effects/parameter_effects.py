@@ -8,17 +8,15 @@ import numpy as np
 
 from casid.model.clock_signals import RampOver, StepAt
 from casid.model.effects.effect import Effect, Spread
+from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Input, Model, Parameter
 from casid.model.units import unit_quotient
-
-JUMP_TIMES = 12
-"""Instants, evenly inside the window, that a jump is first searched at."""
 
 
 def jump_times(window: tuple[float, float]) -> list[float]:
     """The instants that a jump is first searched at."""
     start, stop = window
-    return [float(t) for t in np.linspace(start, stop, JUMP_TIMES + 2)[1:-1]]
+    return [float(t) for t in np.linspace(start, stop, PARAMETER_JUMPS.times + 2)[1:-1]]
 
 
 def parameter_jump(model: Model, name: str, time: float) -> Effect:
@@ -33,8 +31,8 @@ def parameter_jump(model: Model, name: str, time: float) -> Effect:
         new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
 
     p = Parameter(f"jump_{name}", old.unit, 0.0)
-    chosen = {"time": time}
-    return Effect("parameter_jump", name, (p,), apply, variant=time, cost=3, constants=chosen)
+    chosen, cost = {"time": time}, PARAMETER_JUMPS.cost
+    return Effect("parameter_jump", name, (p,), apply, variant=time, cost=cost, constants=chosen)
 
 
 def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Effect:

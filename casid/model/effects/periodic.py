@@ -9,6 +9,7 @@ import numpy as np
 
 from casid.model.clock_signals import Always, TimeSince
 from casid.model.effects.effect import Effect
+from casid.model.effects.search_ranges import PERIODIC_FORCES
 from casid.model.model import Input, Model, Parameter
 
 
@@ -39,7 +40,7 @@ def periodic_disturbance(
         turn = 2 * np.pi * f * t
         new.add_term(balance, on * (a * ca.cos(turn) + b * ca.sin(turn)))
 
-    lower, upper = max(frequency - half, 0.1 * frequency), frequency + half
+    lower, upper = max(frequency - half, PERIODIC_FORCES.lowest * frequency), frequency + half
     parameters = (
         Parameter("a_cos", unit, 0.0),
         Parameter("a_sin", unit, 0.0),
@@ -52,6 +53,6 @@ def periodic_disturbance(
         apply,
         test="peak",
         variant=frequency,
-        cost=5,
+        cost=PERIODIC_FORCES.cost,
         constants={"origin": middle},
     )

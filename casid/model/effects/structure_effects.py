@@ -11,14 +11,9 @@ import numpy as np
 from casid.errors import ModelError
 from casid.model.effects.channel_effects import carry, is_lagging
 from casid.model.effects.effect import Effect, Sizes
+from casid.model.effects.search_ranges import MISSING_MODES, RANGES
 from casid.model.model import Model, Parameter, Stage
 from casid.model.units import unit_quotient
-
-MODES = 7
-"""Frequencies, evenly in their logarithm, that a missing mode is first searched at."""
-
-DAMPING = 0.05
-"""Damping ratio that the search for a missing mode starts from."""
 
 
 def actuator_lag(model: Model, channel: str, longest: float) -> Effect:
@@ -64,10 +59,12 @@ def missing_mode(model: Model, balance: str, omega: float) -> Effect:
     """
     b = model.balances[balance]
     unit = unit_quotient(unit_quotient(b.unit, model.states[b.rate].unit, 1), "1/s", 1)
+    lowest, highest = MISSING_MODES.lower * omega, MISSING_MODES.upper * omega
+    least = MISSING_MODES.least_damping
     p = (
         Parameter("J_m", unit, 0.0, lower=0.0),
-        Parameter("omega_m", "rad/s", omega, lower=0.3 * omega, upper=3.0 * omega),
-        Parameter("zeta_m", "1", DAMPING, lower=0.001, upper=1.0),
+        Parameter("omega_m", "rad/s", omega, lower=lowest, upper=highest),
+        Parameter("zeta_m", "1", MISSING_MODES.damping, lower=least, upper=1.0),
     )
 
     def apply(new: Model, names: Sequence[str]) -> None:
@@ -86,21 +83,28 @@ def missing_mode(model: Model, balance: str, omega: float) -> Effect:
                 )
 
     return Effect(
-        "missing_mode", balance, p, apply, sided="positive", variant=omega, cost=3, priority=1
+        "missing_mode",
+        balance,
+        p,
+        apply,
+        sided="positive",
+        variant=omega,
+        cost=MISSING_MODES.cost,
+        priority=1,
     )
 
 
 def mode_frequencies(sizes: Sizes, Ts: float | None = None) -> list[float]:
     """Frequencies [rad/s] from four cycles a record up to a third of Nyquist's."""
     start, stop = sizes.window
-    low = 2 * math.pi * 4 / (stop - start)
-    high = math.pi / Ts / 3 if Ts is not None else 100 * low
-    return [float(w) for w in np.geomspace(low, max(high, 2 * low), MODES)]
+    low = 2 * math.pi * MISSING_MODES.slowest / (stop - start)
+    high = math.pi / Ts / MISSING_MODES.fastest if Ts is not None else MISSING_MODES.widest * low
+    return [float(w) for w in np.geomspace(low, max(high, 2 * low), MISSING_MODES.frequencies)]
 
 
 def structure_effects_of(model: Model, sizes: Sizes) -> list[Effect]:
     """Actuators that may lag: one for each recorded command that does not yet."""
-    longest = 0.05 * (sizes.window[1] - sizes.window[0])
+    longest = RANGES.actuator_lag * (sizes.window[1] - sizes.window[0])
     return [actuator_lag(model, c, longest) for c in _commands(model) if not is_lagging(model, c)]
 
 

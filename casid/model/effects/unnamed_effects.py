@@ -16,11 +16,9 @@ import numpy as np
 
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect
+from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
 from casid.model.model import Model, Parameter
 from casid.model.units import unit_quotient
-
-PRIORITY = 3
-"""Of a named effect and one without a name that do the same, the named one is reported."""
 
 
 def unnamed_effects(model: Model, balance: str, speed: float) -> list[Effect]:
@@ -50,7 +48,7 @@ def unnamed_effects(model: Model, balance: str, speed: float) -> list[Effect]:
             balance,
             (Parameter(f"c_{suffix}", unit, 0.0),),
             apply,
-            priority=PRIORITY,
+            priority=UNNAMED_EFFECTS.priority,
             shape=shape,
             description=f"{what} {says}",
             constants={"speed": speed} if shape.startswith("sqrt") else {},
@@ -100,7 +98,7 @@ def power_law(model: Model, state: str, typical: float) -> Effect | None:
     if not places:
         return None
     own = [name for name, b in model.balances.items() if b.rate == state]
-    small = carrying_unit((1e-3 * typical) ** 2)
+    small = carrying_unit((SMOOTHING.power * typical) ** 2)
     whole = carrying_unit(typical**2 + small)
 
     def apply(new: Model, names: Sequence[str]) -> None:
@@ -116,10 +114,11 @@ def power_law(model: Model, state: str, typical: float) -> Effect | None:
                 new._rates[name] = ca.substitute(new._rates[name], x, law)
         new._explicit = None
 
+    lower, upper = UNNAMED_EFFECTS.lowest_power, UNNAMED_EFFECTS.highest_power
     return Effect(
         "unknown",
         own[0] if own else state,
-        (Parameter(f"exponent_{state}", "1", 1.0, lower=0.1, upper=4.0),),
+        (Parameter(f"exponent_{state}", "1", 1.0, lower=lower, upper=upper),),
         apply,
         priority=0,  # in a flow it is the law itself, and a constant force its tangent
         shape=f"|{state}|^n",
@@ -148,4 +147,4 @@ def _linear_in(model: Model, state: str) -> list[str]:
 def is_positive(lowest_and_most: tuple[float, float]) -> bool:
     """True if a state stays above zero by at least a thousandth of its largest value."""
     low, most = lowest_and_most
-    return bool(np.isfinite(most)) and low > 1e-3 * most > 0.0
+    return bool(np.isfinite(most)) and low > SMOOTHING.above_zero * most > 0.0

@@ -20,11 +20,11 @@ from casid.model.effects.catalogue import catalogue
 from casid.model.effects.channel_effects import saturation, sensor_bias, time_delay
 from casid.model.effects.effect import Sizes, Spread, extend_all
 from casid.model.effects.parameter_effects import (
-    JUMP_TIMES,
     jump_times,
     parameter_jump,
     scheduled_parameter,
 )
+from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from problems import pendulum
 
 SIZES = Sizes(
@@ -101,7 +101,7 @@ def test_every_parameter_that_is_there_may_depend_on_every_recorded_channel():
 
 def test_jumps_are_searched_evenly_inside_the_window():
     times = jump_times((10.0, 36.0))
-    assert len(times) == JUMP_TIMES
+    assert len(times) == PARAMETER_JUMPS.times
     assert np.diff([10.0, *times, 36.0]) == pytest.approx(2.0)
 
 

@@ -11,8 +11,8 @@ from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.simulator import Simulator
 from casid.model.effects.effect import Sizes
+from casid.model.effects.search_ranges import MISSING_MODES
 from casid.model.effects.structure_effects import (
-    MODES,
     actuator_lag,
     missing_mode,
     missing_modes_of,
@@ -216,7 +216,7 @@ def test_modes_are_sought_in_balances_of_inertia_from_slow_to_fast():
     sizes = Sizes({"h": 1.0}, {}, (0.0, 60.0), 0.1)
     assert missing_modes_of(tanks, sizes) == []
     found = missing_modes_of(oscillator(), SIZES, TS)
-    assert len(found) == MODES
+    assert len(found) == MISSING_MODES.frequencies
     assert len({e.key for e in found}) == 1
     assert found[0].parameters[0].unit == "N s^2/m"
     frequencies = mode_frequencies(SIZES, TS)

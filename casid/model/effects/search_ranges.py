@@ -1,0 +1,115 @@
+"""Numbers that decide how effects are searched: grids, ranges, smoothing, and what each costs.
+
+One frozen group a question; each entry has its value, what it means, where it comes from and the
+test that pins it. Numbers that keep a division regular stand where they are used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from casid.threshold_table import entries
+from casid.threshold_table import threshold as _is
+
+_TESTS = "tests/model/effects"
+_CATALOGUE = f"{_TESTS}/test_effect.py"
+_BALANCES = f"{_TESTS}/test_balance_effects.py"
+_CHANNELS = f"{_TESTS}/test_channel_effects.py"
+_STRUCTURE = f"{_TESTS}/test_structure_effects.py"
+_UNNAMED = f"{_TESTS}/test_unnamed_effects.py"
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterJumps:
+    """The search for a parameter that jumps."""
+
+    times: int = _is(
+        12, "instants, evenly inside the window, that a jump is first searched at", _CATALOGUE
+    )
+    cost: int = _is(
+        3, "parameters that a jump at a searched instant costs", _CATALOGUE, "Zhang, Siegmund 2007"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class MissingModes:
+    """The search for a part that swings along."""
+
+    frequencies: int = _is(7, "frequencies, evenly in their logarithm, to begin from", _STRUCTURE)
+    slowest: float = _is(4.0, "cycles in the window, of the lowest of them", _STRUCTURE)
+    fastest: float = _is(3.0, "Nyquist's frequency over the highest of them", _STRUCTURE)
+    widest: float = _is(100.0, "of the lowest, the highest without a sample time", _STRUCTURE)
+    lower: float = _is(0.3, "of its start, the lowest frequency of an estimate", _STRUCTURE)
+    upper: float = _is(3.0, "of its start, the highest frequency of an estimate", _STRUCTURE)
+    damping: float = _is(0.05, "damping ratio that the search starts from", _STRUCTURE)
+    least_damping: float = _is(0.001, "lower bound of the damping ratio", _STRUCTURE)
+    cost: int = _is(3, "parameters that a searched frequency costs", _STRUCTURE)
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodicForces:
+    """The search for a line in the residual's spectrum."""
+
+    cost: int = _is(
+        5,
+        "parameters that a sinusoid costs, the frequency three of them",
+        "tests/diagnosis/evidence/test_spectral_peaks.py",
+        "Djuric 1996",
+    )
+    lowest: float = _is(
+        0.1,
+        "of its start, the lowest frequency of an estimate",
+        "tests/diagnosis/evidence/test_spectral_peaks.py",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothing:
+    """Where corners are rounded, to keep the simulation differentiable."""
+
+    speed: float = _is(0.03, "of the rms rate, below which dry friction is rounded", _BALANCES)
+    width: float = _is(0.01, "of the rms position, to which the corners of play extend", _BALANCES)
+    power: float = _is(1e-3, "of the typical level, below which a power law is rounded", _UNNAMED)
+    motion: float = _is(4.0, "rms values that the largest motion is taken as", _CATALOGUE)
+    above_zero: float = _is(
+        1e-3, "of its largest value, by which a state that keeps its sign exceeds zero", _UNNAMED
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Ranges:
+    """Bounds of what an effect's first parameter may be."""
+
+    actuator_lag: float = _is(0.05, "of the window, the longest lag of an actuator", _STRUCTURE)
+    sensor_lag: float = _is(2.0, "longest delays, the longest lag of a sensor", _CHANNELS)
+    lowest_scale: float = _is(-0.9, "lower bound of a sensor's scale error", _CHANNELS)
+    highest_scale: float = _is(3.0, "upper bound of a sensor's scale error", _CHANNELS)
+    limits: tuple[float, ...] = _is(
+        (0.96, 0.98, 0.995), "of the largest reading, where a clipping is searched", _CHANNELS
+    )
+    lowest_limit: float = _is(0.8, "of its start, the lowest limit of a clipping", _CHANNELS)
+    highest_limit: float = _is(1.2, "of its start, the highest limit of a clipping", _CHANNELS)
+
+
+@dataclass(frozen=True, slots=True)
+class UnnamedEffects:
+    """Effects without an established name."""
+
+    priority: int = _is(
+        3, "of two effects that do the same, the lower is reported: the named one", _UNNAMED
+    )
+    lowest_power: float = _is(0.1, "lower bound of the exponent of a power law", _UNNAMED)
+    highest_power: float = _is(4.0, "upper bound of the exponent of a power law", _UNNAMED)
+
+
+PARAMETER_JUMPS = ParameterJumps()
+MISSING_MODES = MissingModes()
+PERIODIC_FORCES = PeriodicForces()
+SMOOTHING = Smoothing()
+RANGES = Ranges()
+UNNAMED_EFFECTS = UnnamedEffects()
+
+GROUPS = (PARAMETER_JUMPS, MISSING_MODES, PERIODIC_FORCES, SMOOTHING, RANGES, UNNAMED_EFFECTS)
+
+TABLE = entries(*GROUPS)
+"""All of them."""
