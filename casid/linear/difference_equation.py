@@ -291,14 +291,6 @@ def difference_equation(
     )
 
 
-def difference_equations(
-    model: Model | LinearModel, Ts: float, *, method: str = "bilinear"
-) -> dict[str, DifferenceEquation]:
-    """One difference equation for each output: the matrix fraction (5.16)-(5.18), row by row."""
-    linear = model if isinstance(model, LinearModel) else linearise(model)
-    return {y: difference_equation(linear, y, Ts, method=method) for y in linear.outputs}
-
-
 # -- inside ------------------------------------------------------------------------------------
 
 

@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from casid.errors import ModelError
-from casid.linear.difference_equation import difference_equation, difference_equations
+from casid.linear.difference_equation import difference_equation
 from casid.linear.discretisation import METHODS, SUBSTITUTIONS, discretise
 from casid.linear.inverse_map import continuous_form, invert
 from casid.linear.linear_model import linearise
@@ -411,7 +411,7 @@ def test_several_outputs_are_a_matrix_fraction_row_by_row():
     """(5.16)-(5.18): one equation an output, each of the order that this output needs."""
     m = spring_chain(2)
     m.output("pushed", m.symbol("F") * m.symbol("k0"), "N^2/m")
-    equations = difference_equations(m, 0.05)
+    equations = {y: difference_equation(m, y, 0.05) for y in m.outputs}
     assert list(equations) == ["q", "v", "pushed"]
     assert [e.order for e in equations.values()] == [4, 4, 0]
     values = chain_values(2, 3)

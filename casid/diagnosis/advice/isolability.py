@@ -34,10 +34,9 @@ from math import log, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.stats import norm
 
-from casid.arrays import TINY, Array
+from casid.arrays import Array
 from casid.data.files import plain_fields
 from casid.deprecation import renamed
 from casid.diagnosis.evidence.score_tests import ScoreTable
@@ -78,37 +77,6 @@ def separation_energy(
     apart = 1.0 - min(cosine * cosine, 1.0)
     constant = separation_constant(margin=margin, power=power)
     return constant / apart if apart > 1e-10 else float("inf")
-
-
-def win_probability(energy: float, cosine: float, *, margin: float = PLANNING.margin) -> float:
-    """Probability that D of (2) exceeds the margin, without the approximations of (3).
-
-    The product of two independent normals is integrated over one of them.
-    """
-    scale = 2 * sqrt(max(1 - cosine * cosine, TINY))
-    s_mean, t_mean = sqrt(energy * (1 + cosine) / 2), sqrt(energy * (1 - cosine) / 2)
-    # Of the two factors, integrate over the one further from zero.
-    far, near = max(s_mean, t_mean), min(s_mean, t_mean)
-    s = far + np.linspace(-9, 9, 4001)
-    s = s[np.abs(s) > 1e-9]
-    limit = margin / scale / s
-    tail = np.where(s > 0, norm.sf(limit - near), norm.cdf(limit - near))
-    weight = norm.pdf(s - far)
-    return float(np.sum(tail * weight) / np.sum(weight))
-
-
-def exact_separation_energy(
-    cosine: float, *, margin: float = PLANNING.margin, power: float = PLANNING.power
-) -> float:
-    """As `separation_energy`, from `win_probability`; how good (3) is, the tests say."""
-    about = separation_energy(cosine, margin=margin, power=power)
-    if not np.isfinite(about):
-        return about
-
-    def excess(logarithm: float) -> float:
-        return win_probability(float(np.exp(logarithm)), cosine, margin=margin) - power
-
-    return float(np.exp(brentq(excess, log(0.05 * about), log(20 * about), xtol=1e-4)))
 
 
 def likeness(first: Effect, second: Effect, cosine: float) -> float:

@@ -50,10 +50,10 @@ class Size:
         return own * of_variables
 
 
-def failure_probability(
+def failure_probabilities(
     program: Program, rank: int, order: int, *, columns: int, copies: int = 1
-) -> float:
-    """Bound (1) for the event that a matrix of derivatives up to `order` has too small a rank.
+) -> list[float]:
+    """Bound (1) for the event that a matrix of derivatives up to 0, 1, ..., `order` lacks rank.
 
     Parameters
     ----------
@@ -63,13 +63,6 @@ def failure_probability(
     columns : of the matrix.
     copies : experiments of this system with rows in the matrix.
     """
-    return failure_probabilities(program, rank, order, columns=columns, copies=copies)[-1]
-
-
-def failure_probabilities(
-    program: Program, rank: int, order: int, *, columns: int, copies: int = 1
-) -> list[float]:
-    """`failure_probability` for derivatives up to 0, 1, ..., `order`."""
     rows = min(rank + 1, columns)
     denominator = math.lcm(*(c.denominator for t in program.sums.values() for c in t.values()))
     # A root exists at every second point: of those, the share of bad ones is twice as large.

@@ -68,7 +68,6 @@ class Schedule:
         self._history()
         count = len(program.variables)
         names = system.declared
-        self.n_inputs = len(system.inputs)
         self.input_nodes: list[tuple[int, str, int]] = []  # node, input, order of its derivative
         for node in range(count):
             name = names[node]

@@ -10,7 +10,6 @@ import sympy
 
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
-from casid.report.figures.elimination_figure import elimination_figure
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import node_equations
 from casid.unknown_inputs.networks.indirect_equations import (
@@ -280,16 +279,6 @@ def test_rings_are_eliminated_until_no_unobserved_node_is_left_and_the_model_gro
     assert set(found.steps[-1].inputs) == {"a1", "a2", "a3", "a4"}
     # tau of unknown nodes is in none of it
     assert not {n for n in found.steps[-1].externals if n.startswith("u")}
-
-
-def test_the_figure_of_rings_shows_how_the_model_grows():
-    found = eliminate_recursively(chain(3), "j")
-    drawn = {trace.name: list(trace.y) for trace in elimination_figure(found).data}
-    assert drawn["nodes involved"] == [1, 2, 3, 4]
-    assert drawn["unobserved nodes"] == [1, 1, 1, 0]
-    assert drawn["McMillan degree"] == [r.degree for r in found.steps]
-    symbolic = elimination_figure(eliminate_recursively(SYMBOLIC, 2))
-    assert "McMillan degree" not in {trace.name for trace in symbolic.data}
 
 
 def test_recursion_ends_by_immersing_what_no_measurement_is_left_for():
