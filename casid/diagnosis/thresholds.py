@@ -361,6 +361,22 @@ class Jumps:
     )
 
 
+_FRICTION = f"{TESTS}/search/test_friction_speeds.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Friction:
+    """The speed below which dry friction is smoothed."""
+
+    promising: float = _is(
+        0.3, "of the best gain beyond which other smoothing speeds are tried", _FRICTION
+    )
+    narrower: float = _is(1 / 3, "times the last speed tried", _FRICTION)
+    steps: int = _is(4, "speeds tried, at most: down to 1/81 of the first", _FRICTION)
+    refits: int = _is(10, "refits between the neighbours of the best one", _FRICTION)
+    exact: float = _is(0.02, "of the speed at which they end", _FRICTION)
+
+
 _PRESELECTION = f"{TESTS}/search/test_preselection.py"
 
 
@@ -592,6 +608,7 @@ PEAKS = Peaks()
 COMPARISON = Comparison()
 REFITS = Refits()
 JUMPS = Jumps()
+FRICTION = Friction()
 ROUNDS = Rounds()
 TERMS = Terms()
 DESCRIPTION = Description()
@@ -613,6 +630,7 @@ GROUPS = (
     COMPARISON,
     REFITS,
     JUMPS,
+    FRICTION,
     ROUNDS,
     TERMS,
     DESCRIPTION,

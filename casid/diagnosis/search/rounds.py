@@ -19,6 +19,7 @@ from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_candidates
 from casid.diagnosis.search.alternatives import ranked_by_remainder, rejudge
 from casid.diagnosis.search.candidates import Candidate, is_plausible
+from casid.diagnosis.search.friction_speeds import sharpened
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.preselection import preselected
@@ -101,6 +102,7 @@ class Search:
         if not found:
             return found
         found = placed(refitting, at, found, events_of(adopted), self.progress)
+        found = sharpened(refitting, at, found, self.progress)
         found.sort(key=lambda c: -c.merit)
         ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
         return ranked(refitting, at, found)
