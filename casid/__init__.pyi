@@ -8,6 +8,7 @@ from .data.derived import Derived
 from .data.preparation import decimate, detrend, lowpass
 from .data.problem import Problem, load_problem
 from .data.quality import CheckReport, check
+from .data.reading.file_format import FileFormat
 from .data.reading.record_file import read_record
 from .data.record import Experiment, Record
 from .data.templates.new_problem import NewProblem, new_problem
@@ -128,6 +129,7 @@ __all__ = [
     "Estimate",
     "Exosystem",
     "Experiment",
+    "FileFormat",
     "FirstStage",
     "FitSettings",
     "FittedModel",

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from casid.cli.options import map_option
+from casid.cli.options import map_option, options
+from casid.cli.output import taken
 from casid.cli.problem_file import load
+from casid.cli.reading_options import FORMAT_OPTIONS, ReadingRequest
 from casid.cli.request import TIME, Request, Source, source_of, time_column, with_time
 from casid.cli.terminal import print_json, print_text
 from casid.errors import DataError
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 @click.option(
     "--resample", type=float, metavar="TS", help="Interpolate onto this sample time [s] first."
 )
+@options(*FORMAT_OPTIONS)
 @click.option(
     "--json", "as_json", is_flag=True, help="Print the report as JSON; of several files, a list."
 )
@@ -42,6 +45,7 @@ def check(
     window: str | None,
     resample: float | None,
     as_json: bool,
+    **given: Any,
 ) -> None:
     """Check the data quality of records before anything is estimated from them.
 
@@ -52,7 +56,8 @@ def check(
     """
     from casid.data.reading.sources import parse_window
 
-    request = Request(data=data, maps=maps, window=window, resample=resample)
+    reading = taken(ReadingRequest, given)
+    request = Request(data=data, maps=maps, window=window, resample=resample, reading=reading)
     found = load(problem) if problem is not None else None
     common = parse_window(window) if window else None
     sources = [source_of(text, common) for text in data]
@@ -75,6 +80,9 @@ def _checked(source: Source, request: Request, problem: Problem | None) -> Check
     from casid.data.reading.record_file import column_names
 
     columns: dict[str, ColumnSpec] | None = None
+    form = request.reading.form
+    if problem is not None and problem.form is not None:
+        form = problem.form.updated(form)
     mapping, time = dict(request.mapping), None
     if problem is not None:
         problem, mapping = with_time(problem, mapping)
@@ -82,7 +90,7 @@ def _checked(source: Source, request: Request, problem: Problem | None) -> Check
         texts = {m.signal: m.text for m in mapping.values()}
         columns = problem.columns(texts)
         with contextlib.suppress(DataError):  # reported by the check itself
-            there = set(column_names(source.path))
+            there = set(column_names(source.path, form))
             columns = {
                 signal: spec
                 for signal, spec in columns.items()
@@ -92,4 +100,11 @@ def _checked(source: Source, request: Request, problem: Problem | None) -> Check
         if TIME in mapping:
             time = time_column(mapping.pop(TIME))
         columns = {m.signal: ColumnSpec(m.column, m.unit) for m in mapping.values()} or None
-    return run(source.path, columns, time=time, window=source.window, resample=request.resample)
+    return run(
+        source.path,
+        columns,
+        time=time,
+        window=source.window,
+        resample=request.resample,
+        form=form,
+    )

@@ -13,7 +13,7 @@ from casid.cli.interrupt import interruptible
 from casid.cli.options import FitOptions, hold_out_option, options, record_options
 from casid.cli.output import Output, taken
 from casid.cli.problem_file import known_problem
-from casid.cli.request import Request
+from casid.cli.request import request_of
 from casid.cli.terminal import workers
 from casid.errors import DataError
 
@@ -57,12 +57,13 @@ def diagnose(problem: str, **given: Any) -> None:
     from casid.diagnosis.settings import require_settings
 
     output, fit, search = taken(Output, given), taken(FitOptions, given), taken(_Search, given)
-    request = Request(**given)
+    request = request_of(given)
     model = known_problem(problem, request)
     # Refused before anything is read.
     require_settings(model, search.false_alarm_rate, search.max_causes, search.without)
     with output.work(model.name) as (folder, progress):
         fitted, hold_out = request.experiments(model)
+        output.say_what_was_read([*fitted, *(hold_out if isinstance(hold_out, list) else ())])
         from casid.diagnosis.diagnose import diagnose as run
         from casid.estimation.nlp.solver import Solver
 

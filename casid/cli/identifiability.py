@@ -24,7 +24,7 @@ from casid.cli.options import (
 )
 from casid.cli.output import Output, taken
 from casid.cli.problem_file import known_problem
-from casid.cli.request import Request
+from casid.cli.request import request_of
 
 
 @click.command()
@@ -51,7 +51,7 @@ def identifiability(problem: str, seed: int, **given: Any) -> None:
     Equations: casid identifiability model.toml --sensor angle=x1 --known-initial x1,x2=0
     """
     output, question = taken(Output, given), taken(Question, given)
-    request = Request(**given)
+    request = request_of(given)
     assuming, candidates = question.assumptions(), question.candidates()
     subject: Any
     if is_equation_file(problem):
@@ -64,6 +64,7 @@ def identifiability(problem: str, seed: int, **given: Any) -> None:
         experiments = None
         if not is_equation_file(problem) and (request.data or subject.example is not None):
             experiments, _ = request.experiments(subject)
+            output.say_what_was_read(experiments)
         with interruptible():
             result = assess_identifiability(
                 subject,

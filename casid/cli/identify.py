@@ -11,7 +11,7 @@ from casid.cli.interrupt import interruptible
 from casid.cli.options import FitOptions, hold_out_option, options, record_options
 from casid.cli.output import Output, taken
 from casid.cli.problem_file import known_problem
-from casid.cli.request import Request
+from casid.cli.request import request_of
 
 
 @click.command()
@@ -41,7 +41,7 @@ def identify(problem: str, segments: int, **given: Any) -> None:
     """
     output, fit = taken(Output, given), taken(FitOptions, given)
     instruments = taken(InstrumentRequest, given)
-    request = Request(**given)
+    request = request_of(given)
     model = known_problem(problem, request)
     by_instruments = instruments.method == "instruments"
     if by_instruments:
@@ -49,6 +49,7 @@ def identify(problem: str, segments: int, **given: Any) -> None:
         instruments.freed(model)  # refused before anything is read
     with output.work(model.name) as (folder, progress):
         fitted, hold_out = request.experiments(model)
+        output.say_what_was_read([*fitted, *(hold_out if isinstance(hold_out, list) else ())])
         from casid.data.files import write_text
         from casid.identification.identify import identify as run
         from casid.presentation import present

@@ -16,7 +16,7 @@ from casid.cli.options import (
 )
 from casid.cli.output import Output, taken
 from casid.cli.problem_file import known_problem
-from casid.cli.request import Request
+from casid.cli.request import request_of
 from casid.cli.terminal import quiet_stdout, study_folder, workers
 
 
@@ -75,7 +75,7 @@ def montecarlo(problem: str, runs: int, method: str, duration: float | None, **g
     """
     output, fit = taken(Output, given), taken(FitOptions, given)
     at_work = workers(given.pop("jobs"), given.pop("dask"))
-    model = known_problem(problem, Request(**given))
+    model = known_problem(problem, request_of(given))
     from casid.campaigns.monte_carlo import Study
 
     study = Study(model, method, fit.settings(model, seed=0), duration)

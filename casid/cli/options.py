@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from casid.cli.reading_options import READING_OPTIONS
+
 if TYPE_CHECKING:
     from casid.data.problem import Problem
     from casid.estimation.simulation.fit import FitSettings
@@ -55,6 +57,7 @@ DATA_OPTIONS = (
         help="Keep every N-th sample behind an anti-alias filter. Second.",
     ),
     click.option("--detrend", is_flag=True, help="Subtract the mean of every channel. Third."),
+    *READING_OPTIONS,
 )
 """Where records come from, and how they are prepared."""
 

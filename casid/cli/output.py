@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from casid.cli.terminal import (
     print_json,
@@ -17,7 +18,11 @@ from casid.cli.terminal import (
     say,
 )
 
+if TYPE_CHECKING:
+    from casid.data.record import Experiment
+
 T = TypeVar("T")
+_DIGEST = re.compile(r" \(sha256 \w+\)")
 
 
 def taken(kind: type[T], given: dict[str, Any]) -> T:
@@ -54,6 +59,13 @@ class Output:
             progress_lines(self.quiet) as progress,
         ):
             yield Work(folder, progress)
+
+    def say_what_was_read(self, experiments: Iterable[Experiment]) -> None:
+        """Write on standard error what was read from the files of these experiments, and how."""
+        for experiment in () if self.quiet else experiments:
+            steps = experiment.record.provenance
+            if steps and steps[0].startswith("read "):
+                say("\n  ".join(_DIGEST.sub("", step) for step in steps))
 
     def finish(self, result: Any, folder: Path, file: str) -> None:
         """Report where `file` and the page were written, and print the result."""

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from casid.cli.output import taken
+from casid.cli.reading_options import ReadingRequest
 from casid.errors import DataError, nearest
 
 if TYPE_CHECKING:
@@ -121,6 +123,7 @@ class Request:
     decimate: int = 1
     detrend: bool = False
     mapping: dict[str, Mapping] = field(default_factory=dict)
+    reading: ReadingRequest = field(default_factory=ReadingRequest)
 
     def __post_init__(self) -> None:
         for text in self.maps:
@@ -235,12 +238,22 @@ class Request:
             source,
             {m.signal: m.text for m in mapping.values()},
             self.resample,
+            self.reading,
         )
         return replace(experiment, record=self.prepare(experiment.record))
 
 
+def request_of(given: dict[str, Any]) -> Request:
+    """The common options of a command."""
+    return Request(reading=taken(ReadingRequest, given), **given)
+
+
 def read_experiment(
-    problem: Problem, source: Source, mapping: dict[str, str], resample: float | None
+    problem: Problem,
+    source: Source,
+    mapping: dict[str, str],
+    resample: float | None = None,
+    reading: ReadingRequest | None = None,
 ) -> Experiment:
     """One record in the problem's channels, those beside the model's left out where they cannot be.
 
@@ -253,7 +266,9 @@ def read_experiment(
     from casid.data.reading.opening import open_table
     from casid.diagnosis.evidence.recorded_channels import left_out_by_clock, refuse_shared_columns
 
-    table = open_table(source.path)
+    reading = reading or ReadingRequest()
+    form = reading.form if problem.form is None else problem.form.updated(reading.form)
+    table = open_table(source.path, form)
     _, clock = resolve(table, {}, problem.time)
     problem = refuse_shared_columns(
         problem, mapping, table.columns, None if clock is None else clock.column
@@ -266,6 +281,9 @@ def read_experiment(
             window=source.window,
             case=source.case,
             resample=resample,
+            form=form,
+            mark_missing=reading.mark_missing,
+            ignore=reading.ignore,
         )
 
     try:

@@ -7,17 +7,22 @@ import importlib.util
 import math
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from casid.data.derived import Derived, derive
-from casid.data.reading.columns import ColumnSpec
-from casid.data.reading.frames import is_frame, record_of_frame, table_of
-from casid.data.reading.record_file import column_names, read_record
+from casid.data.reading.columns import ColumnSpec, resolve
+from casid.data.reading.file_format import FileFormat
+from casid.data.reading.frames import is_frame, open_frame
+from casid.data.reading.opening import open_table
+from casid.data.reading.record_file import record_of
+from casid.data.reading.sources import source_of
 from casid.data.reading.survey import ReadingOptions
+from casid.data.reading.tables import Table
+from casid.data.reading.unused_columns import Unused, unused_columns
 from casid.data.record import Experiment, Record
 from casid.errors import DataError, ModelError
 from casid.model.model import Model
@@ -58,6 +63,7 @@ class Problem:
     effects : effects of the user's own, or functions from a model to one or several, that the
         diagnosis tests beside its catalogue (`casid.balance_effect` and its like).
     starts : how many starts an estimation tries.
+    form : how the problem's files are written, where they leave it open, as the order of dates.
     description, references : for reports.
     source : the file it was loaded from; worker processes load it again.
 
@@ -80,6 +86,7 @@ class Problem:
     references: tuple[str, ...] = ()
     source: Path | None = None
     effects: Sequence[UserEffect] = field(default=(), kw_only=True)
+    form: FileFormat | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         from casid.model.dimensions import check_units
@@ -219,20 +226,68 @@ class Problem:
         known: Mapping[str, float] | None = None,
         resample: float | None = None,
         name: str | None = None,
+        form: FileFormat | None = None,
+        mark_missing: bool = False,
+        ignore: Collection[str] = (),
     ) -> Experiment:
         """Read one record in this problem's channels and units, with its load case.
+
+        Columns of numbers that the problem does not use are read beside (`Experiment.unused`), for
+        the diagnosis to test them as missing inputs; the record's provenance names every column
+        that is not used, and why one is no candidate.
+
+        Parameters
+        ----------
+        mapping : signal -> column, with its unit after a colon, before the problem's `channels`.
+        window, resample, name, mark_missing : as `casid.read_record`.
+        form : how the file is written, before the problem's `form`.
+        ignore : columns to leave out.
 
         Raises
         ------
         DataError
             For a file, column or load case that cannot be used.
         """
-        specs = self.columns(mapping)
-        specs = self._present(column_names(path), specs, mapping or {})
-        record = read_record(
-            path, specs, time=self.time, window=window, resample=resample, name=name
+        source, own_window = source_of(path)
+        form = form if self.form is None else self.form.updated(form)
+        options = ReadingOptions(
+            self.time,
+            own_window if window is None else window,
+            name,
+            resample,
+            mark_missing=mark_missing,
+            form=form,
         )
-        return self.experiment(record, case=case, known=known)
+        record, unused = self._read_table(open_table(source, form), mapping, options, ignore)
+        return replace(self.experiment(record, case=case, known=known), unused=unused)
+
+    def _read_table(
+        self,
+        table: Table,
+        mapping: Mapping[str, str] | None,
+        options: ReadingOptions,
+        ignore: Collection[str] = (),
+    ) -> tuple[Record, dict[str, str]]:
+        """The record of an open table, and its channels that the problem does not use."""
+        specs = self._present(table.columns, self.columns(mapping), mapping or {})
+        unused = self._unused(table, specs, ignore)
+        record = record_of(table, {**specs, **unused.specs}, options)
+        record = replace(record, provenance=(*record.provenance, *unused.lines))
+        return record, {name: spec.column for name, spec in unused.specs.items()}
+
+    def _unused(
+        self, table: Table, specs: Mapping[str, ColumnSpec], ignore: Collection[str]
+    ) -> Unused:
+        """The columns that the problem does not use."""
+        try:
+            _, clock = resolve(table, {}, self.time)
+        except DataError:  # refused as the file is read
+            return Unused({}, {})
+        model = self.model
+        taken = {*model.parameters, *model.states, *self._channel_units()}
+        return unused_columns(
+            table, specs, None if clock is None else clock.column, ignore=ignore, taken=taken
+        )
 
     def read_frame(
         self,
@@ -250,12 +305,9 @@ class Problem:
         DataError
             For a table, column or load case that cannot be used.
         """
-        there = [str(column) for column in table_of(frame).columns]
-        specs = self._present(there, self.columns(mapping), mapping or {})
         options = ReadingOptions(time=self.time, name=name)
-        return self.experiment(
-            record_of_frame(frame, specs, options=options), case=case, known=known
-        )
+        record, unused = self._read_table(open_frame(frame, name=name), mapping, options)
+        return replace(self.experiment(record, case=case, known=known), unused=unused)
 
     def derive(self, record: Record) -> Record:
         """The record with the derived channels that it lacks, cut where their filters end.
@@ -276,7 +328,7 @@ class Problem:
         return derive(record, wanted, self.in_si().noise)
 
     def _present(
-        self, columns: Iterable[str], specs: dict[str, ColumnSpec], mapping: Mapping[str, str]
+        self, columns: Sequence[str], specs: dict[str, ColumnSpec], mapping: Mapping[str, str]
     ) -> dict[str, ColumnSpec]:
         """Drop channels recorded beside the model's where the file does not have them."""
         there = set(columns)
@@ -503,7 +555,7 @@ def experiments_of(
     for e in chosen:
         n = seen.get(e.name, 0)
         seen[e.name] = n + 1
-        out.append(e if n == 0 else Experiment(e.record, e.known, f"{e.name}#{n + 1}"))
+        out.append(e if n == 0 else replace(e, name=f"{e.name}#{n + 1}"))
     return out
 
 

@@ -439,11 +439,15 @@ class Experiment(PickledByFields):
         Values known for this record alone.
     name : str
         The record's name where none is given.
+    unused : mapping of channel to column
+        Channels of the record that are columns of its file which the problem does not use; the
+        diagnosis tests them as missing inputs.
     """
 
     record: Record
     known: Mapping[str, float] = field(default_factory=dict)
     name: str = ""
+    unused: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not isinstance(self.record, Record):
@@ -464,6 +468,7 @@ class Experiment(PickledByFields):
                 )
         object.__setattr__(self, "known", MappingProxyType(known))
         object.__setattr__(self, "name", self.name or self.record.name)
+        object.__setattr__(self, "unused", MappingProxyType(dict(self.unused)))
 
     def __repr__(self) -> str:
         known = ", ".join(f"{n} = {v:g}" for n, v in self.known.items()) or "nothing known"

@@ -15,6 +15,7 @@ from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, requ
 from casid.diagnosis.calibration.false_alarm_rate import calibrate as run_calibration
 from casid.diagnosis.diagnosis import Diagnosis, Evidence, Gain, Limits
 from casid.diagnosis.evidence.baseline import fit_baseline
+from casid.diagnosis.evidence.recorded_channels import with_unused_columns
 from casid.diagnosis.search.findings import Findings, search_causes
 from casid.diagnosis.settings import DiagnosisSettings, Progress, require_settings
 from casid.diagnosis.verdict.judgement import judge, notes_on
@@ -96,6 +97,7 @@ def diagnose(
     if not isinstance(hold_out, float | int):
         _, hold_out = in_si(problem, hold_out)
     problem, chosen = in_si(problem, experiments)
+    problem = with_unused_columns(problem, chosen)
     require_settings(problem, false_alarm_rate, max_causes, without)
     if calibrate:
         require_runs(calibrate)

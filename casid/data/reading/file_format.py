@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import codecs
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -42,6 +42,13 @@ class FileFormat:
     table: str | None = None
     missing: tuple[str, ...] = ()
     Ts: float | None = None
+
+    def updated(self, other: FileFormat | None) -> FileFormat:
+        """The same with what `other` gives in its place."""
+        if other is None:
+            return self
+        given = {f.name: getattr(other, f.name) for f in fields(self)}
+        return replace(self, **{n: v for n, v in given.items() if v not in (None, ())})
 
     def __post_init__(self) -> None:
         if self.dates is not None and self.dates not in ORDERS:

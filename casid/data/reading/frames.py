@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casid.data.reading.columns import Columns
+from casid.data.reading.file_format import FileFormat
 from casid.data.reading.record_file import sound_record
 from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.reading.tables import FrameTable
@@ -69,7 +70,25 @@ def record_of_frame(
         As `casid.read_record`.
     """
     options = options or ReadingOptions()
-    name = options.name or str(getattr(frame, "attrs", {}).get("name", "frame"))
+    table = open_frame(frame, units, name=options.name, form=options.format)
+    return sound_record(survey(table, columns, options, describe=False))
+
+
+def open_frame(
+    frame: pd.DataFrame,
+    units: Mapping[str, str] | None = None,
+    *,
+    name: str | None = None,
+    form: FileFormat | None = None,
+) -> FrameTable:
+    """The table of a DataFrame, as `open_table` opens a file; `units` as in `record_of_frame`.
+
+    Raises
+    ------
+    DataError
+        If it is no table, has no rows, or a unit is given for no column.
+    """
+    name = name or str(getattr(frame, "attrs", {}).get("name", "frame"))
     table_frame = table_of(frame)
     given = {**table_frame.attrs.get("units", {}), **(units or {})}
     foreign = [c for c in units or {} if c not in map(str, table_frame.columns)]
@@ -80,8 +99,7 @@ def record_of_frame(
         )
     if len(table_frame) == 0:
         raise DataError(f"{name}: the table holds no rows")
-    table = FrameTable(Path(name), options.format, table_frame, given)
-    return sound_record(survey(table, columns, options, describe=False))
+    return FrameTable(Path(name), form or FileFormat(), table_frame, given)
 
 
 def frame_of(record: Record) -> pd.DataFrame:

@@ -10,6 +10,7 @@ from casid.data.reading.file_format import FileFormat
 from casid.data.reading.opening import open_table
 from casid.data.reading.sources import source_of
 from casid.data.reading.survey import ReadingOptions, survey
+from casid.data.reading.tables import Table
 from casid.data.record import Record
 from casid.errors import DataError, UnitError
 
@@ -71,6 +72,11 @@ def read_record(
     """
     options = ReadingOptions(time, window, name, resample, Ts, mark_missing, form)
     return sound_record(survey(path, columns, options, describe=False))
+
+
+def record_of(table: Table, columns: Columns, options: ReadingOptions | None = None) -> Record:
+    """Read a record from an open table, as `read_record`."""
+    return sound_record(survey(table, columns, options, describe=False))
 
 
 def sound_record(found: Survey) -> Record:

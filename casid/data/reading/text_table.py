@@ -31,6 +31,7 @@ class TextTable(Table):
         self.remarks += self.source.remarks
         head = self.source.head()
         self.layout = layout_of(head, self.source.tail())
+        self._frame: pd.DataFrame | None = None
         self.trailing = 0  # empty columns behind the last named one
         self._take_names(head)
         self._comments = self._lines_of_comment() if self.source.has_comments else []
@@ -148,12 +149,15 @@ class TextTable(Table):
         """Read the named columns whole."""
         import pandas as pd
 
+        if self._frame is not None:
+            return self._frame[columns]
         try:
             frame: pd.DataFrame = pd.read_csv(self.source.handle(), **self._options())
         except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
             raise self._broken(error) from None
         if self.layout.footers:
             frame = frame.iloc[: -self.layout.footers]
+        self._frame = frame
         return frame[columns]
 
     def _broken(self, error: Exception) -> DataError:

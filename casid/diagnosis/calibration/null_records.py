@@ -169,7 +169,7 @@ class NullRecords:
             record = _with(record, name, values)
         for name, sd in self.noise.inputs.items():
             record = _with(record, name, record[name] + sd * rng.standard_normal(d.N))
-        return Experiment(record, recorded.known, recorded.name)
+        return replace(recorded, record=record)
 
 
 def null_records(
@@ -219,4 +219,4 @@ def _at_rest(experiment: Experiment, added: Mapping[str, str]) -> Experiment:
     record = experiment.record
     for name, unit in added.items():
         record = record.with_channel(name, np.zeros(record.N), unit)
-    return Experiment(record, experiment.known, experiment.name)
+    return replace(experiment, record=record)

@@ -146,6 +146,23 @@ def channels_held_out_too(
     return kept, tuple(notes)
 
 
+def with_unused_columns(problem: Problem, experiments: Sequence[Experiment]) -> Problem:
+    """The problem with the unused columns of its files among the channels recorded beside."""
+    found = {
+        name: (e.record.units[name], column)
+        for e in experiments
+        for name, column in e.unused.items()
+        if name in e.record and name not in problem.recorded
+    }
+    if not found:
+        return problem
+    return replace(
+        problem,
+        recorded={**problem.recorded, **{name: unit for name, (unit, _) in found.items()}},
+        channels={**problem.channels, **{name: column for name, (_, column) in found.items()}},
+    )
+
+
 def recorded_beside(problem: Problem, experiments: Sequence[Experiment]) -> dict[str, str]:
     """Channels recorded beside the model's that every record has and that move.
 

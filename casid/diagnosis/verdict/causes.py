@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from casid.arrays import TINY
@@ -20,8 +21,15 @@ from casid.identification.signs_from_simulation import WrongSign
 from casid.model.effects.effect import Effect
 
 
-def causes_of(found: Findings, estimate: Estimate) -> list[Cause]:
-    """Causes in the order of their contribution: the misfit that returns when one is taken out."""
+def causes_of(
+    found: Findings, estimate: Estimate, columns: Mapping[str, str] | None = None
+) -> list[Cause]:
+    """Causes in the order of their contribution: the misfit that returns when one is taken out.
+
+    Parameters
+    ----------
+    columns : channel -> the column of the file that it is read from, named where it differs.
+    """
     fit = found.best_fit
     outputs, weights = fit.criterion.outputs, fit.criterion.weights
     scale = {o: weights[outputs.index(o)] ** 2 / 2 for o in outputs}
@@ -34,14 +42,16 @@ def causes_of(found: Findings, estimate: Estimate) -> list[Cause]:
         (c.energy * scale[c.channel], _saturation(found.search, c)) for c in corrupted.plateaus
     ]
     losses = contributions_of(found.search.weighing, found.adopted, fit)
-    effects = [_adopted(found, a, estimate) for a in found.adopted]
+    effects = [_adopted(found, a, estimate, columns or {}) for a in found.adopted]
     rows = [*zip(losses, effects, strict=True), *samples]
     total = max(sum(losses) + sum(loss for loss, _ in samples), TINY)
     rows.sort(key=lambda row: -row[0])
     return [replace(cause, share=loss / total) for loss, cause in rows]
 
 
-def _adopted(found: Findings, adopted: Adopted, estimate: Estimate) -> Cause:
+def _adopted(
+    found: Findings, adopted: Adopted, estimate: Estimate, columns: Mapping[str, str]
+) -> Cause:
     """An effect of the catalogue, without its share."""
     effect = adopted.candidate.effect
     alternatives = tuple(
@@ -61,7 +71,7 @@ def _adopted(found: Findings, adopted: Adopted, estimate: Estimate) -> Cause:
         p_value=adopted.p_value,
         parameters=_parameters_of(adopted.candidate, estimate),
         alternatives=(*alternatives, *_aliases(found.search, effect)),
-        sentence=says(effect),
+        sentence=says(effect, columns.get(effect.where, "")),
         description=effect.description,
         by_record=by_record.get(effect.key, {}),
     )

@@ -78,7 +78,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
             )
     fitted, held = errors_of(found)
     part = held if held.get("extended_rmse") else fitted
-    causes = causes_of(found, extended or baseline)
+    causes = causes_of(found, extended or baseline, problem.channels)
     remainder = None
     if not start.why_undecided:
         found.search.progress("test the residual")

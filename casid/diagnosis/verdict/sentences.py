@@ -68,8 +68,15 @@ def says_kind(kind: str, where: str) -> str:
     return _SAYS[kind].format(where=where)
 
 
-def says(effect: Effect) -> str:
-    """One effect in words, a cause's sentence without its capital."""
+def says(effect: Effect, column: str = "") -> str:
+    """One effect in words, a cause's sentence without its capital.
+
+    Parameters
+    ----------
+    column : of the file that a missing input is read from, named where its channel is not.
+    """
+    if effect.kind == "extra_input" and column and column != effect.where:
+        return says_kind(effect.kind, f"{effect.where} (column {column!r})")
     if effect.kind in _SAYS:
         return says_kind(effect.kind, effect.where)
     what = effect.description or f"{effect.kind} acts"
