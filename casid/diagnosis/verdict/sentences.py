@@ -20,7 +20,7 @@ _SAYS = {
     "cubic_stiffness": "the restoring {where} is not linear: it has a cubic term",
     "deadzone": "the restoring {where} has play (a dead zone)",
     "offset": "a constant {where} acts on the system",
-    "periodic_disturbance": "an unrecorded periodic force acts in the {where} balance",
+    "periodic_disturbance": "an unrecorded periodic disturbance acts in the {where} balance",
     "parameter_drift": "the parameter {where} drifts during the record",
     "extra_input": "the recorded channel {where}, which the model omits, acts on the system",
     "parameter_jump": "the parameter {where} changes during the record",

@@ -18,7 +18,7 @@ from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect
 from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
 from casid.model.model import Model, Parameter
-from casid.model.units import unit_quotient
+from casid.model.units import quantity_of, unit_quotient
 
 
 def unnamed_effects(model: Model, balance: str, speed: float) -> list[Effect]:
@@ -29,7 +29,7 @@ def unnamed_effects(model: Model, balance: str, speed: float) -> list[Effect]:
     """
     b = model.balances[balance]
     rate, position = b.rate, model.position_of(b.rate)
-    what = "a force" if position is not None else "a flow"
+    what = f"a {quantity_of(b.unit)}"
 
     def term(
         shape: str, says: str, of: Callable[[Any, Any], Any], v_power: int, q_power: int = 0

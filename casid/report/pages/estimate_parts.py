@@ -48,7 +48,7 @@ def parameter_table(estimates: Mapping[str, Estimate]) -> Table:
         header,
         rows,
         numbers=range(2, 3 + 3 * len(estimates)),
-        caption="Estimates with standard errors and normal 95 % intervals, SI units",
+        caption="Estimates with standard errors and normal 95 % intervals",
     )
 
 

@@ -69,7 +69,7 @@ def _accuracy(parameters: Sequence[Accuracy]) -> Table:
             )
         )
     head = "parameter,unit,truth,mean,bias,spread,mean std. error,coverage,note".split(",")
-    caption = "Accuracy of the estimates against the simulator's truth, SI units"
+    caption = "Accuracy of the estimates against the simulator's truth"
     return Table(head, rows, numbers=range(2, 8), caption=caption)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.diagnosis.evidence.residual_tests import ResidualTests
+from casid.model.units import quantity_of
 from casid.report.document import Part, Table
 from casid.report.numbers import number_text, p_text
 
@@ -30,7 +31,7 @@ def unexplained_parts(d: Diagnosis) -> list[Part]:
         places = [
             (
                 p.place,
-                "a missing force" if p.is_balance else "an error of the sensor",
+                f"a missing {quantity_of(p.unit)}" if p.is_balance else "an error of the sensor",
                 _share(p.explained),
                 number_text(p.score),
             )
