@@ -88,13 +88,13 @@ class InstrumentRequest:
                 if not is_number(text) or not math.isfinite(float(text)):
                     raise DataError(
                         f"--free {part}: the start is no finite number; write NAME or NAME=START "
-                        "in SI units, as in --free I_x,d,m=0.1"
+                        "in its declared unit, as in --free I_x,d,m=0.1"
                     )
                 starts[name] = float(text)
             elif problem.model.parameters[name].value == 0.0:
                 raise DataError(
                     f"--free {name}: its known value is 0, where other parameters may have no "
-                    f"effect; give a start in SI units, as in --free {name}=0.1"
+                    f"effect; give a start in its unit, as in --free {name}=0.1"
                 )
             names.append(name)
         model = problem.model.with_unknown(*names, **starts)
