@@ -55,6 +55,10 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
         "figure": "figures.isolability.isolability_figure",
     },
     "IterativeJoint": {"document": "texts.estimates.iterative_document"},
+    "ModelComparison": {
+        "document": "texts.model_comparison.model_comparison_document",
+        "figure": "figures.model_comparison.model_comparison_figure",
+    },
     "ModuleEstimate": {"document": "texts.networks.module_document"},
     "MomentEstimate": {"document": "texts.estimates.moment_estimate_document"},
     "MonteCarlo": {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
@@ -12,7 +12,9 @@ from casid.arrays import Array
 from casid.data.record import Experiment, Record
 from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.fitted.driving import Driving, driving_of
+from casid.estimation.fitted.equations import ModelEquations, equations_of
 from casid.estimation.fitted.innovations_form import predicted
+from casid.estimation.fitted.model_comparison import ModelComparison, compared
 from casid.estimation.fitted.parts import (
     AddedCause,
     Channels,
@@ -31,6 +33,15 @@ if TYPE_CHECKING:
 
 Inputs: TypeAlias = "Record | Experiment | pd.DataFrame | Mapping[str, Array | float] | int"
 """What a fitted model can be driven with; a number of samples where it has no inputs."""
+
+
+class HasModel(Protocol):
+    """What has a fitted model: an estimate or a diagnosis."""
+
+    @property
+    def model(self) -> FittedModel | None:
+        """Its model."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,6 +220,65 @@ class FittedModel(Saved, Exportable):
         units = {name: unit for name, (_, unit) in self.model.outputs.items()}
         missing = {name: given.record.is_missing(name) for name in names}
         return self._record(given, errors, units, missing)
+
+    def compare(
+        self,
+        record: Record | Experiment | pd.DataFrame,
+        *others: FittedModel | HasModel,
+        horizon: int | None = None,
+    ) -> ModelComparison:
+        """This model and others against one record, as MATLAB's `compare`.
+
+        Parameters
+        ----------
+        record : with inputs and outputs of all models; of one that a model was not fitted to, its
+            initial state is estimated.
+        others : fitted models, estimates or diagnoses; default the model before, where there is
+            one.
+        horizon : samples ahead of which is predicted; default free simulation.
+
+        Returns
+        -------
+        ModelComparison
+            Fit in per cent, 100 (1 - |y - yhat| / |y - mean y|), of every output of this model;
+            `to_frame()` is a table, `plot()` a figure.
+
+        Raises
+        ------
+        DataError
+            For channels that are missing, or models without an output of this one.
+        """
+        given = self._driving(record, None)
+        if given.record is None:
+            raise DataError(f"{self.name}: a comparison needs measured outputs; give a record")
+        models: list[FittedModel] = [self]
+        for other in others:
+            model = other if isinstance(other, FittedModel) else other.model
+            if model is None:
+                raise DataError(f"{other!r} has no fitted model; give a FittedModel")
+            lacking = [name for name in self.model.outputs if name not in model.model.outputs]
+            if lacking:
+                raise DataError(
+                    f"{model.name} has no output {lacking[0]}, on which {self.name} is compared; "
+                    f"it has {', '.join(model.model.outputs)}"
+                )
+            models.append(model)
+        if not others and self.baseline is not None:
+            models.append(self.baseline)
+        experiment = Experiment(given.record, dict(self.model.in_declared_units(given.known)))
+        expected: dict[str, Record] = {}
+        for model in models:
+            added = " + ".join(c.kind for c in model.causes)
+            label = f"{model.name} + {added}" if added else model.name
+            number = sum(name.partition("#")[0] == label for name in expected) + 1
+            label = label if number == 1 else f"{label}#{number}"
+            expected[label] = model.predict(experiment, horizon)
+        units = {name: unit for name, (_, unit) in self.model.outputs.items()}
+        return compared(given.record, expected, units, horizon)
+
+    def equations(self) -> ModelEquations:
+        """The equations: `print` shows text, `latex()` gives LaTeX, new terms marked in both."""
+        return equations_of(self.model, None if self.baseline is None else self.baseline.model)
 
     # -- inside ------------------------------------------------------------------------------
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import casid
+from casid.estimation.fitted.equations import equations_of
 from casid.estimation.simulation.fit import fit_model
 from casid.estimation.simulation.simulation_estimate import estimate_of
 from casid.model.clock_signals import StepAt
+from casid.model.effects.balance_effects import quadratic_damping
 from casid.model.effects.channel_effects import hold, sensor_lag, time_delay
 from casid.model.effects.parameter_effects import parameter_jump
 from casid.model.effects.structure_effects import actuator_lag
@@ -181,3 +183,47 @@ def test_draws_for_arviz_have_the_mean_and_spread_of_the_estimate(estimate):
     error = estimate.parameter("k").std_error
     assert float(found["k"].mean()) == pytest.approx(estimate["k"], abs=4 * error / 4000**0.5)
     assert float(found["k"].std()) == pytest.approx(error, rel=0.05)
+
+
+def test_the_equations_mark_what_was_added():
+    """A delay is no term of an equation, and is marked as a whole; the changed ones come twice."""
+    plain = oscillator()
+    extended = quadratic_damping(plain, "force").extend(plain, starts={"d_2": 0.1})
+    extended = time_delay(extended, "position", 0.2).extend(extended)
+    found = equations_of(extended, plain)
+    assert str(found).splitlines() == [
+        "dx/dt = v",
+        "(m) dv/dt = -k * x - d * v + force + [new: -d_2 * |v| * v]   [N]",
+        "position = x   [m]",
+        "measured position = [new: position(t - delay_position)]   [the sensor is late]",
+    ]
+    assert [str(e) for e in found.before] == ["(m) dv/dt = -k * x - d * v + force   [N]"]
+    assert [e.name for e in found.changed] == ["force", "delay of position"]
+    latex = found.latex().splitlines()
+    assert latex[1] == r"\dot{x} &= v \\"
+    damped = r"- k x - d v + \mathrm{force} + \boxed{- d_{2} v \left|{v}\right|} \\"
+    assert latex[2] == r"m\,\dot{v} &= " + damped
+    assert not equations_of(plain).changed
+    jump = equations_of(parameter_jump(plain, "m", 2.0).extend(plain), plain)
+    assert [e.left_is_new for e in jump.changed] == [True]
+
+
+def test_models_are_compared_on_one_record_by_their_fit_in_per_cent(estimate):
+    """A stiffness known 4 N/m too large costs what its simulation shows."""
+    run = record(seed=5, name="fresh")
+    wrong = casid.identify(oscillator().with_known(k=54.0), record())
+    found = estimate.model.compare(run, wrong)
+    assert list(found.fit) == ["oscillator", "mass on a spring"]
+    residual = estimate.model.residuals(run)["position"]
+    spread = run["position"] - run["position"].mean()
+    expected = 100 * (1 - np.linalg.norm(residual) / np.linalg.norm(spread))
+    assert found.fit["oscillator"]["position"] == pytest.approx(expected, rel=1e-12)
+    assert found.fit["mass on a spring"]["position"] < expected - 5
+    assert found.to_frame().loc["oscillator", "position"] == pytest.approx(expected)
+    assert "Fit to fresh, free simulation" in str(found)
+    figure = found.plot()
+    assert np.array_equal(figure.data[0].y, run["position"])
+    assert figure.data[1].name == f"oscillator: {expected:.1f} %"
+    with pytest.raises(casid.DataError, match="no channel 'force'"):
+        estimate.model.compare(run.without("force"))
+    assert list(estimate.model.compare(run, estimate).fit) == ["oscillator", "oscillator#2"]

@@ -1,0 +1,225 @@
+"""The equations of a fitted model as text and as LaTeX, what was added marked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+
+from casid.errors import ModelError
+from casid.model.formula_text import formula_text, summands
+from casid.model.model import Model
+
+Expr = Any  # a CasADi SX expression
+
+_STAGES = {
+    "delay": ("{c}(t - {p})", "the sensor is late"),
+    "lag": ("{c} behind a lag of {p}", "the sensor lags"),
+    "clip": ("{c} clipped at {p}", "the sensor is limited"),
+    "delay_input": ("{c}(t + {p})", "the record is late"),
+    "lead_input": ("{c} + {p} d{c}/dt", "the record lags"),
+    "lag_input": ("{c} behind a lag of {p}", "the actuator lags"),
+}
+"""Kind of a stage -> what becomes of a channel c with the parameter p, and in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """A term of a sum, with its sign, as text and as LaTeX.
+
+    Attributes
+    ----------
+    is_new : whether the model before had no such term in this equation.
+    """
+
+    text: str
+    latex: str
+    is_new: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ModelEquation:
+    """left = sum of terms, in `unit` (SI).
+
+    Attributes
+    ----------
+    name : of the balance, derivative, output or stage.
+    left, left_latex : the left side; `left_is_new` where the model before had another.
+    note : what a stage says.
+    """
+
+    name: str
+    left: str
+    left_latex: str
+    terms: tuple[Term, ...]
+    unit: str = ""
+    note: str = ""
+    left_is_new: bool = False
+
+    @property
+    def is_changed(self) -> bool:
+        """True if a term of it is new, or its left side."""
+        return self.left_is_new or any(term.is_new for term in self.terms)
+
+    def __str__(self) -> str:
+        words = [f"[new: {term.text}]" if term.is_new else term.text for term in self.terms]
+        right = words[0] if words else "0"
+        for word in words[1:]:
+            right += f" - {word[1:]}" if word.startswith("-") else f" + {word}"
+        left = f"[new: {self.left}] = " if self.left_is_new else f"{self.left} = "
+        after = "   ".join(f"[{part}]" for part in (self.unit, self.note) if part)
+        return f"{left}{right}" + (f"   {after}" if after else "")
+
+    def latex(self) -> str:
+        """As LaTeX for a line of an `aligned` environment, new terms in boxes."""
+        right = ""
+        for term in self.terms:
+            is_negative = term.latex.startswith("-")
+            shown = rf"\boxed{{{term.latex}}}" if term.is_new else term.latex
+            sign = "" if not right else " " if is_negative and not term.is_new else " + "
+            right += sign + shown
+        left = rf"\boxed{{{self.left_latex}}}" if self.left_is_new else self.left_latex
+        return f"{left} &= {right or '0'}"
+
+
+@dataclass(frozen=True, slots=True)
+class ModelEquations:
+    """All equations of a model, and those of the model before; `print` shows the text.
+
+    Attributes
+    ----------
+    after : derivatives, balances, outputs, and what sensors and actuators do.
+    before : those that the causes changed, as they were; empty where nothing was added.
+    """
+
+    after: tuple[ModelEquation, ...]
+    before: tuple[ModelEquation, ...] = ()
+
+    @property
+    def changed(self) -> tuple[ModelEquation, ...]:
+        """The equations with a new term."""
+        return tuple(e for e in self.after if e.is_changed)
+
+    def __str__(self) -> str:
+        return "\n".join(str(e) for e in self.after)
+
+    def latex(self) -> str:
+        """The equations as one LaTeX `aligned` environment, new terms in boxes."""
+        lines = " \\\\\n".join(e.latex() for e in self.after)
+        return f"\\begin{{aligned}}\n{lines}\n\\end{{aligned}}"
+
+    def _repr_latex_(self) -> str:
+        return f"$$\n{self.latex()}\n$$"
+
+
+def equations_of(model: Model, baseline: Model | None = None) -> ModelEquations:
+    """The equations of a model; terms that `baseline` has not are marked as new."""
+    after = tuple(_equations(model))
+    if baseline is None:
+        return ModelEquations(after)
+    old = {e.name: e for e in _equations(baseline)}
+    marked = []
+    for equation in after:
+        before = old.get(equation.name)
+        known = {term.text for term in before.terms} if before else set()
+        terms = tuple(replace(t, is_new=t.text not in known) for t in equation.terms)
+        is_other = before is not None and before.left != equation.left
+        marked.append(replace(equation, terms=terms, left_is_new=is_other))
+    changed = [e.name for e in marked if e.is_changed]
+    return ModelEquations(tuple(marked), tuple(old[name] for name in changed if name in old))
+
+
+def _equations(model: Model) -> Iterator[ModelEquation]:
+    for state, expression in model._rates.items():
+        yield _equation(f"d{state}/dt", f"d{state}/dt", rf"\dot{{{_symbol(state)}}}", [expression])
+    for b in model.balances.values():
+        inertia, latex = _written(b.inertia), _latex(b.inertia)
+        rate, dot = f"d{b.rate}/dt", rf"\dot{{{_symbol(b.rate)}}}"
+        is_one = inertia == "1"
+        left = rate if is_one else f"({inertia}) {rate}"
+        bracketed = latex if ca.SX(b.inertia).is_leaf() else rf"\left({latex}\right)"
+        yield _equation(
+            b.name, left, dot if is_one else rf"{bracketed}\,{dot}", list(b.terms), b.unit
+        )
+    for name, (expression, unit) in model.outputs.items():
+        yield _equation(f"output {name}", name, _symbol(name), [expression], unit)
+    for unknown, output, residual in model._eliminations:
+        parts = _equation(f"elimination of {unknown}", "0", "0", [residual])
+        yield replace(parts, note=f"gives {unknown}, with {output} as an input")
+    for stage in model.stages:
+        text, note = _STAGES[stage.kind]
+        what = "acting" if stage.is_of_input else "measured"
+        yield _in_words(
+            stage.kind, what, stage.channel, text.format(c=stage.channel, p=stage.parameter), note
+        )
+    for name, entry in model.inputs.items():
+        if entry.ramp is not None and entry.kind != "generated":
+            share = entry.ramp if entry.hold == "zoh" else f"(1 - {entry.ramp})"
+            text = f"{name}[k] + {share} ({name}[k+1] - {name}[k]) (t - t[k]) / Ts"
+            yield _in_words("hold", "acting", name, text, "between its samples")
+
+
+def _in_words(kind: str, what: str, channel: str, right: str, note: str) -> ModelEquation:
+    """What is done to a whole column, which is no expression of the model."""
+    left = f"{what} {channel}"
+    return ModelEquation(
+        f"{kind} of {channel}", left, _text(left), (Term(right, _text(right)),), "", note
+    )
+
+
+def _equation(
+    name: str, left: str, left_latex: str, terms: list[Expr], unit: str = ""
+) -> ModelEquation:
+    parts = [part for term in terms for part in summands(term)]
+    shown = tuple(Term(_written(part), _latex(part)) for part in parts)
+    return ModelEquation(name, left, left_latex, shown, unit)
+
+
+def _written(expression: Expr) -> str:
+    """An expression as text, derivatives of states as d/dt."""
+    names = [s.name() for s in ca.symvar(ca.SX(expression))]
+    derivatives = {n: f"d{n[4:]}/dt" for n in names if n.startswith("der_")}
+    return formula_text(expression, names=derivatives)
+
+
+def _text(words: str) -> str:
+    return r"\text{" + words.replace("_", r"\_") + "}"
+
+
+def _symbol(name: str) -> str:
+    """A name as LaTeX: Greek letters and indices where it has some, upright where it is a word."""
+    import sympy
+
+    if not name.replace("_", "").isalnum():
+        return _text(name)
+    latex = str(sympy.latex(sympy.Symbol(name)))
+    head = latex.partition("_")[0]
+    return (
+        latex
+        if len(head) < 2 or head.startswith("\\")
+        else rf"\mathrm{{{head}}}{latex[len(head) :]}"
+    )
+
+
+def _latex(expression: Expr) -> str:
+    """An expression as LaTeX; as text where algebra does not know an operation in it."""
+    import sympy
+
+    from casid.algebra.symbolic import to_sympy
+
+    try:
+        algebra = to_sympy(expression)[0]
+    except ModelError:
+        return _text(_written(expression))
+    floats = algebra.atoms(sympy.Float)
+    numbers = {x: sympy.Integer(x) if x == int(x) else sympy.Float(x, 6) for x in floats}
+    names = {s: _derivative(s.name) for s in algebra.free_symbols}
+    return str(sympy.latex(algebra.xreplace(numbers), symbol_names=names))
+
+
+def _derivative(name: str) -> str:
+    """The derivative of a state is called der_ and its name."""
+    state = name.removeprefix("der_")
+    return _symbol(name) if state == name else rf"\dot{{{_symbol(state)}}}"
