@@ -370,7 +370,7 @@ class _Work:
                 self._keep(_Done([{RUN: runs[0], FAILED: message}], 0.0))
 
     def _round(self, batches: Iterable[Sequence[int]]) -> None:
-        """Hand out batches until none is left or a worker dies; `handed` tells what it took."""
+        """Hand out batches until none is left or a worker dies; `handed` records what it took."""
         import joblib
 
         def tasks() -> Iterator[Any]:

@@ -157,7 +157,7 @@ def _concluded(
             notes=notes_on(problem, found),
             unexplained=remainder.unexplained if remainder is not None else None,
             isolability=advice.isolability,
-            invisible=advice.invisible,
+            undetectable=advice.undetectable,
             calibration=calibration,
         ),
         origin=Origin(judged.baseline.provenance, versions(), SOURCES),

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+from casid.deprecation import renamed
 from casid.diagnosis.advice.isolability import Isolability
 from casid.diagnosis.advice.next_experiment import Proposal
-from casid.diagnosis.advice.undetectable import Invisible
+from casid.diagnosis.advice.undetectable import Undetectable
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.unexplained.description import Unexplained
 from casid.diagnosis.verdict.cause import Alternative, Cause, Ranked, Verdict
@@ -60,8 +61,9 @@ class Limits:
     notes: tuple[str, ...] = ()
     unexplained: Unexplained | None = None  # what a cause of kind "unknown" looks like
     isolability: Isolability | None = None
-    invisible: tuple[Invisible, ...] = ()
+    undetectable: tuple[Undetectable, ...] = ()
     calibration: Calibration | None = None  # false alarms counted on simulated records
+    invisible = renamed("invisible", "undetectable")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +98,8 @@ class Diagnosis(Presented, Saved):
     notes: ClassVar[Grouped[tuple[str, ...]]] = Grouped("limits")  # What bears on the trust in it
     unexplained: ClassVar[Grouped[Unexplained | None]] = Grouped("limits")
     isolability: ClassVar[Grouped[Isolability | None]] = Grouped("limits")
-    invisible: ClassVar[Grouped[tuple[Invisible, ...]]] = Grouped("limits")
+    undetectable: ClassVar[Grouped[tuple[Undetectable, ...]]] = Grouped("limits")
+    invisible = renamed("invisible", "undetectable")
     calibration: ClassVar[Grouped[Calibration | None]] = Grouped("limits")
     provenance: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
     versions: ClassVar[Grouped[Mapping[str, str]]] = Grouped("origin")
@@ -166,7 +169,7 @@ class Diagnosis(Presented, Saved):
             "remaining": _plain(self.remaining),
             "unexplained": _plain(self.unexplained),
             "isolability": _plain(self.isolability),
-            "invisible": [i.to_json() for i in self.invisible],
+            "invisible": [i.to_json() for i in self.undetectable],
             "proposals": [p.to_json() for p in self.proposals],
             "calibration": _plain(self.calibration),
         }

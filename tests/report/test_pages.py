@@ -169,8 +169,8 @@ def test_what_a_rich_diagnosis_knows_stands_in_the_text(rich):
         "0.0810 \u00b1 0.0040",  # and after
         "-62.2",  # standard errors
         "Indistinguishable in this record: time_delay in gyro, sensor_lag in gyro",
-        *(i.why for i in d.invisible),
-        *(i.remedy for i in d.invisible),
+        *(i.why for i in d.undetectable),
+        *(i.remedy for i in d.undetectable),
         "any record of these channels",
         *(p.description for p in d.proposals),
         "never",  # the same again does not tell

@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.diagnosis.advice.isolability import Isolability, Pair, separation_energy
 from casid.diagnosis.advice.next_experiment import Proposal
-from casid.diagnosis.advice.undetectable import Invisible
+from casid.diagnosis.advice.undetectable import Undetectable
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.evidence.residual_tests import DETERMINISTIC, Band, ResidualTests
 from casid.diagnosis.unexplained.description import Occurrence, Unexplained
@@ -51,10 +51,10 @@ def isolability(keys: tuple[tuple[str, str], ...] = KEYS) -> Isolability:
     return Isolability(keys, c, tuple(pairs), groups, undetectable=(("sensor_scale", "gyro"),))
 
 
-def invisible(kind: str = "sensor_scale", where: str = "gyro") -> tuple[Invisible, ...]:
+def undetectable(kind: str = "sensor_scale", where: str = "gyro") -> tuple[Undetectable, ...]:
     """One cause that no record shows, one that this record does not."""
     return (
-        Invisible(
+        Undetectable(
             kind,
             where,
             "structural",
@@ -65,7 +65,7 @@ def invisible(kind: str = "sensor_scale", where: str = "gyro") -> tuple[Invisibl
             "identifiable all the same: s/I.",
             "Give one of s, I a known value, or calibrate gyro apart from these records.",
         ),
-        Invisible(
+        Undetectable(
             "scheduled_parameter",
             where,
             "practical",

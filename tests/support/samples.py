@@ -39,7 +39,13 @@ from casid.estimation.estimate import (
     Uncertainty,
 )
 from casid.presentation import present
-from tests.support.sample_parts import calibration, invisible, isolability, proposals, unexplained
+from tests.support.sample_parts import (
+    calibration,
+    isolability,
+    proposals,
+    undetectable,
+    unexplained,
+)
 
 TS = 0.02
 NOISE = 0.010
@@ -305,7 +311,7 @@ def rich() -> Diagnosis:
         ),
         unexplained=unexplained(view(N=3000)),
         isolability=isolability(),
-        invisible=invisible(),
+        undetectable=undetectable(),
         proposals=proposals(),
         calibration=calibration(),
     )
@@ -364,7 +370,7 @@ def hostile() -> Diagnosis:
         remaining=Remaining((Explained(h, h, 0.7),), 0.3, {h: 1.2}, 0.04, h, h),
         unexplained=replace(unexplained(view(N=400), h, h, h), sentences=(h,)),
         isolability=isolability(((h, h), ("k" * 300, h), ("offset", "torque"))),
-        invisible=tuple(replace(i, why=h, remedy=h) for i in invisible(h, h)),
+        undetectable=tuple(replace(i, why=h, remedy=h) for i in undetectable(h, h)),
         proposals=tuple(replace(p, name=h, description=h) for p in proposals((h, h))),
         calibration=replace(calibration(h), failures={h: 2}),
     )

@@ -115,7 +115,7 @@ class Isolability(Presented):
     pairs : all of them, the hardest first.
     groups : causes that are indistinguishable in this record, two or more each: |cosine| above
         `PLANNING.same`.
-    undetectable : causes that the baseline absorbs; `invisible` says why.
+    undetectable : causes that the baseline absorbs; `Diagnosis.undetectable` says why.
     """
 
     keys: tuple[Key, ...]

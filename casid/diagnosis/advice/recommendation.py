@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from casid.data.problem import Problem
 from casid.diagnosis.advice.isolability import Isolability, isolability
 from casid.diagnosis.advice.next_experiment import Advice, Proposal, Suspect, next_experiment
-from casid.diagnosis.advice.undetectable import Invisible, invisible
+from casid.diagnosis.advice.undetectable import Undetectable, undetectable_effects
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import PLANNING
@@ -24,7 +24,7 @@ class Recommendation:
 
     sentence: str
     isolability: Isolability | None
-    invisible: tuple[Invisible, ...]
+    undetectable: tuple[Undetectable, ...]
     proposals: tuple[Proposal, ...]
 
 
@@ -52,7 +52,7 @@ def recommend(
     return Recommendation(
         sentence=text,
         isolability=isolability(table, n_samples=found.base_fit.criterion.n_samples),
-        invisible=invisible(table, problem.model, base.split.fitted) if plan else (),
+        undetectable=undetectable_effects(table, problem.model, base.split.fitted) if plan else (),
         proposals=planned.proposals if planned is not None else (),
     )
 
@@ -106,9 +106,9 @@ def advice(
         )
     scores = table.scores if table is not None else ()
     seen = {s.effect.key for s in scores if s.is_visible}
-    invisible = {s.effect.key for s in scores} - seen
-    if invisible:
-        names = ", ".join(sorted(f"{k} in {w}" for k, w in invisible))
+    undetected = {s.effect.key for s in scores} - seen
+    if undetected:
+        names = ", ".join(sorted(f"{k} in {w}" for k, w in undetected))
         return f"The model may be used. Undetectable in this set-up: {names}."
     return "The model may be used for motions like those recorded."
 

@@ -33,7 +33,7 @@ Reason = Literal["structural", "practical", "practical (not asked structurally)"
 
 
 @dataclass(frozen=True, slots=True)
-class Invisible:
+class Undetectable:
     """One undetectable cause.
 
     Attributes
@@ -73,13 +73,13 @@ class Invisible:
         return f"{self.kind} in {self.where}: {self.reason}. {self.why} {self.remedy}"
 
 
-def invisible(
+def undetectable_effects(
     table: ScoreTable,
     model: Model,
     experiments: Sequence[Experiment],
     *,
     threshold: float = SCORES.undetectable,
-) -> tuple[Invisible, ...]:
+) -> tuple[Undetectable, ...]:
     """Causes of the table that are absorbed in every variant, structural ones first.
 
     Parameters
@@ -111,13 +111,13 @@ class _RankTests:
         base = self._rank(model)
         self.unobservable = set() if base is None else _unobservable(base)
 
-    def about(self, effect: Effect, visible: float) -> Invisible:
+    def about(self, effect: Effect, visible: float) -> Undetectable:
         new, names = effect.extended(self.model)
         found = self._rank(new) if self._has_exact_algebra(effect, new) else None
         share = f"{100 * (1 - visible):.4g} % of its effect on the outputs"
         if found is None or found.identifiable.get(names[0], True):
             reason: Reason = "practical" if found else "practical (not asked structurally)"
-            return Invisible(
+            return Undetectable(
                 effect.kind,
                 effect.key[1],
                 reason,
@@ -132,7 +132,7 @@ class _RankTests:
         parameters = tuple(n for n in with_it if n not in names)
         states = tuple(sorted(_unobservable(found) - self.unobservable))
         combinations = self._combinations(new, found, with_it) if parameters else ()
-        return Invisible(
+        return Undetectable(
             effect.kind,
             effect.key[1],
             "structural",

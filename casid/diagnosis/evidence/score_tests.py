@@ -9,7 +9,7 @@ is a Lagrange multiplier score that is orthogonal to small errors of the baselin
 corrections c remove what noise on a measured input gives to sensitivity and residual alike:
 E[psi' e] = -E[(d psi w)' (G w)], estimated by simulating with antithetic noise added to the inputs.
 (1) is linear in the baseline's error, and the noise of an input biases the baseline itself: a least
-squares estimate may be wrong by several standard errors, in directions of which the record tells
+squares estimate may be wrong by several standard errors, in directions of which the record says
 little. So it is first moved to the root of
 
     T' e + c_T = 0                                                                             (2)

@@ -186,7 +186,7 @@ def _levels(ordinates: list[list[_Ordinates]], Ts: float) -> tuple[_Process, flo
 
 
 def _spectrum(ordinates: list[list[_Ordinates]], process: _Process, Ts: float) -> ForceSpectrum:
-    """Weighted over outputs and records by what each tells: |G|^4 / S^2, S with the force in it."""
+    """Weighted over outputs and records by information: |G|^4 / S^2, S with the force in it."""
     low = min(o.omega[0] for one in ordinates for o in one)
     edges = np.geomspace(low * 0.999, np.pi, SMOOTHING.bands + 1)
     top, bottom, floor = (np.zeros(SMOOTHING.bands) for _ in range(3))

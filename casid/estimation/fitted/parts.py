@@ -86,7 +86,7 @@ class AddedCause:
     parameters : names, in the model, of what it is described by.
     constants : what was chosen rather than estimated, SI units: `speed` below which dry friction is
         smoothed, `time` of a jump, `start` and `stop` of a drift, `mean` of a channel.
-    shape, description : what tells it from others of its kind, in words where it has no name.
+    shape, description : what distinguishes it within its kind, in words where it has no name.
     """
 
     kind: str

@@ -29,9 +29,9 @@ from casid.report.pages.estimate_parts import (
 from casid.report.pages.limit_parts import (
     calibration_parts,
     inseparable,
-    invisible_parts,
     pairs_parts,
     proposals_table,
+    undetectable_parts,
 )
 from casid.report.pages.remainder_parts import gain_table, moved_table, remaining_parts
 from casid.report.pages.unexplained_parts import unexplained_parts
@@ -74,7 +74,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Document:
         "Parameters": [parameter_table(estimates), figure("parameters"), *error_bars(estimates)],
         "Gain": [gain_table(d), figure("gain")],
         "What cannot be distinguished": [inseparable(d), figure("isolability"), *pairs],
-        "Undetectable in this set-up": invisible_parts(d),
+        "Undetectable in this set-up": undetectable_parts(d),
         "Next experiment": [proposals_table(d)],
         "Calibration": [*calibration_parts(d), figure("calibration")],
         "Noise": [noise],

@@ -24,7 +24,7 @@ def inseparable(d: Diagnosis) -> Table | str | None:
         if r.status == "cannot be rejected" and (r.kind, r.where) not in listed:
             rows.append((Code(r.kind), Code(r.where), r.status, r.why))
     for r in d.ranking:
-        if r.status == "invisible" and not d.invisible:  # else they have a section of their own
+        if r.status == "invisible" and not d.undetectable:  # else they have a section of their own
             rows.append((Code(r.kind), Code(r.where), "undetectable in this record", r.why))
     if not rows:
         is_more = d.isolability is not None and d.isolability.groups
@@ -46,9 +46,9 @@ def pairs_parts(d: Diagnosis) -> list[Part]:
     return [Bullets(same), pairs_table(found)]
 
 
-def invisible_parts(d: Diagnosis) -> list[Part]:
+def undetectable_parts(d: Diagnosis) -> list[Part]:
     """Causes that this set-up or this record cannot show, why, and the remedy."""
-    if not d.invisible:
+    if not d.undetectable:
         return []
     rows = [
         (
@@ -58,7 +58,7 @@ def invisible_parts(d: Diagnosis) -> list[Part]:
             i.why,
             i.remedy,
         )
-        for i in d.invisible
+        for i in d.undetectable
     ]
     caption = "Effects that do nothing to the outputs which the model's own parameters could not do"
     return [

@@ -37,7 +37,9 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
         parts += [("the same here", _first([label(k) for k in g])) for g in groups]
     parts += [("noise", f"{k}: {v}") for k, v in d.noise.items()]
     for is_structural, record in ((True, "any record of these channels"), (False, "this record")):
-        names = [label((i.kind, i.where)) for i in d.invisible if i.is_structural == is_structural]
+        names = [
+            label((i.kind, i.where)) for i in d.undetectable if i.is_structural == is_structural
+        ]
         if names:
             parts.append(("invisible", f"in {record}: {_first(names)}"))
     if d.calibration is not None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.advice.undetectable import Invisible, invisible
+from casid.diagnosis.advice.undetectable import Undetectable, undetectable_effects
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.thresholds import PLANNING
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -54,10 +54,10 @@ def fitted(experiments):
     return fit_model(pendulum.problem.model, experiments, FitSettings(starts=1))
 
 
-def asked(fit, effects, **options) -> dict[tuple[str, str], Invisible]:
+def asked(fit, effects, **options) -> dict[tuple[str, str], Undetectable]:
     model = fit.criterion.model
     table = score_test(fit, effects, input_sd={}, draws=50)
-    found = invisible(table, model, fit.criterion.experiments, **options)
+    found = undetectable_effects(table, model, fit.criterion.experiments, **options)
     return {(i.kind, i.where): i for i in found}
 
 
