@@ -435,7 +435,7 @@ class Experiment(PickledByFields):
     Attributes
     ----------
     record : Record
-    known : mapping of parameter name to value, SI
+    known : mapping of parameter name to value, in the unit that the model declares
         Values known for this record alone.
     name : str
         The record's name where none is given.
@@ -464,7 +464,7 @@ class Experiment(PickledByFields):
             if not np.isfinite(known[str(parameter)]):
                 raise DataError(
                     f"experiment {self.name or self.record.name}: known value {parameter} = "
-                    f"{value!r} is not a finite number. Give it as a number in SI units."
+                    f"{value!r} is not a finite number. Give it as a number in its declared unit."
                 )
         object.__setattr__(self, "known", MappingProxyType(known))
         object.__setattr__(self, "name", self.name or self.record.name)

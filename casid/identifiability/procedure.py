@@ -100,6 +100,7 @@ def assess_identifiability(
     report = progress or (lambda _: None)
     assuming = assuming or Assumptions()
     question = question_about(subject, experiments, assuming)
+    assuming = question.in_si(assuming)
     systems = prepared(question.systems, assuming)
     _check_request(question, systems, candidates, profiles)
 

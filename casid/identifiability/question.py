@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,6 +65,18 @@ class Question:
             chosen = translated(self.model, self.experiments, generic=generic, direct=direct)
             return chosen.systems
         return (system_of(self.model, generic=generic, direct=direct),)
+
+    def in_si(self, assuming: Assumptions) -> Assumptions:
+        """The assumptions with values in SI, given in the units that the model declares."""
+        model = self.model or (None if self.problem is None else self.problem.model)
+        if model is None or not model.declared_units:
+            return assuming
+        starts = assuming.known_initial
+        if isinstance(starts, Mapping):
+            numbers = model.in_si({n: v for n, v in starts.items() if v is not None})
+            starts = {**starts, **numbers}
+        at = None if assuming.at is None else model.in_si(assuming.at)
+        return replace(assuming, at=at, known_initial=starts)
 
     def with_symbols(self, assuming: Assumptions) -> tuple[System, ...]:
         """The systems with known constants as symbols, for formulas that can be read."""

@@ -131,3 +131,16 @@ def test_the_verdict_is_that_in_si_and_its_numbers_are_converted():
     text = found.sentence + " ".join(found.noise.values())
     assert " mm" in text
     assert " m " not in f"{text} ".replace(".", " ")
+
+
+def test_practical_identifiability_takes_values_and_noise_in_the_declared_units():
+    units = {n: u[1] for n, u in OTHERS.items()}
+    at = {"m": 2.0, "d": 8.0, "k": 900.0, "q(0)": 0.01, "v(0)": 0.0}
+    stated = problem(units)
+    names = {"q(0)": "x", "v(0)": "v"}
+    converted = {n: float(from_si(v, units[names.get(n, n)])) for n, v in at.items()}
+    reference = casid.practical_identifiability(problem(SI), record(), at=at, noise={"x": 1e-4})
+    found = casid.practical_identifiability(stated, record(), at=converted, noise={"x": 0.1})
+    for mine, theirs in zip(found.parameters, reference.parameters, strict=True):
+        assert mine.std_error == pytest.approx(theirs.std_error, rel=1e-6)
+        assert mine.unit == theirs.unit  # SI

@@ -22,6 +22,7 @@ from casid.estimation.fit_statistics import rms
 from casid.estimation.noise import input_noise_floor
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
+from casid.model.units import difference_to_si
 
 Experiments = Sequence[Experiment | Record] | Experiment | Record | None
 MOST_SUBSTEPS = 16
@@ -107,10 +108,11 @@ def plan(
     Parameters
     ----------
     experiments : records with the model's inputs; outputs may be absent (a planned experiment).
-    at : values by name of parameters ("k"), initial states ("phi(0)") and, with several
-        experiments, "phi(0)@name"; what is not named has its start, or its known value.
-    noise : output -> standard deviation of its white noise [SI]; else that of the problem, else
-        estimated from a measured output, else one unit for all.
+    at : values by name, in the units that the model declares, of parameters ("k"), initial states
+        ("phi(0)") and, with several experiments, "phi(0)@name"; what is not named has its start, or
+        its known value.
+    noise : output -> standard deviation of its white noise, in its unit; else that of the problem,
+        else estimated from a measured output, else one unit for all.
     own : parameters of which every record has its own value.
     substeps : Runge-Kutta steps a sample; None doubles them until the information converges.
 
@@ -123,8 +125,9 @@ def plan(
     SolveError
         The simulation diverges at these values.
     """
+    values = values_of(problem, at)
+    noise = None if noise is None else noise_in_si(problem, noise)
     problem, chosen = in_si(problem, experiments)
-    values = values_of(at)
     known = {
         n: v
         for n, v in values.items()
@@ -142,13 +145,26 @@ def plan(
     return Planned(problem, criterion, x, _sizes(criterion, x), level)
 
 
-def values_of(at: Mapping[str, float] | Estimate | None) -> dict[str, float]:
-    """Values by name, of a mapping or of an estimate."""
+def values_of(
+    problem: Problem | Model, at: Mapping[str, float] | Estimate | None
+) -> dict[str, float]:
+    """SI values by name, of a mapping in the units that the model declares or of an estimate."""
     if at is None:
         return {}
     if isinstance(at, Estimate):
+        at = at.in_si()
         return {name: at[name] for name in at.names}
-    return {str(name): float(value) for name, value in at.items()}
+    model = problem if isinstance(problem, Model) else problem.model
+    return model.in_si({str(name): float(value) for name, value in at.items()})
+
+
+def noise_in_si(problem: Problem | Model, noise: Mapping[str, float]) -> dict[str, float]:
+    """Standard deviations by channel, given in the channels' units, in SI."""
+    model = problem if isinstance(problem, Model) else problem.model
+    if model.takes_si:
+        return dict(noise)
+    units = model.declared_units
+    return {n: float(difference_to_si(sd, units.get(n, "1"))) for n, sd in noise.items()}
 
 
 def _unmeasured_starts(

@@ -26,7 +26,13 @@ from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.identifiability.records.planned_experiment import Experiments, Planned, plan, values_of
+from casid.identifiability.records.planned_experiment import (
+    Experiments,
+    Planned,
+    noise_in_si,
+    plan,
+    values_of,
+)
 from casid.identifiability.records.profile_result import Kind, ProfileLikelihood, Profiles
 from casid.model.model import Model
 
@@ -69,12 +75,12 @@ def profile_likelihood(
     SolveError
         If the first fit diverges.
     """
+    values = values_of(problem, at)
+    noise = None if noise is None else noise_in_si(problem, noise)
     problem, chosen = in_si(problem, experiments)
     settings = settings or FitSettings(starts=problem.starts)
     _check_settings(problem, settings, points, confidence)
-    fit = fit_model(
-        problem.model, chosen, settings, start=values_of(at), check_rank=False, throw=False
-    )
+    fit = fit_model(problem.model, chosen, settings, start=values, check_rank=False, throw=False)
     planned = plan(
         problem,
         chosen,

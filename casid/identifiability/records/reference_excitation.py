@@ -36,7 +36,7 @@ from casid.identifiability.records.excitation_order import (
     signal,
     singular_values,
 )
-from casid.identifiability.records.planned_experiment import Experiments, Planned, plan
+from casid.identifiability.records.planned_experiment import Experiments, Planned, noise_in_si, plan
 from casid.model.model import Model
 
 SOURCES = (
@@ -163,7 +163,7 @@ def record_excitation(
     """
     if isinstance(problem, Model):
         problem = Problem(problem.name, problem)
-    sd = {**problem.noise, **(noise or {})}
+    sd = {**problem.in_si().noise, **noise_in_si(problem, noise or {})}
     p = plan(problem, experiments, at=at)
     there = [*p.criterion.model.inputs, *p.criterion.model.outputs, *problem.recorded]
     for name in sd:
@@ -303,6 +303,7 @@ class _Split:
         """The variables, within the errors of the estimate they come from."""
         x = self.planned.x.copy()
         if isinstance(at, Estimate):
+            at = at.in_si()
             names = list(at.covariance_names)
             move = rng.multivariate_normal(np.zeros(len(names)), at.covariance, method="eigh")
             for i, name in enumerate(self.criterion.names):
