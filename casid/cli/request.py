@@ -66,7 +66,8 @@ def parse_setting(text: str) -> tuple[str, float]:
         number = math.nan
     if not equals or not name.strip() or not math.isfinite(number):
         raise DataError(
-            f"--set {text}: write it as name=value with a finite number in its declared unit, "
+            f"--set {text}: write it as name=value with a finite number in SI units, unless "
+            "the model declares another, "
             "for example --set M=22.04"
         )
     return name.strip(), number

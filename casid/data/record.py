@@ -464,7 +464,8 @@ class Experiment(PickledByFields):
             if not np.isfinite(known[str(parameter)]):
                 raise DataError(
                     f"experiment {self.name or self.record.name}: known value {parameter} = "
-                    f"{value!r} is not a finite number. Give it as a number in its declared unit."
+                    f"{value!r} is not a finite number. Give it as a number in SI units, "
+                    "unless the model declares another unit."
                 )
         object.__setattr__(self, "known", MappingProxyType(known))
         object.__setattr__(self, "name", self.name or self.record.name)
