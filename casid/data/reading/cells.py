@@ -29,6 +29,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+_NO_VALUE_NUMBERS = frozenset(
+    [32767.0, -32768.0, 65535.0, 2147483647.0, -2147483648.0, 1e30, -1e30]
+)
+
+
 def numbers_of(
     table: Table,
     frame: pd.DataFrame,
@@ -114,6 +119,25 @@ def _without_missing(numbers: FloatArray, table: Table) -> FloatArray:
         if plain is not None and np.any(numbers == float(plain)):
             numbers = np.where(numbers == float(plain), np.nan, numbers)
     return numbers
+
+
+def stands_for_none(values: FloatArray, column: str) -> str:
+    """A remark on a value such as 9999 far off all others, which may stand for none; else empty."""
+    finite = values[np.isfinite(values)]
+    if finite.size < 4:
+        return ""
+    for extreme in (float(finite.max()), float(finite.min())):
+        rest = finite[finite != extreme]
+        digits = f"{abs(extreme):.10g}".replace(".", "")
+        known = (set(digits) == {"9"} and len(digits) > 1) or extreme in _NO_VALUE_NUMBERS
+        if known and rest.size and float(np.abs(rest - extreme).min()) > 3 * float(np.ptp(rest)):
+            count = finite.size - rest.size
+            return (
+                f"{count} value{'s' if count > 1 else ''} of column {column!r} "
+                f"{'are' if count > 1 else 'is'} {extreme:.10g}, far off all others; where that "
+                f"stands for no value, add --missing {extreme:.10g} --mark-missing"
+            )
+    return ""
 
 
 def non_finite(

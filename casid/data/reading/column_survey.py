@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from casid.data.reading.cells import numbers_of
+from casid.data.reading.cells import numbers_of, stands_for_none
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.columns import ColumnSpec, unit_from_name
 from casid.data.reading.faults import ColumnSurvey, Survey
@@ -51,7 +51,8 @@ def _survey_of(
     values = numbers_of(table, frame, name, ColumnSpec(name), Survey(table.path))
     if values is None:
         return ColumnSurvey(name, None, "text", None)
-    remarks = []
+    far_off = stands_for_none(values, name)
+    remarks = [far_off] if far_off else []
     finite = np.isfinite(values)
     if not finite.all():
         remarks.append(f"{int((~finite).sum())} of {values.size} rows have no value")

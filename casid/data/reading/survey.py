@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.data.reading.cells import non_finite, numbers_of, times_of
+from casid.data.reading.cells import non_finite, numbers_of, stands_for_none, times_of
 from casid.data.reading.clocks import UNIFORM, time_faults, window_rows
 from casid.data.reading.column_survey import column_surveys
 from casid.data.reading.columns import Columns, ColumnSpec, Time, resolve, time_unit
@@ -286,6 +286,8 @@ def _channels(
                 found.faults.append(non_finite(table, channel, spec, numbers, rows, found.times))
             channels.missing[channel] = bad
             steps.append(f"{int(bad.sum())} samples of {channel} not finite, marked missing")
+        far_off = stands_for_none(numbers, spec.column)
+        found.notes += [far_off] if far_off else []
         unit, target = spec.unit or "1", spec.target
         channels.values[channel] = to_si(numbers, unit, target)
         kept = target if target and parse_unit(target).is_si else si_unit(unit)

@@ -250,7 +250,7 @@ def _refuse_clock_change(stamps: pd.Series[pd.Timestamp], where: str) -> None:
         for k in np.flatnonzero(near):
             before, after = stamps.iloc[int(k)], stamps.iloc[int(k) + 1]
             hour = before.hour if jump > 0 else after.hour
-            if before.month in (3, 4, 9, 10, 11) and before.dayofweek == 6 and hour <= 3:
+            if before.month in (3, 4, 9, 10, 11) and before.weekday() == 6 and hour <= 3:
                 raise DataError(
                     f"{where}: the time stamps jump {word} by an hour from "
                     f"{before:%Y-%m-%d %H:%M:%S} to {after:%H:%M:%S}, as clocks do where summer "
