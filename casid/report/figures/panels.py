@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.estimation.estimate import RecordView
 from casid.report.figures.record_views import part_shapes, time_range
-from casid.report.figures.style import FONT, figure_text
+from casid.report.figures.style import AFTER, FONT, figure_text, translucent
 
 _AXIS: dict[str, Any] = {
     "title_font": {"size": 13},
@@ -112,6 +113,20 @@ class Panels:
         self.owners.append(owner)
         trace |= {"legendgroup": name, "showlegend": first, "visible": owner == 0}
         self.figure.add_trace(getattr(go, kind)(**trace), **self._at(k))
+
+    def band(self, k: int, x: Array, centre: Array, half: Array) -> None:
+        """Shade the 95 % band centre -+ half (n,) over x in panel k."""
+        self.add(
+            k,
+            x=np.concatenate([x, x[::-1]]),
+            y=np.concatenate([centre + half, (centre - half)[::-1]]),
+            name="95 % band",
+            mode="lines",
+            line={"width": 0},
+            fill="toself",
+            fillcolor=translucent(AFTER, 0.3),
+            hoverinfo="skip",
+        )
 
     def label(self, k: int, *, x: str | None = None, y: str | None = None) -> None:
         """Name the axes of panel k."""

@@ -17,7 +17,6 @@ from casid.report.figures.style import (
     MEASURED,
     axis_text,
     figure_text,
-    translucent,
 )
 from casid.report.figures.thinning import thinned
 
@@ -41,18 +40,7 @@ def dependence_figure(result: Unexplained) -> Any:
     columns = min(2, len(drawn))
     figure = Panels(panels=len(drawn), columns=columns, row_height=280, gap=70)
     for k, d in enumerate(drawn):
-        band = 1.96 * d.sd
-        figure.add(
-            k,
-            x=np.concatenate([d.at, d.at[::-1]]),
-            y=np.concatenate([d.value + band, (d.value - band)[::-1]]),
-            name="95 % band",
-            mode="lines",
-            line={"width": 0},
-            fill="toself",
-            fillcolor=translucent(AFTER, 0.3),
-            hoverinfo="skip",
-        )
+        figure.band(k, d.at, d.value, 1.96 * d.sd)
         figure.add(
             k,
             x=d.at,
@@ -130,20 +118,8 @@ def missing_time_figure(result: Unexplained, record: int = 0) -> Any:
     s, signals = force.series[record], result.signals[record]
     names = list(signals)
     figure = Panels(rows=1 + len(names), row_height=150, gap=20, shared_x=True)
-    band = 1.96 * s.sd
     every = slice(None, None, max(1, len(s.t) // _POINTS))
-    t = s.t[every]
-    figure.add(
-        0,
-        x=np.concatenate([t, t[::-1]]),
-        y=np.concatenate([(s.force + band)[every], (s.force - band)[every][::-1]]),
-        name="95 % band",
-        mode="lines",
-        line={"width": 0},
-        fill="toself",
-        fillcolor=translucent(AFTER, 0.3),
-        hoverinfo="skip",
-    )
+    figure.band(0, s.t[every], s.force[every], 1.96 * s.sd[every])
     i = thinned(s.force, _POINTS)
     figure.add(
         0,
