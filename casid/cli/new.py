@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from casid.cli.options import map_option
+from casid.cli.options import map_option, options
+from casid.cli.output import taken
+from casid.cli.reading_options import FORMAT_OPTIONS, ReadingRequest
 from casid.cli.request import parse_mapping, parse_setting
 from casid.cli.terminal import print_text
 from casid.errors import DataError
@@ -32,6 +35,7 @@ NAMES = "mass-spring-damper, dc-motor, thermal, tank, vehicle, free"
     metavar="NAME=VALUE",
     help="A parameter of the template that is known, in its unit there. Repeatable.",
 )
+@options(*FORMAT_OPTIONS)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -46,6 +50,7 @@ def new(
     settings: tuple[str, ...],
     out: Path | None,
     force: bool,
+    **given: Any,
 ) -> None:
     """Write a problem file to fill in for a file of measurements.
 
@@ -65,6 +70,12 @@ def new(
         mapping[entry.signal] = entry.text
     path = out or Path(f"{identifier(source_of(data)[0].stem)}.py")
     written = new_problem(
-        data, template, path, mapping=mapping, known=dict(map(parse_setting, settings)), force=force
+        data,
+        template,
+        path,
+        mapping=mapping,
+        known=dict(map(parse_setting, settings)),
+        force=force,
+        form=taken(ReadingRequest, given).form,
     )
     print_text(str(written))

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from casid.data.problem import Problem
     from casid.data.record import Experiment, Record
 
+CLOCK_FORMATS = ("hh:mm:ss", "hh:mm", "mm:ss")  # how times of day are written, for a unit
 TIME = "t"  # --map t=column names the time column, where no channel has that name
 
 
@@ -42,6 +43,9 @@ def parse_mapping(text: str) -> Mapping:
     """
     signal, equals, rest = text.partition("=")
     column, colon, unit = rest.rpartition(":") if ":" in rest else (rest, "", "")
+    for written in CLOCK_FORMATS:  # t=Uhrzeit:hh:mm
+        if rest.endswith(f":{written}"):
+            column, unit = rest.removesuffix(f":{written}"), written
     parts = [signal.strip(), column.strip(), unit.strip()]
     if not equals or not all(parts[:2]) or (colon and not parts[2]):
         raise DataError(

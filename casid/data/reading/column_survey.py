@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.data.reading.cells import numbers_of, stands_for_none
 from casid.data.reading.clocks import UNIFORM
-from casid.data.reading.columns import ColumnSpec, unit_from_name
+from casid.data.reading.columns import ColumnSpec, is_dated, time_unit, unit_of_column
 from casid.data.reading.faults import ColumnSurvey, Survey
 from casid.data.reading.tables import Table
 from casid.data.record import FloatArray
@@ -28,7 +28,7 @@ def column_surveys(
     found = []
     for name in table.columns:
         if name == clock:
-            found.append(ColumnSurvey(name, unit_from_name(name), "time", _step(times)))
+            found.append(ColumnSurvey(name, time_unit(table, name), "time", _step(times)))
             continue
         entry = _survey_of(table, frame, name, times, numbers)
         found.append(entry)
@@ -46,7 +46,7 @@ def _survey_of(
     there = column.notna().to_numpy()
     if not there.any():
         return ColumnSurvey(name, None, "empty", None)
-    if column.dtype.kind in "mM":
+    if column.dtype.kind in "mM" or is_dated(table, name):
         return ColumnSurvey(name, None, "time", _step(times))
     values = numbers_of(table, frame, name, ColumnSpec(name), Survey(table.path))
     if values is None:
@@ -63,8 +63,13 @@ def _survey_of(
         if twin is not None:
             remarks.append(f"a copy of column {twin!r}, up to scale and offset")
         numbers[name] = values
+    unit = unit_of_column(table, name)
+    if unit is not None and unit.unit is None and unit.is_sure:
+        why = f"may be {unit.why}" if unit.why else "is not in the list of units"
+        remarks.append(f"its unit {unit.text!r} {why}")
+    read = unit.unit if unit is not None else None
     step = None if times is None or times.size != values.size else _step(times[finite])
-    return ColumnSurvey(name, unit_from_name(name), "numeric", step, tuple(remarks))
+    return ColumnSurvey(name, read, "numeric", step, tuple(remarks))
 
 
 def _step(times: FloatArray | None) -> float | None:

@@ -143,6 +143,9 @@ def _time_column(table: Table, time: Time) -> ColumnSpec | None:
     if time is not None:
         spec = _spec(time)
         table.require(spec.column, "t")
+        pair = _date_and_clock(table)
+        if pair is not None and pair[1] == spec.column:
+            table.date_column = pair[0]
         if spec.unit in CLOCK_FORMATS:
             return spec._replace(target="s", origin="given")
         unit = spec.unit or time_unit(table, spec.column)
@@ -162,7 +165,7 @@ def _time_column(table: Table, time: Time) -> ColumnSpec | None:
         table.date_column = pair[0]
         named = [c for c in named if c != pair[0]]
     if not named:
-        named = [c for c in table.columns if c not in table.units and _is_dated(table, c)]
+        named = [c for c in table.columns if c not in table.units and is_dated(table, c)]
         named = named if len(named) == 1 else []
     if not named:
         return None
@@ -212,7 +215,8 @@ def _date_and_clock(table: Table) -> tuple[str, str] | None:
     return (dates[0], clocks[0]) if len(dates) == 1 and len(clocks) == 1 else None
 
 
-def _is_dated(table: Table, column: str) -> bool:
+def is_dated(table: Table, column: str) -> bool:
+    """Whether the first cells of a column are dates or times of day."""
     cells = table.sample(column)
     return bool(cells) and all(is_date(c) for c in cells)
 

@@ -31,8 +31,8 @@ class ColumnSurvey:
     Attributes
     ----------
     name : as written in the file.
-    unit : the unit read from its name or the file, as written; None where there is none that can
-        be read in one way.
+    unit : the unit read from its name or the file, a unit of `casid.model.units`; None where there
+        is none that can be read in one way.
     kind : "numeric", "time" (the time stamps, and dates), "text" or "empty".
     Ts : sample time [s] of its values, longer than the file's where only every k-th row has one;
         None where there are no time stamps, or they are irregular.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import codecs
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -45,10 +45,13 @@ class FileFormat:
 
     def updated(self, other: FileFormat | None) -> FileFormat:
         """The same with what `other` gives in its place."""
-        if other is None:
-            return self
-        given = {f.name: getattr(other, f.name) for f in fields(self)}
-        return replace(self, **{n: v for n, v in given.items() if v not in (None, ())})
+        return self if other is None else replace(self, **other.given)
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The attributes that are given, by name."""
+        all_of_them = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: value for name, value in all_of_them.items() if value not in (None, ())}
 
     def __post_init__(self) -> None:
         if self.dates is not None and self.dates not in ORDERS:

@@ -274,10 +274,10 @@ def _channels(
         numbers = numbers_of(table, frame, channel, spec, found, skip_text=skip_text)
         if numbers is None:
             if not found.faults or found.faults[-1].column != spec.column:
-                steps.append(f"column {spec.column} left out: it holds no numbers")
+                found.notes.append(f"column {spec.column} left out: it holds no numbers")
             continue
         if skip_text and not np.isfinite(numbers).any():
-            steps.append(f"column {spec.column} left out: it is empty")
+            found.notes.append(f"column {spec.column} left out: it is empty")
             continue
         numbers = numbers[rows]
         bad = ~np.isfinite(numbers)

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 COPY = 1 - 1e-6
 """Correlation from which a column is a copy of another, up to scale and offset and rounding."""
 
+TWIN = 0.999
+"""Correlation from which a column shows what a used one shows: heuristic, noise allowed for."""
+
 DERIVATIVE = 0.99
 """Correlation from which a column is the derivative of a used one, noise and lag allowed for."""
 
@@ -142,6 +145,8 @@ def _why_not(
         if _correlation(values, other) >= COPY:
             return f"a copy of column {name!r}, up to scale and offset"
     for name, other in used.items():
+        if _correlation(values, other) >= TWIN:
+            return f"all but a copy of column {name!r}, as another sensor of it would be"
         if np.isfinite(other).all() and other.size == values.size:
             if _correlation(values, np.gradient(other)) >= DERIVATIVE:
                 return f"the derivative of column {name!r}"

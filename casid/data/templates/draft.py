@@ -182,6 +182,9 @@ class Draft:
                 beside[label] = channel
         lines = ["problem = casid.Problem(", f"    {quoted(name)},", "    m,"]
         lines.append(f"    time={quoted(self.file.time)},")
+        if self.file.form is not None and self.file.form.given:
+            given = ", ".join(f"{n}={v!r}" for n, v in self.file.form.given.items())
+            lines.append(f"    form=casid.FileFormat({given}),")
         lines.append("    # signal of the model: column of the file, and the unit it is written in")
         lines.append("    channels={")
         for role, channel in used.items():

@@ -6,7 +6,7 @@ import keyword
 import re
 import unicodedata
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.faults import Survey
+from casid.data.reading.file_format import FileFormat
 from casid.data.reading.header_units import header_unit
 from casid.data.reading.sources import limit_text, source_of
 from casid.data.reading.survey import ReadingOptions, survey
@@ -73,6 +74,7 @@ class FileChannels(NamedTuple):
     ----------
     time : column of the time stamps.
     left_out : columns that are no channels -> why.
+    form : how the file is written, where it leaves it open.
     resampled : sample time [s] where the clock is uneven and the record had to be interpolated.
     """
 
@@ -84,6 +86,7 @@ class FileChannels(NamedTuple):
     N: int
     left_out: Mapping[str, str]
     resampled: float | None = None
+    form: FileFormat | None = None
 
     @property
     def source(self) -> str:
@@ -120,6 +123,7 @@ def file_channels(
     source: str | Path,
     time: str | ColumnSpec | None = None,
     units: Iterable[tuple[str, str]] = (),
+    form: FileFormat | None = None,
 ) -> FileChannels:
     """Look through a file: every column of numbers, its unit, and the sample time.
 
@@ -128,6 +132,7 @@ def file_channels(
     source : path, perhaps with a window: `run.csv@12:194`.
     time : column of the time stamps; found by its name where not given.
     units : pairs of a column and the unit in which it is written, where the header does not say.
+    form : how the file is written, where it leaves it open.
 
     Raises
     ------
@@ -135,7 +140,7 @@ def file_channels(
         If the file cannot be read, has no time stamps or no column of numbers.
     """
     path, window = source_of(source)
-    columns = survey(path, {}, ReadingOptions(time=time, window=window))
+    columns = survey(path, {}, ReadingOptions(time=time, window=window, form=form))
     if columns.clock is None and columns.columns:
         raise DataError(
             f"{path.name}: no time column found among "
@@ -147,7 +152,8 @@ def file_channels(
         raise DataError(str((unusable or columns.faults)[0]))
     units_of = {c.name: c.unit for c in columns.columns if c.kind == "numeric"} | dict(units)
     specs = {column: ColumnSpec(column, unit or "1") for column, unit in units_of.items()}
-    record, resampled = _record(path, specs, columns, window)
+    options = ReadingOptions(columns.clock, window, mark_missing=True, form=form)
+    record, resampled = _record(path, specs, columns, options)
     left_out = {c.name: _WHY[c.kind] for c in columns.columns if c.name not in units_of}
     left_out.pop(columns.clock, None)
     channels: list[FileChannel] = []
@@ -159,15 +165,12 @@ def file_channels(
         known = unit_aliases().get(unit, unit) if unit is not None else None
         channels.append(FileChannel(name, column, known, record.filled(column)))
     return FileChannels(
-        path, window, tuple(channels), columns.clock, record.Ts, record.N, left_out, resampled
+        path, window, tuple(channels), columns.clock, record.Ts, record.N, left_out, resampled, form
     )
 
 
 def _record(
-    path: Path,
-    specs: Mapping[str, ColumnSpec],
-    columns: Survey,
-    window: tuple[float, float] | None,
+    path: Path, specs: Mapping[str, ColumnSpec], columns: Survey, options: ReadingOptions
 ) -> tuple[Record, float | None]:
     """The record, and its sample time where it had to be interpolated: good enough to guess from.
 
@@ -179,24 +182,14 @@ def _record(
             "Give a file with measurements."
         )
     assert columns.times is not None
-    found, resampled = _read(path, specs, columns, window, None), None
+    found, resampled = survey(path, specs, options, describe=False), None
     if found.record is None:
         resampled = float(np.median(np.diff(columns.times)))
-        found = _read(path, specs, columns, window, resampled)
+        again = replace(options, resample=resampled)
+        found = survey(path, specs, again, describe=False)
     if found.record is None:
         raise DataError(str(found.faults[0]))
     return found.record, resampled
-
-
-def _read(
-    path: Path,
-    specs: Mapping[str, ColumnSpec],
-    columns: Survey,
-    window: tuple[float, float] | None,
-    resample: float | None,
-) -> Survey:
-    options = ReadingOptions(columns.clock, window, resample=resample, mark_missing=True)
-    return survey(path, specs, options, describe=False)
 
 
 def stem_of(column: str) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from casid.data.files import write_text
 from casid.data.reading.columns import ColumnSpec
+from casid.data.reading.file_format import FileFormat
 from casid.data.templates.dc_motor import DC_MOTOR
 from casid.data.templates.draft import CHECK, WIDTH, Draft, quoted
 from casid.data.templates.file_channels import (
@@ -98,6 +99,7 @@ def new_problem(
     mapping: Mapping[str, str] | None = None,
     known: Mapping[str, float] | None = None,
     force: bool = False,
+    form: FileFormat | None = None,
 ) -> NewProblem:
     """Look at a file of measurements and write a problem file to fill in.
 
@@ -115,6 +117,7 @@ def new_problem(
         `t` names the time stamps.
     known : values of the template's parameters that are known, in their units: `{"N": 20}`.
     force : write over a file that exists.
+    form : how the file is written, where it leaves it open; kept in the problem file.
 
     Returns
     -------
@@ -130,7 +133,7 @@ def new_problem(
     path = None if out is None else Path(out)
     chosen = _template(template)
     _refuse_path(path, force=force)
-    draft = _draft(chosen, data, mapping or {}, known or {})
+    draft = _draft(chosen, data, mapping or {}, known or {}, form)
     body = chosen.write(draft)
     text, recorded = _written(chosen, draft, body, path)
     if path is not None:
@@ -150,13 +153,17 @@ def new_problem(
 
 
 def _draft(
-    template: Template, data: str | Path, mapping: Mapping[str, str], known: Mapping[str, float]
+    template: Template,
+    data: str | Path,
+    mapping: Mapping[str, str],
+    known: Mapping[str, float],
+    form: FileFormat | None,
 ) -> Draft:
     """The file looked through, and its columns in the roles of the template."""
     names = {name: _column_and_unit(text) for name, text in mapping.items()}
     clock = names.pop(_CLOCK, None)
     time = None if clock is None else ColumnSpec(clock[0], clock[1], "s")
-    file = file_channels(data, time, [(c, unit) for c, unit in names.values() if unit])
+    file = file_channels(data, time, [(c, unit) for c, unit in names.values() if unit], form)
     roles = {role.name: role for role in template.roles(file)}
     return Draft(file, roles, _columns(template, file, roles, names), dict(known))
 

@@ -50,6 +50,7 @@ def path(tmp_path):
         "2. Sensor": RNG.standard_normal(T.size),
         "x again [mm]": 1e3 * x + 7,
         "speed": np.gradient(x, T) + 1e-3 * RNG.standard_normal(T.size),
+        "second": x + 1e-2 * RNG.standard_normal(T.size),
         "row": np.arange(T.size),
         "flat": np.ones(T.size),
         "holes": np.where(np.arange(T.size) == 5, np.nan, wind**2),
@@ -74,6 +75,7 @@ def test_numeric_columns_that_move_are_candidates_and_others_are_named_with_the_
     for column, why in {
         "x again [mm]": "a copy of column 'x_meas', up to scale and offset",
         "speed": "the derivative of column 'x_meas'",
+        "second": "all but a copy of column 'x_meas', as another sensor of it would be",
         "row": "a counter or a clock",
         "flat": "constant",
         "holes": "1 of 200 rows have no value",
