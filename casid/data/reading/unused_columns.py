@@ -86,7 +86,7 @@ def unused_columns(
                 f"{table.path.name}: no column {column!r} to ignore"
                 f"{nearest(column, table.columns)}. Name a column of the file, as written there."
             )
-    there = {spec.column for spec in used.values()} & set(table.columns)
+    there = [c for c in table.columns if c in {spec.column for spec in used.values()}]
     beside = {clock, table.date_column, *table.clocks}
     rest = [c for c in table.columns if c not in there and c not in beside]
     found = Unused({}, {c: "left out as requested (--ignore)" for c in rest if c in ignore})

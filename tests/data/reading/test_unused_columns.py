@@ -44,7 +44,7 @@ def path(tmp_path):
     x, wind = np.sin(T), RNG.standard_normal(T.size)
     columns = {
         "t": T,
-        "F [N]": np.cos(T),
+        "F [N]": np.sign(np.sin(3 * T + 0.1)),
         "x_meas": x,
         "Wind vorn [kN]": wind,
         "2. Sensor": RNG.standard_normal(T.size),
