@@ -18,6 +18,8 @@ from casid.data.record import Experiment, Record
 from casid.errors import DataError, IdentifiabilityError, SolveError
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver_evidence
+from casid.estimation.fitted.fitted_model import FittedModel
+from casid.estimation.fitted.from_prediction import predicting_model
 from casid.estimation.local_rank import describe_null, local_rank
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Solution, not_converged
@@ -71,6 +73,11 @@ class Prediction(Presented):
     def references(self) -> tuple[str, ...]:
         """The papers behind the methods used."""
         return self.estimate.references()
+
+    @property
+    def model(self) -> FittedModel | None:
+        """The model with its estimated values and its noise: simulates, predicts, can be saved."""
+        return self.estimate.model
 
     def __getitem__(self, name: str) -> float:
         """The value of a parameter, noise variance or initial state."""
@@ -306,4 +313,5 @@ def _estimate(criterion: PredictionError, solution: Solution, wanted: Array) -> 
         uncertainty,
         solver_evidence(solution),
         origin_of(criterion.experiments, SOURCES),
+        model=predicting_model(criterion, x, uncertainty.covariance),
     )

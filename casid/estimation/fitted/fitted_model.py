@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
@@ -282,8 +282,19 @@ class FittedModel(Saved, Exportable):
 
     # -- inside ------------------------------------------------------------------------------
 
+    @property
+    def _driven(self) -> Model:
+        """The model without the noise that drives it: what a simulation has to be given."""
+        if self.noise is None:
+            return self.model
+        new = self.model.copy()
+        for w in self.noise.sources:
+            if w.where in new.inputs:
+                new.inputs[w.where] = replace(new.inputs[w.where], kind="generated", signal=None)
+        return new
+
     def _driving(self, inputs: Inputs, Ts: float | None) -> Driving:
-        return driving_of(self.model, self.records, inputs, Ts, self.channels)
+        return driving_of(self._driven, self.records, inputs, Ts, self.channels)
 
     def _values(
         self, given: Driving, known: Mapping[str, float] | None
@@ -312,7 +323,7 @@ class FittedModel(Saved, Exportable):
         experiment = Experiment(given.record, {}, given.name)
         weights = self.settings.weights if self.settings.weights.size else None
         criterion, point = fit_initial_state(
-            self.model.with_si_values(values),
+            self._driven.with_si_values(values),
             experiment,
             weights=weights,
             substeps=self._substeps(given.Ts),
@@ -351,7 +362,7 @@ class FittedModel(Saved, Exportable):
         known: Mapping[str, float] | None,
         on_clock: bool | None,
     ) -> Record:
-        model = self.model
+        model = self._driven
         values, is_fitted = self._values(given, known)
         u = given.u
         if not (is_fitted if on_clock is None else on_clock):

@@ -216,6 +216,10 @@ class PredictionError:
         p = np.array([values[n] for n in self.noisy.linear.parameters], dtype=float)
         return p, variances, self.unknowns.initial_state(x, index[at + len(sources) :])
 
+    def parameters(self, x: Array, e: int) -> dict[str, float]:
+        """Every parameter of the model in one experiment at `x`."""
+        return self.unknowns.parameters(x, e, self._index[e])
+
     def initial_state(self, x: Array, e: int) -> Array:
         """Initial state (nx,) of one experiment at `x`."""
         return self._values(x, e)[2]

@@ -1,0 +1,83 @@
+"""The fitted model of a prediction-error fit, with its noise model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.estimation.fitted.fitted_model import FittedModel
+from casid.estimation.fitted.parts import (
+    FittedRecord,
+    NoiseModel,
+    SimulationSettings,
+    fingerprint,
+)
+from casid.estimation.prediction_error.likelihood import PredictionError
+
+STEP = 0.1
+"""Largest Runge-Kutta step over the fastest mode: the error, (w h)^4 / 120, is below 1e-6."""
+
+
+def predicting_model(criterion: PredictionError, x: Array, covariance: Array) -> FittedModel:
+    """The model at `x` (n,) with its noise, of which every size is known.
+
+    Parameters
+    ----------
+    covariance : (n, n) of the variables of the criterion.
+
+    A parameter that each record has for itself, or knows for itself, gets the value in the first.
+    """
+    model = criterion.model
+    every = range(len(criterion.data))
+    values = [criterion.parameters(x, e) for e in every]
+    at = dict(zip(criterion.names, x.tolist(), strict=True))
+    sources = []
+    for w in criterion.noise:
+        variance = at.get(criterion.noisy.noise_name(w), w.sd**2)
+        sources.append(replace(w, sd=float(np.sqrt(max(variance, 0.0))), is_known=True))
+    records = []
+    for e, d in enumerate(criterion.data):
+        own = {n: values[e][n] for n in values[e] if values[e][n] != values[0][n] or n in d.known}
+        nodes = criterion.initial_state(x, e)[None, :]
+        known_by = fingerprint(criterion.noisy.driven, criterion.experiments[e].record)
+        records.append(FittedRecord(d.name, d.Ts, float(d.t[0]), d.N, own, nodes, known_by))
+    spread = np.std(np.concatenate([d.y for d in criterion.data]), axis=0)
+    return FittedModel(
+        name=model.name,
+        model=model.with_si_values(values[0]).taking_si(False),
+        records=tuple(records),
+        covariance_names=criterion.names,
+        covariance=covariance,
+        settings=SimulationSettings(
+            _substeps(criterion, x), 1, 1 / np.where(spread > 0, spread, 1.0)
+        ),
+        noise=NoiseModel(
+            tuple(sources), _numbers(criterion.noisy.rest, values[0]), criterion.initial
+        ),
+    )
+
+
+def _substeps(criterion: PredictionError, x: Array) -> int:
+    """Runge-Kutta steps a sample that make up for the exact sampling of the predictor."""
+    system = criterion.sampled(x, 0).system
+    if not system.nx:
+        return 1
+    poles = np.linalg.eigvals(system.A)
+    fastest = float(np.max(np.abs(np.log(poles.astype(complex) + 1e-300))))
+    return int(np.clip(np.ceil(fastest / STEP), 1, 64))
+
+
+def _numbers(rest: Mapping[str, Any], values: Mapping[str, float]) -> dict[str, float]:
+    """A rest that is given in expressions of the parameters, in numbers."""
+    numbers = {}
+    for name, expression in rest.items():
+        e = ca.SX(expression)
+        symbols = ca.symvar(e)
+        at = ca.Function("rest", symbols, [e])(*[values[s.name()] for s in symbols])
+        numbers[name] = float(at if symbols else ca.evalf(e))
+    return numbers
