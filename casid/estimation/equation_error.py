@@ -35,6 +35,7 @@ from casid.estimation.estimate import (
     Uncertainty,
 )
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of
+from casid.estimation.fitted.from_fit import unsimulated_model
 from casid.estimation.measured_motion import Butterworth, decimated, filter_edge, motion_of
 from casid.estimation.simulation.signals import signals_of
 from casid.model.effects.effect import Effect
@@ -242,6 +243,13 @@ def _estimate(
         Uncertainty(tuple(free), covariance, ASSUMES.format(lags=lags)),
         SolverEvidence("solved by QR", True, 1, gradient),
         origin_of(experiments, SOURCES),
+        model=unsimulated_model(
+            builder.problem,
+            builder.model,
+            values,
+            [(e.name, e.record.Ts, e.known) for e in experiments],
+            (tuple(free), covariance),
+        ),
     )
     return estimate, relative
 

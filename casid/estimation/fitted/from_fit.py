@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from casid.arrays import Array
@@ -40,6 +42,43 @@ def fitted_model(
         covariance=np.asarray(covariance)[np.ix_(kept, kept)],
         settings=SimulationSettings(criterion.substeps, criterion.segments, criterion.weights),
         channels=channels_of(problem),
+    )
+
+
+def unsimulated_model(
+    name: str,
+    model: Model,
+    values: Mapping[str, float],
+    records: Sequence[tuple[str, float, Mapping[str, float]]],
+    covariance: tuple[tuple[str, ...], Array],
+) -> FittedModel | None:
+    """The model of an estimate that simulated nothing, from its declared initial state.
+
+    Parameters
+    ----------
+    values : of the estimated parameters, SI.
+    records : name, sample time [s] and known values of each.
+    covariance : names, and (n, n).
+
+    None where a parameter has no value, an input is unknown, or there is nothing to simulate.
+    """
+    known = {n: v for _, _, own in records for n, v in own.items()} | dict(values)
+    lacking = [p for p in model.parameters.values() if not p.is_known and p.name not in known]
+    unknown = [n for n, entry in model.inputs.items() if entry.kind == "unknown"]
+    if lacking or unknown or not model.states or not records:
+        return None
+    start = [s.start if s.initial is None else s.initial for s in model.states.values()]
+    nodes = np.array([start], dtype=float)
+    own = [{n: v for n, v in case.items() if n in model.parameters} for _, _, case in records]
+    return FittedModel(
+        name=name,
+        model=model.with_si_values({**own[0], **values}).taking_si(False),
+        records=tuple(
+            FittedRecord(record, Ts, 0.0, 0, case, nodes)
+            for (record, Ts, _), case in zip(records, own, strict=True)
+        ),
+        covariance_names=covariance[0],
+        covariance=covariance[1],
     )
 
 

@@ -17,6 +17,7 @@ from casid.estimation.estimate import (
     Uncertainty,
 )
 from casid.estimation.estimate_builder import EstimateBuilder, bound_of
+from casid.estimation.fitted.from_fit import unsimulated_model
 from casid.estimation.local_rank import LocalRank, describe_null, local_rank
 from casid.estimation.moments.moment_covariance import Covariance
 from casid.estimation.moments.moment_estimate import MomentEstimate
@@ -125,7 +126,24 @@ def _as_estimate(
         Origin(tuple(provenance), versions(), SOURCES),
         measured_by="One step of the difference equation (to simulate it: casid.validate)",
         evidence=_evidence(fits, propagated),
+        model=unsimulated_model(
+            name,
+            model,
+            dict(p for st in fits for p in zip(st.free, st.theta_p.tolist(), strict=True)),
+            _records(fits),
+            (propagated.names, propagated.covariance),
+        ),
     )
+
+
+def _records(fits: Sequence[StageFit]) -> list[tuple[str, float, dict[str, float]]]:
+    """Name, sample time and known values of every record."""
+    found = {
+        part.record: (part.Ts, {n: part.values[n] for n in part.known})
+        for st in fits
+        for part in st.parts
+    }
+    return [(name, Ts, known) for name, (Ts, known) in found.items()]
 
 
 def _std_errors(covariance: Array) -> list[float]:

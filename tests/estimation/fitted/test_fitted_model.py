@@ -227,3 +227,15 @@ def test_models_are_compared_on_one_record_by_their_fit_in_per_cent(estimate):
     with pytest.raises(casid.DataError, match="no channel 'force'"):
         estimate.model.compare(run.without("force"))
     assert list(estimate.model.compare(run, estimate).fit) == ["oscillator", "oscillator#2"]
+
+
+def test_an_estimate_from_moments_leaves_a_model_that_starts_as_declared():
+    """A regression estimates no initial state; its model settles at F / k, however biased k is."""
+    found = casid.least_squares(oscillator(), casid.Experiment(record(N=2000))).estimate
+    model = found.model
+    assert model.values == {"d": found["d"], "k": found["k"], "m": 2.0}
+    assert model.initial_states == {"x": 0.0, "v": 0.0}
+    assert model.Ts == TS
+    assert np.array_equal(model.covariance, found.covariance)
+    held = model.simulate({"force": np.ones(20_000)})["position"]
+    assert held[-1] == pytest.approx(1 / found["k"], rel=1e-6)
