@@ -37,6 +37,7 @@ PAGES = (
     "records",
     "diagnosis",
     "diagnosis_power",
+    "fitted_model",
     "identifiability",
     "linear_models",
     "instruments",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,6 +24,9 @@ _STAGES = {
     "lag_input": ("{c} behind a lag of {p}", "the actuator lags"),
 }
 """Kind of a stage -> what becomes of a channel c with the parameter p, and in words."""
+
+
+_LONG = re.compile(r"\d+\.\d{6,}(?:e[-+]\d+)?")  # numbers of more digits than a reader wants
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +185,8 @@ def _written(expression: Expr) -> str:
     """An expression as text, derivatives of states as d/dt."""
     names = [s.name() for s in ca.symvar(ca.SX(expression))]
     derivatives = {n: f"d{n[4:]}/dt" for n in names if n.startswith("der_")}
-    return formula_text(expression, names=derivatives)
+    text = formula_text(expression, names=derivatives)
+    return _LONG.sub(lambda number: f"{float(number[0]):.6g}", text)
 
 
 def _text(words: str) -> str:
