@@ -13,12 +13,16 @@ import numpy as np
 import pytest
 
 import casid
+from casid.model.clock_signals import StepAt
 from casid.model.effects.channel_effects import time_delay
 from casid.model.model import Input
+from casid.saving.archive import VERSION
 from problems import pendulum
 from tests.estimation.fitted.test_fitted_model import oscillator, record
 from tests.report.golden_results import assessment
 from tests.support import samples
+
+GOLDEN = Path(__file__).parent / "golden"
 
 
 @pytest.fixture(scope="module")
@@ -146,3 +150,19 @@ def test_a_problem_of_a_file_is_pickled_with_the_functions_of_its_file():
     assert dict(again.channels) == dict(problem.channels)
     first, second = again.examples()[0].record, problem.examples()[0].record
     assert np.array_equal(first["gyro"], second["gyro"])
+
+
+@pytest.mark.parametrize("path", sorted(GOLDEN.glob("*.casid")), ids=lambda path: path.stem)
+def test_files_of_every_version_are_read_and_their_models_simulate_as_they_did(path):
+    """The simulation of the fit is in the file beside the model; machines round differently."""
+    loaded = casid.load(path)
+    (view,) = loaded.records
+    assert [s.kind for s in loaded.model.model.stages] == ["delay"]
+    simulated = loaded.model.simulate(record(N=100))
+    assert simulated["position"] == pytest.approx(view.baseline[:, 0], rel=1e-12, abs=1e-15)
+    assert loaded.model.model.inputs["step at 1 s"].signal == StepAt(1.0)
+    assert loaded["k"] == pytest.approx(50.0, rel=0.05)
+
+
+def test_there_is_a_saved_file_of_this_version():
+    assert (GOLDEN / f"estimate_{VERSION}.casid").exists()

@@ -239,3 +239,29 @@ def test_an_estimate_from_moments_leaves_a_model_that_starts_as_declared():
     assert np.array_equal(model.covariance, found.covariance)
     held = model.simulate({"force": np.ones(20_000)})["position"]
     assert held[-1] == pytest.approx(1 / found["k"], rel=1e-6)
+
+
+def test_segments_of_multiple_shooting_start_where_the_fit_has_them():
+    run = record()
+    settings = casid.FitSettings(starts=1, segments=5)
+    fit = fit_model(oscillator(), [casid.Experiment(run)], settings, throw=False)
+    model = estimate_of(casid.Problem("oscillator", oscillator()), fit).model
+    assert model.records[0].nodes.shape == (5, 2)
+    assert model.covariance_names == ("d", "k", "x(0)", "v(0)")
+    residual = fit.criterion.simulated(fit.x, 0).residual
+    assert np.array_equal(model.residuals(run)["position"], residual[:, 0])
+
+
+def test_a_diagnosis_leaves_the_model_with_its_causes_for_the_record_as_it_is():
+    """A wrong sign was negated before the fit; in the model it is a factor of the sensor."""
+    run = record(N=1500)
+    turned = run.with_channel("position", -run["position"], "m")
+    found = casid.diagnose(
+        casid.Problem("oscillator", oscillator(), starts=1), turned, advise=False
+    )
+    assert [(c.kind, c.where) for c in found.model.causes] == [("sensor_scale", "position")]
+    assert found.model.values["scale_position"] == -2.0
+    assert np.std(found.model.residuals(turned)["position"]) == pytest.approx(1e-3, rel=0.1)
+    assert found.model.baseline.values["k"] == found.baseline["k"]
+    fit = found.model.compare(turned).to_frame()["position"]
+    assert fit.iloc[0] > 99.0 > 50.0 > fit.iloc[1]
