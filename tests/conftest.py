@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import os
+import signal
 
 from hypothesis import settings
 
 # Threads of a linear-algebra library fight over small matrices; set before NumPy is imported.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+# A background job of a shell ignores Ctrl-C, and so does what it starts: tests of interrupts
+# would wait for commands that never end.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The same examples in every run, and no clock: a slow machine is no counterexample.
 settings.register_profile("casid", deadline=None, derandomize=True, print_blob=True)
