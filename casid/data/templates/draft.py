@@ -16,7 +16,7 @@ from casid.model.units import parse_unit, si_unit
 
 WIDTH = 100
 CHECK = "# CHECK: "
-_DECADES = 3  # of a positive parameter's bounds on either side of its start
+_DECADES = 3  # of a positive parameter below its start, and one less above it
 
 
 def quoted(text: str) -> str:
@@ -113,11 +113,12 @@ class Draft:
         *,
         default: float = 1.0,
         sign: Literal["positive", "zero", "any"] = "positive",
+        within: tuple[float, float] | None = None,
     ) -> str:
         """The declaration of a parameter to estimate; known where the user gives its value.
 
         `start` [in `unit`] is what the record suggests, `default` the start where that is no number
-        of its sign.
+        of its sign. `within` are the bounds; some decades around the start where not given.
         """
         if name in self.given:
             return self.known(name, unit, self.given[name], what)
@@ -127,11 +128,13 @@ class Draft:
         if not usable:
             self.guessed.append(name)
         size = math.floor(math.log10(abs(value))) if value else 0
-        bounds = "" if sign == "any" else f", upper={10.0 ** (size + 1 + _DECADES):g}"
-        if sign == "positive":
-            bounds = f", lower={10.0 ** (size - _DECADES):g}" + bounds
-        elif sign == "zero":
-            bounds = ", lower=0" + bounds
+        if within is not None:
+            bounds = f", lower={number(within[0])}, upper={number(within[1])}"
+        elif sign == "any":
+            bounds = ""
+        else:
+            lowest = 0.0 if sign == "zero" else 10.0 ** (size - _DECADES)
+            bounds = f", lower={lowest:g}, upper={10.0 ** (size + _DECADES - 1):g}"
         call = (
             f"{name} = m.parameter({quoted(name)}, {quoted(unit)}, start={number(value)}{bounds})"
         )
@@ -144,6 +147,12 @@ class Draft:
         shown = f"{self.given[name]:.12g}" if given else number(value)
         call = f"{name} = m.constant({quoted(name)}, {shown}, {quoted(unit)})"
         return _line(call, "" if not given else what, "" if given else f"{what}; put in its value")
+
+    def around(self, role: str) -> tuple[float, float]:
+        """The range of a signal and as much on either side, in its unit: bounds of its rest."""
+        low, high = float(self[role].min()), float(self[role].max())
+        low, high = in_unit(low, self.unit(role)), in_unit(high, self.unit(role))
+        return 2 * low - high, 2 * high - low
 
     def first(self, role: str) -> float:
         """The first value of a signal, in its unit: a start of its state."""
@@ -181,7 +190,8 @@ class Draft:
                 taken.add(label)
                 beside[label] = channel
         lines = ["problem = casid.Problem(", f"    {quoted(name)},", "    m,"]
-        lines.append(f"    time={quoted(self.file.time)},")
+        if self.file.time is not None:
+            lines.append(f"    time={quoted(self.file.time)},")
         if self.file.form is not None and self.file.form.given:
             given = ", ".join(f"{n}={v!r}" for n, v in self.file.form.given.items())
             lines.append(f"    form=casid.FileFormat({given}),")

@@ -72,7 +72,7 @@ class FileChannels(NamedTuple):
 
     Attributes
     ----------
-    time : column of the time stamps.
+    time : column of the time stamps; None where the sample time was given.
     left_out : columns that are no channels -> why.
     form : how the file is written, where it leaves it open.
     resampled : sample time [s] where the clock is uneven and the record had to be interpolated.
@@ -81,7 +81,7 @@ class FileChannels(NamedTuple):
     path: Path
     window: tuple[float, float] | None
     channels: tuple[FileChannel, ...]
-    time: str
+    time: str | None
     Ts: float
     N: int
     left_out: Mapping[str, str]
@@ -141,21 +141,21 @@ def file_channels(
     """
     path, window = source_of(source)
     columns = survey(path, {}, ReadingOptions(time=time, window=window, form=form))
-    if columns.clock is None and columns.columns:
+    if columns.times is None and columns.clock is None and columns.columns:
         raise DataError(
             f"{path.name}: no time column found among "
             f"{', '.join(c.name for c in columns.columns)}. Name it with --map t=COLUMN "
-            "(mapping={'t': column}), or put a column of seconds into the file."
+            "(mapping={'t': column}), or give the sample time with --sample-time TS."
         )
     unusable = [f for f in columns.faults if f.kind in {"file", "unit", "length", "window"}]
-    if unusable or columns.times is None or columns.clock is None:
+    if unusable or columns.times is None:
         raise DataError(str((unusable or columns.faults)[0]))
     units_of = {c.name: c.unit for c in columns.columns if c.kind == "numeric"} | dict(units)
     specs = {column: ColumnSpec(column, unit or "1") for column, unit in units_of.items()}
     options = ReadingOptions(columns.clock, window, mark_missing=True, form=form)
     record, resampled = _record(path, specs, columns, options)
     left_out = {c.name: _WHY[c.kind] for c in columns.columns if c.name not in units_of}
-    left_out.pop(columns.clock, None)
+    left_out.pop(columns.clock or "", None)
     channels: list[FileChannel] = []
     for column, unit in units_of.items():
         if record.is_missing(column).all():

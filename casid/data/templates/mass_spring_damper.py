@@ -61,7 +61,14 @@ def write(d: Draft) -> Body:
             else d.known(inertia, unit, 1.0, mass),
             d.unknown("k", f"{push}/{length}", start["k"], "stiffness of the spring"),
             d.unknown("d", f"{push} s/{length}", start["d"], "damping", sign="zero", default=0.01),
-            d.unknown("x_0", d.unit(x), start["x_0"], "where the spring rests", sign="any")
+            d.unknown(
+                "x_0",
+                d.unit(x),
+                start["x_0"],
+                "where the spring rests",
+                sign="any",
+                within=d.around(x),
+            )
             if placed
             else "",
         ],

@@ -140,3 +140,12 @@ def test_names_of_columns_become_names_of_python(tmp_path: Path) -> None:
     assert list(found.channels) == ["in_", "Motor_Oel_Temp_2", "x_2nd", "m_"]
     problem = casid.load_problem(tmp_path / "odd.py")
     assert set(problem.read(data).record) == set(found.channels)
+
+
+def test_what_the_user_says_of_the_file_stands_in_the_problem(tmp_path: Path) -> None:
+    """A file without time stamps is read by every later command with the sample time given here."""
+    data = written_for(tmp_path, "x [m],y [m]", *waves(2)[1:])
+    form = casid.FileFormat(Ts=0.1)
+    found = casid.new_problem(data, "free", tmp_path / "run.py", form=form)
+    assert "form=casid.FileFormat(Ts=0.1)," in found.text
+    assert casid.load_problem(tmp_path / "run.py").read(data).record.Ts == pytest.approx(0.1)
