@@ -168,6 +168,9 @@ def _time_column(table: Table, time: Time) -> ColumnSpec | None:
         named = [c for c in table.columns if c not in table.units and is_dated(table, c)]
         named = named if len(named) == 1 else []
     if not named:
+        named = [c for c in table.columns if _holds_time(table, c)]
+        named = named if len(named) == 1 else []
+    if not named:
         return None
     table.clocks = tuple(named)
     return ColumnSpec(named[0], time_unit(table, named[0]), "s", "found by its name")
@@ -200,6 +203,15 @@ def _is_time_name(table: Table, column: str) -> bool:
         stem = _time_ending(stem)[0]
     name = re.sub(r"[\s_\-/.,:]+", " ", stem).strip().casefold()
     return name in _TIME_NAMES
+
+
+def _holds_time(table: Table, column: str) -> bool:
+    """Whether the word time is part of a name: `sim_time [s]`, `Zeit seit Start`."""
+    found = unit_of_column(table, column)
+    stem = found.stem if found is not None and found.unit is not None else column
+    is_time = found is None or found.unit is None or _is_time(found.unit)
+    words = re.split(r"[\W_]+", stem.casefold())
+    return is_time and bool({"time", "zeit", "timestamp"} & set(words))
 
 
 def _date_and_clock(table: Table) -> tuple[str, str] | None:

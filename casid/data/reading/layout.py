@@ -21,7 +21,8 @@ NO_VALUE = frozenset(
 """Cells, in small letters, that stand for no value."""
 
 _DATE = re.compile(
-    r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}\.?([ T,].*)?|\d{1,2}[-. /][^\W\d]{3,9}\.?[-. /]\d{2,4}.*"
+    r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}\.?([ T,].*)?"
+    r"|\d{1,2}(?:[-. /]|\. )[^\W\d]{3,9}\.?[-. /]\d{2,4}.*"
     r"|\d{1,3}:\d{2}(:\d{2})?([.,]\d+)?(\s*[ap]\.?m\.?)?|\d{8}T\d{4,6}.*",
     re.IGNORECASE,
 )
@@ -145,9 +146,9 @@ def _width(rows: Sequence[list[str] | None], lines: list[int]) -> int:
 
 
 def _value_columns(rows: Sequence[list[str] | None], lines: list[int], width: int) -> list[int]:
-    """The columns of numbers and times: at least half of their cells are."""
+    """The columns of numbers and times: in the lower half of the lines, half of the cells are."""
     cells: list[list[str]] = [[] for _ in range(width)]
-    for k in lines:
+    for k in lines[len(lines) // 2 :]:
         row = rows[k] or []
         if len(row) == width:
             for c, cell in enumerate(row):

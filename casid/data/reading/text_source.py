@@ -19,6 +19,7 @@ HEAD = 500
 """Lines from which the layout of a table is read."""
 
 _BLOCK = 1 << 20
+_CONTROL = bytes(set(range(32)) - set(b"\t\n\v\f\r\x1a\x1b"))
 _COMMENT = re.compile(rb"(?:^|[\r\n])[ \t]*(?:#(?!N/A|NV|NA\b|VALUE|WERT|DIV|REF)|%|//)")
 COMMENT = re.compile(r"[ \t]*(?:#(?!N/A|NV|NA\b|VALUE|WERT|DIV|REF)|%|//)")
 """The beginning of a line of comment; #N/A and its like are cells."""
@@ -55,6 +56,11 @@ class TextSource:
         elif b"\0" in start:
             raise DataError(
                 f"{self.path.name}: not a text file (it holds zero bytes). "
+                "Give a CSV in UTF-8, or a Parquet file named .parquet."
+            )
+        elif len(start.translate(None, _CONTROL)) < 0.95 * len(start):
+            raise DataError(
+                f"{self.path.name}: not a text file (it is full of control characters). "
                 "Give a CSV in UTF-8, or a Parquet file named .parquet."
             )
         elif form.encoding is not None:

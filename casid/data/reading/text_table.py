@@ -101,6 +101,12 @@ class TextTable(Table):
         # Semicolons stand between columns where commas are decimal marks.
         commas = self.layout.separator == ";" and "," in found.either and "." not in found.decimal
         self.decimal = decimal_mark(found, default="," if commas else None)
+        if self.layout.separator == ";" and list(found.either) == ["."] and not self.decimal:
+            cell = found.either["."]
+            self.remarks.append(
+                f"{cell!r} was read with a decimal point; where the point separates thousands, add "
+                "--decimal ,"
+            )
         if commas and not found.decimal and not found.thousands:
             cell = found.either[","]
             self.remarks.append(

@@ -258,6 +258,9 @@ KINDS = [
          angle="phi deg"),
     Kind("metadata above the names, as LabVIEW writes it", LABVIEW, "run.lvm",
          said="lines above the names"),
+    Kind("a few lines of metadata above a few rows", "Gerät;XY\nSeriennr.;12345\n\n"
+         "Zeit [s];F [N]\n" + "\n".join(f"{comma(T[k].item())};{comma(FORCE[k].item())}"
+         for k in range(N)), angle=None),
     Kind("sep= of Excel, comments between the rows",
          "sep=;\n# rig 4\n" + table(separator=";").replace("\n2.0;", "\n# paused\n2.0;")),
     Kind("names in a comment, as numpy.savetxt writes them",
@@ -276,6 +279,8 @@ KINDS = [
          said="day, month, year, first 06 January 2025"),
     Kind("American dates, a day above 12 decides", table("Date,F [N],phi [deg]", times=US),
          said="month, day, year, first 12 January 2025"),
+    Kind("names of months", table("Zeit;F [N];phi [deg]", times=[f"6. Mai 2025 10:{k:02d}"
+         for k in range(N)], separator=";"), times=60.0 * np.arange(N)),
     Kind("dates that no cell decides", table("date,F [N],phi [deg]", times=OPEN),
          refused="and no cell decides", remedy="--dates dmy, mdy or ymd"),
     Kind("time of day past midnight", table("Uhrzeit,F [N],phi [deg]",
@@ -336,6 +341,8 @@ KINDS = [
     Kind("numbers without names", table().partition("\n")[2], refused="holds numbers, not column",
          remedy="Put a header line"),
     Kind("binary", bytes(range(256)) * 8, refused="not a text file", remedy="CSV in UTF-8"),
+    Kind("binary without zeros", np.random.default_rng(1).integers(1, 255, 3000, "u1").tobytes(),
+         refused="full of control characters", remedy="CSV in UTF-8"),
     Kind("old Excel workbook", b"\xd0\xcf\x11\xe0" + bytes(600), "run.xls",
          refused="an old Excel workbook", remedy="Save it as .xlsx or CSV"),
     Kind("broken gzip", gzip.compress(table().encode())[:60], "run.csv.gz",
@@ -420,6 +427,15 @@ def test_a_format_whose_package_is_absent_is_refused_with_its_extra(
     monkeypatch.setitem(__import__("sys").modules, package, None)
     with pytest.raises(DataError, match=rf"needs the package {package}.*casid\[{extra}\]"):
         read_record(path)
+
+
+def test_a_point_that_may_separate_thousands_is_remarked(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t;n\n0;1.234\n1;2.345\n2;3.456\n")
+    record = read_record(path)
+    assert record["n"].tolist() == [1.234, 2.345, 3.456]
+    assert "'1.234' was read with a decimal point" in str(record)
+    assert read_record(path, form=FileFormat(decimal=","))["n"].tolist() == [1234.0, 2345.0, 3456.0]
 
 
 def test_a_value_far_off_that_comes_back_is_remarked(tmp_path):
