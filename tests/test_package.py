@@ -45,7 +45,7 @@ export: model data linear estimation
 report: model algebra data linear estimation identifiability identification unknown_inputs
   campaigns diagnosis
 cli: model algebra data linear estimation identifiability identification unknown_inputs campaigns
-  diagnosis export report
+  diagnosis export report saving
 __main__: cli
 """
 

@@ -48,7 +48,7 @@ def diagnose(problem: str, **given: Any) -> None:
     Names the causes, extends the model, and measures the gain on data that were not fitted; says
     so where nothing is missing, and where the records cannot decide. Several records are diagnosed
     jointly, each with its load case. Without DATA the problem simulates its own example. Writes
-    diagnosis.json and report.html.
+    diagnosis.json, report.html, and result.casid for `casid export` and `casid simulate`.
 
     Example: casid diagnose problems/pendulum.py run.csv --map gyro=rate:deg/s --window 27:91
 
@@ -84,4 +84,5 @@ def diagnose(problem: str, **given: Any) -> None:
             )
         progress("write the report")
         result.write(folder)
+        output.keep(result, folder)
     output.finish(result, folder, "diagnosis.json")

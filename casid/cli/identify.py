@@ -31,8 +31,8 @@ def identify(problem: str, segments: int, **given: Any) -> None:
     """Estimate the unknown parameters from these records.
 
     Least squares of the simulation error, with standard errors that allow for autocorrelated
-    residuals. Without DATA the problem simulates its own example. Writes estimate.json and
-    report.html.
+    residuals. Without DATA the problem simulates its own example. Writes estimate.json,
+    report.html, and result.casid for `casid export` and `casid simulate`.
 
     Example: casid identify ship.py nominal=a.csv loaded=b.csv --set M=22.04 --hold-out c.csv
 
@@ -70,4 +70,5 @@ def identify(problem: str, segments: int, **given: Any) -> None:
         page = present(estimate, "page")
         result.write(folder)
         write_text(folder / "report.html", page)
+        output.keep(estimate, folder)
     output.finish(result, folder, "estimate.json")

@@ -17,10 +17,12 @@ from casid import __version__
 from casid.cli.check import check
 from casid.cli.diagnose import diagnose
 from casid.cli.example import example
+from casid.cli.export import export
 from casid.cli.identifiability import identifiability
 from casid.cli.identify import identify
 from casid.cli.montecarlo import montecarlo
 from casid.cli.new import new
+from casid.cli.simulate import simulate
 from casid.cli.terminal import print_text, say
 from casid.errors import CasidError, nearest
 
@@ -97,7 +99,11 @@ def main(context: click.Context) -> None:
         print_text(context.get_help())
 
 
-for command in (new, check, diagnose, identify, identifiability, montecarlo, example):
+COMMANDS = (
+    *(new, check, diagnose, identify, identifiability, montecarlo),
+    *(simulate, export, example),
+)
+for command in COMMANDS:
     main.add_command(command)
 
 

@@ -17,6 +17,7 @@ from casid.cli.terminal import (
     reserved,
     say,
 )
+from casid.errors import DataError
 
 if TYPE_CHECKING:
     from casid.data.record import Experiment
@@ -66,6 +67,15 @@ class Output:
             steps = experiment.record.provenance
             if steps and steps[0].startswith("read "):
                 say("\n  ".join(_DIGEST.sub("", step) for step in steps))
+
+    def keep(self, result: Any, folder: Path) -> None:
+        """Save the result beside its page, for `casid export` and `casid simulate`."""
+        from casid.saving.archive import RESULT_FILE
+
+        try:
+            result.save(folder / RESULT_FILE)
+        except DataError as error:
+            say(f"{RESULT_FILE} was not written: {error}")
 
     def finish(self, result: Any, folder: Path, file: str) -> None:
         """Report where `file` and the page were written, and print the result."""

@@ -55,8 +55,8 @@ def parse_mapping(text: str) -> Mapping:
     return Mapping(parts[0], parts[1], parts[2] or None)
 
 
-def parse_setting(text: str) -> tuple[str, float]:
-    """Read `name=value`, the value a finite number in the unit that the model declares.
+def parse_setting(text: str, option: str = "--set") -> tuple[str, float]:
+    """Read `name=value` of an option, a finite number in the unit that the model declares.
 
     Raises
     ------
@@ -70,9 +70,8 @@ def parse_setting(text: str) -> tuple[str, float]:
         number = math.nan
     if not equals or not name.strip() or not math.isfinite(number):
         raise DataError(
-            f"--set {text}: write it as name=value with a finite number in SI units, unless "
-            "the model declares another, "
-            "for example --set M=22.04"
+            f"{option} {text}: write it as name=value with a finite number in SI units, unless "
+            f"the model declares another, for example {option} M=22.04"
         )
     return name.strip(), number
 

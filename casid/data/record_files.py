@@ -45,10 +45,7 @@ def write_record(
         For another ending, a file that exists, or a channel that the record lacks.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise DataError(f"{path}: write records as .csv or .parquet; give the file such an ending")
-    if path.exists() and not force:
-        raise DataError(f"{path} exists; name another file, or add force=True (--force)")
+    require_new(path, force=force)
     chosen = {n: ColumnSpec(n, record.units[n]) for n in record} if columns is None else columns
     values, units = {time: record.t}, {time: "s"}
     for channel, spec in chosen.items():
@@ -62,6 +59,20 @@ def write_record(
         values[spec.column], units[spec.column] = samples, unit
     text = _parquet(values, units) if path.suffix.lower() == ".parquet" else _csv(values, units)
     return write_bytes(path, text)
+
+
+def require_new(path: Path, *, force: bool = False) -> None:
+    """Refuse a file that no record can be written to.
+
+    Raises
+    ------
+    DataError
+        For another ending than .csv and .parquet, or a file that exists.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise DataError(f"{path}: write records as .csv or .parquet; give the file such an ending")
+    if path.exists() and not force:
+        raise DataError(f"{path} exists; name another file, or add force=True (--force)")
 
 
 def _in_unit(values: FloatArray, unit: str) -> FloatArray:

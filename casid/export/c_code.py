@@ -12,7 +12,7 @@ import casadi as ca
 
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.casadi_function import function_of
-from casid.export.naming import identifier, identifiers, written_by
+from casid.export.naming import checked_path, identifier, identifiers, written_by
 from casid.export.plain_model import PlainModel, plain_model
 
 
@@ -27,7 +27,7 @@ def write_c(fitted: FittedModel, path: Path, *, without_delays: bool = False) ->
         If an output is delayed, or an input is a function of the user's own.
     """
     plain = plain_model(fitted, what="C", without_delays=without_delays)
-    path = path.with_suffix(".c")
+    path = checked_path(path, "c")
     prefix = identifier(path.stem)
     path.write_text(source(plain, prefix, header=path.with_suffix(".h").name), encoding="utf-8")
     path.with_suffix(".h").write_text(header(plain, prefix), encoding="utf-8")

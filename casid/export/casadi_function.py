@@ -10,7 +10,7 @@ import casadi as ca
 
 from casid.errors import ModelError, nearest
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.export.naming import identifier
+from casid.export.naming import checked_path, identifier
 from casid.export.plain_model import PlainModel, expressions, plain_model
 
 
@@ -71,5 +71,6 @@ def write_casadi(
 ) -> Path:
     """Write the function to a file; ``casadi.Function.load`` reads it."""
     function = casadi_function(fitted, parameters, without_delays=without_delays)
+    path = checked_path(path, "casadi")
     function.save(str(path))
     return path

@@ -13,7 +13,7 @@ from casid.arrays import Array
 from casid.errors import ModelError, nearest
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.casadi_function import function_of
-from casid.export.naming import written_by
+from casid.export.naming import checked_path, written_by
 from casid.export.plain_model import PlainModel, plain_model
 
 
@@ -99,7 +99,7 @@ def write_control(
 ) -> Path:
     """Write a Python file (.py) that makes the state space, `system`."""
     system = control_system(fitted, at, without_delays=without_delays)
-    path = path.with_suffix(".py")
+    path = checked_path(path, "control")
     point = ", ".join(f"{n} = {v:g}" for n, v in (at or {}).items()) or "all states and inputs zero"
     lines = [
         f'"""{fitted.name}, linearised at {point}; SI units. Written by {written_by()}."""',

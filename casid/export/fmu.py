@@ -25,7 +25,7 @@ from casid.errors import DataError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.c_code import header, source
 from casid.export.compiler import shared_library
-from casid.export.naming import identifier, written_by
+from casid.export.naming import checked_path, identifier, written_by
 from casid.export.plain_model import PlainModel, plain_model
 from casid.model.units import unit_quotient
 
@@ -47,7 +47,7 @@ def write_fmu(fitted: FittedModel, path: Path, *, without_delays: bool = False) 
         If there is no C compiler, or FMI 2.0 has no name for this machine.
     """
     plain = plain_model(fitted, what="an FMU", without_delays=without_delays)
-    path = path.with_suffix(".fmu")
+    path = checked_path(path, "fmu")
     prefix = identifier(path.stem)
     model_c, model_h = source(plain, "model", header="model.h"), header(plain, "model")
     variables = _Variables(plain)

@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.export.naming import identifier, identifiers, written_by
+from casid.export.naming import checked_path, identifier, identifiers, written_by
 from casid.export.plain_model import PlainModel, resolved
 from casid.export.written_equations import (
     WrittenBalance,
@@ -52,7 +52,7 @@ def write_modelica(fitted: FittedModel, path: Path) -> Path:
     ModelError
         If an input is a function of the user's own, or a formula has no word in Modelica.
     """
-    path = path.with_suffix(".mo")
+    path = checked_path(path, "modelica")
     path.write_text(modelica_text(fitted, identifier(path.stem)), encoding="utf-8")
     return path
 

@@ -4,9 +4,45 @@ from __future__ import annotations
 
 import keyword
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
+from typing import Literal
 
+from casid.errors import DataError
 from casid.versions import versions
+
+Target = Literal["problem", "casadi", "c", "control", "modelica", "fmu"]
+
+ENDINGS: Mapping[str, tuple[str, str]] = {
+    "problem": (".py", "a problem file"),
+    "casadi": (".casadi", "a CasADi function"),
+    "c": (".c", "C"),
+    "control": (".py", "a state space"),
+    "modelica": (".mo", "Modelica"),
+    "fmu": (".fmu", "an FMU"),
+}
+"""The ending of each target's file, and what it is in words."""
+
+
+def checked_path(path: Path, target: Target | str) -> Path:
+    """The path with the ending of its target.
+
+    Raises
+    ------
+    DataError
+        If it has another ending, or its folder does not exist.
+    """
+    ending, what = ENDINGS[target]
+    if path.suffix == "":
+        path = path.with_suffix(ending)
+    if path.suffix != ending:
+        raise DataError(
+            f"{path}: {what} is written to a file that ends with {ending}; name one, such as "
+            f"{path.with_suffix(ending).name}"
+        )
+    if not path.parent.is_dir():
+        raise DataError(f"{path}: there is no folder {path.parent}; make it, or name another")
+    return path
 
 
 def identifier(name: str) -> str:

@@ -17,7 +17,7 @@ import casadi as ca
 
 from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.export.naming import identifiers, written_by
+from casid.export.naming import checked_path, identifiers, written_by
 from casid.export.written_equations import (
     WrittenBalance,
     WrittenEquations,
@@ -53,7 +53,7 @@ def write_problem_file(fitted: FittedModel, path: Path) -> Path:
     ModelError
         If an input is a function of the user's own.
     """
-    path = path.with_suffix(".py")
+    path = checked_path(path, "problem")
     path.write_text(problem_text(fitted), encoding="utf-8")
     return path
 

@@ -22,6 +22,9 @@ SCHEMA = "casid.saved"
 VERSION = 1
 """Of the files written; every version up to it is read."""
 
+RESULT_FILE = "result.casid"
+"""The saved result in the folder that a command writes, beside its page and JSON."""
+
 _CONTENT = "result.json"
 _TIME = (1980, 1, 1, 0, 0, 0)  # of every member: the same result makes the same file
 
@@ -73,7 +76,8 @@ def load(path: str | Path) -> Any:
 
     Parameters
     ----------
-    path : of the file or folder that `save` wrote.
+    path : of the file or folder that `save` wrote, or a folder that `casid identify` or `casid
+        diagnose` wrote (its `result.casid`).
 
     Returns
     -------
@@ -171,6 +175,8 @@ def _columns(tables: Mapping[str, bytes]) -> dict[str, Array]:
 
 def _members(path: Path) -> dict[str, bytes]:
     """The files inside."""
+    if path.is_dir() and (path / RESULT_FILE).is_file():
+        path = path / RESULT_FILE
     if path.is_dir():
         found = [path / _CONTENT, *sorted(path.glob("arrays_*.parquet"))]
         if not found[0].exists():

@@ -126,7 +126,11 @@ def test_diagnose_writes_both_files_says_where_and_prints_the_diagnosis(here: Pa
     assert diagnosis["schema"] == "casid.diagnosis/1"
     assert diagnosis["verdict"] in {"adequate", "deficient", "undecided"}
     assert diagnosis["held_out"]["baseline_rmse"].keys() == {"position"}
-    assert sorted(p.name for p in Path("found").iterdir()) == ["diagnosis.json", "report.html"]
+    assert sorted(p.name for p in Path("found").iterdir()) == [
+        "diagnosis.json",
+        "report.html",
+        "result.casid",
+    ]
 
 
 def test_a_problem_without_data_uses_its_own_example(here: Path) -> None:
@@ -323,7 +327,7 @@ BAD_OPTIONS: dict[str, tuple[list[str], list[str]]] = {
         ["'force' twice", "keep one"],
     ),
     "no such parameter": (["--set", "mm=2"], ["'mm'", "did you mean 'm'?"]),
-    "not a number": (["--set", "m=two"], ["name=value", "SI"]),
+    "not a number": (["--set", "m=two"], ["name=value", "declared unit"]),
     "not finite": (["--set", "m=nan"], ["finite"]),
     "outside the bounds": (["--set", "k=-50"], ["bounds of k", "1 to 500 N/m", "widen"]),
     "set twice": (["--set", "m=2", "--set", "m=3"], ["twice", "keep one"]),

@@ -1,0 +1,63 @@
+"""`casid export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from casid.cli.request import parse_setting
+from casid.cli.result_file import fitted_model
+from casid.cli.terminal import say
+from casid.errors import DataError
+
+
+@click.command()
+@click.argument("result", type=click.Path())
+@click.option(
+    "--as",
+    "target",
+    required=True,
+    metavar="TARGET",
+    help="problem (a Python problem file), casadi, c, control (a state space), modelica or fmu.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="PATH",
+    help="The file; its ending is added where it has none.",
+)
+@click.option(
+    "--at",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Operating point of a state space: a state or input, in its declared unit; 0 where not "
+    "given. Repeatable.",
+)
+@click.option(
+    "--without-delays",
+    is_flag=True,
+    help="Leave out the delays of sensors, which C, CasADi, a state space and an FMU cannot hold.",
+)
+@click.option("--force", is_flag=True, help="Write over a file that exists.")
+def export(
+    result: str, target: str, out: Path, at: tuple[str, ...], without_delays: bool, force: bool
+) -> None:
+    """Take a fitted model away, its causes in it and its parameters at the estimates.
+
+    RESULT is the folder that casid identify or casid diagnose wrote, or a saved result.
+
+    Example: casid export reports/pendulum-1 --as modelica --out Pendulum.mo
+    """
+    from casid.export.naming import checked_path
+    from casid.export.targets import export as run
+    from casid.export.targets import require_target
+
+    require_target(target)
+    path = checked_path(out, target)
+    if path.exists() and not force:
+        raise DataError(f"{path} exists; name another file with --out, or add --force")
+    model = fitted_model(result)
+    point = model.model.in_si(dict(parse_setting(text, "--at") for text in at))
+    say(f"wrote {run(model, target, path, at=point, without_delays=without_delays)}")

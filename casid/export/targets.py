@@ -1,0 +1,72 @@
+"""What a fitted model is exported as, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import get_args
+
+from casid.errors import DataError, nearest
+from casid.estimation.fitted.fitted_model import FittedModel
+from casid.export.naming import Target, checked_path
+
+TARGETS: tuple[str, ...] = get_args(Target)
+
+
+def export(
+    fitted: FittedModel,
+    target: str,
+    path: str | Path,
+    *,
+    at: Mapping[str, float] | None = None,
+    without_delays: bool = False,
+) -> Path:
+    """Write a fitted model for one of `TARGETS`; returns the path.
+
+    Parameters
+    ----------
+    at : operating point of a state space, SI.
+    without_delays : leave out the delays of sensors, where the target holds none.
+
+    Raises
+    ------
+    DataError
+        For a target or a file ending that does not exist, or options of another target.
+    ModelError
+        If the target cannot hold the model.
+    """
+    require_target(target)
+    if at and target != "control":
+        raise DataError("an operating point belongs to a state space; export it as control")
+    if without_delays and target in ("problem", "modelica"):
+        raise DataError(f"export as {target} keeps the delays; leave --without-delays out")
+    path = checked_path(Path(path), target)
+    if target == "problem":
+        return fitted.to_problem_file(path)
+    if target == "modelica":
+        return fitted.to_modelica(path)
+    if target == "c":
+        return fitted.to_c(path, without_delays=without_delays)
+    if target == "fmu":
+        return fitted.to_fmu(path, without_delays=without_delays)
+    if target == "casadi":
+        from casid.export.casadi_function import write_casadi
+
+        return write_casadi(fitted, path, without_delays=without_delays)
+    from casid.export.control_system import write_control
+
+    return write_control(fitted, path, at, without_delays=without_delays)
+
+
+def require_target(target: str) -> None:
+    """Refuse a name that is none of `TARGETS`.
+
+    Raises
+    ------
+    DataError
+        With the names that are.
+    """
+    if target not in TARGETS:
+        raise DataError(
+            f"no export as {target!r}; it is one of {', '.join(TARGETS)}{nearest(target, TARGETS)}"
+        )

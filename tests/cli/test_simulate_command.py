@@ -1,0 +1,154 @@
+"""`casid simulate`: a problem or a saved result, driven by a file of inputs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner, Result
+from numpy.testing import assert_allclose
+
+import casid
+from casid.cli.main import main
+from problems import pendulum, roll_decay
+from tests.support.fitted_models import (
+    Simulated,
+    extended_pendulum,
+    extended_roll_decay,
+    simulated,
+)
+
+PENDULUM, ROLL_DECAY = (str(Path(module.__file__)) for module in (pendulum, roll_decay))
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["simulate", *map(str, arguments)])
+
+
+def table(path: Path) -> pd.DataFrame:
+    """A written file, without its row of units."""
+    if path.suffix == ".parquet":
+        return pd.read_parquet(path)
+    return pd.read_csv(path, skiprows=[1])
+
+
+@pytest.fixture(scope="module")
+def driven() -> Simulated:
+    """The extended pendulum, simulated."""
+    return simulated(extended_pendulum())
+
+
+@pytest.fixture
+def files(driven: Simulated, tmp_path: Path) -> tuple[Path, Path]:
+    """The saved model, and a file of nothing but its input."""
+    frame = pd.DataFrame({"t": driven.t, "accel": driven.inputs["accel"]})
+    frame.to_csv(tmp_path / "inputs.csv", index=False)
+    return driven.fitted.save(tmp_path / "pendulum.casid"), tmp_path / "inputs.csv"
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_a_saved_model_is_driven_by_a_file_of_inputs(
+    driven: Simulated, files: tuple[Path, Path], tmp_path: Path, ending: str
+) -> None:
+    out = tmp_path / f"out{ending}"
+    result = run(*files, "--out", out)
+    assert result.exit_code == 0, result.output
+    found = table(out)
+    assert list(found) == ["t", "accel", "gyro", "phi", "p"]
+    assert_allclose(found["gyro"], driven.y[:, 0], rtol=0, atol=1e-12)
+    assert_allclose(found[["phi", "p"]], driven.x[:-1], rtol=0, atol=1e-12)
+
+
+def test_parameters_and_initial_states_are_set(files: tuple[Path, Path], tmp_path: Path) -> None:
+    out = tmp_path / "out.csv"
+    assert run(*files, "--out", out, "--set", "k=11", "--x0", "phi=0.1").exit_code == 0
+    inputs = {"accel": pd.read_csv(files[1])["accel"]}
+    wanted = extended_pendulum().simulate(inputs, {"phi": 0.1}, known={"k": 11.0})
+    assert_allclose(table(out)["gyro"], wanted["gyro"], rtol=0, atol=1e-12)
+
+
+def test_a_problem_runs_with_its_example_and_its_starts(tmp_path: Path) -> None:
+    """Against a Runge-Kutta simulation of the indirect model (7.24) with the starts in it."""
+    result = run(PENDULUM, "--out", tmp_path / "out.csv")
+    assert result.exit_code == 0, result.output
+    found = table(tmp_path / "out.csv")
+    k, d, I_x, M, z_g, z_s = 8.0, 0.1, 0.15, 22.04, -0.018, -0.218
+    S = M * z_g
+    I_2 = I_x + M * z_g**2 - z_s * S
+    h, x, a = 0.01 / 4, np.zeros(2), found["accel"].to_numpy()
+
+    def rates(x: np.ndarray, a: float) -> np.ndarray:
+        return np.array([x[1], (-k * x[0] - d * x[1] - S * a) / I_2])
+
+    for i in range(200):
+        assert found["gyro"][i] == pytest.approx(x[1], abs=1e-6)
+        for j in range(4):
+            u = [a[i] + (j + c) / 4 * (a[i + 1] - a[i]) for c in (0.0, 0.5, 1.0)]
+            k1 = rates(x, u[0])
+            k2 = rates(x + h / 2 * k1, u[1])
+            k3 = rates(x + h / 2 * k2, u[1])
+            k4 = rates(x + h * k3, u[2])
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def test_a_model_without_inputs_runs_for_a_time(tmp_path: Path) -> None:
+    saved = extended_roll_decay().save(tmp_path / "decay.casid")
+    assert run(saved, "--out", tmp_path / "a.csv").exit_code == 0
+    wanted = simulated(extended_roll_decay())
+    assert_allclose(table(tmp_path / "a.csv")["phi"], wanted.y[:, 0], rtol=0, atol=1e-12)
+    assert run(saved, "--out", tmp_path / "b.csv", "--duration", "3").exit_code == 0
+    assert len(table(tmp_path / "b.csv")) == 150
+
+
+def test_the_written_file_reads_back(files: tuple[Path, Path], tmp_path: Path) -> None:
+    run(*files, "--out", tmp_path / "out.csv")
+    record = casid.read_record(tmp_path / "out.csv")
+    assert (record.units["gyro"], record.units["phi"], record.N) == ("rad/s", "rad", 400)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--x0", "psi=1"], "--x0 psi: pendulum has no such state; it has phi, p"),
+        (["--set", "K=1"], "no parameter 'K'; did you mean 'k'"),
+        (["--duration", "3"], "--duration is for a model without inputs"),
+        (["--map", "accel=a_x"], "no column 'a_x'"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    files: tuple[Path, Path], tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    result = run(*files, "--out", tmp_path / "out.csv", *arguments)
+    assert result.exit_code == 2
+    assert message in result.output.replace("\n", " ")
+
+
+def test_inputs_are_needed_where_the_model_has_some(
+    files: tuple[Path, Path], tmp_path: Path
+) -> None:
+    result = run(files[0], "--out", tmp_path / "out.csv")
+    assert result.exit_code == 2
+    assert "pendulum is driven by accel; name a file" in result.output
+
+
+def test_a_file_that_exists_is_kept_without_force(files: tuple[Path, Path], tmp_path: Path) -> None:
+    out = tmp_path / "out.csv"
+    out.write_text("mine")
+    assert run(*files, "--out", out).exit_code == 2
+    assert out.read_text() == "mine"
+    assert run(*files, "--out", tmp_path / "out.txt").exit_code == 2
+
+
+def test_the_problem_is_read_from_its_own_file(tmp_path: Path) -> None:
+    out = tmp_path / "out.csv"
+    result = run(ROLL_DECAY, "--out", out, "--duration", "2", "--x0", "phi=0.2")
+    assert result.exit_code == 0, result.output
+    found = table(out)
+    assert list(found) == ["t", "phi", "p"]
+    # The linear decay with the starts B_1 = 0.02 / s and C_1 = 6.1 / s^2, from rest at 0.2 rad.
+    w = np.sqrt(6.1 - 0.01**2)
+    t = found["t"].to_numpy()
+    wanted = 0.2 * np.exp(-0.01 * t) * (np.cos(w * t) + 0.01 / w * np.sin(w * t))
+    assert_allclose(found["phi"], wanted, rtol=0, atol=2e-7)
