@@ -30,16 +30,22 @@ def present(result: object, form: str, *arguments: Any, **settings: Any) -> Any:
     return renderers.renderer(type(result), form)(result, *arguments, **settings)
 
 
-class Presented:
+class Viewed:
+    """What notebooks display with what `casid.report` makes of it."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        return str(present(self, "html"))
+
+
+class Presented(Viewed):
     """A result that `print` and notebooks display with what `casid.report` makes of it."""
 
     __slots__ = ()
 
     def __str__(self) -> str:
         return str(present(self, "text"))
-
-    def _repr_html_(self) -> str:
-        return str(present(self, "html"))
 
 
 def write(result: object, folder: str | Path) -> Path:

@@ -27,6 +27,7 @@ from casid.data.record import Experiment, Record
 from casid.errors import DataError, ModelError
 from casid.model.model import Model
 from casid.model.units import difference_to_si
+from casid.presentation import Viewed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class Problem(Viewed):
     """What a file in `problems/` defines and every command takes.
 
     Parameters

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from casid.errors import DataError
 from casid.model.units import parse_unit, si_unit, to_si
 from casid.pickling import PickledByFields
-from casid.presentation import Presented
+from casid.presentation import Presented, Viewed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -429,7 +429,7 @@ class Record(Presented, PickledByFields):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Experiment(PickledByFields):
+class Experiment(Viewed, PickledByFields):
     """A record with its load case.
 
     Attributes

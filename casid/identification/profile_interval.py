@@ -23,11 +23,11 @@ from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
 from casid.estimation.moments.propagation import free_slope
 from casid.estimation.moments.stage import StageFit
-from casid.presentation import present
+from casid.presentation import Viewed, present
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Profile:
+class Profile(Viewed):
     """The values of one parameter that the moments cannot reject.
 
     Attributes

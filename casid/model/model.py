@@ -38,6 +38,7 @@ from casid.model.units import (
     to_si,
     unit_quotient,
 )
+from casid.presentation import Viewed
 
 Expr = Any  # a CasADi SX expression, or a number where one is meant
 Hold = Literal["zoh", "foh"]
@@ -184,7 +185,7 @@ class Explicit:
     eliminated: Mapping[str, Any] = field(default_factory=dict)
 
 
-class Model:
+class Model(Viewed):
     """A physical model under construction.
 
     Example

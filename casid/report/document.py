@@ -102,7 +102,54 @@ class Figure:
     @property
     def caption(self) -> str:
         """What the figure shows."""
-        return str(self.drawing.layout.meta["caption"])
+        meta = self.drawing.layout.meta
+        return str(meta["caption"]) if meta and "caption" in meta else ""
+
+
+@dataclass(frozen=True)
+class Formula:
+    """Algebra as text, and as MathML where there is some, without a minus sign in front."""
+
+    text: str
+    mathml: str = ""
+
+    @property
+    def is_negative(self) -> bool:
+        """True if it begins with a minus sign."""
+        return self.text.startswith("-")
+
+
+@dataclass(frozen=True)
+class Equation:
+    """left = sum of terms, in `unit`.
+
+    Attributes
+    ----------
+    name : of the balance; empty where the left side says it all.
+    new : terms that were added to the model, by their places.
+    """
+
+    left: Formula
+    terms: Sequence[Formula]
+    unit: str = ""
+    name: str = ""
+    new: Sequence[int] = ()
+
+    def __str__(self) -> str:
+        text = ""
+        for i, term in enumerate(self.terms):
+            sign = "" if not i else " - " if term.is_negative else " + "
+            shown = term.text[1:] if i and term.is_negative else term.text
+            text += sign + (f"[new: {shown}]" if i in self.new else shown)
+        name = f"{self.name}: " if self.name else ""
+        return f"{name}{self.left.text} = {text}" + (f"   [{self.unit}]" if self.unit else "")
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Equations below one another."""
+
+    equations: Sequence[Equation]
 
 
 def figure_parts(figures: Mapping[str, Any]) -> dict[str, Figure]:
@@ -197,16 +244,29 @@ Labelled = tuple[str, str]
 class Section:
     """Parts below a heading; without any content, a page leaves it out.
 
-    `look` is "cause" or "advice" for a frame around a section inside of another.
+    `look` is "cause" or "advice" for a frame around a section inside of another. A notebook folds
+    a section unless it `is_open`.
     """
 
     heading: Inline
     parts: Sequence[Part]
     look: str = ""
+    is_open: bool = False
 
 
 Part = (
-    str | Labelled | Paragraph | Lines | Bullets | Banner | Cards | Figure | Table | Section | None
+    str
+    | Labelled
+    | Paragraph
+    | Lines
+    | Equations
+    | Bullets
+    | Banner
+    | Cards
+    | Figure
+    | Table
+    | Section
+    | None
 )
 """Of a document; text alone is a paragraph, None is nothing."""
 

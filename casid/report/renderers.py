@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from casid.data.files import write_json, write_text
+from casid.report.document import Document, Figure
 from casid.report.terminal import terminal_text
 
 RENDERERS: Mapping[str, Mapping[str, str]] = {
@@ -48,13 +50,16 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
         "figure": "figures.estimates.estimate_figure",
         "report": "pages.estimate_page.estimate_report",
     },
+    "Experiment": {"view": "pages.model_page.experiment_view"},
     "FirFilter": {"document": "texts.records.filter_document"},
+    "FittedModel": {"view": "pages.model_page.fitted_view"},
     "Invariants": {"document": "texts.moments.invariants_document"},
     "Isolability": {
         "document": "texts.diagnosis.isolability_document",
         "figure": "figures.isolability.isolability_figure",
     },
     "IterativeJoint": {"document": "texts.estimates.iterative_document"},
+    "Model": {"view": "pages.model_page.model_view"},
     "ModelComparison": {
         "document": "texts.model_comparison.model_comparison_document",
         "figure": "figures.model_comparison.model_comparison_figure",
@@ -74,10 +79,14 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
     "Practical": {"document": "texts.identifiability.practical_document"},
     "Prediction": {"document": "texts.estimates.prediction_document"},
     "PredictorTable": {"document": "texts.networks.predictors_document"},
+    "Problem": {"view": "pages.model_page.problem_view"},
     "Profile": {"figure": "figures.profiles.moment_profile_figure"},
     "Profiles": {"figure": "figures.profiles.profiles_figure"},
     "Reconciled": {"document": "texts.estimates.reconciled_document"},
-    "Record": {"document": "texts.records.record_document"},
+    "Record": {
+        "document": "texts.records.record_document",
+        "figure": "figures.records.record_figure",
+    },
     "ReducedForm": {"document": "texts.identifiability.reduced_document"},
     "RegressionEstimate": {"document": "texts.estimates.regression_document"},
     "SensorSubsets": {"document": "texts.identifiability.subsets_document"},
@@ -112,8 +121,8 @@ def renderer(kind: type, form: str) -> Callable[..., Any]:
         If there is none.
     """
     if form in _DERIVED:
-        source, make = _DERIVED[form]
-        if _listed(kind, source) is not None:
+        sources, make = _DERIVED[form]
+        if any(_listed(kind, source) is not None for source in sources):
             return make
     path = _listed(kind, form)
     if path is None:
@@ -133,9 +142,27 @@ def _text(result: object, *arguments: Any) -> str:
 
 
 def _html(result: object) -> str:
+    """What there is most of: a view or report; else what is printed, with the figure."""
     from casid.report.html.notebook import notebook_html  # what the terminal prints needs no HTML
 
-    return notebook_html(renderer(type(result), "document")(result))
+    kind = type(result)
+    for form in ("view", "report"):
+        if _listed(kind, form) is not None:
+            return notebook_html(renderer(kind, form)(result))
+    document = Document(kind.__name__, [])
+    if _listed(kind, "document") is not None:
+        document = renderer(kind, "document")(result)
+    drawn = [Figure("figure", f) for f in _figures(result)]
+    return notebook_html(replace(document, parts=[*document.parts, *drawn]))
+
+
+def _figures(result: object) -> list[Any]:
+    if _listed(type(result), "figure") is None:
+        return []
+    try:
+        return [renderer(type(result), "figure")(result)]
+    except ValueError:  # nothing to draw
+        return []
 
 
 def _page(result: object, *arguments: Any) -> str:
@@ -150,10 +177,10 @@ def _files(result: Any, folder: Path) -> Path:
     return write_text(folder / "report.html", page)
 
 
-_DERIVED: Mapping[str, tuple[str, Callable[..., Any]]] = {
-    "text": ("document", _text),
-    "html": ("document", _html),
-    "page": ("report", _page),
-    "files": ("report", _files),
+_DERIVED: Mapping[str, tuple[tuple[str, ...], Callable[..., Any]]] = {
+    "text": (("document",), _text),
+    "html": (("view", "report", "document", "figure"), _html),
+    "page": (("report",), _page),
+    "files": (("report",), _files),
 }
-"""Form -> the listed form that it is made of, and how."""
+"""Form -> the listed forms of which one must be there, and how it is made."""

@@ -10,6 +10,7 @@ from casid.report.document import (
     Bullets,
     Cards,
     Document,
+    Equations,
     Figure,
     Lines,
     Paragraph,
@@ -38,6 +39,8 @@ def _lines(part: Part, document: Document) -> Iterator[str]:
             yield from _wrapped(text, f"  {label:<{document.label}}", document.width)
         case Table() | Lines():
             yield from part.lines() if isinstance(part, Table) else part.lines
+        case Equations(equations):
+            yield from (f"  {equation}" for equation in equations)
         case Bullets(items):
             for i, item in enumerate(items, 1):
                 lead = f"  {i}. " if part.is_numbered else "  - "

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from casid.report.figures.diagnosis import diagnosis_figures
+from problems import ship
+from tests.report.golden_results import assessment
 from tests.support import samples
 from tests.support.samples import page_of
 
@@ -33,7 +35,8 @@ in_browser = pytest.mark.skipif(
 WIDTHS = (1280, 390)
 PROBE = """<script>window.addEventListener("load", function () {
   var wide = Array.prototype.filter.call(document.querySelectorAll("body *"), function (e) {
-    return e.getBoundingClientRect().right > innerWidth + 1 && !e.closest(".scroll, .plot");
+    return e.getBoundingClientRect().right > innerWidth + 1 &&
+      !e.closest(".scroll, .plot, .equations, svg svg");  // what scrolls by itself, or is clipped
   }).map(function (e) { return e.tagName + "." + e.className; });
   var out = document.createElement("pre");
   out.textContent = "PROBE " + document.documentElement.scrollWidth + " " + innerWidth + " " +
@@ -44,10 +47,16 @@ PROBE = """<script>window.addEventListener("load", function () {
 FRAMES = """<!DOCTYPE html><body style="margin:0"><pre id="out"></pre><script>
 window.addEventListener("message", function (e) {
   document.getElementById("out").textContent += e.data; });
-</script>""" + "".join(
-    f'<iframe src="page.html" style="width:{width}px;height:2000px;border:0"></iframe>'
-    for width in WIDTHS
-)
+</script>"""
+
+
+def framed(*names: str) -> str:
+    """Pages beside one another, each as wide as a screen and as a phone."""
+    return FRAMES + "".join(
+        f'<iframe src="{name}" style="width:{width}px;height:2000px;border:0"></iframe>'
+        for name in names
+        for width in WIDTHS
+    )
 
 
 def browse(path: Path, tmp: Path, *arguments: str) -> tuple[str, list[str]]:
@@ -105,17 +114,29 @@ def test_a_browser_draws_every_figure_without_a_complaint(name, request, tmp_pat
         assert "&lt;script&gt;alert(1)" in plots[0]  # the axis title, shown as text
 
 
+def other_pages() -> list[str]:
+    """The pages of an estimate and an assessment, and equations in what a notebook shows."""
+    viewport = '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    view = ship.problem._repr_html_() + samples.rich()._repr_html_()
+    notebook = f"<!DOCTYPE html><html><head>{viewport}</head><body>{view}</body></html>"
+    adequate = samples.adequate()
+    return [page_of(adequate.baseline, adequate.records), page_of(assessment()), notebook]
+
+
 @in_browser
-@pytest.mark.parametrize("name", ["rich", "hostile"])
+@pytest.mark.parametrize("name", ["rich", "hostile", "others"])
 def test_nothing_makes_the_page_scroll_sideways(name, request, tmp_path):
     """On a screen and on a phone: headless windows are no narrower than 500 px, frames are."""
-    (tmp_path / "page.html").write_text(probed(request.getfixturevalue(name)), encoding="utf-8")
+    pages = other_pages() if name == "others" else [request.getfixturevalue(name)]
+    files = [f"page_{i}.html" for i in range(len(pages))]
+    for file, page in zip(files, pages, strict=True):
+        (tmp_path / file).write_text(probed(page), encoding="utf-8")
     path = tmp_path / "frames.html"
-    path.write_text(FRAMES, encoding="utf-8")
+    path.write_text(framed(*files), encoding="utf-8")
     dom, console = browse(path, tmp_path, "--window-size=1700,2100", "--dump-dom")
     assert console == []
     probes = [tuple(map(int, p)) for p in re.findall(r"PROBE (\d+) (\d+) (\d+) END", dom)]
-    assert sorted(inner for _, inner, _ in probes) == sorted(WIDTHS)
+    assert sorted(inner for _, inner, _ in probes) == sorted(WIDTHS * len(pages))
     for scroll, inner, wide in probes:
         assert scroll <= inner
         assert wide == 0

@@ -26,6 +26,7 @@ from casid.estimation.simulation.initial_state import fit_initial_state
 from casid.estimation.simulation.known_simulation import KnownSimulation
 from casid.exportable import Exportable
 from casid.model.model import Model
+from casid.presentation import Viewed
 from casid.saving.saved import Saved
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class HasModel(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FittedModel(Saved, Exportable):
+class FittedModel(Saved, Exportable, Viewed):
     """A model with its estimated values, and all that is needed to simulate it as the fit did.
 
     Every number is in SI units; `model.declared_units` has the units that the user declared.

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from casid.arrays import Array
 from casid.data.files import plain_fields
-from casid.presentation import present
+from casid.presentation import Viewed, present
 
 Kind = Literal["identifiable", "practically non-identifiable", "flat"]
 
@@ -64,7 +64,7 @@ class ProfileLikelihood:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Profiles:
+class Profiles(Viewed):
     """Profiles of chosen parameters over the same records.
 
     Attributes

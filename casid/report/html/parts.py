@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import groupby
 
 from casid.report.document import (
@@ -12,6 +13,8 @@ from casid.report.document import (
     Card,
     Cards,
     Code,
+    Equation,
+    Equations,
     Figure,
     Inline,
     Lines,
@@ -54,7 +57,10 @@ class Renderer(ABC):
             case Paragraph(text, look):
                 return element("p", inline(text), **_class(look))
             case Lines(lines):
-                return element("pre", "\n".join(lines)) if lines else Html("")
+                return element("pre", Html("\n".join(map(safe, lines)))) if lines else Html("")
+            case Equations(equations):
+                rows = join(map(_equation, equations))
+                return element("div", rows, class_="equations") if equations else Html("")
             case Table():
                 return _table(part) if part.rows else Html("")
             case Bullets():
@@ -93,6 +99,31 @@ def inline(text: Inline) -> Html:
             kind = text.replace(" ", "-") if text in _STATUSES else "other"
             return element("span", str(text), class_=f"status {kind}")
     return safe(text)
+
+
+def _equation(equation: Equation) -> Html:
+    """The equation in MathML, which browsers draw themselves; as code where it has none."""
+    e = equation
+    name = element("span", e.name, class_="name") if e.name else ""
+    unit = element("span", f"[{e.unit}]", class_="unit") if e.unit else ""
+    if not all(f.mathml for f in (e.left, *e.terms)):
+        text = str(replace(e, name="", unit=""))
+        return element("div", name + element("code", text) + unit)
+    content = e.left.mathml + "<mo>=</mo>"
+    for i, term in enumerate(e.terms):
+        if i:
+            content += "<mo>\u2212</mo>" if term.is_negative else "<mo>+</mo>"
+        elif term.is_negative:
+            content += '<mo form="prefix">\u2212</mo>'
+        content += _MARKED.format(term.mathml) if i in e.new else term.mathml
+    return element("div", name + element("math", Html(content), displaystyle="true") + unit)
+
+
+_MARKED = (
+    '<munder class="new"><mrow>{}</mrow><munder><mo stretchy="true">\u23df</mo>'
+    "<mtext>new</mtext></munder></munder>"
+)
+"""A term with a brace below it that says that it is new."""
 
 
 def _class(look: str) -> dict[str, str]:

@@ -76,6 +76,12 @@ td code { background: none; padding: 0; }
 .status.rejected::before { background: #8a8a8a; }
 .status.not-significant::before { background: #cfcfcf; }
 .status.invisible::before { background: #fff; }
+.equations { overflow-x: auto; margin: 12px 0; }
+.equations > div { margin: 10px 0; }
+.equations .name { display: inline-block; min-width: 9ch; margin-right: 12px; color: var(--soft); }
+.equations .unit { margin-left: 18px; color: var(--soft); }
+.equations math { font-size: 1.1em; }
+.new { color: #0550ae; }
 .lines { font-size: 14px; max-width: none; padding-left: 28px; }
 figure { margin: 16px 0; }
 .plot { width: 100%; overflow: hidden; }

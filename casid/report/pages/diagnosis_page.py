@@ -33,6 +33,7 @@ from casid.report.pages.limit_parts import (
     proposals_table,
     undetectable_parts,
 )
+from casid.report.pages.model_page import equation_changes
 from casid.report.pages.remainder_parts import gain_table, moved_table, remaining_parts
 from casid.report.pages.unexplained_parts import unexplained_parts
 from casid.report.texts.diagnosis import gain_rows
@@ -42,6 +43,7 @@ _VERDICTS = {
     "deficient": "The model is missing something",
     "undecided": "This record cannot decide",
 }
+_OPEN = ("", "Causes", "Equations", "Measured against simulated", "Gain")  # in a notebook
 _FIGURE_NAMES = {
     "simulation": "Measured against simulated",
     "residual_time": "Simulation error against time",
@@ -66,6 +68,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Document:
     sections: dict[str, list[Part]] = {
         "": [_banner(d), Cards(list(_key_numbers(d))[:8]), notice(d.notes, warnings)],
         "Causes": [*(causes or [no_cause(d)]), advice],
+        "Equations": equation_changes(d.model),
         "What remains": [*remaining_parts(d), figure("remaining")],
         "What is unknown": [*unexplained_parts(d), *unknown],
         "Parameters that moved": [moved_table(d), figure("moved")],
@@ -83,7 +86,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Document:
     return Document(
         d.problem,
         [
-            *(Section(heading, parts) for heading, parts in sections.items()),
+            *(Section(h, parts, is_open=h in _OPEN) for h, parts in sections.items()),
             provenance(d.provenance, d.settings, d.versions),
             Section("References", [Bullets(d.sources)]),
         ],

@@ -34,8 +34,8 @@ def estimate_report(estimate: Estimate, records: Sequence[RecordView] | None = N
         e.problem,
         [
             Section("", [_banner(e), notice((), (*e.suspects, *e.warnings))]),
-            Section("Parameters", [table, figure("parameters"), assumed]),
-            Section("Fit", [_fit_table(e), figure("simulation")]),
+            Section("Parameters", [table, figure("parameters"), assumed], is_open=True),
+            Section("Fit", [_fit_table(e), figure("simulation")], is_open=True),
             Section("May the fit be trusted?", [evidence_table({"estimate": e})]),
             provenance(e.provenance, {}, e.versions),
             Section("References", [Bullets(e.sources)]),

@@ -28,6 +28,7 @@ from casid.report.texts.assessment import family_lines, group_words, verdict_wor
 from casid.report.texts.identifiability import practical_table
 
 _LISTED = 60  # fixing sets in the table
+_OPEN = ("", "Parameters", "Identifiable combinations", "Remedies")  # in a notebook
 
 
 def assessment_report(assessment: Assessment) -> Document:
@@ -60,7 +61,7 @@ def assessment_report(assessment: Assessment) -> Document:
     return Document(
         a.name,
         [
-            *(Section(heading, parts) for heading, parts in sections.items()),
+            *(Section(h, parts, is_open=h in _OPEN) for h, parts in sections.items()),
             provenance((), {}, a.versions),
             Section("References", [Bullets(_sources(a))]),
         ],

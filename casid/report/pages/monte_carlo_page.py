@@ -39,7 +39,11 @@ def monte_carlo_report(result: MonteCarlo) -> Document:
         result.problem,
         [
             Section("", [runs, Bullets(remarks)]),
-            Section("Parameters", [_accuracy(result.parameters), figure("histograms"), words]),
+            Section(
+                "Parameters",
+                [_accuracy(result.parameters), figure("histograms"), words],
+                is_open=True,
+            ),
             Section("Failed runs", [mapping_table(failures, ("message", "runs"))]),
             provenance((), settings, result.versions, streams),
             Section("References", [Bullets(result.sources)]),

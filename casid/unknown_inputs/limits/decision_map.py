@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike
 
 from casid.arrays import Array
 from casid.errors import ModelError
-from casid.presentation import present
+from casid.presentation import Viewed, present
 from casid.unknown_inputs.limits.asymptotics import Asymptotics
 
 REGIONS = ("in neither", "in variance alone", "in mean square error alone", "in both")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DecisionMap:
+class DecisionMap(Viewed):
     """Differences first minus second over a grid; negative where the first is better.
 
     Attributes
