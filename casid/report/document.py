@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from casid.estimation.fitted.equations import ModelEquation
+
 
 class Code(str):
     """A name from a model or a file, set as code on a page."""
@@ -107,49 +109,10 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Formula:
-    """Algebra as text, and as MathML where there is some, without a minus sign in front."""
-
-    text: str
-    mathml: str = ""
-
-    @property
-    def is_negative(self) -> bool:
-        """True if it begins with a minus sign."""
-        return self.text.startswith("-")
-
-
-@dataclass(frozen=True)
-class Equation:
-    """left = sum of terms, in `unit`.
-
-    Attributes
-    ----------
-    name : of the balance; empty where the left side says it all.
-    new : terms that were added to the model, by their places.
-    """
-
-    left: Formula
-    terms: Sequence[Formula]
-    unit: str = ""
-    name: str = ""
-    new: Sequence[int] = ()
-
-    def __str__(self) -> str:
-        text = ""
-        for i, term in enumerate(self.terms):
-            sign = "" if not i else " - " if term.is_negative else " + "
-            shown = term.text[1:] if i and term.is_negative else term.text
-            text += sign + (f"[new: {shown}]" if i in self.new else shown)
-        name = f"{self.name}: " if self.name else ""
-        return f"{name}{self.left.text} = {text}" + (f"   [{self.unit}]" if self.unit else "")
-
-
-@dataclass(frozen=True)
 class Equations:
     """Equations below one another."""
 
-    equations: Sequence[Equation]
+    equations: Sequence[ModelEquation]
 
 
 def figure_parts(figures: Mapping[str, Any]) -> dict[str, Figure]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -11,9 +12,11 @@ import numpy as np
 import pytest
 
 import casid
+from casid.estimation.fitted.equations import equations_of
 from casid.model.effects.balance_effects import quadratic_damping
 from casid.presentation import present
-from casid.report.equations import changed_equations, formula, model_equations
+from casid.report.document import Document, Equations
+from casid.report.html.notebook import notebook_html
 from casid.report.html.thumbnail import thumbnail
 from problems import pendulum, roll_decay
 from tests.report import golden_results
@@ -94,30 +97,33 @@ def test_names_that_are_attacks_stay_text_in_a_notebook():
 
 def test_the_equation_before_and_after_has_the_new_term_marked():
     before = roll_decay.problem.model
-    after = before.extend(quadratic_damping(before, "torque"))
-    first, second = changed_equations(before, after)
-    assert [str(e) for e in first.equations] == [
-        "torque: dp/dt = -B_1 * p - C_1 * phi + C_1 * phi_0   [rad/s^2]"
-    ]
-    assert len(second.equations) == 1
-    assert str(second.equations[0]).startswith("torque: dp/dt = -B_1 * p - C_1 * phi + C_1 * phi_0")
-    assert re.search(r" - \[new: d_2 \* .*p.*\]", str(second.equations[0]))
-    assert not changed_equations(before, before)[1].equations
+    found = equations_of(before.extend(quadratic_damping(before, "torque")), before)
+    shown = notebook_html(Document("", [Equations(found.before), Equations(found.changed)]))
+    first, second = re.findall(r"<math.*?</math>", shown, re.S)
+    assert "<mtext>new</mtext>" not in first
+    new = re.findall(r'<munder class="new">(.*?)<mtext>new</mtext>', second, re.S)
+    assert len(new) == 1
+    assert "<mi>d</mi>" in new[0]  # d_2 |p| p alone
+    assert "<mi>B</mi>" not in new[0]
 
 
 def test_equations_of_every_problem_can_be_shown():
     for problem in (pendulum.problem, roll_decay.problem):
-        rows = model_equations(problem.model).equations
-        assert len(rows) == len(problem.model.states) + len(problem.model.outputs)
-        assert all(f.mathml for row in rows for f in (row.left, *row.terms))
+        for e in equations_of(problem.model).after:
+            for mathml in (e.left_mathml, *(term.mathml for term in e.terms)):
+                assert ElementTree.fromstring(
+                    f"<math>{mathml}</math>".replace("&InvisibleTimes;", "\u2062")
+                )
 
 
 def test_an_operation_that_algebra_does_not_set_is_written():
-    x, k = ca.SX.sym("x"), ca.SX.sym("k")
-    choice = formula(ca.if_else(x > 0, k, 1))
-    assert choice.mathml == ""
-    assert "if" in choice.text
-    assert formula(k * x**2).mathml.count("<mi>") == 2
+    model = casid.Model("choice")
+    x, k = model.state("x", "m"), model.parameter("k", "m/s")
+    model.derivative(x, ca.if_else(x > 0, k, 1))
+    model.output("x_m", x, "m")
+    choice = equations_of(model).after[0]
+    assert choice.terms[0].mathml == ""
+    assert f"<code>{html.escape(str(choice))}</code>" in model._repr_html_()
 
 
 def test_a_thumbnail_puts_points_where_their_values_are():

@@ -1,7 +1,8 @@
-"""The equations of a fitted model as text and as LaTeX, what was added marked."""
+"""The equations of a fitted model as text, LaTeX and MathML, what was added marked."""
 
 from __future__ import annotations
 
+import html
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -35,11 +36,13 @@ class Term:
 
     Attributes
     ----------
+    mathml : without a minus sign in front; empty where text reads better.
     is_new : whether the model before had no such term in this equation.
     """
 
     text: str
     latex: str
+    mathml: str = ""
     is_new: bool = False
 
 
@@ -50,7 +53,7 @@ class ModelEquation:
     Attributes
     ----------
     name : of the balance, derivative, output or stage.
-    left, left_latex : the left side; `left_is_new` where the model before had another.
+    left, left_latex, left_mathml : the left side; `left_is_new` where the model before had another.
     note : what a stage says.
     """
 
@@ -61,6 +64,7 @@ class ModelEquation:
     unit: str = ""
     note: str = ""
     left_is_new: bool = False
+    left_mathml: str = ""
 
     @property
     def is_changed(self) -> bool:
@@ -137,20 +141,27 @@ def equations_of(model: Model, baseline: Model | None = None) -> ModelEquations:
 
 def _equations(model: Model) -> Iterator[ModelEquation]:
     for state, expression in model._rates.items():
-        yield _equation(f"d{state}/dt", f"d{state}/dt", rf"\dot{{{_symbol(state)}}}", [expression])
+        equation = _equation(
+            f"d{state}/dt", f"d{state}/dt", rf"\dot{{{_symbol(state)}}}", [expression]
+        )
+        yield replace(equation, left_mathml=_rate_mathml(state))
     for b in model.balances.values():
         inertia, latex = _written(b.inertia), _latex(b.inertia)
         rate, dot = f"d{b.rate}/dt", rf"\dot{{{_symbol(b.rate)}}}"
         is_one = inertia == "1"
         left = rate if is_one else f"({inertia}) {rate}"
         bracketed = latex if ca.SX(b.inertia).is_leaf() else rf"\left({latex}\right)"
-        yield _equation(
+        equation = _equation(
             b.name, left, dot if is_one else rf"{bracketed}\,{dot}", list(b.terms), b.unit
         )
+        factor = "" if is_one else f'{_mathml(b.inertia)}<mspace width="0.2em"></mspace>'
+        yield replace(equation, left_mathml=factor + _rate_mathml(b.rate))
     for name, (expression, unit) in model.outputs.items():
-        yield _equation(f"output {name}", name, _symbol(name), [expression], unit)
+        equation = _equation(f"output {name}", name, _symbol(name), [expression], unit)
+        yield replace(equation, left_mathml=_mathml(ca.SX.sym(name)))
     for unknown, output, residual in model._eliminations:
         parts = _equation(f"elimination of {unknown}", "0", "0", [residual])
+        parts = replace(parts, left_mathml="<mn>0</mn>")
         yield replace(parts, note=f"gives {unknown}, with {output} as an input")
     for stage in model.stages:
         text, note = _STAGES[stage.kind]
@@ -177,8 +188,13 @@ def _equation(
     name: str, left: str, left_latex: str, terms: list[Expr], unit: str = ""
 ) -> ModelEquation:
     parts = [part for term in terms for part in summands(term)]
-    shown = tuple(Term(_written(part), _latex(part)) for part in parts)
+    shown = tuple(_term(part) for part in parts)
     return ModelEquation(name, left, left_latex, shown, unit)
+
+
+def _term(part: Expr) -> Term:
+    text = _written(part)
+    return Term(text, _latex(part), _mathml(-part if text.startswith("-") else part))
 
 
 def _written(expression: Expr) -> str:
@@ -212,16 +228,48 @@ def _latex(expression: Expr) -> str:
     """An expression as LaTeX; as text where algebra does not know an operation in it."""
     import sympy
 
+    algebra = _algebra(expression)
+    if algebra is None:
+        return _text(_written(expression))
+    names = {s: _derivative(s.name) for s in algebra.free_symbols}
+    return str(sympy.latex(algebra, symbol_names=names))
+
+
+def _mathml(expression: Expr) -> str:
+    """Presentation MathML, a sum in brackets; empty where text reads better."""
+    import sympy
+    from sympy.printing.mathml import mathml
+
+    algebra = _algebra(expression)
+    if algebra is None or algebra.has(sympy.Piecewise):
+        return ""
+    # What sympy's printer is given as a name it writes unescaped, and names come from files.
+    names = {s: html.escape(s.name) for s in algebra.free_symbols}
+    names = {s: f"d{name[4:]}/dt" if name.startswith("der_") else name for s, name in names.items()}
+    safe = algebra.xreplace({s: sympy.Symbol(name) for s, name in names.items()})
+    content = str(mathml(safe, printer="presentation"))
+    return f"<mrow><mo>(</mo>{content}<mo>)</mo></mrow>" if safe.is_Add else content
+
+
+def _rate_mathml(state: str) -> str:
+    above = f"<mrow><mi>d</mi>{_mathml(ca.SX.sym(state))}</mrow>"
+    return f"<mfrac>{above}<mrow><mi>d</mi><mi>t</mi></mrow></mfrac>"
+
+
+def _algebra(expression: Expr) -> Any:
+    """An expression in sympy with numbers as they are written; None where it has no operation."""
+    import sympy
+
     from casid.algebra.symbolic import to_sympy
 
     try:
         algebra = to_sympy(expression)[0]
     except ModelError:
-        return _text(_written(expression))
+        return None
     floats = algebra.atoms(sympy.Float)
-    numbers = {x: sympy.Integer(x) if x == int(x) else sympy.Float(x, 6) for x in floats}
-    names = {s: _derivative(s.name) for s in algebra.free_symbols}
-    return str(sympy.latex(algebra.xreplace(numbers), symbol_names=names))
+    return algebra.xreplace(
+        {x: sympy.Integer(x) if x == int(x) else sympy.Float(x, 6) for x in floats}
+    )
 
 
 def _derivative(name: str) -> str:

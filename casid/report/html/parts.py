@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
 
+from casid.estimation.fitted.equations import ModelEquation
 from casid.report.document import (
     Banner,
     Bullets,
     Card,
     Cards,
     Code,
-    Equation,
     Equations,
     Figure,
     Inline,
@@ -25,6 +25,7 @@ from casid.report.document import (
     Strong,
     Table,
 )
+from casid.report.figures.style import visible_text
 from casid.report.html.markup import Html, element, join, safe
 
 _STATUSES = ("named", "cannot be rejected", "rejected", "not significant", "invisible")
@@ -101,22 +102,28 @@ def inline(text: Inline) -> Html:
     return safe(text)
 
 
-def _equation(equation: Equation) -> Html:
+def _equation(e: ModelEquation) -> Html:
     """The equation in MathML, which browsers draw themselves; as code where it has none."""
-    e = equation
-    name = element("span", e.name, class_="name") if e.name else ""
-    unit = element("span", f"[{e.unit}]", class_="unit") if e.unit else ""
-    if not all(f.mathml for f in (e.left, *e.terms)):
-        text = str(replace(e, name="", unit=""))
-        return element("div", name + element("code", text) + unit)
-    content = e.left.mathml + "<mo>=</mo>"
+    is_named = e.name not in (e.left, f"output {e.left}") and not e.note
+    name = element("span", e.name, class_="name") if is_named else ""
+    words = [f"[{e.unit}]" if e.unit else "", e.note]
+    beside = element("span", " ".join(filter(None, words)), class_="unit") if any(words) else ""
+    if not e.left_mathml or not all(term.mathml for term in e.terms):
+        return element("div", name + element("code", str(replace(e, unit="", note=""))) + beside)
+    content = _marked(e.left_mathml, e.left_is_new) + "<mo>=</mo>"
     for i, term in enumerate(e.terms):
-        if i:
-            content += "<mo>\u2212</mo>" if term.is_negative else "<mo>+</mo>"
-        elif term.is_negative:
-            content += '<mo form="prefix">\u2212</mo>'
-        content += _MARKED.format(term.mathml) if i in e.new else term.mathml
-    return element("div", name + element("math", Html(content), displaystyle="true") + unit)
+        if term.text.startswith("-"):
+            content += "<mo>\u2212</mo>" if i else '<mo form="prefix">\u2212</mo>'
+        elif i:
+            content += "<mo>+</mo>"
+        content += _marked(term.mathml, term.is_new)
+    return element(
+        "div", name + element("math", Html(visible_text(content)), displaystyle="true") + beside
+    )
+
+
+def _marked(mathml: str, is_new: bool) -> str:
+    return _MARKED.format(mathml) if is_new else mathml
 
 
 _MARKED = (

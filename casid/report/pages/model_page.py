@@ -6,10 +6,10 @@ import math
 
 from casid.data.problem import Problem
 from casid.data.record import Experiment
+from casid.estimation.fitted.equations import equations_of
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.model.model import Model
-from casid.report.document import Bullets, Code, Document, Part, Section, Table
-from casid.report.equations import changed_equations, model_equations
+from casid.report.document import Bullets, Code, Document, Equations, Part, Section, Table
 from casid.report.numbers import number_text, value_text
 from casid.report.texts.records import record_document
 
@@ -21,14 +21,10 @@ def model_view(model: Model) -> Document:
 
 def _model_sections(model: Model) -> list[Part]:
     return [
-        Section("Equations", [model_equations(model), _eliminated(model)], is_open=True),
+        Section("Equations", [Equations(equations_of(model).after)], is_open=True),
         Section("Parameters", [_parameters(model)], is_open=True),
         Section("States and inputs", [_states(model), _inputs(model)]),
     ]
-
-
-def _eliminated(model: Model) -> Bullets:
-    return Bullets([f"{w} eliminated using {y}" for w, y, _ in model._eliminations])
 
 
 def _parameters(model: Model) -> Table:
@@ -125,7 +121,7 @@ def fitted_view(fitted: FittedModel) -> Document:
         fitted.name,
         [
             Section("Added", [Bullets(added), *changed], is_open=True),
-            Section("Equations", [model_equations(m)], is_open=not changed),
+            Section("Equations", [Equations(fitted.equations().after)], is_open=not changed),
             Section(
                 "Values",
                 [Table(("parameter", "unit", "value", "std. error"), rows, numbers=(2, 3))],
@@ -141,9 +137,8 @@ def equation_changes(fitted: FittedModel | None) -> list[Part]:
     """The equations that the added causes changed, before and after."""
     if fitted is None or fitted.baseline is None:
         return []
-    before, after = changed_equations(fitted.baseline.model, fitted.model)
-    if not after.equations:
-        return []
+    found = fitted.equations()
+    before, after = Equations(found.before), Equations(found.changed)
     return [Section("Before", [before]), Section("After", [after])]
 
 
