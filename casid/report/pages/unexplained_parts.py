@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.diagnosis.evidence.residual_tests import ResidualTests
+from casid.errors import UnitError
 from casid.model.units import quantity_of
 from casid.report.document import Part, Table
 from casid.report.numbers import number_text, p_text
@@ -31,7 +32,7 @@ def unexplained_parts(d: Diagnosis) -> list[Part]:
         places = [
             (
                 p.place,
-                f"a missing {quantity_of(p.unit)}" if p.is_balance else "an error of the sensor",
+                f"a missing {_quantity(p.unit)}" if p.is_balance else "an error of the sensor",
                 _share(p.explained),
                 number_text(p.score),
             )
@@ -54,6 +55,13 @@ def unexplained_parts(d: Diagnosis) -> list[Part]:
     caption = "When it is much stronger than elsewhere"
     when = Table(head, occurrences, numbers=(1, 2, 3), caption=caption)
     return [*parts, when, _tests_table(u.tests)]
+
+
+def _quantity(unit: str) -> str:
+    try:
+        return quantity_of(unit)
+    except UnitError:  # a page does not fail for a text that came with a result
+        return "term"
 
 
 def _tests_table(t: ResidualTests) -> Table:
