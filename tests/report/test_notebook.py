@@ -118,12 +118,16 @@ def test_equations_of_every_problem_can_be_shown():
 
 def test_an_operation_that_algebra_does_not_set_is_written():
     model = casid.Model("choice")
-    x, k = model.state("x", "m"), model.parameter("k", "m/s")
+    x, v = model.state("x", "m"), model.state("v", "m/s")
+    k = model.parameter("k", "m/s")
     model.derivative(x, ca.if_else(x > 0, k, 1))
+    model.balance(v, "force", inertia=ca.if_else(x > 0, 2, 1), terms=[-v], unit="m/s^2")
     model.output("x_m", x, "m")
-    choice = equations_of(model).after[0]
-    assert choice.terms[0].mathml == ""
-    assert f"<code>{html.escape(str(choice))}</code>" in model._repr_html_()
+    shown = model._repr_html_()
+    choice, balance, _ = equations_of(model).after
+    assert choice.terms[0].mathml == balance.left_mathml == ""
+    for equation in (choice, balance):
+        assert f"<code>{html.escape(str(equation).partition('   ')[0])}</code>" in shown
 
 
 def test_a_thumbnail_puts_points_where_their_values_are():

@@ -154,8 +154,10 @@ def _equations(model: Model) -> Iterator[ModelEquation]:
         equation = _equation(
             b.name, left, dot if is_one else rf"{bracketed}\,{dot}", list(b.terms), b.unit
         )
-        factor = "" if is_one else f'{_mathml(b.inertia)}<mspace width="0.2em"></mspace>'
-        yield replace(equation, left_mathml=factor + _rate_mathml(b.rate))
+        factor, rate = _mathml(b.inertia), _rate_mathml(b.rate)
+        if not is_one:  # an inertia that has no MathML leaves none to the left side
+            rate = factor and f'{factor}<mspace width="0.2em"></mspace>{rate}'
+        yield replace(equation, left_mathml=rate)
     for name, (expression, unit) in model.outputs.items():
         equation = _equation(f"output {name}", name, _symbol(name), [expression], unit)
         yield replace(equation, left_mathml=_mathml(ca.SX.sym(name)))
