@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from casid.estimation.fitted.equations import ModelEquation
+if TYPE_CHECKING:  # printing a document loads no equations
+    from casid.estimation.fitted.equations import ModelEquation
 
 
 class Code(str):
