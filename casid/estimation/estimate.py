@@ -310,14 +310,17 @@ class Estimate(Presented, Saved):
         `function` takes a mapping of parameter names to values.
         """
         known = {p.name: p.value for p in self.parameters}
-        names = self.covariance_names
+        # Inner nodes of multiple shooting are no parameters.
+        kept = [i for i, n in enumerate(self.covariance_names) if n in self.names]
+        names = [self.covariance_names[i] for i in kept]
+        covariance = self.covariance[np.ix_(kept, kept)]
 
         def of_draw(point: Array) -> Array:
             values = {**known, **dict(zip(names, point.tolist(), strict=True))}
             return np.atleast_1d(np.asarray(function(values), dtype=float))
 
         theta = np.array([self[n] for n in names])
-        return sample_through(of_draw, theta, self.covariance, draws=draws, seed=seed, valid=valid)
+        return sample_through(of_draw, theta, covariance, draws=draws, seed=seed, valid=valid)
 
     def to_inference_data(self, *, draws: int = 1000, seed: int = 0) -> Any:
         """Draws of N(theta, P) as the posterior of an ArviZ InferenceData, one chain.

@@ -245,7 +245,10 @@ def test_segments_of_multiple_shooting_start_where_the_fit_has_them():
     run = record()
     settings = casid.FitSettings(starts=1, segments=5)
     fit = fit_model(oscillator(), [casid.Experiment(run)], settings, throw=False)
-    model = estimate_of(casid.Problem("oscillator", oscillator()), fit).model
+    found = estimate_of(casid.Problem("oscillator", oscillator()), fit)
+    model = found.model
+    drawn = found.sample(lambda values: values["k"], draws=2000).values
+    assert np.std(drawn) == pytest.approx(found.parameter("k").std_error, rel=0.1)
     assert model.records[0].nodes.shape == (5, 2)
     assert model.covariance_names == ("d", "k", "x(0)", "v(0)")
     residual = fit.criterion.simulated(fit.x, 0).residual
