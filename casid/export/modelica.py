@@ -107,8 +107,10 @@ class _Writer:
         ]
         return "\n".join(lines) + "\n"
 
-    def _formula(self, expression: Any) -> str:
-        return formula_text(expression, MODELICA, names=self.written, parts=self.equations.keys)
+    def _formula(self, expression: Any, defined: str = "") -> str:
+        """An expression, or the definition of a shared part."""
+        parts = self.equations.keys_but(defined)
+        return formula_text(expression, MODELICA, names=self.written, parts=parts)
 
     def _comments(self) -> list[str]:
         texts = [
@@ -177,7 +179,7 @@ class _Writer:
         for name, expression in self.equations.parts.items():
             is_fixed = not self._moves(expression)
             kind = "final parameter " if is_fixed else ""
-            lines.append(f"  {kind}Real {self.names[name]} = {self._formula(expression)};")
+            lines.append(f"  {kind}Real {self.names[name]} = {self._formula(expression, name)};")
         return lines
 
     def _is_held(self, name: str) -> bool:

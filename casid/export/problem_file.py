@@ -259,12 +259,15 @@ class _Writer:
 
     # -- equations -----------------------------------------------------------------------------
 
-    def _formula(self, expression: Any) -> str:
-        return formula_text(expression, PYTHON, names=self.written, parts=self.equations.keys)
+    def _formula(self, expression: Any, defined: str = "") -> str:
+        """An expression, or the definition of a shared part."""
+        parts = self.equations.keys_but(defined)
+        return formula_text(expression, PYTHON, names=self.written, parts=parts)
 
     def _parts(self) -> list[str]:
         return [
-            f"{self.names[name]} = {self._formula(e)}" for name, e in self.equations.parts.items()
+            f"{self.names[name]} = {self._formula(e, name)}"
+            for name, e in self.equations.parts.items()
         ]
 
     def _equations(self) -> list[str]:

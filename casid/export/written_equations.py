@@ -63,6 +63,10 @@ class WrittenEquations:
     outputs: Mapping[str, Expr]
     eliminations: tuple[Elimination, ...]
 
+    def keys_but(self, name: str) -> dict[int, str]:
+        """The names of the other parts, with which the part `name` is defined."""
+        return {key: part for key, part in self.keys.items() if part != name}
+
 
 def written_equations(model: Model, part: str = "common") -> WrittenEquations:
     """The equations of a model without stages.

@@ -137,7 +137,8 @@ def formula_text(
     Parameters
     ----------
     names : how a symbol is written, by its CasADi name; itself by default.
-    parts : names of shared parts, as `shared_parts` gives them.
+    parts : names of shared parts, as `shared_parts` gives them; where a part is defined, those of
+        the others.
 
     Raises
     ------
@@ -220,9 +221,9 @@ class _Writer:
     ) -> None:
         self.notation, self.names, self.parts = notation, names, parts
 
-    def text(self, e: Expr, *, inside: bool = False) -> _Text:
-        """The expression; `inside` where it is a part of another."""
-        named = self.parts.get(e.element_hash()) if inside else None
+    def text(self, e: Expr) -> _Text:
+        """The expression, or the name that it has as a shared part."""
+        named = self.parts.get(e.element_hash())
         if named is not None:
             return _Text(named, _ATOM)
         if e.is_constant():
@@ -246,7 +247,7 @@ class _Writer:
         form = self.notation.functions.get(name)
         if form is None:
             raise ModelError(f"{name} cannot be written as {self.notation.name}")
-        texts = [self.text(a, inside=True).text for a in arguments]
+        texts = [self.text(a).text for a in arguments]
         return _Text(form.format(*texts), _ATOM)
 
     def _within(self, e: Expr, least: int, *, leads: bool = False) -> str:
@@ -254,7 +255,7 @@ class _Writer:
 
         A sign in front may stay bare only at the beginning (`leads`).
         """
-        return self._bracketed(self.text(e, inside=True), least, leads=leads)
+        return self._bracketed(self.text(e), least, leads=leads)
 
     @staticmethod
     def _bracketed(part: _Text, least: int, *, leads: bool = False) -> str:
@@ -267,7 +268,7 @@ class _Writer:
         either = self._either(a, b)
         if either is not None:
             return either
-        left, right = self.text(a, inside=True), self.text(b, inside=True)
+        left, right = self.text(a), self.text(b)
         if right.is_negative:
             return _Text(f"{left.text} - {right.text[1:]}", _SUM, left.is_negative)
         return _Text(f"{left.text} + {right.text}", _SUM, left.is_negative)
@@ -281,11 +282,11 @@ class _Writer:
             return None
         if not ca.is_equal(other.dep(0), condition, 3):
             return None
-        values = (self.text(e.dep(1), inside=True).text for e in (a, b))
+        values = (self.text(e.dep(1)).text for e in (a, b))
         return _Text(self.notation.choice.format(self._condition(condition), *values), _ATOM)
 
     def _subtract(self, a: Expr, b: Expr) -> _Text:
-        left = self.text(a, inside=True)
+        left = self.text(a)
         right = self._within(b, _PRODUCT)
         return _Text(f"{left.text} - {right}", _SUM, left.is_negative)
 
@@ -325,7 +326,7 @@ class _Writer:
 
     def _power_text(self, base: Expr, n: int) -> _Text:
         if n == 1:
-            return self.text(base, inside=True)
+            return self.text(base)
         return self._raised(base, str(n))
 
     def _raised(self, base: Expr, exponent: str) -> _Text:
@@ -343,12 +344,12 @@ class _Writer:
         return self._raised(a, "2")
 
     def _power(self, a: Expr, b: Expr) -> _Text:
-        exponent = self.text(b, inside=True)
+        exponent = self.text(b)
         bare = exponent.binding == _ATOM or (self.notation is PYTHON and b.is_constant())
         return self._raised(a, exponent.text if bare else f"({exponent.text})")
 
     def _divide(self, a: Expr, b: Expr) -> _Text:
-        left = self.text(a, inside=True)
+        left = self.text(a)
         above = self._bracketed(left, _PRODUCT, leads=True)
         return _Text(f"{above} / {self._within(b, _POWER)}", _PRODUCT, left.is_negative)
 
@@ -378,7 +379,7 @@ class _Writer:
         return "<>" if self.notation is MODELICA and code == ca.OP_NE else _RELATIONS[code]
 
     def _chosen(self, condition: Expr, value: Expr) -> _Text:
-        texts = self._condition(condition), self.text(value, inside=True).text, "0"
+        texts = self._condition(condition), self.text(value).text, "0"
         return _Text(self.notation.choice.format(*texts), _ATOM)
 
     def _truth(self, e: Expr) -> _Text:
