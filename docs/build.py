@@ -5,7 +5,8 @@
 Every ```python block of a page is executed, all blocks of a page in one namespace, and what it
 prints is inserted behind it. Every line of a ```console block that starts with "$ casid" is run as
 well. An exception, a failing assertion or an exit status other than 0 ends the build with the page
-and line. Blocks in another language are shown as they are.
+and line. Blocks in another language are shown as they are. A block that opens with ```console needs
+FILE (or python) is shown and not run where no such file is there.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 PAGES = (
     "index",
+    "your_data",
     "ten_lines",
     "problem_file",
     "report",
@@ -63,6 +65,12 @@ class Block:
     language: str
     text: str
     line: int  # of its first line of code, from 1
+    needs: str | None = None  # a file without which it is shown, and not run
+
+    @property
+    def runs(self) -> bool:
+        """True if it has what it needs."""
+        return self.needs is None or Path(self.needs).exists()
 
 
 def split(text: str) -> Iterator[str | Block]:
@@ -71,7 +79,7 @@ def split(text: str) -> Iterator[str | Block]:
     lines = text.splitlines()
     i = 0
     while i < len(lines):
-        opening = re.fullmatch(r"```(\w+)", lines[i])
+        opening = re.fullmatch(r"```(\w+)(?: needs (.+))?", lines[i])
         if opening is None:
             prose.append(lines[i])
             i += 1
@@ -83,7 +91,7 @@ def split(text: str) -> Iterator[str | Block]:
             i += 1
         if i == len(lines):
             raise BuildError(f"line {start}: the block is not closed; end it with ```")
-        yield Block(opening[1], "\n".join(lines[start:i]), start + 1)
+        yield Block(opening[1], "\n".join(lines[start:i]), start + 1, opening[2])
         i += 1
     yield "\n".join(prose)
 
@@ -125,7 +133,9 @@ def execute(text: str, page: str) -> str:
             out.append(part)
             continue
         out.append(f"```{part.language}\n{part.text}\n```")
-        if part.language == "python":
+        if not part.runs:
+            out.append(f"```output\nnot run here: {part.needs} is absent\n```")
+        elif part.language == "python":
             printed = run_python(part, page, namespace).rstrip()
             if printed:
                 out.append(f"```output\n{printed}\n```")

@@ -66,5 +66,14 @@ def test_a_page_that_does_not_run_ends_the_build_with_its_line(builder, tmp_path
     assert not (tmp_path / "out").exists()
 
 
+def test_a_block_without_the_file_that_it_needs_is_shown_and_not_run(builder, tmp_path):
+    page(tmp_path, "p", "# T", "```python needs gone.csv", "1 / 0", "```")
+    builder.build(tmp_path / "out", ["p"], tmp_path)
+    assert "not run here: gone.csv is absent" in (tmp_path / "out" / "p.html").read_text()
+    page(tmp_path, "p", "# T", "```python needs problems", "1 / 0", "```")
+    with pytest.raises(builder.BuildError, match="ZeroDivisionError"):
+        builder.build(tmp_path / "there", ["p"], tmp_path)
+
+
 def test_every_page_is_in_the_menu(builder):
     assert {p.stem for p in (ROOT / "docs").glob("*.md")} == set(builder.PAGES)

@@ -57,16 +57,38 @@ def test_the_set_up_commands_stand_in_the_readme() -> None:
     assert '\npython -m pip install ".[test]" && python -m pytest\n' in text
 
 
-def test_every_command_line_of_the_readme_can_be_parsed() -> None:
-    """Options and commands exist; files and problems are another test's matter."""
+def commands_of(text: str) -> list[str]:
+    """The commands of all blocks without a language, their remarks left out."""
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    lines = [line for language, block in blocks if not language for line in block.splitlines()]
+    return [re.split(r" {2,}", line)[0] for line in lines if line.startswith("casid ")]
+
+
+def test_the_manual_runs_every_command_of_the_readme_in_order() -> None:
+    """The manual's build runs its console blocks: what stands there runs as printed."""
+    commands = commands_of(README.read_text(encoding="utf-8"))
+    assert len(commands) >= 10
+    page = (ROOT / "docs" / "your_data.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```(\w+[^\n]*)\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    shown = [line for kind, block in blocks if kind == "console" for line in block.splitlines()]
+    run = [line.removeprefix("$ ") for line in shown]
+    assert [line for line in run if line in commands] == commands
+
+
+def test_every_line_of_a_block_that_looks_like_a_command_is_one_that_is_run() -> None:
+    """Those of the set-up are another test's matter."""
     text = README.read_text(encoding="utf-8")
-    known = "|".join(main.commands)
-    lines = re.findall(rf"^casid (?:{known}) .*$", text, re.MULTILINE)
-    assert len(lines) >= 4
-    for line in lines:
-        name, *arguments = line.split("   ")[0].split()[1:]
-        command = main.commands[name]
-        command.make_context(name, arguments)
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    assert {language for language, _ in blocks} <= {"", "python", "text"}  # no other is looked at
+    lines = [line for language, block in blocks if not language for line in block.splitlines()]
+    commands = [line for line in lines if "casid " in line and not line.startswith("python -m pip")]
+    assert [re.split(r" {2,}", line)[0] for line in commands] == commands_of(text)
+
+
+def test_every_command_of_the_readme_can_be_parsed() -> None:
+    for line in commands_of(README.read_text(encoding="utf-8")):
+        name, *arguments = line.split()[1:]
+        main.commands[name].make_context(name, arguments)
 
 
 def test_the_readme_speaks_of_files_that_exist() -> None:
