@@ -75,10 +75,12 @@ class NewProblem:
         """The commands to go on with."""
         name = shlex.quote(str(self.path or f"{self.template}.py"))
         data = shlex.quote(self.data)
+        stem = shlex.quote(self.template if self.path is None else self.path.stem)
         resample = "" if self.resample is None else f" --resample {self.resample:.6g}"
         return (
             f"casid identify {name} {data}{resample}",
-            f"casid diagnose {name} {data}{resample}",
+            f"casid diagnose {name} {data}{resample} --out {stem}",
+            f"casid export {stem} --as problem --out {stem}_extended.py",
         )
 
     def __str__(self) -> str:
