@@ -65,7 +65,6 @@ def diagnose(problem: str, **given: Any) -> None:
         fitted, hold_out = request.experiments(model)
         output.say_what_was_read([*fitted, *(hold_out if isinstance(hold_out, list) else ())])
         from casid.diagnosis.diagnose import diagnose as run
-        from casid.estimation.nlp.solver import Solver
 
         calibrated = workers(search.jobs, None) if search.calibrate else contextlib.nullcontext()
         with interruptible(), calibrated:
@@ -77,7 +76,7 @@ def diagnose(problem: str, **given: Any) -> None:
                 max_causes=search.max_causes,
                 without=search.without,
                 calibrate=search.calibrate or 0,
-                solver=Solver(fit.solver),
+                solver=fit.own_solver(),
                 starts=fit.starts,
                 seed=fit.seed,
                 progress=progress,

@@ -13,6 +13,7 @@ from casid.cli.reading_options import READING_OPTIONS
 
 if TYPE_CHECKING:
     from casid.data.problem import Problem
+    from casid.estimation.nlp.solver import Solver
     from casid.estimation.simulation.fit import FitSettings
 
 
@@ -69,6 +70,8 @@ SET_OPTION = click.option(
     help="A parameter that is known, SI units. Repeatable.",
 )
 
+DEFAULT_SOLVER = "ipopt"
+
 FIT_OPTIONS = (
     SET_OPTION,
     click.option(
@@ -79,7 +82,7 @@ FIT_OPTIONS = (
     ),
     click.option(
         "--solver",
-        default="ipopt",
+        default=DEFAULT_SOLVER,
         show_default=True,
         metavar="NAME",
         help="A CasADi NLP solver.",
@@ -95,6 +98,12 @@ class FitOptions:
     starts: int | None
     solver: str
     seed: int
+
+    def own_solver(self) -> Solver | None:
+        """The solver if it is not the default, which the library tunes to each of its fits."""
+        from casid.estimation.nlp.solver import Solver
+
+        return None if self.solver == DEFAULT_SOLVER else Solver(self.solver)
 
     def settings(
         self, problem: Problem, *, segments: int = 1, seed: int | None = None

@@ -373,8 +373,14 @@ class Friction:
     )
     narrower: float = _is(1 / 3, "times the last speed tried", _FRICTION)
     steps: int = _is(4, "speeds tried, at most: down to 1/81 of the first", _FRICTION)
-    refits: int = _is(10, "refits between the neighbours of the best one", _FRICTION)
-    exact: float = _is(0.02, "of the speed at which they end", _FRICTION)
+    refits: int = _is(8, "refits between the neighbours of the best one", _FRICTION)
+    exact: float = _is(0.05, "of the speed at which they end", _FRICTION)
+    stable: float = _is(
+        2.0,
+        "steps over the friction's time constant at rest, at most",
+        _FRICTION,
+        "Runge-Kutta of order four is stable to 2.78 on the real axis",
+    )
 
 
 _PRESELECTION = f"{TESTS}/search/test_preselection.py"

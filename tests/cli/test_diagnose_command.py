@@ -188,3 +188,13 @@ def test_an_effect_of_the_user_without_a_null_value_is_refused() -> None:
         ")\nproblem = dataclasses.replace(problem, effects=[effect])\n"
     )
     refused(casid("diagnose", "mine.py", "plain.csv"), "my_drag", "null value")
+
+
+def test_the_default_solver_is_left_to_the_library_that_tunes_it() -> None:
+    """Ipopt from its own large barrier would leave the minimum that a refit starts beside."""
+    from casid.cli.options import DEFAULT_SOLVER, FitOptions
+
+    assert FitOptions(None, DEFAULT_SOLVER, 0).own_solver() is None
+    other = FitOptions(None, "sqpmethod", 0).own_solver()
+    assert other is not None
+    assert other.name == "sqpmethod"

@@ -362,6 +362,8 @@ def step_without_bias(
             moved, turned, _ = columns.antithetic(x, k, sd, rng)
             gradient -= turned.T @ moved
             noise += turned.T @ turned
+    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(noise))):
+        return x, 0.0  # the sensitivities overflow: no step can be trusted
     size = np.sqrt(np.maximum(np.diag(matrix), TINY))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     seen = values > 1e-12 * values[-1]
