@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from casid.data.problem import Problem, Recorded, in_si
+from casid.data.problem import Problem, Recorded, experiments_of, in_si
 from casid.data.record import Experiment
 from casid.diagnosis.advice.recommendation import recommend
 from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, require_runs
@@ -96,7 +96,7 @@ def diagnose(
     # Prepare.
     if not isinstance(hold_out, float | int):
         _, hold_out = in_si(problem, hold_out)
-    problem, chosen = in_si(problem, experiments)
+    problem, chosen = in_si(problem, experiments_of(problem, experiments))
     problem = with_unused_columns(problem, chosen)
     require_settings(problem, false_alarm_rate, max_causes, without)
     if calibrate:

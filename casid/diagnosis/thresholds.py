@@ -369,15 +369,15 @@ class Friction:
     """The speed below which dry friction is smoothed."""
 
     promising: float = _is(
-        0.3, "of the best gain beyond which other smoothing speeds are tried", _FRICTION
+        0.9, "of the best gain beyond which other smoothing speeds are tried", _FRICTION
     )
     narrower: float = _is(1 / 3, "times the last speed tried", _FRICTION)
-    steps: int = _is(4, "speeds tried, at most: down to 1/81 of the first", _FRICTION)
+    steps: int = _is(2, "speeds tried, at most: down to 1/9 of the first", _FRICTION)
     refits: int = _is(8, "refits between the neighbours of the best one", _FRICTION)
     exact: float = _is(0.05, "of the speed at which they end", _FRICTION)
     stable: float = _is(
-        2.0,
-        "steps over the friction's time constant at rest, at most",
+        0.5,
+        "steps over the friction's time constant at rest, at most: a sharper one costs many more",
         _FRICTION,
         "Runge-Kutta of order four is stable to 2.78 on the real axis",
     )

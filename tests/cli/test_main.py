@@ -327,7 +327,7 @@ BAD_OPTIONS: dict[str, tuple[list[str], list[str]]] = {
         ["'force' twice", "keep one"],
     ),
     "no such parameter": (["--set", "mm=2"], ["'mm'", "did you mean 'm'?"]),
-    "not a number": (["--set", "m=two"], ["name=value", "declared unit"]),
+    "not a number": (["--set", "m=two"], ["name=value", "SI units"]),
     "not finite": (["--set", "m=nan"], ["finite"]),
     "outside the bounds": (["--set", "k=-50"], ["bounds of k", "1 to 500 N/m", "widen"]),
     "set twice": (["--set", "m=2", "--set", "m=3"], ["twice", "keep one"]),

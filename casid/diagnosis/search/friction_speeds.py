@@ -49,6 +49,8 @@ def _sharpened(
         again = refitting.again(at, replace(best, effect=effect))
         if again is None or not np.isfinite(again.gain):
             return -np.inf
+        if again.fit.criterion.substeps > found.fit.criterion.substeps:
+            return -np.inf  # finer steps make every fit to come as many times slower
         if again.gain > best.gain:
             best = replace(again, score=found.score)
         return again.gain

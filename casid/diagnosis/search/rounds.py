@@ -102,7 +102,8 @@ class Search:
         if not found:
             return found
         found = placed(refitting, at, found, events_of(adopted), self.progress)
-        found = sharpened(refitting, at, found, self.progress)
+        if not adopted:  # beside other causes the friction is too small to show how it reverses
+            found = sharpened(refitting, at, found, self.progress)
         found.sort(key=lambda c: -c.merit)
         ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
         return ranked(refitting, at, found)
