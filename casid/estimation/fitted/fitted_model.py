@@ -241,8 +241,8 @@ class FittedModel(Saved, Exportable, Viewed):
         Returns
         -------
         ModelComparison
-            Fit in per cent, 100 (1 - |y - yhat| / |y - mean y|), of every output of this model;
-            `to_frame()` is a table, `plot()` a figure.
+            Fit in per cent, 100 (1 - norm(y - yhat) / norm(y - mean y)), of every output of this
+            model; `to_frame()` is a table, `plot()` a figure.
 
         Raises
         ------
