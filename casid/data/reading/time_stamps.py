@@ -55,7 +55,7 @@ def of_dates(
     Raises
     ------
     DataError
-        Where day and month cannot be told apart, or local time jumps and no zone is given.
+        Where day and month cannot be distinguished, or local time jumps and no zone is given.
     """
     import pandas as pd
 

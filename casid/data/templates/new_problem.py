@@ -44,7 +44,7 @@ class NewProblem:
     Attributes
     ----------
     text : the Python of the file.
-    path : where it was written; None where no path was asked for.
+    path : where it was written; None where no path was requested.
     data : the file of measurements, as a command takes it.
     template : its name.
     channels : signal of the model -> column of the file [unit].
