@@ -4,13 +4,15 @@ from .algebra.rational import Rational, rational
 from .algebra.transfer_matrix import transfer_matrix
 from .campaigns.campaign import campaign
 from .campaigns.monte_carlo import MonteCarlo, montecarlo
+from .data.alignment import Alignment, align
 from .data.derived import Derived
+from .data.experiment import Experiment
 from .data.preparation import decimate, detrend, lowpass
 from .data.problem import Problem, load_problem
 from .data.quality import CheckReport, check
 from .data.reading.file_format import FileFormat
 from .data.reading.record_file import read_record
-from .data.record import Experiment, Record
+from .data.record import Record
 from .data.templates.new_problem import NewProblem, new_problem
 from .diagnosis.calibration.false_alarm_rate import Calibration
 from .diagnosis.diagnose import diagnose
@@ -114,6 +116,7 @@ from .unknown_inputs.options import compare_unknown_input_options
 __version__: str
 
 __all__ = [
+    "Alignment",
     "Always",
     "Assessment",
     "Assumptions",
@@ -168,6 +171,7 @@ __all__ = [
     "UnitError",
     "actuator_lag",
     "affine_hull",
+    "align",
     "assess_identifiability",
     "balance_effect",
     "bias_table",

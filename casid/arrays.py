@@ -1,11 +1,14 @@
-"""The array type of annotations, and numbers: divisors next to zero, and what JSON can hold."""
+"""The array types of annotations, and numbers: divisors next to zero, and what JSON can hold."""
 
 import math
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 TINY = 1e-300
 """Added to, or the least of, a divisor that may vanish: far below any physical square."""

@@ -11,6 +11,7 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,9 +23,16 @@ MANY_FIELDS = 15
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
-def sources(folder: str) -> list[Path]:
+@cache
+def sources(folder: str) -> tuple[Path, ...]:
     """Python files below a folder of the checkout, caches left out."""
-    return sorted(p for p in (ROOT / folder).rglob("*.py") if "__pycache__" not in p.parts)
+    return tuple(sorted(p for p in (ROOT / folder).rglob("*.py") if "__pycache__" not in p.parts))
+
+
+@cache
+def tree(path: Path) -> ast.Module:
+    """The syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def module(path: Path) -> str:
@@ -33,7 +41,8 @@ def module(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def definitions(path: Path) -> Iterator[tuple[str, str, ast.AST]]:
+@cache
+def definitions(path: Path) -> tuple[tuple[str, str, ast.AST], ...]:
     """Functions and classes of a file: qualified name, name of the class around it, node."""
 
     def walk(node: ast.AST, inside: str) -> Iterator[tuple[str, str, ast.AST]]:
@@ -44,7 +53,7 @@ def definitions(path: Path) -> Iterator[tuple[str, str, ast.AST]]:
             else:
                 yield from walk(child, inside)
 
-    yield from walk(ast.parse(path.read_text(encoding="utf-8")), "")
+    return tuple(walk(tree(path), ""))
 
 
 def lines(folder: str) -> int:
@@ -100,12 +109,13 @@ def wide_dataclasses(folder: str) -> list[str]:
     return sorted(found, reverse=True)
 
 
+@cache
 def imports() -> dict[str, set[str]]:
     """Modules of casid that each module imports, inside functions and for types as well."""
     known = {module(p) for p in sources("casid")}
     out: dict[str, set[str]] = {m: set() for m in known}
     for path in sources("casid"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(path)):
             names: list[str] = []
             if isinstance(node, ast.ImportFrom) and node.module:
                 full = [f"{node.module}.{a.name}" for a in node.names]

@@ -8,12 +8,12 @@ from tests import structure
 
 # What was reached on 2026-11-22. A change that needs more is a change that wants another structure.
 CEILINGS = {
-    f"functions over {structure.LONG} lines": 40,
+    f"functions over {structure.LONG} lines": 39,
     f"functions over {structure.TOO_LONG} lines": 0,
     f"functions with more than {structure.MANY_PARAMETERS} parameters": 0,
     f"dataclasses with more than {structure.MANY_FIELDS} fields": 1,  # `Problem`, a public door
     "cycles between packages": 0,
-    "cycles between modules": 1,  # a record's own methods, such as `record.lowpass`
+    "cycles between modules": 0,
 }
 
 

@@ -34,7 +34,7 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 
 import casid
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.estimation.noise import NoiseModel, noise_response
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import minimize_simulation_error

@@ -14,7 +14,7 @@ import numpy as np
 import casid
 from analysis.diagnosis_power.cases import Hidden
 from analysis.diagnosis_power.energy import FITTED
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.estimation.holdout import held_out_error, split_records
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit

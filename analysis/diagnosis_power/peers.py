@@ -29,7 +29,7 @@ import casid
 from analysis.diagnosis_power.cases import Hidden
 from analysis.diagnosis_power.energy import FITTED
 from casid.arrays import Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 

@@ -23,8 +23,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.campaigns.campaign import Campaign, campaign
 from casid.campaigns.manifest import manifest_of, name_of
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem, load_problem
-from casid.data.record import Experiment
 from casid.errors import DataError, ModelError, SolveError
 from casid.estimation.estimate import Estimate
 from casid.estimation.nlp.solver import _is_installed, as_solver

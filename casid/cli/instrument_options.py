@@ -13,8 +13,8 @@ from casid.cli.request import Request, is_number, parse_setting
 from casid.errors import DataError, nearest
 
 if TYPE_CHECKING:
+    from casid.data.experiment import Experiment
     from casid.data.problem import Problem
-    from casid.data.record import Experiment
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from casid.cli.terminal import (
 from casid.errors import DataError
 
 if TYPE_CHECKING:
-    from casid.data.record import Experiment
+    from casid.data.experiment import Experiment
 
 T = TypeVar("T")
 _DIGEST = re.compile(r" \(sha256 \w+\)")

@@ -13,8 +13,9 @@ from casid.cli.reading_options import ReadingRequest
 from casid.errors import DataError, nearest
 
 if TYPE_CHECKING:
+    from casid.data.experiment import Experiment
     from casid.data.problem import Problem
-    from casid.data.record import Experiment, Record
+    from casid.data.record import Record
 
 CLOCK_FORMATS = ("hh:mm:ss", "hh:mm", "mm:ss")  # how times of day are written, for a unit
 TIME = "t"  # --map t=column names the time column, where no channel has that name

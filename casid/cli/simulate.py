@@ -124,7 +124,7 @@ def _of_problem(
 ) -> tuple[FittedModel, Record]:
     """The model of a problem at its starts, and its simulation."""
     from casid.cli.problem_file import load
-    from casid.data.record import Experiment
+    from casid.data.experiment import Experiment
     from casid.estimation.fitted.simulation_inputs import clock, inputs_alone, starting_model
 
     problem = load(path)

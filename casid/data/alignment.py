@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.arrays import TINY
+from casid.arrays import TINY, FloatArray
 from casid.data.fir_filter import anti_alias
-from casid.data.record import FloatArray, Record
+from casid.data.record import Record
 from casid.errors import DataError
 
 

@@ -12,13 +12,11 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from casid.arrays import FloatArray
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
 from casid.pickling import PickledByFields
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,9 +6,10 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.reading.columns import ColumnSpec
-from casid.data.record import Experiment, Record
+from casid.data.record import Record
 from casid.data.record_files import write_record
 from casid.errors import DataError
 

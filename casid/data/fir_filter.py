@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from casid.data.record import BoolArray, FloatArray, Record
+from casid.arrays import BoolArray, FloatArray
+from casid.data.record import Record
 from casid.errors import DataError
 from casid.presentation import Presented, present
 

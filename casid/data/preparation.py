@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from casid.arrays import FloatArray
 from casid.data.fir_filter import Edges, anti_alias, equiripple
-from casid.data.record import FloatArray, Record
+from casid.data.record import Record
 from casid.errors import DataError
 
 

@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from casid.data.derived import Derived, derive
+from casid.data.experiment import Experiment
 from casid.data.reading.columns import ColumnSpec, resolve
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.frames import is_frame, open_frame
@@ -23,7 +24,7 @@ from casid.data.reading.sources import source_of
 from casid.data.reading.survey import ReadingOptions
 from casid.data.reading.tables import Table
 from casid.data.reading.unused_columns import Unused, unused_columns
-from casid.data.record import Experiment, Record
+from casid.data.record import Record
 from casid.errors import DataError, ModelError
 from casid.model.model import Model
 from casid.model.units import difference_to_si

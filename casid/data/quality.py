@@ -10,13 +10,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.arrays import TINY
+from casid.arrays import TINY, BoolArray, FloatArray
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.columns import Columns, ColumnSpec
 from casid.data.reading.faults import Survey
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.survey import ReadingOptions, survey
-from casid.data.record import BoolArray, FloatArray, Record
+from casid.data.record import Record
 from casid.deprecation import renamed
 from casid.presentation import Presented
 

@@ -6,27 +6,21 @@ import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from casid.arrays import BoolArray, FloatArray
+from casid.data.record_methods import RecordMethods
 from casid.errors import DataError
 from casid.model.units import parse_unit, si_unit, to_si
 from casid.pickling import PickledByFields
-from casid.presentation import Presented, Viewed
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from casid.data.alignment import Alignment
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from casid.presentation import Presented
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Record(Presented, PickledByFields):
+class Record(RecordMethods, Presented, PickledByFields):
     """One experiment, sampled uniformly; immutable, every change gives a new record.
 
     Attributes
@@ -178,69 +172,6 @@ class Record(Presented, PickledByFields):
                 constant.append(channel)
         return tuple(constant)
 
-    # ------------------------------------------------------------------ other libraries' tables
-
-    @staticmethod
-    def from_frame(
-        frame: pd.DataFrame,
-        *,
-        units: Mapping[str, str] | None = None,
-        time: str | None = None,
-        Ts: float | None = None,
-        resample: float | None = None,
-        mark_missing: bool = False,
-        name: str | None = None,
-    ) -> Record:
-        """Read a record from a pandas DataFrame, as `read_record` reads a file with its columns.
-
-        Parameters
-        ----------
-        frame : a column a channel, and the time in a column or as the index: seconds, dates or
-            durations. Columns of text are left out.
-        units : column -> unit of its numbers (kept in SI); else the unit in the column's name,
-            ``phi [deg]``, or none.
-        time : the time column; found by its name, or the index, where not given.
-        Ts : sample time [s] of a table without time; its clock starts at 0.
-        resample : sample time [s] of a uniform grid for a table sampled irregularly.
-        mark_missing : mark NaN and Inf as missing instead of refusing them.
-        name : default the frame's ``attrs["name"]``, or "frame".
-
-        Raises
-        ------
-        DataError
-            For a clock that is not uniform, columns that are missing or not finite.
-        UnitError
-            For a unit that cannot be read.
-        """
-        from casid.data.reading.frames import record_of_frame
-        from casid.data.reading.survey import ReadingOptions
-
-        options = ReadingOptions(
-            time=time, name=name, resample=resample, Ts=Ts, mark_missing=mark_missing
-        )
-        return record_of_frame(frame, None, units, options)
-
-    def to_frame(self) -> pd.DataFrame:
-        """A DataFrame: the time [s] as index `t`, a column a channel (SI), NaN where missing.
-
-        `attrs` has the units by column and the record's name, which `from_frame` reads again.
-        """
-        from casid.data.reading.frames import frame_of
-
-        return frame_of(self)
-
-    def to_xarray(self) -> Any:
-        """An xarray Dataset: a variable a channel (SI) over `t` [s], units in the attributes.
-
-        Raises
-        ------
-        DataError
-            If xarray is not installed: ``pip install "casid[xarray]"``.
-        """
-        from casid.data.reading.frames import dataset_of
-
-        return dataset_of(self)
-
     # ------------------------------------------------------------------ changing it
 
     def _derive(self, step: str, /, **changes: Any) -> Record:
@@ -387,37 +318,6 @@ class Record(Presented, PickledByFields):
             missing={**self.missing, channel: marks},
         )
 
-    def lowpass(self, cutoff_hz: float = 0.5, **options: Any) -> Record:
-        """Return the record with every channel low-passed alike; see `lowpass`."""
-        from casid.data.preparation import lowpass
-
-        return lowpass(self, cutoff_hz, **options)
-
-    def decimate(self, factor: int) -> Record:
-        """Return every `factor`-th sample behind an anti-alias filter; `decimate`."""
-        from casid.data.preparation import decimate
-
-        return decimate(self, factor)
-
-    def detrend(self, order: int = 0) -> Record:
-        """Return the record without mean (0) or straight line (1); see `detrend`."""
-        from casid.data.preparation import detrend
-
-        return detrend(self, order)
-
-    def align(
-        self,
-        other: Record,
-        *,
-        using: str,
-        other_using: str | None = None,
-        max_offset: float | None = None,
-    ) -> Alignment:
-        """Find the clock offset of another logger from a shared signal; `align`."""
-        from casid.data.alignment import align
-
-        return align(self, other, using=using, other_using=other_using, max_offset=max_offset)
-
     # ------------------------------------------------------------------ printing it
 
     def __repr__(self) -> str:
@@ -426,54 +326,6 @@ class Record(Presented, PickledByFields):
             f"<Record {self.name}: N = {self.N}, {n} channel{'' if n == 1 else 's'} "
             f"({', '.join(self.names)}), Ts = {self.Ts:.6g} s, {self.duration:.6g} s long>"
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Experiment(Viewed, PickledByFields):
-    """A record with its load case.
-
-    Attributes
-    ----------
-    record : Record
-    known : mapping of parameter name to value, in the unit that the model declares
-        Values known for this record alone.
-    name : str
-        The record's name where none is given.
-    unused : mapping of channel to column
-        Channels of the record that are columns of its file which the problem does not use; the
-        diagnosis tests them as missing inputs.
-    """
-
-    record: Record
-    known: Mapping[str, float] = field(default_factory=dict)
-    name: str = ""
-    unused: Mapping[str, str] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.record, Record):
-            raise DataError(
-                f"an experiment needs a Record, got {type(self.record).__name__}. "
-                "Read one with casid.read_record(path)."
-            )
-        known: dict[str, float] = {}
-        for parameter, value in self.known.items():
-            try:
-                known[str(parameter)] = float(value)
-            except (TypeError, ValueError):
-                known[str(parameter)] = float("nan")
-            if not np.isfinite(known[str(parameter)]):
-                raise DataError(
-                    f"experiment {self.name or self.record.name}: known value {parameter} = "
-                    f"{value!r} is not a finite number. Give it as a number in SI units, "
-                    "unless the model declares another unit."
-                )
-        object.__setattr__(self, "known", MappingProxyType(known))
-        object.__setattr__(self, "name", self.name or self.record.name)
-        object.__setattr__(self, "unused", MappingProxyType(dict(self.unused)))
-
-    def __repr__(self) -> str:
-        known = ", ".join(f"{n} = {v:g}" for n, v in self.known.items()) or "nothing known"
-        return f"<Experiment {self.name}: {known}; {self.record!r}>"
 
 
 def _limit(x: float) -> str:

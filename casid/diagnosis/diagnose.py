@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem, Recorded, experiments_of, in_si
-from casid.data.record import Experiment
 from casid.diagnosis.advice.recommendation import recommend
 from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, require_runs
 from casid.diagnosis.calibration.false_alarm_rate import calibrate as run_calibration

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment
 from casid.errors import DataError, ModelError
 from casid.estimation.balance_regression import (
     BalanceRegression,

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from casid.arrays import Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.estimation.covariance import sandwich, whiteness
 from casid.estimation.estimate import (
     Agreement,

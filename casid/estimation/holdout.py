@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.data.record import Experiment, Record
+from casid.data.experiment import Experiment
+from casid.data.record import Record
 from casid.errors import DataError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.estimate import RecordView

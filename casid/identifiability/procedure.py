@@ -42,7 +42,8 @@ from casid.model.model import Model
 from casid.versions import versions
 
 if TYPE_CHECKING:
-    from casid.data.record import Experiment, Record
+    from casid.data.experiment import Experiment
+    from casid.data.record import Record
     from casid.identifiability.inputs.input_classes import Exosystem
     from casid.identifiability.remedies.candidates import Candidate
 

@@ -18,7 +18,7 @@ from casid.identifiability.inputs.experiments import merge, replicas
 from casid.model.model import Model
 
 if TYPE_CHECKING:
-    from casid.data.record import Experiment
+    from casid.data.experiment import Experiment
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,8 +30,8 @@ from casid.identifiability.rank.rank_result import Observability
 from casid.model.model import Model
 
 if TYPE_CHECKING:
+    from casid.data.experiment import Experiment
     from casid.data.problem import Problem
-    from casid.data.record import Experiment
 
 TIME_LIMIT = 20.0
 """Seconds for the rank."""

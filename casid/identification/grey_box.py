@@ -13,8 +13,9 @@ from typing import Any, Unpack
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment, Record
+from casid.data.record import Record
 from casid.errors import DataError, IdentifiabilityError, SolveError
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver_evidence

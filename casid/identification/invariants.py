@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment
 from casid.deprecation import renamed
 from casid.errors import CasidError, IdentifiabilityError, SolveError
 from casid.estimation.estimate import Estimate, Estimated

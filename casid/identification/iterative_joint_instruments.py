@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment
 from casid.estimation.moments.black_box_reference import (
     BlackBoxReferences,
     black_box_instruments,

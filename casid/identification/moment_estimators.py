@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment
 from casid.errors import ModelError
 from casid.estimation.moments.instruments import Instruments
 from casid.estimation.moments.moment_estimate import MomentEstimate

@@ -27,8 +27,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from casid.arrays import TINY
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment
 from casid.errors import CasidError
 from casid.estimation.moments.black_box_reference import black_box_instruments, black_box_references
 from casid.estimation.moments.instruments import Instruments

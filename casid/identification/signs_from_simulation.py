@@ -22,8 +22,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import TINY, Array
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment, Record
+from casid.data.record import Record
 from casid.deprecation import renamed
 from casid.errors import CasidError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance, whiteness

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment, Record
+from casid.data.record import Record
 from casid.errors import CasidError, DataError, ModelError
 from casid.estimation.estimate import Estimate
 from casid.estimation.estimate_builder import INCOMPLETE

@@ -22,8 +22,8 @@ from click.testing import CliRunner, Result
 from casid.campaigns.campaign import Campaign
 from casid.campaigns.monte_carlo import Accuracy, accuracy, montecarlo
 from casid.cli.main import main
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem, load_problem
-from casid.data.record import Experiment
 from casid.errors import CasidError, DataError, ModelError, SolveError
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings

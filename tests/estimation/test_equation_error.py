@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from casid.data.record import Experiment, Record
+from casid.data.experiment import Experiment
+from casid.data.record import Record
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.equation_error import equation_error
 from casid.estimation.measured_motion import Butterworth

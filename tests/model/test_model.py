@@ -178,7 +178,8 @@ def test_only_an_unknown_input_is_eliminated():
 
 
 def test_an_unknown_input_left_in_a_model_is_refused_before_estimating():
-    from casid.data.record import Experiment, Record
+    from casid.data.experiment import Experiment
+    from casid.data.record import Record
     from casid.estimation.simulation.signals import signals_of
 
     m = Model("mass in the wind")

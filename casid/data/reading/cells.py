@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.arrays import FloatArray
 from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.layout import NO_VALUE
@@ -21,7 +22,6 @@ from casid.data.reading.time_stamps import (
     of_stamps,
     of_times_of_day,
 )
-from casid.data.record import FloatArray
 from casid.errors import DataError
 from casid.model.units import to_si
 

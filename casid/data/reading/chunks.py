@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.cells import non_finite, numbers_of, times_of
 from casid.data.reading.clocks import GAP, UNIFORM, time_faults
 from casid.data.reading.columns import Columns, Time, resolve
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.opening import open_table
-from casid.data.record import BoolArray, FloatArray
 from casid.errors import DataError
 from casid.model.units import to_si
 

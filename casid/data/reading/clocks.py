@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.arrays import FloatArray
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.sources import limit_text
-from casid.data.record import FloatArray
 
 UNIFORM = 0.01  # every interval within 1 % of the median
 GAP = 1.5  # an interval longer than this many medians is a gap

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from casid.arrays import FloatArray
 from casid.data.reading.cells import numbers_of, stands_for_none
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.columns import ColumnSpec, is_dated, time_unit, unit_of_column
 from casid.data.reading.faults import ColumnSurvey, Survey
 from casid.data.reading.tables import Table
-from casid.data.record import FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from casid.data.record import FloatArray, Record
+from casid.arrays import FloatArray
+from casid.data.record import Record
 
 Kind = Literal["numeric", "time", "text", "empty"]
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.clocks import GAP, UNIFORM
-from casid.data.record import BoolArray, FloatArray, Record
+from casid.data.record import Record
 from casid.errors import DataError
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.cells import non_finite, numbers_of, stands_for_none, times_of
 from casid.data.reading.clocks import UNIFORM, time_faults, window_rows
 from casid.data.reading.column_survey import column_surveys
@@ -20,7 +21,7 @@ from casid.data.reading.opening import open_table
 from casid.data.reading.resampling import resampled
 from casid.data.reading.sources import limit_text, sha256, source_of
 from casid.data.reading.tables import Table
-from casid.data.record import BoolArray, FloatArray, Record
+from casid.data.record import Record
 from casid.errors import DataError, UnitError
 from casid.model.units import parse_unit, si_unit, to_si
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.arrays import FloatArray
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.file_format import ORDERS, FileFormat
-from casid.data.record import FloatArray
 from casid.errors import DataError
 
 if TYPE_CHECKING:

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from casid.arrays import FloatArray
 from casid.data.reading.cells import numbers_of
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.columns import ColumnSpec, unit_of_column
 from casid.data.reading.faults import Survey
 from casid.data.reading.tables import Table
-from casid.data.record import FloatArray
 from casid.errors import DataError, nearest
 from casid.model.units import si_unit
 

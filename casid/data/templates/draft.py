@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from casid.data.record import FloatArray
+from casid.arrays import FloatArray
 from casid.data.templates.file_channels import FileChannel, FileChannels, free_name
 from casid.data.templates.roles import Role, is_command, same_quantity
 from casid.errors import DataError

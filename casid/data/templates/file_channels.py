@@ -12,13 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from casid.arrays import FloatArray
 from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.faults import Survey
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.header_units import header_unit
 from casid.data.reading.sources import limit_text, source_of
 from casid.data.reading.survey import ReadingOptions, survey
-from casid.data.record import FloatArray, Record
+from casid.data.record import Record
 from casid.errors import DataError, nearest
 from casid.model.units import unit_aliases
 

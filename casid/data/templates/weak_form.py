@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from casid.data.record import FloatArray
+from casid.arrays import FloatArray
 
 _POWER = 6  # the modulating function (1 - s^2)^6 and its first five derivatives vanish at both ends
 _SHORTEST = 8  # samples on either side of the centre

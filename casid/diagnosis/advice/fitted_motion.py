@@ -15,8 +15,9 @@ import numpy as np
 from scipy.fft import rfft, rfftfreq
 
 from casid.arrays import TINY, Array
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment, Record
+from casid.data.record import Record
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import EXPERIMENTS
 from casid.errors import CasidError

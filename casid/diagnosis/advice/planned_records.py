@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import irfft, rfftfreq
 
 from casid.arrays import Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.thresholds import EXPERIMENTS
 from casid.errors import CasidError

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from casid.data.experiment import Experiment
 from casid.data.files import plain_fields
-from casid.data.record import Experiment
 from casid.deprecation import renamed
 from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.thresholds import PLANNING, SCORES

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.data.record import Experiment, Record
+from casid.data.experiment import Experiment
+from casid.data.record import Record
 from casid.errors import SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.noise import NoiseModel

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from casid.arrays import Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import TIME, Group, Linearised, Regression, Table
 

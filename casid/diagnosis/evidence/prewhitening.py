@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.score_tests import step_without_bias
 from casid.diagnosis.thresholds import PREWHITENING
 from casid.estimation.nlp.solver import Solver

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment
 from casid.diagnosis.thresholds import SUFFICIENCY
 from casid.errors import DataError
 

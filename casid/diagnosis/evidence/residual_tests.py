@@ -25,7 +25,7 @@ from scipy.special import kolmogorov
 from scipy.stats import gamma, norm
 
 from casid.arrays import TINY, Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.candidate_functions import regressions
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import Regression

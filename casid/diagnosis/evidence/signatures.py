@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import f as fisher
 
 from casid.arrays import TINY, Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.errors import ModelError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance

@@ -14,7 +14,7 @@ from scipy.signal import correlate
 from scipy.stats import norm
 
 from casid.arrays import TINY
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import SUFFICIENCY
 from casid.estimation.covariance import whiteness

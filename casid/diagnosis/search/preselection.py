@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import TINY
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score
 from casid.diagnosis.search.candidates import Candidate

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from casid.arrays import Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.residual_tests import IN_TIME, NOISE, ResidualTests, residual_tests
 from casid.diagnosis.evidence.signatures import TIME, variables_of

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import (
     TIME,

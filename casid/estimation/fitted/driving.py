@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.experiment import Experiment
 from casid.data.reading.columns import ColumnSpec
 from casid.data.reading.frames import is_frame, record_of_frame, table_of
 from casid.data.reading.survey import ReadingOptions
-from casid.data.record import Experiment, Record
+from casid.data.record import Record
 from casid.errors import DataError
 from casid.estimation.fitted.parts import Channels, FittedRecord
 from casid.estimation.simulation.signals import input_columns

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 import numpy as np
 
 from casid.arrays import Array
-from casid.data.record import Experiment, Record
+from casid.data.experiment import Experiment
+from casid.data.record import Record
 from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.fitted.driving import Driving, driving_of
 from casid.estimation.fitted.equations import ModelEquations, equations_of

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.estimation.fitted.parts import NoiseModel
 from casid.estimation.prediction_error.likelihood import PredictionError
 from casid.linear.kalman import steady_state, time_varying

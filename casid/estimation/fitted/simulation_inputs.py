@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment, Record
+from casid.data.record import Record
 from casid.errors import DataError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.fitted.from_fit import channels_of

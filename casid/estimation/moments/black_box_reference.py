@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.moments.instruments import Instruments
 from casid.estimation.moments.reference_filter import Filter, ReferenceFilter, SampledFilter

@@ -22,15 +22,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from casid.arrays import TINY
+from casid.arrays import TINY, FloatArray
 from casid.data.record import Record
 from casid.errors import DataError
 from casid.estimation.covariance import bartlett_lags
 from casid.estimation.moments.relay_reversals import Reversals, reversals, switching_p_value
 
-FloatArray = NDArray[np.float64]
 Method = Literal["regression", "switching"]
 
 _STANDING = 0.7  # share of the record at two levels that makes a relay of it (a heuristic)

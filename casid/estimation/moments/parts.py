@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casid.arrays import Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.errors import DataError, ModelError
 from casid.estimation.simulation.signals import signals_of
 from casid.linear.difference_equation import DifferenceEquation, difference_equation

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.errors import DataError, ModelError, SolveError
 from casid.estimation.moments.instruments import Loop, UnstableLoop
 from casid.estimation.moments.reference_filter import SampledFilter

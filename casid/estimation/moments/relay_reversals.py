@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from casid.arrays import FloatArray
 
 _NEAR = 0.1  # of the swing: within this of a level counts as standing there (a heuristic)
 

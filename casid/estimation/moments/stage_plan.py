@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.errors import ModelError
 from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.moments.parts import Part

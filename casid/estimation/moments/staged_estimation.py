@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment
 from casid.errors import ModelError
 from casid.estimation.moments.instruments import Instruments, Loop
 from casid.estimation.moments.moment_estimate import MomentEstimate

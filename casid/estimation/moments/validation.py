@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.errors import DataError, SolveError
 from casid.estimation.moments.instruments import (
     Instruments,

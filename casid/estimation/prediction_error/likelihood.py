@@ -22,7 +22,7 @@ from typing import Any, ClassVar, TypedDict
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.errors import DataError, ModelError
 from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.simulation.signals import signals_of

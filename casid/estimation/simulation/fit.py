@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.minimization import Constraint, Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError

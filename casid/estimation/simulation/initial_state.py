@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from casid.arrays import Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model

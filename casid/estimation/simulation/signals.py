@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.arrays import Array
-from casid.data.record import Experiment, Record
+from casid.data.experiment import Experiment
+from casid.data.record import Record
 from casid.errors import DataError, ModelError, UnitError
 from casid.model.model import Model
 from casid.model.units import describe_dimension, parse_unit, to_si

@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from casid.arrays import Array
-from casid.data.record import Experiment
+from casid.data.experiment import Experiment
 from casid.errors import DataError
 from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.simulation.sensor_dynamics import MEMORY, prepared_inputs, through_sensor

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.quality import stuck_channels
-from casid.data.record import Experiment
 from casid.estimation.estimate import Agreement, Estimate, Estimated
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver_evidence
 from casid.estimation.fit_statistics import nrmse_fit, rms

@@ -23,8 +23,8 @@ from casid.identifiability.equations.system import System
 from casid.model.model import Model, Stage
 
 if TYPE_CHECKING:
+    from casid.data.experiment import Experiment
     from casid.data.problem import Problem
-    from casid.data.record import Experiment
 
 
 @dataclass(frozen=True, slots=True, eq=False)

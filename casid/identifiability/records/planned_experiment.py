@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import TINY, Array
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem, in_si
-from casid.data.record import Experiment, Record
+from casid.data.record import Record
 from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import rms

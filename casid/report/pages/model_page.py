@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.record import Experiment
 from casid.estimation.fitted.equations import equations_of
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.model.model import Model

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casid.arrays import Array
-from casid.data.record import Experiment, Record
+from casid.data.experiment import Experiment
+from casid.data.record import Record
 from casid.errors import DataError
 
 

@@ -13,7 +13,8 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from casid.data.record import Experiment, Record
+from casid.data.experiment import Experiment
+from casid.data.record import Record
 from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimation.covariance import whiteness
 from casid.estimation.nlp.solver import Solver

@@ -1,0 +1,62 @@
+"""The experiment: a record with its load case."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from casid.data.record import Record
+from casid.errors import DataError
+from casid.pickling import PickledByFields
+from casid.presentation import Viewed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Experiment(Viewed, PickledByFields):
+    """A record with its load case.
+
+    Attributes
+    ----------
+    record : Record
+    known : mapping of parameter name to value, in the unit that the model declares
+        Values known for this record alone.
+    name : str
+        The record's name where none is given.
+    unused : mapping of channel to column
+        Channels of the record that are columns of its file which the problem does not use; the
+        diagnosis tests them as missing inputs.
+    """
+
+    record: Record
+    known: Mapping[str, float] = field(default_factory=dict)
+    name: str = ""
+    unused: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.record, Record):
+            raise DataError(
+                f"an experiment needs a Record, got {type(self.record).__name__}. "
+                "Read one with casid.read_record(path)."
+            )
+        known: dict[str, float] = {}
+        for parameter, value in self.known.items():
+            try:
+                known[str(parameter)] = float(value)
+            except (TypeError, ValueError):
+                known[str(parameter)] = float("nan")
+            if not np.isfinite(known[str(parameter)]):
+                raise DataError(
+                    f"experiment {self.name or self.record.name}: known value {parameter} = "
+                    f"{value!r} is not a finite number. Give it as a number in SI units, "
+                    "unless the model declares another unit."
+                )
+        object.__setattr__(self, "known", MappingProxyType(known))
+        object.__setattr__(self, "name", self.name or self.record.name)
+        object.__setattr__(self, "unused", MappingProxyType(dict(self.unused)))
+
+    def __repr__(self) -> str:
+        known = ", ".join(f"{n} = {v:g}" for n, v in self.known.items()) or "nothing known"
+        return f"<Experiment {self.name}: {known}; {self.record!r}>"
