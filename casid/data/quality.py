@@ -304,7 +304,7 @@ def _channel(record: Record, name: str) -> tuple[ChannelCheck, list[Finding]]:
         )
         return constant, findings
     levels = np.unique(kept)
-    step, few = _quantisation(levels), levels.size <= 10
+    step, few = quantisation_step(levels), levels.size <= 10
     run, plateau, equal = _equal_samples(record, name, step, few)
     findings += equal
     if step is not None and step > (high - low) / 200 and not few:
@@ -456,8 +456,9 @@ def _jump_into(x: FloatArray, start: int, length: int) -> float:
     return float(max(ends, default=0.0))
 
 
-def _quantisation(levels: FloatArray) -> float | None:
-    """Return the step of which all distances between levels are multiples, None for none."""
+def quantisation_step(values: FloatArray) -> float | None:
+    """Return the step of which all distances between values are multiples, None for none."""
+    levels = np.unique(values)
     if levels.size < 3:
         return None
     distances = np.diff(levels)

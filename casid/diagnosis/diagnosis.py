@@ -12,6 +12,7 @@ from casid.diagnosis.advice.isolability import Isolability
 from casid.diagnosis.advice.next_experiment import Proposal
 from casid.diagnosis.advice.undetectable import Undetectable
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
+from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.unexplained.description import Unexplained
 from casid.diagnosis.verdict.cause import Alternative, Cause, Ranked, Verdict
 from casid.diagnosis.verdict.remainder import Moved, Remaining
@@ -25,6 +26,7 @@ __all__ = [
     "Alternative",
     "Cause",
     "Diagnosis",
+    "Disturbance",
     "Evidence",
     "Gain",
     "Limits",
@@ -41,6 +43,7 @@ class Evidence:
     extended: Estimate | None
     records: tuple[RecordView, ...]
     noise: Mapping[str, str] = field(default_factory=dict)  # channel -> sentence
+    disturbances: tuple[Disturbance, ...] = ()  # random forces that nobody recorded
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +84,7 @@ class Diagnosis(Presented, Saved):
     evidence: Evidence
     gain: Gain
     advice: str
+    remainders: tuple[Cause, ...] = ()  # significant, but too small a share of the misfit to matter
     proposals: tuple[Proposal, ...] = ()  # next experiments, the best first
     limits: Limits = Limits()
     origin: Origin = Origin()
@@ -90,6 +94,7 @@ class Diagnosis(Presented, Saved):
     extended: ClassVar[Grouped[Estimate | None]] = Grouped("evidence")
     records: ClassVar[Grouped[tuple[RecordView, ...]]] = Grouped("evidence")
     noise: ClassVar[Grouped[Mapping[str, str]]] = Grouped("evidence")
+    disturbances: ClassVar[Grouped[tuple[Disturbance, ...]]] = Grouped("evidence")
     fitted: ClassVar[Grouped[Mapping[str, Mapping[str, float]]]] = Grouped("gain")
     held_out: ClassVar[Grouped[Mapping[str, Mapping[str, float]]]] = Grouped("gain")
     moved: ClassVar[Grouped[tuple[Moved, ...]]] = Grouped("gain")
@@ -120,11 +125,13 @@ class Diagnosis(Presented, Saved):
         return replace(
             self,
             causes=tuple(c.in_units(units) for c in self.causes),
+            remainders=tuple(c.in_units(units) for c in self.remainders),
             evidence=replace(
                 self.evidence,
                 baseline=self.baseline.in_units(units),
                 extended=extended,
                 records=tuple(r.in_units(units) for r in self.records),
+                disturbances=tuple(d.in_units(units) for d in self.disturbances),
             ),
             gain=replace(
                 self.gain,
@@ -142,6 +149,8 @@ class Diagnosis(Presented, Saved):
             "verdict": self.verdict,
             "sentence": self.sentence,
             "causes": [c.to_json() for c in self.causes],
+            "remainders": [c.to_json() for c in self.remainders],
+            "disturbances": [d.to_json() for d in self.disturbances],
             "fitted": {k: dict(v) for k, v in self.fitted.items()},
             "held_out": {k: dict(v) for k, v in self.held_out.items()},
             "advice": self.advice,

@@ -500,6 +500,14 @@ class Judging:
         "share of the excess misfit left, above which the one cause named is not the cause",
         f"{TESTS}/verdict/test_open_set.py",
     )
+    practical: float = _is(
+        0.02,
+        "share of the excess misfit below which a significant effect is a small remainder, no "
+        "cause, and a disturbance is not reported: without it the RMS error falls by less than a "
+        "seventh of what it could",
+        f"{TESTS}/evidence/test_disturbances.py",
+        "a tenth of the square root; engineering judgement",
+    )
     expressed: float = _is(
         0.03,
         "share of a signature, in squares, left beside the causes below which they express it: "

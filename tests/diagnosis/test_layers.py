@@ -20,7 +20,7 @@ search: thresholds settings evidence
 verdict: thresholds settings evidence unexplained search
 advice: thresholds settings evidence search verdict
 calibration: thresholds evidence verdict
-diagnosis: unexplained verdict advice calibration
+diagnosis: evidence unexplained verdict advice calibration
 diagnose: settings evidence search verdict advice calibration diagnosis
 """
 

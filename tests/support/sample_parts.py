@@ -10,6 +10,7 @@ from casid.diagnosis.advice.isolability import Isolability, Pair, separation_ene
 from casid.diagnosis.advice.next_experiment import Proposal
 from casid.diagnosis.advice.undetectable import Undetectable
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
+from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.residual_tests import DETERMINISTIC, Band, ResidualTests
 from casid.diagnosis.unexplained.description import Occurrence, Unexplained
 from casid.diagnosis.unexplained.missing_force import Dependence, MissingForce
@@ -102,6 +103,15 @@ def proposals(first: tuple[str, str] = KEYS[0]) -> tuple[Proposal, ...]:
             120.0,
         ),
         Proposal("the same again", "record the same again", pair, 1.0, inf, inf, 0.0, 120.0),
+    )
+
+
+def disturbances() -> tuple[Disturbance, ...]:
+    """A narrow one, a slow one and one with a flat spectrum."""
+    return (
+        Disturbance("torque", 0.021, "N m", 0.31, peak=1.4, bandwidth=0.2),
+        Disturbance("force", 3.2, "N", 0.12, peak=0.1, bandwidth=0.4),
+        Disturbance("power", 40.0, "W", 0.05),
     )
 
 

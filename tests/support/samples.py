@@ -16,6 +16,7 @@ from casid.diagnosis.diagnosis import (
     Alternative,
     Cause,
     Diagnosis,
+    Disturbance,
     Evidence,
     Gain,
     Limits,
@@ -41,6 +42,7 @@ from casid.estimation.estimate import (
 from casid.presentation import present
 from tests.support.sample_parts import (
     calibration,
+    disturbances,
     isolability,
     proposals,
     undetectable,
@@ -302,6 +304,8 @@ def rich() -> Diagnosis:
     return changed(
         d,
         causes=causes,
+        remainders=(Cause("coulomb_friction", "torque", 3e-5, (), share=0.012),),
+        disturbances=disturbances(),
         moved=moved_parameters(d.baseline, extended),
         remaining=what_remains(
             [(c.kind, c.where, c.share) for c in causes],
@@ -349,6 +353,8 @@ def hostile() -> Diagnosis:
             Cause(h, h, 0.001, (bad,), (Alternative(h, h, 0.2, h),), 0.5, h, h, {h: {h: bad}}),
             Cause("unknown", h, 0.001, (bad,), description=h),
         ),
+        remainders=(Cause(h, h, 0.001, (bad,), share=0.01, description=h),),
+        disturbances=(Disturbance(h, 0.1, h, 0.5, 1.0, 0.5),),
         ranking=(
             Ranked(h, h, 0.001, 0.002, 1.0, "named", h),
             Ranked(h, h, 0.001, 0.002, None, h, h),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.data.problem import Problem
+from casid.data.quality import quantisation_step
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import FUNCTIONS, JUDGING
@@ -49,16 +51,27 @@ def clipping_limits(fit: Fit) -> dict[str, float]:
     return {s.channel: values[s.parameter] for s in fit.criterion.model.stages if s.kind == "clip"}
 
 
-def noise_floor(at: Weighted) -> dict[str, float]:
-    """Rms that the best possible model would leave: output noise and measured inputs' noise."""
+def noise_floor(at: Weighted, *, with_disturbances: bool = False) -> dict[str, float]:
+    """Rms that the best possible model would leave: output noise and measured inputs' noise.
+
+    Where a disturbance is all that is left, with it. Never less than an output resolves, a step of
+    its quantisation over sqrt(12).
+    """
     measured = {
         s: float(at.input_sd.get(s, 0.0)) for s in at.full.source_sd if s in at.model.inputs
     }
-    quiet = at.full.quiet(measured)
-    floors = np.array([quiet.floor(e) for e in range(len(at.criterion.data))])
+    noise = at.full if with_disturbances else at.full.quiet(measured)
+    floors = np.array([noise.floor(e) for e in range(len(at.criterion.data))])
     weight = np.array([d.N for d in at.criterion.data], dtype=float)
     total = np.sqrt(np.average(floors**2, axis=0, weights=weight))
-    return dict(zip(at.criterion.outputs, total.tolist(), strict=True))
+    found = dict(zip(at.criterion.outputs, total.tolist(), strict=True))
+    return {name: max(floor, _resolved(at, i)) for i, (name, floor) in enumerate(found.items())}
+
+
+def _resolved(at: Weighted, output: int) -> float:
+    """Standard deviation of the rounding of an output, 0 where it is not quantised."""
+    steps = [quantisation_step(d.y[d.used[:, output], output]) for d in at.criterion.data]
+    return min((step or 0.0) for step in steps) / math.sqrt(12)
 
 
 def unlike_held_out(
@@ -109,7 +122,7 @@ def views(
 Errors = dict[str, dict[str, float]]
 
 
-def errors_of(found: Findings) -> tuple[Errors, Errors]:
+def errors_of(found: Findings, *, with_disturbances: bool = False) -> tuple[Errors, Errors]:
     """RMS errors before and after and the noise floor, of what was fitted and what was held out."""
     base_fit, best_fit, base = found.base_fit, found.best_fit, found.baseline
     limits = clipping_limits(best_fit)
@@ -119,5 +132,6 @@ def errors_of(found: Findings) -> tuple[Errors, Errors]:
     if found.extended_fit is not None or base.corrupted.count:
         fitted["extended_rmse"] = rmse(best_fit, best_fit, base.split, limits, held=False)
         held["extended_rmse"] = rmse(best_fit, best_fit, base.split, limits, held=True)
-    fitted["noise_floor"] = held["noise_floor"] = noise_floor(found.at)
+    floor = noise_floor(found.at, with_disturbances=with_disturbances)
+    fitted["noise_floor"] = held["noise_floor"] = floor
     return fitted, {} if base.split.is_empty else held

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from casid.data.problem import Problem
+from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.sufficiency import weak_parameters
 from casid.diagnosis.search.findings import Findings
@@ -47,6 +48,7 @@ class Judgement:
     fitted, held_out : RMS errors before and after, and the noise floor, see `Diagnosis`.
     bounds : parameters that the fit holds at a bound, where they decide the verdict.
     remainder : the test of the residual, and its description.
+    disturbances : in the residual, where it is nothing else.
     """
 
     verdict: Verdict
@@ -62,6 +64,7 @@ class Judgement:
     moved: tuple[Moved, ...]
     remaining: Remaining | None
     remainder: Remainder | None
+    disturbances: tuple[Disturbance, ...]
     bounds: dict[str, str]
 
 
@@ -76,13 +79,14 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
             extended = replace(
                 extended, model=extended_model(found, extended.model, baseline.model)
             )
-    fitted, held = errors_of(found)
-    part = held if held.get("extended_rmse") else fitted
-    causes = causes_of(found, extended or baseline, problem.channels)
     remainder = None
     if not start.why_undecided:
         found.search.progress("test the residual")
         remainder = tested_remainder(found.at, found.search, found.adopted)
+    disturbances = remainder.disturbances if remainder is not None else ()
+    fitted, held = errors_of(found, with_disturbances=bool(disturbances))
+    part = held if held.get("extended_rmse") else fitted
+    causes = causes_of(found, extended or baseline, problem.channels)
     remaining = what_remains(
         [(c.kind, c.where, c.share) for c in causes],
         part,
@@ -105,7 +109,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
     return Judgement(
         verdict=verdict,
-        sentence=verdict_sentence(verdict, causes, part, why_undecided, problem),
+        sentence=verdict_sentence(verdict, causes, part, why_undecided, problem, disturbances),
         why_undecided=why_undecided,
         causes=tuple(causes),
         ranking=ranking(found.search, found.adopted, causes),
@@ -117,6 +121,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         moved=moved_parameters(baseline, extended) if extended is not None else (),
         remaining=remaining if extended is not None or remainder is not None else None,
         remainder=remainder,
+        disturbances=disturbances,
         bounds=bounds,
     )
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from casid.arrays import TINY
 from casid.data.problem import Problem
+from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import JUDGING
@@ -105,15 +106,18 @@ def verdict_sentence(
     part: Mapping[str, Mapping[str, float]],
     why_undecided: str,
     problem: Problem,
+    disturbances: Sequence[Disturbance] = (),
 ) -> str:
     """The diagnosis in one or two sentences."""
     if verdict == "undecided":
         return f"This record does not determine whether the model is adequate: {why_undecided}."
     if verdict == "adequate":
-        return (
+        text = (
             "Nothing in this record contradicts the model: no effect of the catalogue is "
             "significant and improves the held-out part."
         )
+        said = "; ".join(d.sentence for d in disturbances)
+        return f"{text} {said[0].upper()}{said[1:]}." if said else text
     text = "; ".join(c.sentence for c in causes)
     gains = []
     for output, before in part.get("baseline_rmse", {}).items():

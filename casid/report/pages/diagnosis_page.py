@@ -34,7 +34,13 @@ from casid.report.pages.limit_parts import (
     undetectable_parts,
 )
 from casid.report.pages.model_page import equation_changes
-from casid.report.pages.remainder_parts import gain_table, moved_table, remaining_parts
+from casid.report.pages.remainder_parts import (
+    disturbance_parts,
+    gain_table,
+    moved_table,
+    remaining_parts,
+    small_remainders,
+)
 from casid.report.pages.unexplained_parts import unexplained_parts
 from casid.report.texts.diagnosis import gain_rows
 
@@ -43,7 +49,15 @@ _VERDICTS = {
     "deficient": "The model is missing something",
     "undecided": "This record cannot decide",
 }
-_OPEN = ("", "Causes", "Equations", "Measured against simulated", "Gain")  # in a notebook
+_OPEN = (  # in a notebook
+    "",
+    "Causes",
+    "Small remainders",
+    "Disturbances",
+    "Equations",
+    "Measured against simulated",
+    "Gain",
+)
 _FIGURE_NAMES = {
     "simulation": "Measured against simulated",
     "residual_time": "Simulation error against time",
@@ -69,6 +83,8 @@ def diagnosis_report(diagnosis: Diagnosis) -> Document:
         "": [_banner(d), Cards(list(_key_numbers(d))[:8]), notice(d.notes, warnings)],
         "Causes": [*(causes or [no_cause(d)]), advice],
         "Equations": equation_changes(d.model),
+        "Small remainders": small_remainders(d),
+        "Disturbances": disturbance_parts(d),
         "What remains": [*remaining_parts(d), figure("remaining")],
         "What is unknown": [*unexplained_parts(d), *unknown],
         "Parameters that moved": [moved_table(d), figure("moved")],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from casid.diagnosis.diagnosis import Diagnosis
+from casid.diagnosis.thresholds import JUDGING
 from casid.estimation.estimate import Estimated
 from casid.report.document import Code, Paragraph, Part, Table
 from casid.report.numbers import change_text, number_text, p_text, plus_minus
@@ -50,6 +51,42 @@ def remaining_parts(d: Diagnosis) -> list[Part]:
     over = [(output, number_text(ratio)) for output, ratio in r.over_floor.items()]
     caption = "RMS error of the remainder, in units of the noise floor"
     return [*parts, Table(("output", "error over floor"), over, numbers=(1,), caption=caption)]
+
+
+def small_remainders(d: Diagnosis) -> list[Part]:
+    """Effects that are significant, but too small a share of the misfit to be causes."""
+    if not d.remainders:
+        return []
+    rows = [
+        (Code(c.kind), Code(c.where), _share(c.share), p_text(c.p_value), c.description)
+        for c in d.remainders
+    ]
+    caption = (
+        "Significant, but of no practical size: each explains less than "
+        f"{100 * JUDGING.practical:g} % of the misfit and is not part of the extended model"
+    )
+    head = ("effect", "where", "share of the misfit", "family-wise p", "description")
+    return [Table(head, rows, numbers=(2, 3), caption=caption)]
+
+
+def disturbance_parts(d: Diagnosis) -> list[Part]:
+    """Random forces that nobody recorded: no deficiency of the model."""
+    if not d.disturbances:
+        return []
+    rows = [
+        (
+            Code(each.where),
+            number_text(each.std),
+            each.unit,
+            "\u2013" if each.peak is None else f"{number_text(each.peak)} Hz",
+            "all frequencies" if each.bandwidth is None else f"{number_text(each.bandwidth)} Hz",
+            _share(each.share),
+        )
+        for each in d.disturbances
+    ]
+    head = ("where", "standard deviation", "unit", "peak at", "bandwidth", "share of the residual")
+    caption = "Random forces that no function of states, inputs, channels or time explains"
+    return [Table(head, rows, numbers=(1, 3, 4, 5), caption=caption)]
 
 
 def moved_table(d: Diagnosis) -> Table:

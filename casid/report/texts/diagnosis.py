@@ -24,6 +24,8 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
     parts: list[str | Labelled | Table] = [f"  {d.sentence}"]
     for i, c in enumerate(d.causes, 1):
         parts += _cause(i, c)
+    parts += [("remainder", line) for c in d.remainders for line in _remainder(c)]
+    parts += [("disturbance", each.sentence) for each in d.disturbances]
     parts.append(_gain(d))
     if d.remaining is not None:
         parts.append(("remains", d.remaining.sentence))
@@ -79,6 +81,11 @@ def _cause(i: int, c: Cause) -> Iterator[str]:
         yield f"     {record}: " + ", ".join(_value(p) for p in found.values())
     for a in c.alternatives:
         yield f"     or {a.name} (p = {a.p_value:.2g}): {a.why}"
+
+
+def _remainder(c: Cause) -> Iterator[str]:
+    like = f" ({c.description.rstrip('.')})" if c.kind == "unknown" and c.description else ""
+    yield f"{c.kind} in {c.where}{like}: {100 * c.share:.2g} % of the misfit, p = {c.p_value:.1e}"
 
 
 def _value(p: Estimated) -> str:

@@ -1,0 +1,71 @@
+"""A random force that nobody recorded is reported with its place, size and share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import casid
+from casid.diagnosis.evidence.disturbances import Disturbance
+
+SD, Ts = 0.4, 0.05
+
+
+def oscillator() -> casid.Model:
+    """v' = -c v - k x + F + torque, x measured."""
+    m = casid.Model("oscillator")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    F = m.input("F", "N", hold="zoh")
+    mass = m.parameter("mass", "kg", value=1.0)
+    k = m.parameter("k", "N/m", start=20.0, lower=1.0, upper=100.0)
+    c = m.parameter("c", "N s/m", start=2.0, lower=0.1, upper=20.0)
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=mass, terms=[-k * x, -c * v, F], unit="N")
+    m.output("y", x, "m")
+    return m
+
+
+def record(sd: float, seed: int, N: int = 2400) -> casid.Record:
+    """The oscillator held between samples, exactly discretised, with a white force of `sd`."""
+    k, c = 25.0, 1.5
+    rng = np.random.default_rng(seed)
+    h = Ts / 50
+    A = np.array([[0.0, 1.0], [-k, -c]])
+    step = np.eye(2) + h * A + (h * A) @ (h * A) / 2
+    Ad, B, power = np.eye(2), np.zeros(2), np.eye(2)
+    for _ in range(50):
+        B = B + power @ np.array([0.0, h])
+        power = step @ power
+    Ad = power
+    F = np.convolve(rng.standard_normal(N), np.ones(6) / 2, mode="same")
+    w = sd * rng.standard_normal(N)
+    x, y = np.zeros(2), np.empty(N)
+    for i in range(N):
+        y[i] = x[0]
+        x = Ad @ x + B * (F[i] + w[i])
+    y += 0.002 * rng.standard_normal(N)
+    return casid.Record({"y": y, "F": F}, {"y": "m", "F": "N"}, Ts=Ts, name="shaken")
+
+
+def test_a_random_force_is_a_disturbance_of_its_size_and_no_deficiency():
+    """The model is the truth; the force is white from sample to sample (independent simulator)."""
+    problem = casid.Problem("oscillator", oscillator(), channels={"y": "y:m", "F": "F:N"})
+    data = casid.Experiment(record(SD, seed=4), {}, "shaken")
+    d = casid.diagnose(problem, data, advise=False, starts=1)
+    assert d.verdict == "adequate"
+    (found,) = d.disturbances
+    assert (found.where, found.unit) == ("force", "N")
+    assert found.std == pytest.approx(SD, rel=0.15)  # 2400 samples: 1.5 % to 5 % by chance
+    assert found.share > 0.9  # of an error of some cm beside 2 mm of sensor noise
+    assert d.to_json()["disturbances"][0]["std"] == found.std
+    assert "a random part of force that no channel records" in str(d)
+
+
+def test_a_disturbance_has_the_unit_that_is_requested_and_a_spectrum_in_words():
+    narrow = Disturbance("force", 0.4, "N", 0.5, peak=1.4, bandwidth=0.2)
+    assert narrow.in_units({"force": "kN"}).std == pytest.approx(4e-4)
+    assert "around 1.4 Hz, 0.2 Hz wide" in narrow.sentence
+    assert "below 1.7 Hz" in replace(narrow, bandwidth=2.0, peak=0.7).sentence
+    assert "flat spectrum" in replace(narrow, bandwidth=None, peak=None).sentence
