@@ -19,7 +19,6 @@ import os
 import re
 import shlex
 import shutil
-import subprocess
 import sys
 import tempfile
 import traceback
@@ -111,17 +110,18 @@ def run_python(block: Block, page: str, namespace: dict[str, Any]) -> str:
 
 
 def run_console(block: Block, page: str) -> None:
-    """Run the casid commands of a block; what they print is not shown."""
+    """Run the casid commands of a block, in this process; what they print is not shown."""
+    from click.testing import CliRunner
+
+    from casid.cli.main import main as casid
+
     for i, line in enumerate(block.text.splitlines()):
         if not line.startswith("$ casid "):
             continue
-        command = [sys.executable, "-m", "casid", *shlex.split(line)[2:]]
-        path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-        done = subprocess.run(
-            command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}
-        )
-        if done.returncode != 0:
-            raise BuildError(f"{page}, line {block.line + i}: {line[2:]}: {done.stderr.strip()}")
+        done = CliRunner().invoke(casid, shlex.split(line)[2:])
+        if done.exit_code != 0:
+            where = f"{page}, line {block.line + i}: {line[2:]}"
+            raise BuildError(f"{where}: {done.stderr.strip() or repr(done.exception)}")
 
 
 def execute(text: str, page: str) -> str:
