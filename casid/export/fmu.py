@@ -21,10 +21,10 @@ from xml.etree import ElementTree
 
 import casadi as ca
 
+from casid.compiler import compiler, shared_library
 from casid.errors import DataError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.c_code import header, source
-from casid.export.compiler import shared_library
 from casid.export.naming import checked_path, identifier, written_by
 from casid.export.plain_model import PlainModel, plain_model
 from casid.model.units import unit_quotient
@@ -48,6 +48,11 @@ def write_fmu(fitted: FittedModel, path: Path, *, without_delays: bool = False) 
     """
     plain = plain_model(fitted, what="an FMU", without_delays=without_delays)
     path = checked_path(path, "fmu")
+    if compiler() is None:
+        raise DataError(
+            "an FMU holds a compiled library, and no C compiler is found here; install gcc or "
+            "clang, or name one in the variable CC. The other exports need none"
+        )
     prefix = identifier(path.stem)
     model_c, model_h = source(plain, "model", header="model.h"), header(plain, "model")
     variables = _Variables(plain)

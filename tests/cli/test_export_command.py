@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 import casid
 from casid.cli.main import main
-from casid.export.compiler import compiler
+from casid.compiler import compiler
 from problems import pendulum, roll_decay
 from tests.support.fitted_models import extended_emps, extended_pendulum, fitted_model
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from casid.arrays import Array
-from casid.export.compiler import compiler
+from casid.compiler import compiler
 from tests.support.fitted_models import Simulated, assert_same, extended_emps
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler is found here")

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from casid.compiler import compiler
 from casid.errors import DataError
-from casid.export.compiler import compiler
 from tests.support.fitted_models import Simulated, assert_same, extended_emps, extended_pendulum
 
 fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")

@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.estimation.simulation.machine_code import MachineCode
 from casid.model.model import Explicit, Model, Stage
 
 BLOCK = 200
@@ -86,7 +87,7 @@ class _Step:
     """
 
     def __init__(
-        self, name: str, state: Any, u: Any, u_next: Any, p: Any, after: Any, out: Any
+        self, name: str, nx: int, state: Any, u: Any, u_next: Any, p: Any, after: Any, out: Any
     ) -> None:
         self.n_state, self.n_out = after.numel(), out.numel()
         both, symbols, constants = ca.extract_parametric(ca.veccat(after, out), p)
@@ -97,6 +98,7 @@ class _Step:
         arguments = [state, u, u_next, ca.vertcat(*symbols, *bare)]
         self._function = ca.Function(name, arguments, results)
         self._blocks: dict[int, Any] = {}
+        self.machine_code = MachineCode(self._function, nx)
 
     def constants(self, p: Array) -> Array:
         """What the function takes in the place of all parameters `p` (np,)."""
@@ -142,7 +144,7 @@ class Simulator:
         self._felt = [i for i, name in enumerate(e.states) if name in felt]
         u_next = ca.SX.sym("u_next", self.nu)
         x_next = rk4_sample(model, e, u_next, Ts, substeps)
-        self._plain_step = _Step("step", e.x, e.u, u_next, e.p, x_next, e.h)
+        self._plain_step = _Step("step", self.nx, e.x, e.u, u_next, e.p, x_next, e.h)
         self._tangent_step = self._differentiate(e, u_next, x_next)
 
     def _differentiate(self, e: Explicit, u_next: Any, x_next: Any) -> _Step:
@@ -163,6 +165,7 @@ class Simulator:
         dy = ca.jacobian(e.h, felt) @ s + d
         return _Step(
             "tangent",
+            self.nx,
             ca.vertcat(e.x, ca.vec(s)),
             e.u,
             u_next,
@@ -184,6 +187,10 @@ class Simulator:
         states, outputs = np.empty((len(u), self.nx)), np.empty((len(u), n_out))
         state = np.ascontiguousarray(start, dtype=float)
         u, after = np.ascontiguousarray(u), np.ascontiguousarray(after)
+        if (steps := step.machine_code.before(len(u))) is not None:
+            state = state.copy()
+            steps(state, u, after, step.constants(p), states, outputs)
+            return states, outputs, state
         inside = np.empty((min(BLOCK, len(u)), n_state))
         repeated = np.tile(step.constants(p), (len(inside), 1))
         for first in range(0, len(u), BLOCK):

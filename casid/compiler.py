@@ -1,4 +1,4 @@
-"""The C compiler of this machine."""
+"""The C compiler of this machine, where it has one."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def compiler() -> str | None:
     return None
 
 
-def shared_library(sources: Sequence[Path], library: Path) -> Path:
-    """Compile C files into one shared library.
+def shared_library(sources: Sequence[Path], library: Path, *flags: str) -> Path:
+    """Compile C files into one shared library; `flags` come after the optimisation's and matter.
 
     Raises
     ------
@@ -32,13 +32,12 @@ def shared_library(sources: Sequence[Path], library: Path) -> Path:
     cc = compiler()
     if cc is None:
         raise DataError(
-            "an FMU holds a compiled library, and no C compiler is found here; install gcc or "
-            "clang, or name one in the variable CC. The other exports need none"
+            "no C compiler is found here; install gcc or clang, or name one in the variable CC"
         )
-    flags = ["-O2", "-std=c99", "-shared"]
+    options = ["-O2", "-std=c99", "-shared", *flags]
     if sys.platform != "win32":
-        flags += ["-fPIC", "-fvisibility=hidden"]
-    call = [cc, *flags, "-o", str(library), *map(str, sources), "-lm"]
+        options += ["-fPIC", "-fvisibility=hidden"]
+    call = [cc, *options, "-o", str(library), *map(str, sources), "-lm"]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise DataError(f"{cc} does not compile the model: {done.stderr.strip()[:500]}")

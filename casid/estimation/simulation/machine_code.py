@@ -1,0 +1,230 @@
+"""Steps of a simulation as machine code, on machines that have a C compiler.
+
+CasADi interprets a step operation by operation. Compiled, the same operations follow one another in
+the same order, to the same result, in about a tenth of the time. Compiling pays where a step is
+taken often: it begins when the interpreter has taken about as long as the compiler will. What was
+compiled is kept in a folder of the user's, one file a formula: the numbers in a formula (sample
+time, scale of an effect, instant of a jump) are arguments, so that other records find it again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import re
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.compiler import compiler, shared_library
+from casid.errors import DataError
+
+Steps = Callable[[Array, Array, Array, Array, Array, Array], None]
+"""Runs a step over samples: state (changed in place), inputs (N, nu), inputs a sample later, the
+parameters, kept states (N, nx) and outputs (N, ny), which it writes; all in C order."""
+
+LOOKED_FOR = 2000
+"""Samples after which a step is looked for among those compiled before: reading its formula takes
+as long as some hundred samples."""
+
+COMPILED_AFTER = 25_000, 250
+"""A step of n operations is compiled after the first number of samples times (1 + the second / n):
+a compiler takes 25 ms and 0.1 ms an operation, an interpreter 4 ns an operation and sample."""
+
+TO_COME = 4
+"""Passes that are expected after the present one, which count as taken: a fit has ten or so."""
+
+LARGEST = 20_000
+"""Operations of a step beyond which a compiler takes more than its share."""
+
+KEPT = 2000
+"""Compiled steps that the folder holds; the quarter that was not used for longest leaves it."""
+
+_FLAGS = ("-O1", "-ffp-contract=off", "-w")  # the operations as they are written, none fused
+
+_LOOP = """
+#ifdef _WIN32
+__declspec(dllexport)
+#else
+__attribute__ ((visibility ("default")))
+#endif
+void steps(long long count, double *state, const double *u, const double *after, const double *p,
+           double *numbers, double *kept, double *out) {
+  const double *arg[4];
+  double *res[2];
+  double next[%(n_state)d];
+  long long k;
+  int i;
+  arg[0] = state; arg[3] = p; res[0] = next;
+  for (k = 0; k < count; ++k) {
+    arg[1] = u + k * %(nu)d; arg[2] = after + k * %(nu)d; res[1] = out + k * %(n_out)d;
+    %(name)s(arg, res, 0, numbers, 0);
+    for (i = 0; i < %(n_state)d; ++i) state[i] = next[i];
+    for (i = 0; i < %(nx)d; ++i) kept[k * %(nx)d + i] = next[i];
+  }
+}
+"""
+
+
+class MachineCode:
+    """The machine code of one step, once enough samples were taken for it to pay.
+
+    Parameters
+    ----------
+    function : (state, inputs, inputs a sample later, parameters) -> (next state, outputs), all
+        dense columns.
+    nx : entries of the state that are kept of every sample.
+    """
+
+    def __init__(self, function: Any, nx: int) -> None:
+        self._function, self._nx = function, nx
+        n = int(function.n_instructions())
+        samples, operations = COMPILED_AFTER
+        self._enough = samples * (1 + operations / max(n, 1)) if n <= LARGEST else np.inf
+        self._taken = 0
+        self._source: tuple[str, Array] | None = None
+        self._steps: Steps | None = None
+        self._is_absent = False  # neither found nor to be compiled
+
+    def before(self, samples: int) -> Steps | None:
+        """The steps to take `samples` more, None where they are to be interpreted."""
+        if self._steps is not None or self._is_absent:
+            return self._steps
+        expected = self._taken + (1 + TO_COME) * samples
+        self._taken += samples
+        is_looked_for = self._source is None and self._taken >= LOOKED_FOR
+        if is_looked_for or expected >= self._enough:
+            self._find(compile_it=expected >= self._enough)
+        return self._steps
+
+    def _find(self, *, compile_it: bool) -> None:
+        folder = cache_folder()
+        if folder is None or (compiler() is None):
+            self._is_absent = True
+            return
+        if self._source is None:
+            self._source = source_of(self._function, self._nx)
+        text, numbers = self._source
+        entry = _library(text, folder, compile_it=compile_it)
+        if entry is not None:
+            self._steps = _called(entry, numbers)
+        self._is_absent = entry is None and compile_it
+
+
+def _called(entry: Any, numbers: Array) -> Steps:
+    def steps(state: Array, u: Array, after: Array, p: Array, kept: Array, out: Array) -> None:
+        arrays = (state, u, after, p, numbers, kept, out)
+        entry(len(u), *(each.ctypes.data for each in arrays))
+
+    return steps
+
+
+def source_of(function: Any, nx: int) -> tuple[str, Array]:
+    """C of the loop over a step, and the numbers that were taken out of it.
+
+    They come as the working memory that CasADi's code takes, of which a formula needs none.
+    """
+    generator = ca.CodeGenerator(
+        "step.c", {"with_header": False, "with_export": False, "verbose": False}
+    )
+    generator.add(function)
+    numbers: list[float] = []
+
+    def taken_out(match: re.Match[str]) -> str:
+        numbers.append(float(match.group(1)))
+        return f"=w[{len(numbers) - 1}];"
+
+    text = str(generator.dump())
+    text = re.sub(r"arg\[(\d)\]\? (arg\[\d\]\[\d+\]) : 0;", r"\2;", text)
+    text = re.sub(r"if \(res\[\d\]!=0\) ", "", text)
+    text = re.sub(r"=(-?\d[^;a-z\[]*(?:e[-+]\d+)?);", taken_out, text)
+    (name,) = re.findall(r"static int (casadi_f\d+)\(", text)
+    sizes = {"n_state": function.numel_out(0), "n_out": function.numel_out(1)}
+    sizes |= {"nu": function.numel_in(1), "nx": nx}
+    return text + _LOOP % {"name": name, **sizes}, np.array(numbers)
+
+
+@functools.lru_cache(maxsize=4096)
+def _loaded(path: str) -> Any:
+    """The loop of a library; None where it cannot be loaded."""
+    try:
+        entry = ctypes.CDLL(path).steps
+    except (OSError, AttributeError):
+        return None
+    entry.argtypes = [ctypes.c_longlong, *[ctypes.c_void_p] * 7]
+    entry.restype = None
+    return entry
+
+
+def _library(text: str, folder: Path, *, compile_it: bool) -> Any:
+    """The loop of a C text from the folder, compiled into it where asked for; None without."""
+    what = "\n".join((text, *_FLAGS, sys.platform, platform.machine(), str(compiler())))
+    path = folder / f"{hashlib.sha256(what.encode()).hexdigest()[:40]}.so"
+    if path.exists():
+        with contextlib.suppress(OSError):
+            os.utime(path)
+        return _loaded(str(path))
+    if not compile_it:
+        return None
+    try:
+        with tempfile.TemporaryDirectory(dir=folder) as inside:
+            written = Path(inside, "step.c")
+            written.write_text(text, encoding="utf-8")
+            made = shared_library([written], Path(inside, path.name), *_FLAGS)
+            made.replace(path)  # whole or not at all: others may be looking
+        _forget_oldest(folder)
+    except (OSError, DataError):
+        return None
+    return _loaded(str(path))
+
+
+def _forget_oldest(folder: Path) -> None:
+    """Remove the steps that were not used for longest, where there are more than `KEPT`."""
+    kept = list(folder.glob("*.so"))
+    if len(kept) > KEPT:
+        for path in sorted(kept, key=lambda p: p.stat().st_mtime)[: len(kept) // 4]:
+            path.unlink(missing_ok=True)
+
+
+@functools.lru_cache(maxsize=8)
+def _cache_folder(named: str | None) -> Path | None:
+    if named == "":
+        return None
+    if named is not None:
+        folder = Path(named)
+    elif sys.platform == "win32":
+        folder = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "casid"
+    elif sys.platform == "darwin":
+        folder = Path.home() / "Library" / "Caches" / "casid"
+    else:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "casid"
+    folder = folder / "steps"
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        is_own = os.name == "nt" or (
+            folder.stat().st_uid == os.getuid() and not folder.stat().st_mode & 0o022
+        )
+        if is_own and os.access(folder, os.W_OK):
+            return folder
+    except OSError:
+        pass
+    return None
+
+
+def cache_folder() -> Path | None:
+    """Where compiled steps are kept: in `CASID_CACHE`, or where this system has users' caches.
+
+    None where that variable is empty, and where the folder cannot be written or others can write
+    to it, for what lies there is run.
+    """
+    return _cache_folder(os.environ.get("CASID_CACHE"))
