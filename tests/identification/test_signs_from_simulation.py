@@ -99,7 +99,7 @@ def test_a_diagnosis_names_the_sign_first_and_goes_on_with_it_mended(tmp_path: P
     """Drag under a turned accelerometer: both are found, and the gain is measured held out."""
     record = pendulum.simulate(duration=25.0, d_2=0.4)
     wrong = negated([casid.Experiment(record, {}, "run")], "accel")
-    found = casid.diagnose(pendulum.problem, wrong, starts=1, max_causes=1)
+    found = casid.diagnose(pendulum.problem, wrong, starts=1, max_causes=1, advise=False)
     first = found.to_json()["causes"][0]
     assert (first["kind"], first["where"]) == ("sensor_scale", "gyro")
     assert first["parameters"]["scale"]["value"] == -1.0
@@ -226,7 +226,9 @@ def test_no_sign_is_suspected_in_noise_alone(steering) -> None:
 
 
 def test_a_rudder_at_rest_is_named_before_any_sign() -> None:
-    found = casid.diagnose(ship.problem, noise_alone(steering=False), starts=1, hold_out=0)
+    found = casid.diagnose(
+        ship.problem, noise_alone(steering=False), starts=1, hold_out=0, advise=False
+    )
     assert found.verdict == "undecided"
     assert "gyro, as far as fitted, is noise alone" in found.sentence
     assert "delta never moves: check its cable and mapping" in found.sentence

@@ -70,7 +70,7 @@ def problem() -> casid.Problem:
 
 @functools.cache
 def diagnosed(slope: float, seed: int, of: str = "d") -> casid.Diagnosis:
-    return casid.diagnose(problem(), record(slope, seed, of=of))
+    return casid.diagnose(problem(), record(slope, seed, of=of), advise=False)
 
 
 @pytest.mark.slow
@@ -98,7 +98,7 @@ def test_of_parameters_that_act_alike_the_estimated_one_is_named_and_the_other_b
     m = given.model.copy("oscillator with a known damper")
     e = m.parameter("e", "N s/m", value=0.5)
     m.add_term("force balance", -e * m.symbol("v"))
-    d = casid.diagnose(dataclasses.replace(given, model=m), record(0.5, 1))
+    d = casid.diagnose(dataclasses.replace(given, model=m), record(0.5, 1), advise=False)
     assert [(c.kind, c.where) for c in d.causes] == [("scheduled_parameter", "d~speed")]
     assert ("scheduled_parameter", "e~speed") in {
         (a.kind, a.where) for a in d.causes[0].alternatives
@@ -122,7 +122,7 @@ def test_a_model_that_knows_how_its_parameter_follows_the_channel_is_adequate():
     m.add_term("force balance", -slope * speed * m.symbol("v"))
     # At no speed there would be less damping than at the mean, by 0.5 of it for each m/s.
     m.parameters["d"] = dataclasses.replace(m.parameters["d"], lower=-50.0)
-    d = casid.diagnose(casid.Problem(name="known", model=m, starts=1), r)
+    d = casid.diagnose(casid.Problem(name="known", model=m, starts=1), r, advise=False)
     assert d.verdict == "adequate"
     found = d.baseline.parameter("slope")
     assert found.value == pytest.approx(0.5 * DAMPING, abs=3 * found.std_error)
