@@ -6,7 +6,8 @@ Both voltages are recorded, the output y as the position of a mass of one. Bench
 Schoukens (Uppsala University, technical report 2013-006), sampled at 1e7/2^14 = 610.35 Hz; the part
 with a multisine input. The record comes through filters: between its samples the input is no
 staircase. (1) takes it as held all the same, as one would who reads of a digital generator;
-`silverbox_model("foh")` joins the samples by straight lines.
+`silverbox_model("foh")` joins the samples by straight lines, `silverbox_model("bandlimited")` takes
+the voltage as free of everything above half the sampling rate, as the filters leave it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ TS = 2**14 / 1e7  # s
 SAMPLES_PER_PERIOD = 1024
 
 
-def silverbox_model(hold: Literal["zoh", "foh"] = "zoh") -> casid.Model:
+def silverbox_model(hold: Literal["zoh", "foh", "bandlimited"] = "zoh") -> casid.Model:
     """(1), with what the input does between its samples."""
     m = casid.Model("silverbox")
     y, v = m.state("y", "V"), m.state("v", "V/s")

@@ -323,7 +323,6 @@ class Comparison:
         "gains count misfit of another kind as well there",
         POWER_STUDY,
     )
-    plausible_hold: float = _is(0.5, "of a hold that is neither one nor the other", POWER_STUDY)
 
 
 @dataclass(frozen=True, slots=True)

@@ -193,11 +193,11 @@ def _refuse_dynamics(model: Model) -> None:
             "show; leave that effect out, or use casid.identify"
         )
     for entry in model.inputs.values():
-        if entry.ramp is not None:
+        for blend in entry.blends:
             raise ModelError(
-                f"{model.name}: what input {entry.name} does between its samples ({entry.ramp}) is "
-                "nothing that a balance at the samples can show; leave that effect out, or use "
-                "casid.identify"
+                f"{model.name}: what input {entry.name} does between its samples "
+                f"({blend.parameter}) is nothing that a balance at the samples can show; leave "
+                "that effect out, or use casid.identify"
             )
 
 

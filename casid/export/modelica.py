@@ -159,7 +159,7 @@ class _Writer:
             )
         for name in self.given:
             unit = self._channel_unit(name)
-            says = "held between its samples" if self._is_held(name) else ""
+            says = self._course(name)
             if name in self.outputs:  # an output that an unknown input was eliminated with
                 lines.append(f"  input Real {self.outputs[name]}{_unit(unit)};")
             else:
@@ -182,8 +182,16 @@ class _Writer:
             lines.append(f"  {kind}Real {self.names[name]} = {self._formula(expression, name)};")
         return lines
 
-    def _is_held(self, name: str) -> bool:
-        return name in self.model.inputs and self.model.inputs[name].hold == "zoh"
+    def _course(self, name: str) -> str:
+        """What an input does between its samples, where that is no straight line."""
+        if name not in self.model.inputs:
+            return ""
+        hold = self.model.acting_hold(name)
+        held = {
+            "zoh": "held between its samples",
+            "bandlimited": "band-limited between its samples",
+        }
+        return held.get(hold, "")
 
     def _channel_unit(self, name: str) -> str:
         model = self.model

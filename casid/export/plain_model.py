@@ -18,7 +18,7 @@ import numpy as np
 
 from casid.errors import ModelError, nearest
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.estimation.simulation.simulator import rk4_sample
+from casid.estimation.simulation.simulator import band_limited, rk4_sample
 from casid.model.clock_signals import ClockSignal
 from casid.model.model import Model, Stage
 
@@ -69,7 +69,7 @@ class PlainModel:
         """Names of the parameters that the equations need."""
         e = self.model.explicit()
         needed = {s.name() for s in ca.symvar(ca.veccat(e.f, e.h))}
-        needed |= {u.ramp for u in self.model.inputs.values() if u.ramp is not None}
+        needed |= {b.parameter for u in self.model.inputs.values() for b in u.blends}
         return tuple(n for n in self.model.parameters if n in needed)
 
     def unit(self, name: str) -> str:
@@ -95,13 +95,15 @@ class PlainModel:
     def shares(self) -> list[float]:
         """Of each input's rise within a sample, the part that it makes as a straight line.
 
-        1 for an input joined by straight lines, 0 for a held one.
+        1 for an input joined by straight lines or band-limited, 0 for a held one.
         """
+        part = {"zoh": 0.0, "foh": 1.0, "bandlimited": 1.0}
         out = []
         for name in self.inputs:
             entry = self.model.inputs[name]
-            blend = 0.0 if entry.ramp is None else self.values[entry.ramp]
-            out.append(blend if entry.hold == "zoh" else 1.0 - blend)
+            own = part[entry.hold]
+            moved = (self.values[b.parameter] * (part[b.toward] - own) for b in entry.blends)
+            out.append(own + sum(moved))
         return out
 
 
@@ -200,6 +202,11 @@ def resolved(fitted: FittedModel, *, what: str) -> PlainModel:
                 f"{fitted.name}: the input {name} is unknown; eliminate it before the model is "
                 "fitted and exported"
             )
+    notes = [
+        f"The input {name} is band-limited between its samples, which takes samples to come: a "
+        "step of a sample joins them by straight lines."
+        for name in band_limited(model)
+    ]
     steps = _Stages(model, values, initial)
     for stage in fitted.model.stages:
         steps.take(stage)
@@ -219,7 +226,7 @@ def resolved(fitted: FittedModel, *, what: str) -> PlainModel:
         Ts=fitted.Ts,
         substeps=substeps,
         delays=steps.delays,
-        notes=tuple(steps.notes),
+        notes=(*notes, *steps.notes),
     )
 
 

@@ -64,10 +64,15 @@ def problem_text(fitted: FittedModel) -> str:
 
 
 def _without_stages(model: Model) -> Model:
-    """The model before stages and blends, which the file adds with the functions that made them."""
+    """The model before stages and blends, which the file adds with the functions that made them.
+
+    A blend that is settled is declared as the hold that it is.
+    """
     base = model.copy()
     base.stages = ()
-    base.inputs = {n: replace(u, ramp=None) for n, u in base.inputs.items()}
+    base.inputs = {
+        n: replace(u, hold=model.acting_hold(n), blends=()) for n, u in base.inputs.items()
+    }
     for stage in model.stages:
         for name in (stage.carrier, Stage.end_of(stage.carrier), Stage.end_of(stage.channel)):
             if stage.is_of_input and name in base.inputs:
@@ -80,7 +85,7 @@ class _Writer:
     def __init__(self, fitted: FittedModel) -> None:
         self.fitted = fitted
         self.whole = fitted.model
-        blends = {u.ramp for u in self.whole.inputs.values() if u.ramp is not None}
+        blends = {b.parameter for u in self.whole.inputs.values() for b in u.blends}
         self.added = {s.parameter for s in self.whole.stages} | blends
         self.equations: WrittenEquations = written_equations(_without_stages(self.whole))
         self.model: Model = self.equations.model
@@ -317,9 +322,13 @@ class _Writer:
     def _extensions(self) -> list[str]:
         lines: list[str] = []
         for name, entry in self.whole.inputs.items():
-            if entry.ramp is not None and entry.kind in ("measured", "known"):
-                made = f"casid.hold({self.m}, {_text(name)})"
-                lines += self._extended(made, entry.ramp)
+            is_declared = name in self.equations.model.inputs  # an output has no hold of its own
+            is_settled = self.whole.acting_hold(name) != entry.hold
+            if entry.kind == "generated" or (is_declared and is_settled):
+                continue
+            for blend in entry.blends:
+                hold = f"{_text(name)}, {_text(blend.toward)}"
+                lines += self._extended(f"casid.hold({self.m}, {hold})", blend.parameter)
         for stage in self.whole.stages:
             function, size = _EXTENSIONS[stage.kind]
             p = self.whole.parameters[stage.parameter]

@@ -122,8 +122,8 @@ class NoisyModel:
     Raises
     ------
     ModelError
-        For noise that is missing, or enters nowhere; an input blended of both holds; a model that
-        cannot be linearised.
+        For noise that is missing, or enters nowhere; an input blended of two holds, or
+        band-limited; a model that cannot be linearised.
     """
 
     def __init__(
@@ -138,11 +138,17 @@ class NoisyModel:
         self.outputs = tuple(model.outputs)
         self._sort_noise()
         for entry in model.inputs.values():
-            if entry.ramp is not None:
+            for blend in entry.blends:
                 raise ModelError(
-                    f"{model.name}: input {entry.name} blends both holds ({entry.ramp}), but "
+                    f"{model.name}: input {entry.name} blends two holds ({blend.parameter}), but "
                     "the sampled system holds it or joins it by straight lines; leave that effect "
                     "out and declare the hold (input(..., hold='zoh') or 'foh'), or use "
+                    "casid.identify"
+                )
+            if entry.hold == "bandlimited":
+                raise ModelError(
+                    f"{model.name}: input {entry.name} is band-limited, and the sampled system of "
+                    "a band-limited input has no finite order; declare hold='foh', or use "
                     "casid.identify"
                 )
         self.driven = model.copy()  # without its noise inputs: what a record has to hold

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, get_args
 
 import casadi as ca
 import numpy as np
@@ -41,7 +41,9 @@ from casid.model.units import (
 from casid.presentation import Viewed
 
 Expr = Any  # a CasADi SX expression, or a number where one is meant
-Hold = Literal["zoh", "foh"]
+Hold = Literal["zoh", "foh", "bandlimited"]
+HOLDS: tuple[Hold, ...] = get_args(Hold)
+"""What a recorded signal may do between its samples."""
 
 
 class Extension(Protocol):
@@ -95,11 +97,19 @@ class State:
 
 
 @dataclass(frozen=True, slots=True)
+class Blend:
+    """A parameter b in [0, 1] that moves an input towards another hold: all of it at b = 1."""
+
+    parameter: str
+    toward: Hold
+
+
+@dataclass(frozen=True, slots=True)
 class Input:
     """An input: a recorded channel, an unknown signal, or a generated function of time.
 
-    `ramp` names a parameter b in [0, 1] that blends what the signal does between its samples: 1 - b
-    of what `hold` says and b of the other.
+    Between its samples the signal is what `hold` says, u, plus b (w - u) for each of the `blends`,
+    of parameter b towards a hold that gives w.
     """
 
     name: str
@@ -107,7 +117,12 @@ class Input:
     kind: Literal["measured", "known", "unknown", "generated"] = "measured"
     hold: Hold = "foh"
     signal: Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]] | None = None
-    ramp: str | None = None
+    blends: tuple[Blend, ...] = ()
+
+    @property
+    def holds(self) -> frozenset[Hold]:
+        """Every hold that the signal is a part of."""
+        return frozenset({self.hold, *(b.toward for b in self.blends)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,13 +260,29 @@ class Model(Viewed):
         """Declare an input that is recorded: measured (with noise), or exactly known.
 
         `hold` is what the signal does between samples: ``"zoh"`` for a held command, ``"foh"``
-        (straight lines) for a sampled physical quantity.
+        (straight lines) for a sampled physical quantity, ``"bandlimited"`` for one that was
+        filtered before it was sampled and holds nothing above half the sampling rate: its course
+        between the samples is then determined by all of them (Shannon 1949).
         """
-        if hold not in ("zoh", "foh"):
-            raise ModelError(f"input {name}: hold={hold!r} is not known; use 'zoh' or 'foh'")
+        if hold not in HOLDS:
+            raise ModelError(
+                f"input {name}: hold={hold!r} is not known; use 'zoh', 'foh' or 'bandlimited'"
+            )
         kind: Literal["known", "measured"] = "known" if known else "measured"
         self.inputs[name] = Input(name, self._remember_unit(name, unit), kind, hold)
         return self._declare(name)
+
+    def acting_hold(self, name: str) -> Hold:
+        """What a recorded input does between its samples: as declared, or as a blend of one has it.
+
+        A blend whose parameter can be nothing but 1 is settled: the input does what it says.
+        """
+        entry = self.inputs[name]
+        for blend in entry.blends:
+            p = self.parameters[blend.parameter]
+            if p.value == 1.0 or (p.value is None and p.lower == p.upper == 1.0):
+                return blend.toward
+        return entry.hold
 
     def unknown_input(self, name: str, unit: str) -> Any:
         """Declare an input that nobody measures; `eliminate` it before estimating."""
@@ -430,11 +461,11 @@ class Model(Viewed):
                     del new.inputs[stage.carrier]
                     late = replace(stage, kind=_SENSED[stage.kind])
                     new.stages = tuple(late if s is stage else s for s in new.stages)
-            ramp = new.inputs[gone.output].ramp
-            if ramp is not None:
+            for blend in new.inputs[gone.output].blends:
                 # An output has no course between its samples: the blend has nothing left to do.
-                p = new.parameters[ramp]
-                new.parameters[ramp] = replace(p, value=p.start if p.value is None else p.value)
+                p = new.parameters[blend.parameter]
+                value = p.start if p.value is None else p.value
+                new.parameters[blend.parameter] = replace(p, value=value)
             slope_of = ca.jacobian(residual, measured)
             if any(ca.which_depends(slope_of, measured)) or slope_of.nnz() == 0:
                 raise ModelError(

@@ -52,9 +52,10 @@ def test_the_balance_is_the_equation_term_by_term():
     np.testing.assert_allclose(rates, [0.2, 2 * 0.3 - 3 * 0.2 - 5 * 0.1 + 7])
 
 
-@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize("hold", ["zoh", "foh", "bandlimited"])
 def test_noise_free_records_return_the_coefficients(hold):
-    """Held samples exactly; straight lines as far as they are the multisine.
+    """Held samples exactly, band-limited ones as exactly as the interpolation goes over the ends
+    of the record; straight lines as far as they are the multisine.
 
     Straight lines pass the frequency f with the gain sinc(f Ts)^2, an error of pi^2 (f Ts)^2 / 3 =
     0.041 at the resonance of 68 Hz, which b takes upon itself; the frequency is hardly touched.
@@ -62,9 +63,10 @@ def test_noise_free_records_return_the_coefficients(hold):
     between = "zoh" if hold == "zoh" else "continuous"
     record = silverbox.simulate(periods=1.0, k_3=0.0, noise=0.0, hold=between)
     fit = casid.identify(model(hold, hardens=False), record, settings=ONCE)
-    exact = hold == "zoh"
+    exact = hold != "foh"
     for name, value in silverbox.problem.truth.items():
-        tolerance = 1e-4 if exact else {"b": 0.06, "k_1": 2e-3}.get(name, 0.02)
+        nearly = 1e-4 if hold == "zoh" else 1e-3
+        tolerance = nearly if exact else {"b": 0.06, "k_1": 2e-3}.get(name, 0.02)
         assert fit[name] == pytest.approx(value, rel=tolerance), name
     if not exact:
         assert fit["b"] > 1.01 * silverbox.problem.truth["b"]

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score
-from casid.diagnosis.thresholds import COMPARISON
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
 from casid.model.model import Model
@@ -64,9 +63,3 @@ def found_values(candidate: Candidate) -> dict[str, float]:
         for p, name in zip(candidate.effect.parameters, candidate.names, strict=True)
         if name in values
     }
-
-
-def is_plausible(candidate: Candidate) -> bool:
-    """False for a hold that is neither the one nor the other: signals are held or they are not."""
-    share = candidate.fit.values.get(candidate.names[0], 1.0)
-    return candidate.effect.kind != "hold" or share > COMPARISON.plausible_hold

@@ -137,6 +137,8 @@ def _starts(
 ) -> list[tuple[float, float | None]]:
     """Values of the first parameter to start from, each with its upper bound."""
     Ts = at.criterion.data[0].Ts
+    if effect.kind == "hold":
+        return [(effect.parameters[0].upper, None)]  # an input does the one or the other
     if effect.limit is not None:
         # A large delay or lag is far from its linearised size, and the fit has local minima.
         factors = REFITS.factors if at.noise_absorbs_misfit or abs(step) > Ts else (1.0,)

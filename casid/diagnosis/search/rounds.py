@@ -18,7 +18,7 @@ from casid.diagnosis.evidence.score_tests import Score, ScoreTable, score_test
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_candidates
 from casid.diagnosis.search.alternatives import ranked_by_remainder, rejudge
-from casid.diagnosis.search.candidates import Candidate, is_plausible
+from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.friction_speeds import sharpened
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
@@ -97,7 +97,7 @@ class Search:
                 if start.found is None
                 else refitting.again(at, start.found)
             )
-            if candidate is not None and is_plausible(candidate):
+            if candidate is not None:
                 found.append(replace(candidate, score=s))
         if not found:
             return found

@@ -105,6 +105,8 @@ def _saturation(search: Search, cut: Plateaus) -> Cause:
 
 def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated, ...]:
     rows = [p for p in estimate.parameters if p.name in candidate.names]
+    if candidate.effect.kind == "hold":
+        rows = [replace(p, note="not estimated: an input does it or not") for p in rows]
     if candidate.effect.kind == "parameter_jump" and candidate.effect.variant is not None:
         rows.append(Estimated("time", candidate.effect.variant, "s", note="searched"))
     return tuple(rows)

@@ -23,6 +23,8 @@ def contributions_of(weighing: Weighing, adopted: Sequence[Adopted], fit: Fit) -
     c = fit.criterion
     start = adopted[0].before.fit.values if adopted and adopted[0].before else fit.values
     nothing = {k: v for a in adopted for k, v in null_values(a.candidate).items()}
+    bounds = {name: (p.lower, p.upper) for name, p in c.model.parameters.items()}
+    nothing = {name: float(np.clip(v, *bounds[name])) for name, v in nothing.items()}
     out = []
     for a in adopted:
         null = null_values(a.candidate)

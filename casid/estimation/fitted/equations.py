@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +12,7 @@ import casadi as ca
 
 from casid.errors import ModelError
 from casid.model.formula_text import formula_text, summands
-from casid.model.model import Model
+from casid.model.model import Hold, Input, Model
 
 Expr = Any  # a CasADi SX expression
 
@@ -172,10 +172,29 @@ def _equations(model: Model) -> Iterator[ModelEquation]:
             stage.kind, what, stage.channel, text.format(c=stage.channel, p=stage.parameter), note
         )
     for name, entry in model.inputs.items():
-        if entry.ramp is not None and entry.kind != "generated":
-            share = entry.ramp if entry.hold == "zoh" else f"(1 - {entry.ramp})"
-            text = f"{name}[k] + {share} ({name}[k+1] - {name}[k]) (t - t[k]) / Ts"
-            yield _in_words("hold", "acting", name, text, "between its samples")
+        if entry.blends and entry.kind != "generated":
+            yield _in_words("hold", "acting", name, _course(model, entry), "between its samples")
+
+
+def _course(model: Model, entry: Input) -> str:
+    """What a blended input does between its samples."""
+    name = entry.name
+    courses: Mapping[Hold, str] = {
+        "zoh": f"{name}[k]",
+        "foh": f"{name}[k] + ({name}[k+1] - {name}[k]) (t - t[k]) / Ts",
+        "bandlimited": f"sum over j of {name}[j] sinc((t - t[j]) / Ts)",
+    }
+    acting = model.acting_hold(name)
+    if acting != entry.hold:
+        return courses[acting]
+    blends = {b.toward: b.parameter for b in entry.blends}
+    if len(blends) == 1 and "bandlimited" not in entry.holds:
+        (b,) = blends.values()
+        share = b if entry.hold == "zoh" else f"(1 - {b})"
+        return f"{name}[k] + {share} ({name}[k+1] - {name}[k]) (t - t[k]) / Ts"
+    first = " - ".join(["1", *blends.values()])
+    rest = "".join(f" + {b} ({courses[hold]})" for hold, b in blends.items())
+    return f"({first}) ({courses[entry.hold]}){rest}"
 
 
 def _in_words(kind: str, what: str, channel: str, right: str, note: str) -> ModelEquation:

@@ -11,13 +11,14 @@ would bring an error of half a sample, which passes for a delay.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
 from scipy.special import hyp1f1
 
 from casid.arrays import Array
+from casid.model.model import Hold
 
 
 def lag_columns(y: Array, samples: float) -> tuple[Array, Array]:
@@ -49,18 +50,18 @@ def lag_columns(y: Array, samples: float) -> tuple[Array, Array]:
     return x, _recursion(decay, -first, change + slope * x[:-1])
 
 
-def lag_inputs(u: Array, samples: float, hold: Literal["zoh", "foh"]) -> tuple[Array, Array]:
+def lag_inputs(u: Array, samples: float, hold: Hold) -> tuple[Array, Array]:
     """An input column (N,) behind a lag as a line in each sample, and its derivative with the lag.
 
     Both are (N, 2): where the line begins and where it ends. Mean and first moment over the sample
-    are those of the exact response to the input held or joined by straight lines, so that nothing
-    moves in time; without a lag the line is the input. Before the record the input was what it is
-    at its first sample. After the last sample it is held.
+    are those of the exact response to the input held or (else) joined by straight lines, so that
+    nothing moves in time; without a lag the line is the input. Before the record the input was what
+    it is at its first sample. After the last sample it is held.
     """
     decay, slope = _decay(samples)
     (p, h, f, g), (dp, dh, df, dg) = _line_weights(samples)
     rise = np.zeros_like(u)
-    if hold == "foh":
+    if hold != "zoh":
         rise[:-1] = np.diff(u)
     # From (1) with w = u + rise a, 0 <= a <= 1: x(a) = w(a) - r rise + (x - u + r rise) exp(-a/r).
     driven = u * (1 - decay) + rise * (1 - p)

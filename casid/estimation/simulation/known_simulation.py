@@ -43,6 +43,7 @@ class KnownSimulation:
         if of_inputs:
             times = {s.parameter: values[s.parameter] for s in of_inputs}
             u = prepared_inputs(model, u, times, simulator.Ts)
+        u = simulator.with_courses(u)
         # What a stage does is in the column; its parameter multiplies the tangent alone.
         held = {**values, **{s.parameter: 0.0 for s in of_inputs}}
         p = np.array([held[name] for name in simulator.equations.parameters], dtype=float)

@@ -68,8 +68,9 @@ def _lagged(columns: Array, samples: float) -> Array:
 def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: float) -> Array:
     """A copy of the inputs (N, nu) with every input stage applied and all carriers filled.
 
-    Delays and leads come first, an actuator's lag last: they commute, but a lag leaves a line in
-    every sample, which begins in the input's own column and ends in its companion's.
+    Delays and leads come first, an actuator's lag last: they commute, but a lag of an input that is
+    held or joined by straight lines leaves a line in every sample, which begins in the input's own
+    column and ends in its companion's. A band-limited input stays one.
 
     Parameters
     ----------
@@ -89,8 +90,13 @@ def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: flo
                 columns[stage.carrier] = change
         for stage in mine:
             if stage.kind == "lag_input":
-                hold = model.inputs[channel].hold
+                hold = model.acting_hold(channel)
                 r = values[stage.parameter] / Ts
+                if Stage.end_of(channel) not in place:
+                    change = lag_columns(columns[channel], r)[1]
+                    columns = {n: _lagged(c, r) for n, c in columns.items()}
+                    columns[stage.carrier] = change / Ts
+                    continue
                 lines = {n: lag_inputs(c, r, hold)[0] for n, c in columns.items()}
                 lines[stage.carrier] = lag_inputs(columns[channel], r, hold)[1] / Ts
                 for name, line in lines.items():

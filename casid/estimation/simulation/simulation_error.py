@@ -231,10 +231,9 @@ class SimulationError:
     def _prepared_inputs(self, x: Array, experiment: int, d: Signals) -> Array:
         """The input columns as they act, and those that carry the tangents of what was done."""
         stages = [s for s in self.model.stages if s.is_of_input]
-        if not stages:
-            return d.u
         values = {s.parameter: self.value_of(s.parameter, x, experiment) for s in stages}
-        return prepared_inputs(self.model, d.u, values, d.Ts)
+        u = prepared_inputs(self.model, d.u, values, d.Ts) if stages else d.u
+        return self._simulators[d.Ts].with_courses(u)
 
     def value_of(self, name: str, x: Array, experiment: int) -> float:
         """The value of one parameter in an experiment, at `x`."""

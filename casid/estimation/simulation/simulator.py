@@ -11,7 +11,7 @@ computed, not to the continuous system (Hairer, Norsett, Wanner 1993, II.6).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.estimation.simulation.band_limited import between_samples
 from casid.estimation.simulation.machine_code import MachineCode
 from casid.model.model import Explicit, Model, Stage
 
@@ -36,20 +37,25 @@ class Trajectory:
     dx_end: Array | None = None  # (nx, nv): d x[N] / d (...)
 
 
-def rk4_sample(model: Model, e: Explicit, u_next: Any, Ts: float, substeps: int) -> Any:
-    """One sample of Runge-Kutta 4 as an expression, each input held or joined by straight lines."""
+def rk4_sample(
+    model: Model, e: Explicit, u_next: Any, Ts: float, substeps: int, between: Any = None
+) -> Any:
+    """One sample of Runge-Kutta 4 as an expression.
+
+    Parameters
+    ----------
+    between : values of the inputs of `band_limited` within the sample, one input after another, at
+        1/(2 substeps), 2/(2 substeps), ... of it; by default on the straight line.
+    """
     f = ca.Function("f", [e.x, e.u, e.p], [e.f])
     h = Ts / substeps
-    rises = _rises(model, e, u_next)
-
-    def u(at: float) -> Any:
-        return ca.vertcat(
-            *[e.u[i] if rise is None else e.u[i] + at * rise for i, rise in enumerate(rises)]
-        )
-
+    at = [
+        ca.vertcat(*_within(model, e, u_next, between, i, 2 * substeps))
+        for i in range(2 * substeps + 1)
+    ]
     x = e.x
     for i in range(substeps):
-        left, mid, right = (u((i + c) / substeps) for c in (0.0, 0.5, 1.0))
+        left, mid, right = at[2 * i : 2 * i + 3]
         k1 = f(x, left, e.p)
         k2 = f(x + h / 2 * k1, mid, e.p)
         k3 = f(x + h / 2 * k2, mid, e.p)
@@ -58,26 +64,38 @@ def rk4_sample(model: Model, e: Explicit, u_next: Any, Ts: float, substeps: int)
     return x
 
 
-def _rises(model: Model, e: Explicit, u_next: Any) -> list[Any]:
-    """What each input changes by within a sample, None where it is held.
+def band_limited(model: Model) -> list[str]:
+    """Inputs whose course within a sample depends on samples further away."""
+    return [name for name, entry in model.inputs.items() if "bandlimited" in entry.holds]
 
-    An input that passes a lag ends its sample where its companion column says; one with a blend
-    does a part of what the other hold would do.
+
+def _within(
+    model: Model, e: Explicit, u_next: Any, between: Any, part: int, parts: int
+) -> Iterator[Any]:
+    """Every input at `part` / `parts` of a sample.
+
+    One that passes a lag is a line that ends where its companion column says; what blends would do
+    to it is that of its samples, which is exact once they are settled.
     """
     lagged = any(stage.kind == "lag_input" for stage in model.stages)
-    out: list[Any] = []
+    banded = band_limited(model)
     for i, name in enumerate(e.inputs):
         entry, end = model.inputs[name], Stage.end_of(name)
-        held = entry.hold == "zoh"
-        rise = None if held else u_next[i] - e.u[i]
+        u, line = e.u[i], e.u[i] + part / parts * (u_next[i] - e.u[i])
+        acts = {"zoh": u, "foh": line}
+        if name in banded:
+            inside = between is not None and 0 < part < parts
+            place = banded.index(name) * (parts - 1) + part - 1
+            acts["bandlimited"] = between[place] if inside else line
+        value, settled = acts[entry.hold], None
         if lagged and end in e.inputs:
-            rise = e.u[e.inputs.index(end)] - e.u[i]
-        if entry.ramp is not None:
-            b = e.p[e.parameters.index(entry.ramp)]
-            part = b * (u_next[i] - e.u[i]) if held else -b * rise
-            rise = part if rise is None else rise + part
-        out.append(rise)
-    return out
+            value = u + part / parts * (e.u[e.inputs.index(end)] - u)
+            settled = model.acting_hold(name)
+        for blend in entry.blends:
+            b = e.p[e.parameters.index(blend.parameter)]
+            done = 1.0 if blend.toward == settled else 0.0
+            value += (b - done) * (acts[blend.toward] - acts[entry.hold])
+        yield value
 
 
 class _Step:
@@ -142,12 +160,26 @@ class Simulator:
         self.nv = len(self.free) + self.nx
         felt = _felt(e, pinned or {})
         self._felt = [i for i, name in enumerate(e.states) if name in felt]
-        u_next = ca.SX.sym("u_next", self.nu)
-        x_next = rk4_sample(model, e, u_next, Ts, substeps)
-        self._plain_step = _Step("step", self.nx, e.x, e.u, u_next, e.p, x_next, e.h)
-        self._tangent_step = self._differentiate(e, u_next, x_next)
+        self._banded = [list(model.inputs).index(name) for name in band_limited(model)]
+        width = len(self._banded) * (2 * substeps - 1)
+        u = ca.vertcat(e.u, ca.SX.sym("between", width))
+        u_next = ca.SX.sym("u_next", self.nu + width)
+        x_next = rk4_sample(model, e, u_next, Ts, substeps, u[self.nu :])
+        self._plain_step = _Step("step", self.nx, e.x, u, u_next, e.p, x_next, e.h)
+        self._tangent_step = self._differentiate(e, u, u_next, x_next)
 
-    def _differentiate(self, e: Explicit, u_next: Any, x_next: Any) -> _Step:
+    def with_courses(self, u: Array) -> Array:
+        """Inputs (N, nu) of a whole record, beside them what band-limited ones do between samples.
+
+        A part of a record is simulated with a part of what this returns: the course of a
+        band-limited input depends on samples outside the part.
+        """
+        if not self._banded or u.shape[1] > self.nu:
+            return u
+        inside = between_samples(u[:, self._banded], 2 * self.substeps)
+        return np.hstack([u, inside.reshape(len(u), -1)])
+
+    def _differentiate(self, e: Explicit, u: Any, u_next: Any, x_next: Any) -> _Step:
         columns = [e.parameters.index(name) for name in self.free]
         p_free = ca.vertcat(*[e.p[i] for i in columns])
         nf = len(self._felt)
@@ -167,7 +199,7 @@ class Simulator:
             "tangent",
             self.nx,
             ca.vertcat(e.x, ca.vec(s)),
-            e.u,
+            u,
             u_next,
             e.p,
             ca.vertcat(x_next, ca.vec(s_next)),
@@ -212,13 +244,18 @@ class Simulator:
     @staticmethod
     def _next(u: Array, after: Array | None = None) -> Array:
         """The inputs one sample later; the last is held unless the one after it is given."""
-        return np.concatenate([u[1:], u[-1:] if after is None else after[None, :]])
+        last = u[-1:].copy()
+        if after is not None:
+            last[0, : len(after)] = after
+        return np.concatenate([u[1:], last])
 
     def simulate(self, u: Array, p: Array, x0: Array) -> Trajectory:
         """Simulate N samples from `x0` (nx,) under `u` (N, nu) with all parameters `p` (np,).
 
-        Values that overflow come back as inf or NaN: the caller reports what diverged.
+        `u` may be as `with_courses` returned it. Values that overflow come back as inf or NaN: the
+        caller reports what diverged.
         """
+        u = self.with_courses(u)
         x, y, _ = self._run(self._plain_step, np.ravel(x0), u, self._next(u), p)
         return Trajectory(y, np.vstack([np.reshape(x0, (1, self.nx)), x]))
 
@@ -229,6 +266,7 @@ class Simulator:
 
         `after` (nu,) is the input one sample after the last, where it is known: x[N] needs it.
         """
+        u = self.with_courses(u)
         n, nx, nv, ny, nf = len(u), self.nx, self.nv, self.ny, len(self._felt)
         start = np.zeros((nv - nx + nf, nf))
         start[nv - nx :, :] = np.eye(nf)

@@ -201,9 +201,10 @@ def left_out(model: Model) -> tuple[str, ...]:
     parts = [(f"the {_CALLED[s.kind]} of {s.channel}", s.parameter) for s in model.stages]
     carried = {s.carrier for s in model.stages if s.is_of_input}
     parts += [
-        (f"what {name} does between its samples", entry.ramp)
+        (f"what {name} does between its samples", blend.parameter)
         for name, entry in model.inputs.items()
-        if entry.ramp is not None and name not in carried
+        for blend in entry.blends
+        if name not in carried
     ]
     return tuple(
         f"{what} is left out" + (f", and {name} is not assessed" if name in gone else "")
@@ -238,7 +239,7 @@ def _in_stages_alone(model: Model) -> frozenset[str]:
     e = model.explicit()
     both = _without(ca.vertcat(e.f, e.h), _slopes(model), e)
     inside = {s.name() for s in ca.symvar(both)}
-    blends = {u.ramp for u in model.inputs.values() if u.ramp is not None}
+    blends = {b.parameter for u in model.inputs.values() for b in u.blends}
     return frozenset({s.parameter for s in model.stages} | blends) - inside
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from casid.errors import ModelError, UnitError
 from casid.model.effects.effect import Effect, Sizes
 from casid.model.effects.search_ranges import RANGES
-from casid.model.model import Input, Model, Parameter, Stage
+from casid.model.model import HOLDS, Blend, Hold, Input, Model, Parameter, Stage
 from casid.model.units import same_dimension, unit_quotient
 
 
@@ -54,18 +54,19 @@ def time_delay(model: Model, channel: str, longest: float) -> Effect:
 def carry(model: Model, stage: Stage) -> None:
     """Add a stage that prepares an input column, with the input that carries its tangent.
 
-    The carrier does between its samples what the channel does, so that the tangent is exact.
+    The carrier does between its samples what the channel does, so that the tangent is exact. Behind
+    a lag an input is a line in each sample, with a column for its end; a band-limited one stays so.
     """
     entry = model.inputs[stage.channel]
     per_second = unit_quotient(entry.unit, "s", 1)
     carrier = model.add_input(
-        Input(stage.carrier, per_second, "generated", entry.hold, ramp=entry.ramp)
+        Input(stage.carrier, per_second, "generated", entry.hold, blends=entry.blends)
     )
     model.substitute_symbol(
         stage.channel, model.symbol(stage.channel) + model.symbol(stage.parameter) * carrier
     )
     model.stages = (*model.stages, stage)
-    if is_lagging(model, stage.channel):
+    if is_lagging(model, stage.channel) and model.acting_hold(stage.channel) != "bandlimited":
         for name in (stage.channel, *_carriers(model, stage.channel)):
             unit = model.inputs[name].unit
             model.add_input(Input(Stage.end_of(name), unit, "generated", "zoh"))
@@ -153,35 +154,77 @@ def cross_axis(model: Model, channel: str, source: str, unit: str) -> Effect:
     return Effect("cross_axis", channel, (p,), apply, priority=1)
 
 
-def hold(model: Model, channel: str) -> Effect:
+def hold(model: Model, channel: str, toward: Hold | None = None) -> Effect:
     """An input that does between its samples what the model does not say.
 
-    The blend b moves it by (1 - b) of the declared hold and b of the other: b = 0 is the model, an
-    estimate near 1 says that a held input is joined by straight lines, or the other way round. In a
-    slow model it is a delay of b Ts / 2. Where the record cannot separate them, the hold is named
-    for an input that is declared as held, as a delay of just half a sample is rare; the delay for
-    one that is joined by straight lines, as sensors are late.
+    The blend b moves it from what is declared to `toward`, by default from held to straight lines
+    and else to held: b = 0 is the model, b = 1 an input that does what `toward` says. Extended from
+    a b other than 0, the effect has no free parameter: an input does the one or the other. In a
+    slow model a change between held and straight lines is a delay of half a sample. Where the
+    record cannot separate them, the hold is named for an input that is declared as held, as a delay
+    of just half a sample is rare; the delay for one that is joined by straight lines, as sensors
+    are late.
 
     Raises
     ------
     ModelError
-        If the input has a blend already, or no record.
+        If the input has this blend already, no record, or does what is requested.
     """
     entry = model.inputs[channel]
-    if entry.ramp is not None or entry.kind not in ("measured", "known"):
+    if toward is None:
+        toward = "foh" if entry.hold == "zoh" else "zoh"
+    blends = {b.toward: b.parameter for b in entry.blends}
+    if toward in blends or entry.kind not in ("measured", "known"):
         raise ModelError(
             f"{model.name}: input {channel} "
-            + (f"has the blend {entry.ramp} already" if entry.ramp else f"is {entry.kind}")
+            + (f"has the blend {blends[toward]} already" if blends else f"is {entry.kind}")
             + "; request the hold of a recorded input that has none"
         )
-    p = Parameter(f"ramp_{channel}", "1", 0.0, lower=0.0, upper=1.0)
+    if toward == entry.hold or toward not in HOLDS:
+        others = " or ".join(repr(h) for h in HOLDS if h != entry.hold)
+        raise ModelError(
+            f"{model.name}: toward={toward!r}, but input {channel} is declared "
+            f"hold={entry.hold!r}; request {others}"
+        )
+    p = Parameter(f"{_BLENDS[entry.hold, toward]}_{channel}", "1", 0.0, lower=0.0, upper=1.0)
 
     def apply(new: Model, names: Sequence[str]) -> None:
+        p = new.parameters[names[0]]
+        if p.start > 0.0:
+            new.parameters[names[0]] = replace(p, start=1.0, lower=1.0, upper=1.0)
         for name in (channel, *_carriers(new, channel)):
-            new.inputs[name] = replace(new.inputs[name], ramp=names[0])
+            entry = new.inputs[name]
+            new.inputs[name] = replace(entry, blends=(*entry.blends, Blend(names[0], toward)))
 
-    priority = 0 if entry.hold == "zoh" else 2
-    return Effect("hold", channel, (p,), apply, sided="positive", limit=1.0, priority=priority)
+    return Effect(
+        "hold",
+        channel,
+        (p,),
+        apply,
+        sided="positive",
+        cost=0,  # extended, it has no free parameter
+        priority=0 if entry.hold == "zoh" else 2,
+        shape=toward if toward == "bandlimited" else "",
+        description=_COURSES[toward],
+    )
+
+
+_COURSES: Mapping[Hold, str] = {
+    "zoh": "held between its samples",
+    "foh": "joined by straight lines between its samples",
+    "bandlimited": "band-limited between its samples",
+}
+"""What each hold has an input do."""
+
+_BLENDS: Mapping[tuple[Hold, Hold], str] = {
+    ("zoh", "foh"): "ramp",
+    ("foh", "zoh"): "ramp",
+    ("bandlimited", "foh"): "ramp",
+    ("bandlimited", "zoh"): "held",
+    ("zoh", "bandlimited"): "smooth",
+    ("foh", "bandlimited"): "smooth",
+}
+"""Declared hold and the other one -> what the blend's parameter is called."""
 
 
 def saturation(model: Model, channel: str, limit: float) -> Effect:
@@ -217,8 +260,10 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
             if source != channel and _is_alike(own, unit)
         ]
     for channel, entry in model.inputs.items():
-        if entry.kind in ("measured", "known") and entry.ramp is None:
-            effects.append(hold(model, channel))
+        if entry.kind in ("measured", "known") and not entry.blends:
+            lines = is_lagging(model, channel) and Stage.end_of(channel) in model.inputs
+            others = [h for h in HOLDS if h != entry.hold and not (lines and h == "bandlimited")]
+            effects += [hold(model, channel, other) for other in others]
     return effects
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -161,20 +161,65 @@ def test_a_scale_of_a_late_input_scales_the_slope_that_carries_its_delay():
     assert jac == pytest.approx(slope, abs=1e-4 * np.abs(jac).max())
 
 
-@pytest.mark.parametrize(("declared", "other"), [("zoh", "foh"), ("foh", "zoh")])
+HOLDS = ("zoh", "foh", "bandlimited")
+JAGGED = np.random.default_rng(5).normal(size=200)
+
+
+@pytest.mark.parametrize(("declared", "other"), list(itertools.permutations(HOLDS, 2)))
 def test_a_blend_of_one_is_the_other_hold(declared, other):
     m = oscillator(declared)
-    blended = outputs(hold(m, "force").extend(m), ramp_force=1.0)
-    assert blended == pytest.approx(outputs(oscillator(other)), abs=1e-14)
-    assert np.abs(blended - outputs(m)).max() > 1e-4
+    effect = hold(m, "force", other)
+    (p,) = effect.parameters
+    true = outputs(oscillator(other), JAGGED)
+    blended = outputs(effect.extend(m), JAGGED, **{p.name: 1.0})
+    assert blended == pytest.approx(true, abs=1e-13)
+    settled = effect.extend(m, starts={p.name: 1.0})
+    assert settled.acting_hold("force") == other
+    assert outputs(settled, JAGGED) == pytest.approx(true, abs=1e-13)
+    assert np.abs(blended - outputs(m, JAGGED)).max() > 1e-4
 
 
-def test_an_input_has_one_blend():
+def test_the_derivative_of_a_blend_is_what_it_changes():
+    """A blend is linear in its parameter, and so are this oscillator's outputs."""
+    m = oscillator("foh")
+    for other in ("zoh", "bandlimited"):
+        model = hold(m, "force", other).extend(m)
+        criterion = criterion_of(model, JAGGED)
+        name = next(n for n in criterion.names if n.endswith("_force"))
+        whole = outputs(model, JAGGED, **{name: 1.0}) - outputs(model, JAGGED)
+        i = criterion.names.index(name)
+        jac = criterion.simulate(at(criterion), 0, tangent=True)[2][:, :, i]
+        assert jac == pytest.approx(whole, abs=1e-13)
+
+
+def test_an_input_has_one_blend_towards_each_hold():
     m = oscillator()
     extended = hold(m, "force").extend(m)
     with pytest.raises(casid.ModelError, match="blend ramp_force already; request the hold of a"):
         hold(extended, "force")
+    with pytest.raises(casid.ModelError, match="declared hold='foh'; request 'zoh' or 'bandlim"):
+        hold(m, "force", "foh")
     assert "hold" not in {e.kind for e in channel_effects_of(extended, SIZES, {})}
+    found = {e.key for e in channel_effects_of(m, SIZES, {}) if e.kind == "hold"}
+    assert found == {("hold", "force"), ("hold", "force: bandlimited")}
+
+
+def test_an_actuator_behind_a_band_limited_command_lags_smoothly():
+    """A lag of a time constant far below Ts leaves the band-limited command as it is."""
+    for declared in HOLDS:
+        m = oscillator(declared)
+        lagging = casid.actuator_lag(m, "force", 0.5).extend(m)
+        assert outputs(lagging, tau_force=0.0) == pytest.approx(outputs(m), abs=1e-10)
+    t = TS * np.arange(600)
+    w, tau = 11.0, 0.08
+    m = oscillator("bandlimited")
+    lagging = casid.actuator_lag(m, "force", 0.5).extend(m)
+    behind = (np.exp(1j * (w * t - np.pi / 2)) / (1 + 1j * w * tau)).real
+    y = outputs(lagging, np.sin(w * t), tau_force=tau)
+    transient = int(5 * tau / TS) + 40
+    # What the actuator holds at the start dies out with it and with the oscillator: compare forces.
+    force = 2.0 * np.gradient(y[:, 1], TS) + 1.5 * y[:, 1] + 50.0 * y[:, 0]
+    assert force[transient:-5] == pytest.approx(behind[transient:-5], abs=0.02)
 
 
 SIZES = Sizes({"x": 0.1, "v": 1.0}, {}, (0.0, 12.0), 0.1)
@@ -234,4 +279,4 @@ def test_units_follow_the_channel():
     m = pendulum.problem.model
     assert sensor_scale(m, "gyro").parameters[0].unit == "1"
     assert sensor_lag(m, "gyro", 0.1).parameters[0].unit == "s"
-    assert dataclasses.asdict(m.inputs["accel"])["ramp"] is None
+    assert m.inputs["accel"].blends == ()
