@@ -18,6 +18,7 @@ import numpy as np
 import casid
 from analysis.diagnosis_power.energy import FITTED, strength_of_outliers
 from analysis.diagnosis_power.judgement import TIMING
+from casid.model.effects.effect import KINDS
 
 PARTS = ("nulls", "single", "pairs", "unlisted", "roll", "ship")
 """Parts that have cases of their own; the others judge the same cases again."""
@@ -209,7 +210,7 @@ STRANGE: tuple[str, ...] = (
     "jitter",
     "multiplicative_noise",
 )
-"""Effects that the catalogue has not at all."""
+"""Effects that the catalogue has not at all, or is left without."""
 
 
 ALIKE = (*TIMING, "actuator_lag")
@@ -220,7 +221,7 @@ def _unlisted(number: int, rng: np.random.Generator) -> Case:
     """By turns, an effect that no catalogue has and one whose kind is taken out of it."""
     sampled, energy = _sampled(rng), _energy(rng)
     kind, where = STRANGE[number // 2 % len(STRANGE)], None
-    without: tuple[str, ...] = ()
+    without: tuple[str, ...] = (kind,) if kind in KINDS else ()
     if number % 2:
         kind, where = SINGLE[number // 2 % len(SINGLE)]
         without = ALIKE if kind in TIMING else (kind,)

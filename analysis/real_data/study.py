@@ -29,6 +29,7 @@ from casid.estimation.equation_error import equation_error
 from casid.estimation.measured_motion import Butterworth
 from casid.model.effects.balance_effects import (
     coulomb_friction,
+    cubic_damping,
     cubic_stiffness,
     offset,
     quadratic_damping,
@@ -132,13 +133,13 @@ def _rolls() -> dict[str, casid.Model]:
     assert cubic is not None
     hard = model.extend(cubic)
     unnamed = {e.shape: e for e in unnamed_effects(hard, "torque", 1e-3)}
-    steep = hard.extend(unnamed["p^3"])
+    steep = hard.extend(cubic_damping(hard, "torque"))
     return {
         "k_3 phi^3, d_2 |p| p": hard.extend(quadratic_damping(hard, "torque")),
-        "k_3 phi^3, c p^3": steep,
-        "k_3 phi^3, c p^3, c_5 phi^5": steep.extend(unnamed["phi^5"]),
-        "c_5 phi^5, c p^3, dry friction": model.extend(unnamed["phi^5"])
-        .extend(unnamed["p^3"])
+        "k_3 phi^3, d_3 p^3": steep,
+        "k_3 phi^3, d_3 p^3, c_5 phi^5": steep.extend(unnamed["phi^5"]),
+        "c_5 phi^5, d_3 p^3, dry friction": model.extend(unnamed["phi^5"])
+        .extend(cubic_damping(model, "torque"))
         .extend(coulomb_friction(model, "torque", speed=0.004)),
     }
 
@@ -158,7 +159,7 @@ def _differences(d: casid.Diagnosis, data: Mapping[str, casid.Experiment]) -> No
                 for p in sizes.values()
             )
             print(f"     a size for each run: {record}: {found}")
-    model = _rolls()["k_3 phi^3, c p^3"]
+    model = _rolls()["k_3 phi^3, d_3 p^3"]
     a, b = (_roll_fit(model, [e]) for e in data.values())
     for name in model.parameters:
         p, q = a.parameter(name), b.parameter(name)

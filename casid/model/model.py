@@ -576,6 +576,11 @@ class Model(Viewed):
         self.balances[balance] = replace(old, terms=(*old.terms, ca.SX(term)))
         self._explicit = None
 
+    def add_rate(self, state: str, rate: Expr) -> None:
+        """Add to the stated derivative of a state (used by effects on their own copy)."""
+        self._rates[state] = self._rates[state] + ca.SX(rate)
+        self._explicit = None
+
     def replace_output(self, name: str, expression: Expr, unit: str) -> None:
         """Give an output another expression (used by effects on their own copy)."""
         self.outputs[name] = (ca.SX(expression), unit)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
+from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import PREWHITENING
 from casid.model.effects.effect import Sizes, Spread
@@ -31,7 +34,21 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
             n: (float(low), float(most))
             for n, low, most in zip(at.model.states, x.min(axis=0), x.max(axis=0), strict=True)
         },
+        course=lambda expression: _course(at, [s.x for s in sims], expression),
     )
+
+
+def _course(at: Weighted, states: Sequence[Array], expression: Any) -> Array:
+    """An expression of states, inputs and parameters along the simulations."""
+    e = at.model.explicit()
+    function = ca.Function("course", [e.x, e.u, e.p], [ca.densify(expression)])
+    parts = []
+    for k, (x, d) in enumerate(zip(states, at.criterion.data, strict=True)):
+        p, _ = at.criterion.parameter_vector(at.fit.x, k)
+        n = min(len(x), d.N)
+        values = function.map(n)(x[:n].T, d.u[:n].T, np.tile(np.asarray(p)[:, None], (1, n)))
+        parts.append(values.full().ravel())
+    return np.concatenate(parts)
 
 
 def _spread(at: Weighted, channel: str) -> Spread:

@@ -19,6 +19,7 @@ from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import COMPARISON, FRICTION
 from casid.model.effects.balance_effects import coulomb_friction
+from casid.model.effects.places import place_named
 
 
 def sharpened(
@@ -87,13 +88,17 @@ def _sharpest(found: Candidate) -> float:
     """
     criterion, e = found.fit.criterion, found.model.explicit()
     F_c = found.model.symbol(found.names[0])
-    rate = found.model.balances[found.effect.where].rate
-    slope = ca.jacobian(e.f[e.states.index(rate)], F_c)
+    velocity = place_named(found.model, found.effect.where).velocity
+    direction = ca.jacobian(velocity, e.x)
+    slope = ca.jacobian(direction @ e.f, F_c)
     of = ca.Function("slope", [e.x, e.u, e.p], [ca.densify(slope)])
     fastest = 0.0
     for k, d in enumerate(criterion.data):
         p, start = criterion.parameter_vector(found.fit.x, k)
-        x = np.where(np.array(e.states) == rate, 1e3 * found.effect.constants["speed"], start)
+        moving = np.array(direction.sparsity().get_col())
+        x = np.array(start, dtype=float)
+        x[moving] = 0.0
+        x[moving[0]] = 1e3 * found.effect.constants["speed"]
         deceleration = abs(float(of(x, d.u.mean(axis=0), p))) * found.fit.values[found.names[0]]
         fastest = max(fastest, deceleration * d.Ts / criterion.substeps)
     return max(fastest / FRICTION.stable, TINY)

@@ -16,10 +16,17 @@ from casid.diagnosis.verdict.cause import Cause, Verdict
 from casid.model.effects.effect import Effect
 
 _SAYS = {
-    "quadratic_damping": "damping that grows with the rate squared acts in the {where} balance",
-    "coulomb_friction": "dry (Coulomb) friction acts in the {where} balance",
-    "cubic_stiffness": "the restoring {where} is not linear: it has a cubic term",
-    "deadzone": "the restoring {where} has play (a dead zone)",
+    "quadratic_damping": "damping that grows with the rate squared acts in {place}",
+    "cubic_damping": "damping that grows with the cube of the rate acts in {place}",
+    "coulomb_friction": "dry (Coulomb) friction acts in {place}",
+    "asymmetric_friction": "friction is larger in one direction than in the other in {place}",
+    "stribeck_friction": "friction that falls as the motion begins (Stribeck) acts in {place}",
+    "cubic_stiffness": "{restoring} is not linear: it has a cubic term",
+    "quadratic_stiffness": "{restoring} is not linear: it is stiffer to one side",
+    "deadzone": "{restoring} has play (a dead zone)",
+    "backlash": "{restoring} has play, which spring and damper share (backlash)",
+    "end_stop": "a stop (or an overflow) limits the motion in {place}",
+    "cogging": "a force that is periodic in the position (cogging) acts in {place}",
     "offset": "a constant {where} acts on the system",
     "periodic_disturbance": "an unrecorded periodic disturbance acts in the {where} balance",
     "parameter_drift": "the parameter {where} drifts during the record",
@@ -34,13 +41,28 @@ _SAYS = {
     "hold": "the input {where} moves between its samples in another way than the model assumes",
     "actuator_lag": "the command {where} acts with a first-order lag",
     "missing_mode": "an unmodelled oscillating part reacts on the {where} balance",
+    "actuator_saturation": "the command {where} acts up to a limit alone",
     "saturation": "the channel {where} is clipped",
+    "rectified": "the channel {where} shows the absolute value",
+    "lever_arm": "the sensor of {where} sits away from the assumed point",
+    "quantisation": "the channel {where} is recorded in coarse steps",
     "outliers": "the channel {where} has isolated outliers",
 }
 
 
 _SEPARATES = {
     "quadratic_damping": "free decays from a large and a small amplitude",
+    "cubic_damping": "free decays from a large and a small amplitude",
+    "asymmetric_friction": "the same motion in both directions",
+    "stribeck_friction": "motion that is reversed slowly, and at speed",
+    "quadratic_stiffness": "the same motion to both sides, and a static deflection",
+    "backlash": "motion well inside the play and far beyond it, and a knock through it",
+    "end_stop": "motion up to the stop, and well within it",
+    "cogging": "slow turning through several periods, at two speeds",
+    "actuator_saturation": "a record at half the command",
+    "rectified": "a record that changes its sign, beside a second sensor",
+    "lever_arm": "rotation about another point, or a second sensor at a known distance",
+    "quantisation": "a record at a finer resolution, or with a larger amplitude",
     "coulomb_friction": "slow motion and free decays to rest, where dry friction dominates",
     "cubic_stiffness": "excitation at two clearly different amplitudes",
     "deadzone": "motion well inside the play and far beyond it",
@@ -64,9 +86,11 @@ _SEPARATES = {
 }
 
 
-def says_kind(kind: str, where: str) -> str:
-    """A kind of the catalogue in words."""
-    return _SAYS[kind].format(where=where)
+def says_kind(kind: str, where: str, *, is_relative: bool = False) -> str:
+    """A kind of the catalogue in words; `is_relative` where the place is a relative motion."""
+    place = f"the relative motion {where}" if is_relative else f"the {where} balance"
+    restoring = f"the spring that acts on {where}" if is_relative else f"the restoring {where}"
+    return _SAYS[kind].format(where=where, place=place, restoring=restoring)
 
 
 def says(effect: Effect, column: str = "") -> str:
@@ -81,7 +105,7 @@ def says(effect: Effect, column: str = "") -> str:
     if effect.kind == "hold" and effect.description:
         return f"the input {effect.where} is {effect.description}, unlike in the model"
     if effect.kind in _SAYS:
-        return says_kind(effect.kind, effect.where)
+        return says_kind(effect.kind, effect.where, is_relative=bool(effect.description))
     what = effect.description or f"{effect.kind} acts"
     if effect.kind == "unknown":
         return f"unidentified {effect.where}, best described as: {what}"

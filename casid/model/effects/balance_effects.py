@@ -1,62 +1,119 @@
-"""Effects in a balance: forces and torques that a mechanical model often omits."""
+"""Effects in a balance, or on a relative motion: forces that a model often omits.
+
+A place (`places`) is a balance by its name or a relative motion that a term of the model acts on; a
+force there enters every equation of the place. v is the place's velocity, q its position.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from casid.errors import UnitError
 from casid.model.dimensional_analysis import carrying_unit
-from casid.model.effects.effect import Effect
+from casid.model.effects.effect import Effect, Sided
+from casid.model.effects.places import Place, place_named
 from casid.model.model import Input, Model, Parameter
-from casid.model.units import unit_quotient
+from casid.model.units import same_dimension, unit_quotient
+
+Expr = Any  # a CasADi expression
 
 
-def quadratic_damping(model: Model, balance: str) -> Effect:
-    """-d_2 |v| v in a balance (drag, eddies), d_2 >= 0."""
-    b = model.balances[balance]
-    unit = unit_quotient(b.unit, model.states[b.rate].unit, 2)
+def force_along(
+    place: Place,
+    kind: str,
+    parameter: Parameter,
+    force: Callable[[Any], Expr],
+    **more: Any,
+) -> Effect:
+    """An effect that is a force with one parameter along a place; `more` as `Effect` takes it."""
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        v = new.symbol(b.rate)
-        new.add_term(balance, -new.symbol(names[0]) * ca.fabs(v) * v)
+        place.add(new, force(new.symbol(names[0])))
 
-    p = Parameter("d_2", unit, 0.0, lower=0.0)
-    return Effect("quadratic_damping", balance, (p,), apply, sided="positive")
+    more.setdefault("description", place.words)
+    return Effect(kind, place.where, (parameter,), apply, **more)
 
 
-def coulomb_friction(model: Model, balance: str, speed: float) -> Effect:
-    """-F_c tanh(v / v_0) in a balance: dry friction, smoothed below `speed` = v_0 (rate's SI unit).
+def quadratic_damping(model: Model, where: str | Place, about: float = 0.0) -> Effect:
+    """-d_2 |v| v (drag, eddies), d_2 >= 0; of a temperature, about an operating point v_0.
+
+    `about` is v_0 in the rate's SI unit: -d_2 |v - v_0| (v - v_0).
+    """
+    place = place_named(model, where)
+    v = _about(place.velocity, about)
+    p = Parameter("d_2", place.velocity_power(2), 0.0, lower=0.0)
+    constants = {"about": about} if about else {}
+    return force_along(
+        place,
+        "quadratic_damping",
+        p,
+        lambda d_2: -d_2 * ca.fabs(v) * v,
+        sided="positive",
+        constants=constants,
+    )
+
+
+def cubic_damping(model: Model, where: str | Place, about: float = 0.0) -> Effect:
+    """-d_3 v^3, or -d_3 (v - v_0)^3 with `about` v_0 (rate's SI unit)."""
+    place = place_named(model, where)
+    v = _about(place.velocity, about)
+    p = Parameter("d_3", place.velocity_power(3), 0.0)
+    constants = {"about": about} if about else {}
+    return force_along(place, "cubic_damping", p, lambda d_3: -d_3 * v**3, constants=constants)
+
+
+def coulomb_friction(model: Model, where: str | Place, speed: float) -> Effect:
+    """-F_c tanh(v / v_0): dry friction, smoothed below `speed` = v_0 (rate's SI unit).
 
     The smoothing keeps the simulation differentiable; it is small against the speeds met.
     """
-    b, v_0 = model.balances[balance], carrying_unit(speed)
+    place = place_named(model, where)
+    v_0 = carrying_unit(speed)
+    p = Parameter("F_c", place.unit, 0.0, lower=0.0)
+    return force_along(
+        place,
+        "coulomb_friction",
+        p,
+        lambda F_c: -F_c * ca.tanh(place.velocity / v_0),
+        sided="positive",
+        constants={"speed": speed},
+    )
 
-    def apply(new: Model, names: Sequence[str]) -> None:
-        new.add_term(balance, -new.symbol(names[0]) * ca.tanh(new.symbol(b.rate) / v_0))
 
-    p = Parameter("F_c", b.unit, 0.0, lower=0.0)
-    constants = {"speed": speed}
-    return Effect("coulomb_friction", balance, (p,), apply, sided="positive", constants=constants)
+def cubic_stiffness(model: Model, where: str | Place, about: float = 0.0) -> Effect | None:
+    """-k_3 (q - q_0)^3, q the position; hardening or softening. None without a position.
+
+    `about` is q_0 in the position's SI unit: zero, or the middle of a motion that stays away from
+    zero, where a cube about zero would be a line and a parabola.
+    """
+    return _restoring(model, where, "cubic_stiffness", 3, about, "both")
 
 
-def cubic_stiffness(model: Model, balance: str) -> Effect | None:
-    """-k_3 q^3 in a balance, q the position; hardening or softening."""
-    b = model.balances[balance]
-    position = model.position_of(b.rate)
-    if position is None:
+def quadratic_stiffness(model: Model, where: str | Place, about: float = 0.0) -> Effect | None:
+    """-k_2 (q - q_0)^2: a spring that is stiffer to one side; `about` as for `cubic_stiffness`."""
+    return _restoring(model, where, "quadratic_stiffness", 2, about, "both")
+
+
+def _restoring(
+    model: Model, where: str | Place, kind: str, power: int, about: float, sided: Sided
+) -> Effect | None:
+    place = place_named(model, where)
+    if place.position is None:
         return None
-    unit = unit_quotient(b.unit, model.states[position].unit, 3)
+    q = _about(place.position, about)
+    unit = unit_quotient(place.unit, place.position_unit, power)
+    p = Parameter(f"k_{power}", unit, 0.0)
+    constants = {"about": about} if about else {}
+    return force_along(place, kind, p, lambda k: -k * q**power, sided=sided, constants=constants)
 
-    def apply(new: Model, names: Sequence[str]) -> None:
-        new.add_term(balance, -new.symbol(names[0]) * new.symbol(position) ** 3)
 
-    return Effect("cubic_stiffness", balance, (Parameter("k_3", unit, 0.0),), apply)
-
-
-def deadzone(model: Model, balance: str, width: float, largest: float = np.inf) -> Effect | None:
+def deadzone(
+    model: Model, where: str | Place, width: float, largest: float = np.inf
+) -> Effect | None:
     """Play in the restoring force: the position q acts as q - clip(q, -gap, gap), gap >= 0.
 
     The term is K s(q, gap) with K the effective stiffness and
@@ -70,28 +127,36 @@ def deadzone(model: Model, balance: str, width: float, largest: float = np.inf) 
     ----------
     largest : largest |q| met; a gap as wide as the motion leaves no restoring force to see.
     """
-    position = model.position_of(model.balances[balance].rate)
-    if position is None:
+    place = place_named(model, where)
+    if place.position is None:
         return None
-    K = effective_stiffness(model, balance, position)
+    K = stiffness_of(model, place)
     if K is None:
         return None
-
-    def apply(new: Model, names: Sequence[str]) -> None:
-        q, gap = new.symbol(position), new.symbol(names[0])
-        square = carrying_unit(width**2)
-
-        def rounded(x: Any) -> Any:
-            return ca.sqrt(x**2 + square)
-
-        new.add_term(balance, K * (rounded(q + gap) - rounded(q - gap)) / 2)
-
-    p = Parameter("gap", model.states[position].unit, 0.0, lower=0.0, upper=largest)
-    limit = largest if np.isfinite(largest) else None
-    constants = {"width": width}
-    return Effect(
-        "deadzone", balance, (p,), apply, sided="positive", limit=limit, constants=constants
+    p = Parameter("gap", place.position_unit, 0.0, lower=0.0, upper=largest)
+    return force_along(
+        place,
+        "deadzone",
+        p,
+        lambda gap: K * clipped_motion(place.position, gap, width),
+        sided="positive",
+        limit=largest if np.isfinite(largest) else None,
+        constants={"width": width},
     )
+
+
+def clipped_motion(q: Expr, gap: Expr, width: float) -> Expr:
+    """s(q, gap) of `deadzone`: clip(q, -gap, gap) with corners rounded over `width`."""
+    square = carrying_unit(width**2)
+    return (ca.sqrt((q + gap) ** 2 + square) - ca.sqrt((q - gap) ** 2 + square)) / 2
+
+
+def stiffness_of(model: Model, place: Place) -> Expr | None:
+    """The stiffness K that a force along a place has beside it, None where there is none."""
+    if place.where in model.balances:
+        symbol = ca.symvar(place.position)
+        return effective_stiffness(model, place.where, symbol[0].name())
+    return place.stiffness
 
 
 def effective_stiffness(model: Model, balance: str, position: str) -> Any | None:
@@ -130,13 +195,33 @@ def offset(model: Model, balance: str) -> Effect:
 
 
 def extra_input(model: Model, balance: str, channel: str, unit: str) -> Effect:
-    """A recorded channel that acts in a balance although the model does not use it."""
+    """A recorded channel that acts in a balance although the model does not use it.
+
+    A channel of the rate's own kind in a balance of no force (a temperature beside a heat balance)
+    exchanges: what acts is its difference to the rate, b (c - x).
+    """
     b = model.balances[balance]
     p = Parameter(f"b_{channel}", unit_quotient(b.unit, unit, 1), 0.0)
+    exchanges = not place_named(model, balance).is_mechanical and _is_alike(
+        unit, model.states[b.rate].unit
+    )
 
     def apply(new: Model, names: Sequence[str]) -> None:
         u = new.add_input(Input(channel, unit, "known", "foh"))
-        new.add_term(balance, new.symbol(names[0]) * u)
+        acts = u - new.symbol(b.rate) if exchanges else u
+        new.add_term(balance, new.symbol(names[0]) * acts)
 
     # A late sensor acts much as what drives the system does, and is met more often.
     return Effect("extra_input", channel, (p,), apply, priority=3)
+
+
+def _about(coordinate: Expr, point: float) -> Expr:
+    """A coordinate counted from an operating point."""
+    return coordinate - carrying_unit(point) if point else coordinate
+
+
+def _is_alike(unit: str, other: str) -> bool:
+    try:
+        return same_dimension(unit, other)
+    except UnitError:
+        return False

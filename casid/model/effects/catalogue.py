@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
+import numpy as np
+
 from casid.model.effects.balance_effects import (
     coulomb_friction,
+    cubic_damping,
     cubic_stiffness,
     deadzone,
     extra_input,
     offset,
     quadratic_damping,
+    quadratic_stiffness,
 )
 from casid.model.effects.channel_effects import (
     channel_effects_of,
@@ -18,14 +22,21 @@ from casid.model.effects.channel_effects import (
     sensor_bias,
     time_delay,
 )
+from casid.model.effects.contact_effects import Side, backlash, end_stop
 from casid.model.effects.effect import Effect, Sizes
+from casid.model.effects.friction_effects import (
+    asymmetric_coulomb,
+    asymmetric_damping,
+    stribeck_friction,
+)
 from casid.model.effects.parameter_effects import (
     jump_times,
     parameter_drift,
     parameter_jump,
     scheduled_parameter,
 )
-from casid.model.effects.search_ranges import RANGES, SMOOTHING
+from casid.model.effects.places import Place, places_of
+from casid.model.effects.search_ranges import FRICTION_RANGES, RANGES, SMOOTHING
 from casid.model.effects.structure_effects import missing_modes_of, structure_effects_of
 from casid.model.effects.unnamed_effects import is_positive, power_law, unnamed_effects
 from casid.model.model import Model
@@ -51,24 +62,11 @@ def catalogue(
     without : kinds to leave out.
     """
     effects: list[Effect] = []
-    for balance, b in model.balances.items():
-        speed = SMOOTHING.speed * max(sizes.rates[b.rate], 1e-12)
-        effects.append(quadratic_damping(model, balance))
-        if not is_positive(sizes.ranges.get(b.rate, (-1.0, 1.0))):
-            # Where the rate keeps its sign, dry friction is a constant force.
-            effects.append(coulomb_friction(model, balance, speed))
-        cubic = cubic_stiffness(model, balance)
-        if cubic is not None:
-            effects.append(cubic)
-        position = model.position_of(b.rate)
-        if position is not None:
-            largest = sizes.largest_motion(position)
-            width = SMOOTHING.width * max(sizes.rates[position], 1e-12)
-            play = deadzone(model, balance, width, largest)
-            effects += [play] if play is not None else []
-        effects.append(offset(model, balance))
-        effects += unnamed_effects(model, balance, speed)
-        effects += [extra_input(model, balance, c, u) for c, u in recorded.items()]
+    for place in places_of(model):
+        effects += forces_at(model, place, sizes)
+        if place.where in model.balances:
+            effects.append(offset(model, place.where))
+            effects += [extra_input(model, place.where, c, u) for c, u in recorded.items()]
     for state, ends in sizes.ranges.items():
         law = power_law(model, state, sizes.rates[state]) if is_positive(ends) else None
         effects += [law] if law is not None else []
@@ -84,6 +82,59 @@ def catalogue(
     for channel, largest in sizes.largest.items():
         effects += [saturation(model, channel, share * largest) for share in RANGES.limits]
     return [e for e in effects if e.kind not in without]
+
+
+def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
+    """Forces in velocity and position of a place, with smoothing and ranges from the records."""
+    effects: list[Effect] = []
+    speed = 0.0
+    if place.velocity is not None:
+        motion = sizes.motion_of(place.velocity)
+        rms = max(motion.rms, 1e-12)
+        speed = SMOOTHING.speed * rms
+        # Drag grows with the speed through the medium; a temperature has no such zero.
+        about = 0.0 if place.is_mechanical else motion.operating_point
+        effects.append(quadratic_damping(model, place, about))
+        effects.append(cubic_damping(model, place, about))
+        # Where the rate keeps its sign, dry friction is a constant force.
+        if not motion.is_signed and (place.is_mechanical or not place.is_relative):
+            effects.append(coulomb_friction(model, place, speed))
+        if not motion.is_signed and place.is_mechanical:
+            effects.append(asymmetric_damping(model, place))
+            effects.append(asymmetric_coulomb(model, place, speed))
+            for share in FRICTION_RANGES.starts:
+                effects.append(stribeck_friction(model, place, speed, share * rms, rms))
+    found: list[Effect | None] = []
+    if place.position is not None:
+        motion = sizes.motion_of(place.position)
+        about = motion.operating_point
+        width = SMOOTHING.width * max(motion.rms, 1e-12)
+        found += [
+            cubic_stiffness(model, place, about),
+            quadratic_stiffness(model, place, about),
+            deadzone(model, place, width, motion.largest),
+        ]
+        if place.is_mechanical:
+            found.append(backlash(model, place, width, motion.largest))
+    found += _stops_at(model, place, sizes)
+    effects += [e for e in found if e is not None]
+    return effects + unnamed_effects(model, place, speed)
+
+
+def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
+    """Stops of a mechanical position, or the overflow of a store that stays filled."""
+    q = place.position if place.is_mechanical else place.velocity
+    if q is None or (not place.is_mechanical and place.is_relative):
+        return []
+    motion = sizes.motion_of(q)
+    if not place.is_mechanical and not motion.is_signed:
+        return []
+    sides: tuple[Side, ...] = ("both", "upper", "lower") if place.is_mechanical else ("upper",)
+    middle, reach = 0.5 * (motion.low + motion.high), 0.5 * (motion.high - motion.low)
+    if not np.isfinite(reach) or reach <= 0.0:
+        return []
+    width = SMOOTHING.width * reach
+    return [end_stop(model, place, side, middle, reach, width) for side in sides]
 
 
 def _parameter_variations(

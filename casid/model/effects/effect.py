@@ -10,8 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+import casadi as ca
 import numpy as np
 
+from casid.arrays import Array
 from casid.errors import ModelError
 from casid.model.effects.search_ranges import SMOOTHING
 from casid.model.model import Model, Parameter
@@ -21,10 +23,11 @@ Sided = Literal["positive", "both"]
 Test = Literal["score", "clip", "peak"]
 
 KINDS = frozenset(
-    """quadratic_damping coulomb_friction cubic_stiffness deadzone offset extra_input
+    """quadratic_damping cubic_damping coulomb_friction asymmetric_friction stribeck_friction
+    cubic_stiffness quadratic_stiffness deadzone backlash end_stop cogging offset extra_input
     periodic_disturbance parameter_drift parameter_jump scheduled_parameter sensor_bias sensor_scale
-    sensor_lag time_delay cross_axis saturation outliers hold actuator_lag missing_mode
-    unknown""".split()
+    sensor_lag time_delay cross_axis saturation rectified lever_arm quantisation outliers hold
+    actuator_lag actuator_saturation missing_mode unknown""".split()
 )
 """Names of kinds that mean what `diagnosis.json` says they mean, and nothing else."""
 
@@ -58,7 +61,8 @@ class Effect:
         "clip" for a limit that is met or not; "peak" for a line in the residual's spectrum.
     variant : the value of what is searched rather than differentiated (the instant of a jump).
     shape : what distinguishes effects of one kind in one place ("p^3").
-    description : the effect in words, where its kind is no name of `KINDS` that says it.
+    description : the effect in words, where its kind is no name of `KINDS` that says it; of one
+        that does, the equations that it enters where it acts on a relative motion.
     constants : numbers in it that are chosen rather than estimated, SI units: the `speed` below
         which dry friction is smoothed, the `time` of a jump.
     declared_units : parameter -> unit that it is shown in, where that is not SI.
@@ -139,12 +143,60 @@ class Sizes:
     Ts: float | None = None  # s
     channels: Mapping[str, Spread] = field(default_factory=dict)  # recorded beside the model's
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # state -> least, most
+    course: Callable[[Any], Array] | None = None  # expression in the simulation -> its samples
+    levels: Mapping[str, float] = field(default_factory=dict)  # channel -> its operating point
 
-    def largest_motion(self, state: str) -> float:
-        """Largest |state| of the simulation; four times its rms where that is all there is."""
-        if state in self.ranges:
-            return max(abs(end) for end in self.ranges[state])
-        return SMOOTHING.motion * self.rates.get(state, np.inf)
+    def motion_of(self, expression: Any) -> Motion:
+        """How an expression of states and inputs moves in the simulation.
+
+        Where no simulation is at hand, the rms is the sum of those of the states in it and the
+        range four of them to both sides.
+        """
+        if self.course is not None:
+            values = self.course(expression)
+            rms = float(np.sqrt(np.mean(values**2)))
+            return Motion(rms, float(values.min()), float(values.max()), float(values.mean()))
+        names = [s.name() for s in ca.symvar(ca.SX(expression))]
+        if len(names) == 1 and names[0] in self.ranges:
+            low, high = self.ranges[names[0]]
+            return Motion(self.rates[names[0]], low, high, 0.5 * (low + high))
+        rms = sum(self.rates.get(n, 0.0) for n in names)
+        most = SMOOTHING.motion * rms
+        return Motion(rms, -most, most, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """RMS, range and mean of a quantity in the fitted simulation, SI units."""
+
+    rms: float
+    low: float
+    high: float
+    mean: float
+
+    @property
+    def largest(self) -> float:
+        """Largest |value|."""
+        return max(abs(self.low), abs(self.high))
+
+    @property
+    def is_signed(self) -> bool:
+        """True if it stays on one side of zero, by a thousandth of its largest value at least."""
+        margin = SMOOTHING.above_zero * self.largest
+        return self.low > margin or self.high < -margin
+
+    @property
+    def operating_point(self) -> float:
+        """Where nonlinear terms are expanded: zero, or the mean of what stays away from zero."""
+        return self.mean if self.is_signed else 0.0
+
+
+def known_while_null(model: Model, names: Sequence[str]) -> None:
+    """Make an effect's further parameters known where its first is null: nothing shows them."""
+    if model.parameters[names[0]].start == 0.0:
+        for name in names[1:]:
+            p = model.parameters[name]
+            model.parameters[name] = replace(p, value=p.start)
 
 
 _PINNED = {"time_delay", "sensor_lag", "missing_mode"}

@@ -15,6 +15,8 @@ _TESTS = "tests/model/effects"
 _CATALOGUE = f"{_TESTS}/test_effect.py"
 _BALANCES = f"{_TESTS}/test_balance_effects.py"
 _CHANNELS = f"{_TESTS}/test_channel_effects.py"
+_CONTACT = f"{_TESTS}/test_contact_effects.py"
+_FRICTION = f"{_TESTS}/test_friction_effects.py"
 _STRUCTURE = f"{_TESTS}/test_structure_effects.py"
 _UNNAMED = f"{_TESTS}/test_unnamed_effects.py"
 
@@ -77,6 +79,28 @@ class Smoothing:
 
 
 @dataclass(frozen=True, slots=True)
+class FrictionRanges:
+    """The speeds over which friction falls as the motion begins."""
+
+    starts: tuple[float, ...] = _is(
+        (0.1, 0.35), "of the rms rate, the decay speeds that the search starts from", _FRICTION
+    )
+    decay: tuple[float, float] = _is(
+        (0.03, 1.0), "of the rms rate, lower and upper bound of the decay speed", _FRICTION
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ContactRanges:
+    """Where a stop is searched."""
+
+    start: float = _is(0.8, "of half the range, the limit that the search starts from", _CONTACT)
+    limit: tuple[float, float] = _is(
+        (0.3, 1.0), "of half the range, lower and upper bound of a stop", _CONTACT
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Ranges:
     """Bounds of what an effect's first parameter may be."""
 
@@ -106,10 +130,21 @@ PARAMETER_JUMPS = ParameterJumps()
 MISSING_MODES = MissingModes()
 PERIODIC_FORCES = PeriodicForces()
 SMOOTHING = Smoothing()
+FRICTION_RANGES = FrictionRanges()
+CONTACT_RANGES = ContactRanges()
 RANGES = Ranges()
 UNNAMED_EFFECTS = UnnamedEffects()
 
-GROUPS = (PARAMETER_JUMPS, MISSING_MODES, PERIODIC_FORCES, SMOOTHING, RANGES, UNNAMED_EFFECTS)
+GROUPS = (
+    PARAMETER_JUMPS,
+    MISSING_MODES,
+    PERIODIC_FORCES,
+    SMOOTHING,
+    FRICTION_RANGES,
+    CONTACT_RANGES,
+    RANGES,
+    UNNAMED_EFFECTS,
+)
 
 TABLE = entries(*GROUPS)
 """All of them."""

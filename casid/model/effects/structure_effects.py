@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from casid.errors import ModelError
 from casid.model.effects.channel_effects import carry, is_lagging
-from casid.model.effects.effect import Effect, Sizes
+from casid.model.effects.effect import Effect, Sizes, known_while_null
 from casid.model.effects.search_ranges import MISSING_MODES, RANGES
 from casid.model.model import Model, Parameter, Stage
 from casid.model.units import unit_quotient
@@ -76,11 +75,7 @@ def missing_mode(model: Model, balance: str, omega: float) -> Effect:
         new.derivative(q, v)
         new.derivative(v, -spring - new.der(b.rate))
         new.add_term(balance, J * spring)
-        if new.parameters[names[0]].start == 0.0:
-            for name in names[1:]:
-                new.parameters[name] = replace(
-                    new.parameters[name], value=new.parameters[name].start
-                )
+        known_while_null(new, names)
 
     return Effect(
         "missing_mode",

@@ -7,7 +7,7 @@ and how it grows, but nothing that a textbook names.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,70 +15,61 @@ import casadi as ca
 import numpy as np
 
 from casid.model.dimensional_analysis import carrying_unit
+from casid.model.effects.balance_effects import force_along
 from casid.model.effects.effect import Effect
+from casid.model.effects.places import Place, place_named
 from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
 from casid.model.model import Model, Parameter
-from casid.model.units import quantity_of, unit_quotient
+from casid.model.units import quantity_of
+
+Expr = Any  # a CasADi expression
 
 
-def unnamed_effects(model: Model, balance: str, speed: float) -> list[Effect]:
-    """Terms in the rate v and the position q of a balance that have no name of their own.
+def unnamed_effects(model: Model, where: str | Place, speed: float) -> list[Effect]:
+    """Terms in the velocity v and the position q of a place that have no name of their own.
 
-    v^3, v^2 and |v|^1/2 sign(v), and with a position q also q^2, q^5, q v and q^2 v. `speed` (v's
+    v^2 of one sign and |v|^1/2 sign(v), and with a position q also q^5, q v and q^2 v. `speed` (v's
     unit) is where the root is rounded, small against the speeds met; its factor is what acts there.
     """
-    b = model.balances[balance]
-    rate, position = b.rate, model.position_of(b.rate)
-    what = f"a {quantity_of(b.unit)}"
+    place = place_named(model, where)
+    v, q = place.velocity, place.position
+    v_, q_ = _bracketed(place.velocity_name), _bracketed(place.position_name)
+    what = f"a {quantity_of(place.unit)}"
 
-    def term(
-        shape: str, says: str, of: Callable[[Any, Any], Any], v_power: int, q_power: int = 0
-    ) -> Effect:
-        unit = unit_quotient(b.unit, model.states[rate].unit, v_power)
-        if position is not None:
-            unit = unit_quotient(unit, model.states[position].unit, q_power)
-
-        def apply(new: Model, names: Sequence[str]) -> None:
-            q = new.symbol(position) if position is not None else None
-            new.add_term(balance, -new.symbol(names[0]) * of(new.symbol(rate), q))
-
+    def term(shape: str, says: str, of: Expr, v_power: int, q_power: int = 0) -> Effect:
         suffix = "".join(c for c in shape.replace("^", "") if c.isalnum() or c == "_")
-        return Effect(
+        return force_along(
+            place,
             "unknown",
-            balance,
-            (Parameter(f"c_{suffix}", unit, 0.0),),
-            apply,
+            Parameter(f"c_{suffix}", place.velocity_power(v_power, q_power), 0.0),
+            lambda c: -c * of,
             priority=UNNAMED_EFFECTS.priority,
             shape=shape,
             description=f"{what} {says}",
             constants={"speed": speed} if shape.startswith("sqrt") else {},
         )
 
-    def root(v: Any, _: Any) -> Any:
+    found = []
+    if v is not None:
         w = v / carrying_unit(speed)
-        return w / ca.sqrt(ca.sqrt(1 + w**2))
+        root = w / ca.sqrt(ca.sqrt(1 + w**2))
+        found += [
+            term(f"{v_}^2", f"that grows with {v_} squared, of one sign", v**2, 2),
+            term(f"sqrt|{v_}|", f"that grows with the root of |{v_}|", root, 0),
+        ]
+    if q is not None:
+        found.append(term(f"{q_}^5", f"that grows with the fifth power of {q_}", q**5, 0, 5))
+    if v is not None and q is not None:
+        found += [
+            term(f"{q_} {v_}", f"that grows with {q_} times {v_}", q * v, 1, 1),
+            term(f"{q_}^2 {v_}", f"of damping that grows with {q_} squared", q**2 * v, 1, 2),
+        ]
+    return found
 
-    found = [
-        term(f"{rate}^3", f"that grows with the cube of {rate}", lambda v, _: v**3, 3),
-        term(f"{rate}^2", f"that grows with {rate} squared, of one sign", lambda v, _: v**2, 2),
-        term(f"sqrt|{rate}|", f"that grows with the root of |{rate}|", root, 0),
-    ]
-    if position is None:
-        return found
-    q_ = position
-    return [
-        *found,
-        term(f"{q_}^2", f"that grows with {q_} squared, of one sign", lambda _, q: q**2, 0, 2),
-        term(f"{q_}^5", f"that grows with the fifth power of {q_}", lambda _, q: q**5, 0, 5),
-        term(f"{q_} {rate}", f"that grows with {q_} times {rate}", lambda v, q: q * v, 1, 1),
-        term(
-            f"{q_}^2 {rate}",
-            f"of damping that grows with {q_} squared",
-            lambda v, q: q**2 * v,
-            1,
-            2,
-        ),
-    ]
+
+def _bracketed(name: str) -> str:
+    """A name, or a sum of names in brackets."""
+    return name if name.replace("_", "").isalnum() or not name else f"({name})"
 
 
 def power_law(model: Model, state: str, typical: float) -> Effect | None:

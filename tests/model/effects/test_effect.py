@@ -63,9 +63,11 @@ def test_the_catalogue_has_every_kind_in_every_place_that_the_structure_allows()
     """Of balances and parameters: effects in channels and in the structure have their own tests."""
     effects = catalogue(pendulum.problem.model, SIZES, {"ref": "m/s^2", "speed": "m/s"})
     found = {e.key for e in effects}
-    torque = {"quadratic_damping", "coulomb_friction", "cubic_stiffness", "deadzone", "offset"}
+    torque = {"quadratic_damping", "cubic_damping", "coulomb_friction", "stribeck_friction"}
+    torque |= {"cubic_stiffness", "quadratic_stiffness", "deadzone", "end_stop", "offset"}
     wanted = {(kind, "torque") for kind in torque}
-    shapes = ("p^3", "p^2", "sqrt|p|", "phi^2", "phi^5", "phi p", "phi^2 p")
+    wanted |= {("asymmetric_friction", f"torque: {shape}") for shape in ("dry", "viscous")}
+    shapes = ("p^2", "sqrt|p|", "phi^5", "phi p", "phi^2 p")
     wanted |= {("unknown", f"torque: {shape}") for shape in shapes}
     wanted |= {("extra_input", "ref"), ("extra_input", "speed")}
     # A known load may still appear; constants of nature and of geometry never jump.

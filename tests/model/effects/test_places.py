@@ -1,0 +1,152 @@
+"""Relative motions: found from the terms of a model, with the balances that their forces enter."""
+
+from __future__ import annotations
+
+import casadi as ca
+import pytest
+
+import casid
+from casid.errors import ModelError
+from casid.model.dimensions import check_units
+from casid.model.effects.balance_effects import cubic_stiffness
+from casid.model.effects.catalogue import catalogue
+from casid.model.effects.effect import Sizes
+from casid.model.effects.places import balance_place, elements_of, place_named
+
+
+def rig(ratio: float | None = None) -> casid.Model:
+    """Two inertias on a shaft, their angles as states; the second behind a gear of `ratio`."""
+    m = casid.Model("rig")
+    w1, w2 = m.state("w1", "rad/s"), m.state("w2", "rad/s")
+    a, b = m.state("a", "rad"), m.state("b", "rad")
+    T = m.input("T", "N m")
+    n = 1.0 if ratio is None else m.constant("n", ratio, "1")
+    k, c = m.parameter("k", "N m/rad", start=30.0), m.parameter("c", "N m s/rad", start=0.02)
+    J1, J2 = m.parameter("J1", "kg m^2", start=0.01), m.parameter("J2", "kg m^2", start=0.02)
+    shaft = k * (a - n * b) + c * (w1 - n * w2)
+    m.derivative(a, w1)
+    m.derivative(b, w2)
+    m.balance(w1, "motor", inertia=J1, terms=[T, -shaft])
+    m.balance(w2, "load", inertia=J2, terms=[n * shaft])
+    m.output("speed", w1, "rad/s")
+    return m
+
+
+def quarter_car() -> casid.Model:
+    """Body and wheel, the tyre on a road whose height is an input; no name for its speed."""
+    m = casid.Model("quarter car")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    y, w = m.state("y", "m"), m.state("w", "m/s")
+    road = m.input("road", "m")
+    k, c, t = (m.parameter(n, u) for n, u in (("k", "N/m"), ("c", "N s/m"), ("t", "N/m")))
+    m.derivative(x, v)
+    m.derivative(y, w)
+    # Laid out as matrices would have it.
+    body = -k * x + k * y - c * v + c * w
+    m.balance(v, "body", inertia=m.parameter("M", "kg"), terms=[body])
+    wheel = [k * x - k * y, c * v - c * w, t * (road - y)]
+    m.balance(w, "wheel", inertia=m.parameter("m", "kg"), terms=wheel)
+    m.output("travel", x - y, "m")
+    return m
+
+
+def walls() -> casid.Model:
+    """A room and its wall; the wall's equation is stated as a derivative."""
+    m = casid.Model("room")
+    T, W = m.state("T", "K"), m.state("W", "K")
+    outside, P = m.input("outside", "K"), m.input("P", "W")
+    G, H, C = m.parameter("G", "W/K"), m.parameter("H", "W/K"), m.parameter("C", "J/K")
+    m.balance(T, "air", inertia=m.parameter("A", "J/K"), terms=[P, G * (W - T), H * (outside - T)])
+    m.derivative(W, G * (T - W) / C)
+    m.output("room", T, "K")
+    return m
+
+
+def shares(place) -> list[tuple[str, str]]:
+    return [(row, str(factor)) for row, factor in place.shares]
+
+
+def test_a_shaft_is_one_element_of_two_balances_with_opposite_signs():
+    (shaft,) = elements_of(rig())
+    assert (shaft.where, shaft.position_name) == ("w1-w2", "a-b")
+    assert shares(shaft) == [("motor", "1"), ("load", "-1")]
+    assert (str(shaft.stiffness), str(shaft.damping)) == ("k", "c")
+
+
+def test_a_gear_scales_the_motion_and_what_it_transmits_alike():
+    """A torque on w1 - n w2 does no work on the gear: it enters the load n times, turned round."""
+    (shaft,) = elements_of(rig(20.0))
+    assert shaft.where == "w1-n*w2"
+    assert shares(shaft) == [("motor", "1"), ("load", "(-n)")]
+
+
+def test_a_road_that_moves_makes_the_tyre_an_element_of_one_balance():
+    suspension, tyre = elements_of(quarter_car())
+    assert (suspension.where, suspension.position_name) == ("v-w", "x-y")
+    assert shares(suspension) == [("body", "1"), ("wheel", "-1")]
+    assert (tyre.where, tyre.velocity) == ("y-road", None)
+    assert shares(tyre) == [("wheel", "1")]
+    assert cubic_stiffness(quarter_car(), "y-road") is not None
+
+
+def test_a_heat_flow_between_two_stores_enters_a_derivative_too():
+    """A store without a balance takes what leaves the other, over its heat capacity."""
+    model = walls()
+    between, loss = elements_of(model)
+    assert between.where == "T-W"
+    assert [row for row, _ in between.shares] == ["air", "W"]
+    C = model.symbol("C")
+    factor = ca.Function("f", [C], [between.shares[1][1]])
+    assert float(factor(4.0)) == pytest.approx(-0.25)
+    assert loss.where == "T-outside"
+    assert shares(loss) == [("air", "1")]
+
+
+def test_terms_of_single_motions_are_no_elements():
+    from problems import pendulum
+
+    assert elements_of(pendulum.problem.model) == []
+
+
+def test_an_angle_behind_a_gearbox_is_the_position_of_its_motor():
+    m = casid.Model("motor")
+    w, phi = m.state("w", "rad/s"), m.state("phi", "rad")
+    m.derivative(phi, w / 20)
+    m.balance(w, "torque", inertia=1.0, terms=[-m.parameter("b", "N m s/rad") * w])
+    m.output("angle", phi, "rad")
+    assert balance_place(m, "torque").position_name == "phi"
+
+
+def test_a_place_that_the_model_does_not_have_is_refused_with_those_it_has():
+    with pytest.raises(
+        ModelError, match=r"no relative motion 'w2-w1'; known are: load, motor, w1-w2"
+    ):
+        place_named(rig(), "w2-w1")
+
+
+@pytest.mark.parametrize("model", [rig(), rig(20.0), quarter_car(), walls()], ids=lambda m: m.name)
+def test_every_effect_of_a_relative_motion_is_nothing_at_null_and_its_units_agree(model):
+    sizes = Sizes(dict.fromkeys(model.states, 1.0), {}, (0.0, 10.0), 0.1, Ts=0.01)
+    base = model.explicit()
+    places = {p.where: p for p in elements_of(model)}
+    found = [e for e in catalogue(model, sizes, {}) if e.where in places]
+    assert {e.where for e in found} == set(places)
+    for effect in found:
+        extended, names = effect.extended(model)
+        check_units(extended)
+        e = extended.explicit()
+        own = ca.vertcat(*[extended.symbol(n) for n in names])
+        f = ca.substitute(e.f, own, ca.DM([extended.parameters[n].start for n in names]))
+        symbols = [base.x, base.u, base.p]
+        gap = ca.Function("gap", symbols, [f - base.f])
+        at = [ca.DM([0.3 + 0.2 * i for i in range(s.numel())]) for s in symbols]
+        assert float(ca.norm_inf(gap(*at))) < 1e-12
+
+
+def test_what_a_relative_motion_adds_takes_from_one_body_what_it_gives_the_other():
+    model = rig(20.0)
+    extended, (name,) = cubic_stiffness(model, "w1-n*w2").extended(model)
+    motor, load = (extended.balances[n].terms[-1] for n in ("motor", "load"))
+    symbols = [extended.symbol(n) for n in ("a", "b", "n", name)]
+    torques = ca.Function("t", symbols, [ca.vertcat(motor, load)])(0.5, 0.02, 20.0, 400.0)
+    assert [float(t) for t in ca.vertsplit(torques)] == pytest.approx([-400 * 0.1**3, 20 * 0.4])
