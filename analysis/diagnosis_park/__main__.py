@@ -1,0 +1,5 @@
+"""`python -m analysis.diagnosis_park`."""
+
+from analysis.diagnosis_park.study import STUDY
+
+STUDY.run()

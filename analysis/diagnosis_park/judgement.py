@@ -1,0 +1,74 @@
+"""Whether what was said of a case is right.
+
+Right: the first cause is the hidden kind in the hidden place. Delay and lag of one channel are one
+class, as are dead zone and backlash; what the model makes the same (a cosine of the whitened,
+projected signatures beyond `oracle.SAME`) counts as the hidden one: the row's `names`.
+Wrong: a first cause that is named, the hidden one not in the set with it, and nothing flagged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+Row = Mapping[str, Any]
+UNKNOWN = "unknown"
+
+
+def names_of(row: Row) -> set[tuple[str, str]]:
+    """What counts as the hidden effect."""
+    return {(kind, where) for kind, where in row["names"]} | {(row["kind"], row["where"])}
+
+
+def first(row: Row) -> tuple[str, str] | None:
+    """The first cause."""
+    causes = row.get("causes", ())
+    return (causes[0]["kind"], causes[0]["where"]) if causes else None
+
+
+def reported(row: Row) -> Iterator[tuple[str, str]]:
+    """The first cause and its alternatives."""
+    for cause in row.get("causes", ())[:1]:
+        yield cause["kind"], cause["where"]
+        yield from ((kind, where) for kind, where in cause["alternatives"])
+
+
+def is_right(row: Row) -> bool:
+    return first(row) in names_of(row)
+
+
+def has_truth(row: Row) -> bool:
+    return any(pair in names_of(row) for pair in reported(row))
+
+
+def is_alarm(row: Row) -> bool:
+    return bool(row.get("verdict") == "deficient")
+
+
+def is_flagged(row: Row) -> bool:
+    """Something is said to be there that is not known."""
+    pairs = [
+        kind
+        for cause in row.get("causes", ())
+        for kind in (cause["kind"], *(kind for kind, _ in cause["alternatives"]))
+    ]
+    return row.get("unexplained") is not None or UNKNOWN in pairs
+
+
+def is_named(row: Row) -> bool:
+    pair = first(row)
+    return pair is not None and pair[0] != UNKNOWN
+
+
+def is_wrong(row: Row) -> bool:
+    """A wrong name without a flag."""
+    return is_named(row) and not has_truth(row) and not is_flagged(row)
+
+
+def oracle_is_right(row: Row, which: str = "oracle_2") -> bool:
+    """Kinds that spoil samples have no oracle: it is taken as right."""
+    return which not in row or tuple(row[which]) in names_of(row)
+
+
+def oracle_has_truth(row: Row, which: str = "oracle_2") -> bool:
+    return which not in row or any(tuple(p) in names_of(row) for p in row[f"{which}_set"])

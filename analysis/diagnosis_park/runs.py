@@ -1,0 +1,105 @@
+"""What one case of the park gives: a flat row, judged later."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import casid
+from analysis.diagnosis_park.cases import Case, Hidden, make
+from analysis.diagnosis_park.networks import KINDS, network
+from analysis.diagnosis_park.oracle import judged
+from analysis.diagnosis_park.simulator import System
+from analysis.diagnosis_park.systems import SYSTEMS
+
+Row = dict[str, Any]
+FILES = Path(__file__).with_name("problem_files")
+NAMES = (*SYSTEMS, *KINDS)
+
+
+def system_and_problem(case: Case) -> tuple[System, casid.Problem]:
+    """The system of a case with the problem that a stranger wrote of it."""
+    if case.system in KINDS:
+        return network(case.system, np.random.default_rng([case.seed, case.number]))
+    return SYSTEMS[case.system], casid.load_problem(FILES / f"{case.system}.py")
+
+
+def record_of(hidden: Hidden) -> casid.Record:
+    """The record as it would be read from a file."""
+    s, case = hidden.bench.system, hidden.case
+    name = f"{case.system} {case.seed} {case.number}"
+    return casid.Record(hidden.channels, hidden.units, Ts=s.Ts, name=name)
+
+
+def row_of(case: Case, *, oracles: bool = True) -> Row:
+    """Make, diagnose and judge by the oracles; what fails is in the row as `error`."""
+    system, problem = system_and_problem(case)
+    hidden = make(case, system)
+    row: Row = {
+        "system": case.system,
+        "domain": system.domain,
+        "seed": case.seed,
+        "number": case.number,
+        "part": case.part,
+        "kind": hidden.kind,
+        "where": hidden.where,
+        "energy": hidden.energy,
+        "size": [float(s) for s in hidden.size],
+        "hyper": hidden.hyper,
+        "names": hidden.names,
+    }
+    if oracles:
+        row |= _of_oracles(hidden)
+    began, cpu = time.perf_counter(), time.process_time()
+    try:
+        row |= of_diagnosis(casid.diagnose(problem, record_of(hidden)))
+    except Exception as error:  # of whichever class: a case that fails is a result, too
+        row["error"] = f"{type(error).__name__}: {error}"
+    row["seconds"], row["cpu"] = time.perf_counter() - began, time.process_time() - cpu
+    return row
+
+
+def of_diagnosis(d: casid.Diagnosis) -> Row:
+    """Verdict, causes with alternatives, and what it calls unexplained."""
+    return {
+        "verdict": d.verdict,
+        "causes": [
+            {
+                "kind": c.kind,
+                "where": c.where,
+                "p": c.p_value,
+                "alternatives": [[a.kind, a.where] for a in c.alternatives],
+                "values": {p.name: p.value for p in c.parameters},
+            }
+            for c in d.causes
+        ],
+        "unexplained": None if d.unexplained is None else " ".join(d.unexplained.sentences),
+        "fitted": _plain(d.fitted),
+        "held_out": _plain(d.held_out),
+    }
+
+
+def _plain(errors: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    return {name: {k: float(v) for k, v in values.items()} for name, values in errors.items()}
+
+
+def _of_oracles(hidden: Hidden) -> Row:
+    """Names and sets of both oracles, the nearest rival's cosine, and what is the same here."""
+    if hidden.case.part not in ("single", "large") or hidden.effect is None:
+        return {}
+    bench, row = hidden.bench, Row()
+    truth = (hidden.effect, hidden.hyper, np.asarray(hidden.size))
+    y = hidden.y[: bench.n]
+    for label, knows in (("oracle_2", False), ("oracle_1", True)):
+        v = judged(bench, hidden.white, y, hidden.catalogue, truth, knows_parameters=knows)
+        row[label] = [v.effect.kind, v.effect.where]
+        row[f"{label}_set"] = [[e.kind, e.where] for e in v.reported]
+        if not knows:
+            row["cosine"] = v.cosine
+            hidden.names = v.same
+    row["names"] = [list(pair) for pair in hidden.names]
+    return row

@@ -1,0 +1,206 @@
+"""The park's numbers: by system, by lambda, by nearest rival, and beside their targets.
+
+R is the ratio of right names, casid's to the oracle's, of the same records. Its interval is
+McNemar's: with n records, b that the oracle alone has right and c that casid alone has, the
+difference of the shares is (c - b) / n with variance (b + c - (b - c)^2 / n) / n^2 (Agresti 2013,
+section 11.1), divided by the oracle's share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta, binom
+
+from analysis.common.targets import Target
+from analysis.diagnosis_park.judgement import (
+    first,
+    has_truth,
+    is_alarm,
+    is_flagged,
+    is_named,
+    is_right,
+    is_wrong,
+    oracle_has_truth,
+    oracle_is_right,
+)
+
+Row = Mapping[str, Any]
+CHANCE = 0.01
+"""Of a target being missed by chance alone, where a quick study is judged at its limit."""
+
+NOMINAL = 0.05
+BUDGET = 600.0
+"""Processor seconds after which a run counts as failed."""
+
+ENERGIES = (100.0, 300.0, 1000.0, 3000.0)
+COSINES = (0.0, 0.8, 0.95, 0.99, 0.999)
+
+
+def ratio_of(
+    rows: Sequence[Row],
+    ours: Callable[[Row], bool] = is_right,
+    theirs: Callable[[Row], bool] = oracle_is_right,
+) -> tuple[float, float, float, float]:
+    """R with its 95 % interval, and the share of avoidable errors."""
+    casid = np.array([ours(r) for r in rows])
+    oracle = np.array([theirs(r) for r in rows])
+    n = len(rows)
+    b, c = int(np.sum(oracle & ~casid)), int(np.sum(casid & ~oracle))
+    share = max(float(oracle.mean()), 1.0 / n)
+    half = 1.96 * float(np.sqrt(b + c - (b - c) ** 2 / n)) / n / share
+    R = float(casid.mean()) / share
+    return R, R - half, R + half, b / n
+
+
+def share(rows: Sequence[Row], claim: Callable[[Row], bool]) -> tuple[int, int]:
+    return sum(claim(r) for r in rows), len(rows)
+
+
+def text_of(hits: int, of: int) -> str:
+    """A share with its Clopper-Pearson interval."""
+    if not of:
+        return "-"
+    low = float(beta.ppf(0.025, hits, of - hits + 1)) if hits else 0.0
+    high = float(beta.ppf(0.975, hits + 1, of - hits)) if hits < of else 1.0
+    return f"{hits}/{of} ({100 * hits / of:.0f} %, {100 * low:.0f} to {100 * high:.0f})"
+
+
+def is_failed(row: Row) -> bool:
+    return "error" in row or row["cpu"] > BUDGET
+
+
+def by_system(rows: Sequence[Row]) -> list[dict[str, str]]:
+    """A line for each system, and one for all."""
+    names = sorted({r["system"] for r in rows})
+    return [_line(n, [r for r in rows if r["system"] == n]) for n in names] + [_line("all", rows)]
+
+
+def _line(name: str, rows: Sequence[Row]) -> dict[str, str]:
+    done = [r for r in rows if "error" not in r]
+    parts = {
+        p: [r for r in done if r["part"] == p] for p in ("single", "null", "large", "unlisted")
+    }
+    single, seconds = parts["single"], [r["cpu"] for r in rows]
+    out = {"system": name}
+    for label, claim in (("right", is_right), ("in set", has_truth), ("wrong", is_wrong)):
+        out[label] = text_of(*share(single, claim))
+    out["large"] = text_of(*share(parts["large"], is_right))
+    out["null alarms"] = text_of(*share(parts["null"], is_alarm))
+    out["unlisted named"] = text_of(
+        *share(parts["unlisted"], lambda r: is_named(r) and not is_flagged(r))
+    )
+    out["failed"] = f"{sum(is_failed(r) for r in rows)}/{len(rows)}"
+    out["R"] = "{:.2f} ({:.2f} to {:.2f})".format(*ratio_of(single)[:3]) if single else "-"
+    out["seconds"] = f"{np.median(seconds):.1f}, {np.max(seconds):.0f}" if seconds else "-"
+    return out
+
+
+def by_range(rows: Sequence[Row], key: str, edges: Sequence[float]) -> list[dict[str, str]]:
+    """R and avoidable errors of single effects by lambda or by the largest cosine to a rival."""
+    out = []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        among = [r for r in rows if r["part"] == "single" and low <= r.get(key, -1.0) < high]
+        among = [r for r in among if "error" not in r]
+        if not among:
+            continue
+        R, least, most, avoidable = ratio_of(among)
+        sets = ratio_of(among, has_truth, oracle_has_truth)
+        out.append(
+            {
+                key: f"{low:g} to {high:g}",
+                "cases": str(len(among)),
+                "casid": text_of(*share(among, is_right)),
+                "oracle-2": text_of(*share(among, oracle_is_right)),
+                "oracle-1": text_of(*share(among, lambda r: oracle_is_right(r, "oracle_1"))),
+                "R": f"{R:.3f} ({least:.3f} to {most:.3f})",
+                "avoidable": f"{100 * avoidable:.1f} %",
+                "R of sets": f"{sets[0]:.3f} ({sets[1]:.3f} to {sets[2]:.3f})",
+            }
+        )
+    return out
+
+
+def printed(rows: Iterable[Mapping[str, str]]) -> str:
+    """Aligned columns."""
+    lines = list(rows)
+    if not lines:
+        return ""
+    head = list(lines[0])
+    widths = [max(len(h), *(len(line[h]) for line in lines)) for h in head]
+    cells = [head, *([line[h] for h in head] for line in lines)]
+    return "\n".join(
+        "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells
+    )
+
+
+def confusions(rows: Iterable[Row]) -> list[str]:
+    """Records that went wrong, a line each."""
+    out = []
+    for r in rows:
+        hidden = "nothing" if r["kind"] == "none" else f"{r['kind']}({r['where']})"
+        named = first(r)
+        said = r.get("error") or ("nothing" if named is None else "{}({})".format(*named))
+        good = not is_alarm(r) if r["part"] == "null" else is_right(r)
+        if r["part"] == "unlisted":
+            good = not is_named(r) or is_flagged(r)
+        if good and not is_failed(r):
+            continue
+        beside = " (oracle errs too)" if not oracle_is_right(r) else ""
+        where = f"--systems {r['system']} --seed {r['seed']} --first {r['number']} --records 1"
+        out.append(f"  {hidden} lambda {r['energy']:.0f}: {said}{beside}   [{where}]")
+    return out
+
+
+def targets_of(rows: Sequence[Row], *, quick: bool) -> list[Target]:
+    """What the park is to show; with `quick` a rate misses only beyond chance."""
+    done = [r for r in rows if "error" not in r]
+    single = [r for r in done if r["part"] == "single"]
+    out: list[Target] = []
+
+    def least(what: str, among: Sequence[Row], claim: Callable[[Row], bool], wanted: float) -> None:
+        hits, of = share(among, claim)
+        if of:
+            met = binom.cdf(hits, of, wanted) > CHANCE if quick else hits >= wanted * of
+            out.append(Target(what, text_of(hits, of), f">= {100 * wanted:g} %", bool(met)))
+
+    def most(what: str, among: Sequence[Row], claim: Callable[[Row], bool], wanted: float) -> None:
+        hits, of = share(among, claim)
+        if of:
+            met = binom.sf(hits - 1, of, wanted) > CHANCE if quick else hits <= wanted * of
+            out.append(Target(what, text_of(hits, of), f"<= {100 * wanted:g} %", bool(met)))
+
+    least("right name", single, is_right, 0.92)
+    least("truth in the reported set", single, has_truth, 0.97)
+    most("wrong name without a flag", single, is_wrong, 0.03)
+    large = [r for r in done if r["part"] == "large"]
+    least("right name, lambda > 1e5", large, is_right, 0.97)
+    unlisted = [r for r in done if r["part"] == "unlisted"]
+    most(
+        "unlisted cause named without a flag",
+        unlisted,
+        lambda r: is_named(r) and not is_flagged(r),
+        0.05,
+    )
+    for name in sorted({r["system"] for r in rows}):
+        own = [r for r in done if r["system"] == name]
+        nulls = [r for r in own if r["part"] == "null"]
+        if nulls:
+            hits, of = share(nulls, is_alarm)
+            limit = int(binom.isf(0.025, of, NOMINAL))
+            found = text_of(hits, of)
+            out.append(Target(f"{name}: false alarms", found, f"<= {limit}", hits <= limit))
+        compared = [r for r in own if r["part"] == "single"]
+        if compared:
+            R, low, high, _ = ratio_of(compared)
+            met = high >= 0.93 if quick else R >= 0.93
+            out.append(Target(f"{name}: R", f"{R:.3f} ({low:.3f} to {high:.3f})", ">= 0.93", met))
+    if single:
+        avoidable = lambda r: oracle_is_right(r) and not is_right(r)  # noqa: E731
+        most("avoidable errors", single, avoidable, 0.02)
+    failed = sum(is_failed(r) for r in rows)
+    wanted = f"none, none above {BUDGET:g} s"
+    out.append(Target("runs that fail", f"{failed} of {len(rows)}", wanted, failed == 0))
+    return out
