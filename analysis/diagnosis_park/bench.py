@@ -29,6 +29,17 @@ class Variant:
     hyper: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """What a variant does: outputs (n, ny), outputs at the steps before sensor effects, states."""
+
+    variant: Variant
+    y: Array
+    fine: Array  # (steps, ny)
+    x: Array  # (nx, n)
+    U: Array  # (steps, 3, nu + disturbances)
+
+
 @dataclass(slots=True, eq=False)
 class Bench:
     """A system at its true nominal values with the recorded inputs of `n` samples."""
@@ -58,14 +69,18 @@ class Bench:
 
     def outputs(self, variants: Sequence[Variant]) -> Array:
         """(n, ny, K) without noise, columns in the order of `variants`."""
+        return np.stack([m.y for m in self.motions(variants)], axis=-1)
+
+    def motions(self, variants: Sequence[Variant]) -> list[Motion]:
+        """Each variant's motion without noise, in the order of `variants`."""
         order = sorted(range(len(variants)), key=lambda i: _key(variants[i]))
-        acts = [i for i in order if _stage(variants[i]) == "input"]
-        rest = [i for i in order if _stage(variants[i]) != "input"]
-        out = np.empty((self.n, len(self.system.outputs), len(variants)))
-        for part in (acts, rest):
+        out: dict[int, Motion] = {}
+        for is_input in (True, False):
+            part = [i for i in order if (_stage(variants[i]) == "input") is is_input]
             if part:
-                out[:, :, part] = self._simulated([variants[i] for i in part])
-        return out
+                moved = self._simulated([variants[i] for i in part])
+                out |= dict(zip(part, moved, strict=True))
+        return [out[i] for i in range(len(variants))]
 
     def columns(self, variants: Sequence[Variant]) -> tuple[Array, dict[str, Array]]:
         phi = np.stack([v.phi for v in variants], axis=1)
@@ -90,7 +105,7 @@ class Bench:
             at = end
         return out
 
-    def _simulated(self, variants: Sequence[Variant]) -> Array:
+    def _simulated(self, variants: Sequence[Variant]) -> list[Motion]:
         s, acting = self.system, self.acting(variants)
         x0, p = self.columns(variants)
         U = self.stages()
@@ -100,10 +115,17 @@ class Bench:
                 j = self.index_of_input(a.effect)
                 U[:, :, j, a.columns] = a.effect.law(a.size, self.u[j, : self.n])
         beside = {c: staged(z[: self.n], "foh", s.substeps) for c, z in self.beside.items()}
-        clock = (0.0, self.u.shape[1] * s.Ts)
         with np.errstate(all="ignore"):
-            Y, _ = simulate(s, x0, p, U, acting, beside=beside, clock=clock)
-            return sensed(Y, acting)[:: s.substeps]
+            Y, X = simulate(s, x0, p, U, acting, beside=beside, clock=(0.0, self.horizon))
+            y = sensed(Y, acting)[:: s.substeps]
+        return [
+            Motion(v, y[:, :, i], Y[:, :, i], X[:-1, :, i].T, U[..., min(i, U.shape[3] - 1)])
+            for i, v in enumerate(variants)
+        ]
+
+    @property
+    def horizon(self) -> float:
+        return float(self.u.shape[1] * self.system.Ts)
 
     def index_of_input(self, effect: Effect) -> int:
         return [i.name for i in self.system.inputs].index(effect.channel)
@@ -180,7 +202,7 @@ def whitener_of(bench: Bench) -> Whitener:
     noisy = [i for i, one in enumerate(s.inputs) if one.sd > 0.0]
     sources: list[tuple[int, float, float, float]] = [(i, 0.0, 0.0, s.inputs[i].sd) for i in noisy]
     sources += [(len(s.inputs) + i, *d.coefficients(s.Ts)) for i, d in enumerate(s.disturbances)]
-    local = Local(bench, bench.null())
+    local = Local(bench, bench.motions([bench.null()])[0])
     A, C = local.dynamics()
     ns = nx + 2 * len(sources)
     F, H, G = np.zeros((n, ns, ns)), np.zeros((n, ny, ns)), np.zeros((n, ns, len(sources)))
@@ -213,22 +235,13 @@ def whitener_of(bench: Bench) -> Whitener:
 class Local:
     """Steps from every sample of a variant's motion at once, and their derivatives."""
 
-    def __init__(self, bench: Bench, at: Variant) -> None:
-        self.bench, self.at = bench, at
+    def __init__(self, bench: Bench, motion: Motion) -> None:
+        self.bench, self.at = bench, motion.variant
         s, n = bench.system, bench.n
-        acting = bench.acting([at])
-        x0, p = bench.columns([at])
-        U = bench.stages()
-        if at.effect is not None and at.effect.stage == "input":
-            j = bench.index_of_input(at.effect)
-            U[:, :, j] = at.effect.law(acting[0].size, bench.u[j, :n])
-        self.horizon = float(bench.u.shape[1] * s.Ts)
         wide = {c: staged(z[:n], "foh", s.substeps) for c, z in bench.beside.items()}
-        with np.errstate(all="ignore"):
-            self.fine, X = simulate(s, x0, p, U, acting, beside=wide, clock=(0.0, self.horizon))
-        self.y = sensed(self.fine, acting)[:: s.substeps, :, 0]
-        self.x = X[:-1, :, 0].T  # (nx, n)
-        self.U = self._by_sample(U[..., 0])
+        self.horizon, self.y, self.x = bench.horizon, motion.y, motion.x
+        self.fine = motion.fine[:, :, None]
+        self.U = self._by_sample(motion.U)
         self.z = {c: self._by_sample(w) for c, w in wide.items()}
         self.t = s.Ts * np.arange(n, dtype=np.float64)
 
@@ -360,9 +373,9 @@ def projected(rows: Array, tangent: Array) -> Array:
     return np.asarray(rows - q @ (q.T @ rows))
 
 
-def sensitivities(bench: Bench, white: Whitener, at: Variant) -> tuple[Array, Array]:
-    """Whitened derivatives with respect to `phi` and to the size, and the outputs (n, ny, 1)."""
-    local, m = Local(bench, at), len(bench.theta)
+def sensitivities(bench: Bench, white: Whitener, motion: Motion) -> Array:
+    """Whitened derivatives with respect to `phi` and to the size."""
+    local, m, at = Local(bench, motion), len(bench.theta), motion.variant
     changes = local.of_parameters()
     effect = at.effect
     h = np.zeros(0)
@@ -379,7 +392,7 @@ def sensitivities(bench: Bench, white: Whitener, at: Variant) -> tuple[Array, Ar
         columns[2] = np.stack([_of_size(local, i, h) for i in range(effect.n)], axis=-1)
     if effect is not None and effect.fixed:
         columns[2] = np.zeros((*local.y.shape, effect.n))
-    return white(np.concatenate(columns, axis=2)), local.y[:, :, None]
+    return white(np.concatenate(columns, axis=2))
 
 
 def _of_size(local: Local, i: int, h: Array) -> Array:

@@ -229,7 +229,8 @@ def size_for(
         shown = _energy(bench, white, one)
         return direction if 0.5 * energy < shown < 50 * energy else None
     sizes = effect.limit * np.geomspace(1e-6, 1.0, 19)
-    tangent, y0 = sensitivities(bench, white, bench.null())
+    nominal = bench.motions([bench.null()])[0]
+    tangent, y0 = sensitivities(bench, white, nominal), nominal.y[:, :, None]
     variants = [Variant(np.zeros(bench.n_phi), effect, s * direction, hyper) for s in sizes]
     moved = white(bench.outputs(variants) - y0)
     good = np.isfinite(moved).all(axis=0)

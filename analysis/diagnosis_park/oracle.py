@@ -26,6 +26,7 @@ from scipy.stats import norm
 from analysis.diagnosis_park.bench import (
     Bench,
     Local,
+    Motion,
     Variant,
     Whitener,
     projected,
@@ -101,35 +102,38 @@ def minimised(
     fixed: bool = False,
 ) -> list[tuple[Variant, float]]:
     """Each variant with J after steps of Gauss and Newton; with `fixed` the parameters stay."""
-    ats = list(starts)
-    best = np.sum(white(y[:, :, None] - bench.outputs(ats)) ** 2, axis=0)
-    best = np.where(np.isfinite(best), best, np.inf)
+
+    def misfit(moved: Sequence[Motion]) -> Array:
+        J = np.sum(white(y[:, :, None] - np.stack([m.y for m in moved], axis=-1)) ** 2, axis=0)
+        return np.where(np.isfinite(J), J, np.inf)
+
+    at = bench.motions(starts)
+    best = misfit(at)
     active = [i for i, J in enumerate(best) if np.isfinite(J)]
     for _ in range(iterations):
         trials: list[Variant] = []
         for i in active:
-            moved, here = sensitivities(bench, white, ats[i])
-            moved = np.nan_to_num(moved)
+            moved = np.nan_to_num(sensitivities(bench, white, at[i]))
             if fixed:
                 moved[:, : len(bench.theta)] = 0.0
-            e = white(y[:, :, None] - here)[:, 0]
+            e = white(y[:, :, None] - at[i].y[:, :, None])[:, 0]
             scale = np.maximum(np.linalg.norm(moved, axis=0), 1e-12)
             step = np.linalg.lstsq(moved / scale, e, rcond=1e-9)[0] / scale
-            trials += [_stepped(ats[i], f * step) for f in DAMPING]
+            trials += [_stepped(at[i].variant, f * step) for f in DAMPING]
         if not trials:
             break
-        J = np.sum(white(y[:, :, None] - bench.outputs(trials)) ** 2, axis=0)
-        J = np.where(np.isfinite(J), J, np.inf).reshape(len(active), len(DAMPING))
+        tried = bench.motions(trials)
+        J = misfit(tried).reshape(len(active), len(DAMPING))
         still = []
-        for row, i in zip(range(len(active)), active, strict=True):
+        for row, i in enumerate(active):
             k = int(np.argmin(J[row]))
             gained = float(best[i] - J[row, k])
             if gained > 0:
-                ats[i], best[i] = trials[row * len(DAMPING) + k], J[row, k]
+                at[i], best[i] = tried[row * len(DAMPING) + k], J[row, k]
             if gained > 1e-2 * (1 + 1e-3 * best[i]):
                 still.append(i)
         active = still
-    return list(zip(ats, [float(J) for J in best], strict=True))
+    return [(m.variant, float(J)) for m, J in zip(at, best, strict=True)]
 
 
 def _stepped(at: Variant, step: Array) -> Variant:
@@ -151,11 +155,20 @@ class Verdict:
     same: list[tuple[str, str]]  # names that are the hidden effect in this model
 
 
-def signatures_of(
-    bench: Bench, white: Whitener, catalogue: Sequence[Effect]
-) -> tuple[list[tuple[Effect, float]], list[Array]]:
-    """Whitened signatures of every effect at every point of its grid."""
-    local = Local(bench, bench.null())
+@dataclass(frozen=True, slots=True, eq=False)
+class Signatures:
+    """Whitened signatures of every effect at every point of its grid, and the nominal tangent."""
+
+    keys: list[tuple[Effect, float]]
+    rows: list[Array]  # (n, n_j) each
+    tangent: Array
+    y: Array  # (n, ny) of the nominal model
+
+
+def signatures_of(bench: Bench, white: Whitener, catalogue: Sequence[Effect]) -> Signatures:
+    """Those of a catalogue about the nominal motion of a record."""
+    motion = bench.motions([bench.null()])[0]
+    local = Local(bench, motion)
     base, changes = local.step(), []
     swinging = [bench.null()]
     ordered = sorted(catalogue, key=lambda e: ("input", "mode", "sensor").count(e.stage))
@@ -182,24 +195,23 @@ def signatures_of(
             size = np.full((1, 1), width)
             y = e.law(size, local.fine)[:: bench.system.substeps, :, 0] - local.y
         out.append(white(y[:, :, None] / width))
-    return keys, [np.nan_to_num(rows) for rows in out]
+    tangent = sensitivities(bench, white, motion)
+    return Signatures(keys, [np.nan_to_num(rows) for rows in out], tangent, motion.y)
 
 
 def judged(
     bench: Bench,
     white: Whitener,
     y: Array,
-    catalogue: Sequence[Effect],
+    found: Signatures,
     truth: tuple[Effect, float, Any] | None,
     *,
     knows_parameters: bool = False,
 ) -> Verdict:
     """The oracle's name for a record (n, ny)."""
-    keys, signatures = signatures_of(bench, white, catalogue)
-    tangent, y0 = sensitivities(bench, white, bench.null())
-    if knows_parameters:
-        tangent = tangent[:, len(bench.theta) :]
-    e = white(y[:, :, None] - y0)[:, 0]
+    keys, signatures = found.keys, found.rows
+    tangent = found.tangent[:, len(bench.theta) :] if knows_parameters else found.tangent
+    e = white((y - found.y)[:, :, None])[:, 0]
     counts = [len(effect.grid) for effect, _ in keys]
     signs = [effect.positive for effect, _ in keys]
     scores, sizes = posterior(e, tangent, signatures, counts, signs)

@@ -12,7 +12,7 @@ import numpy as np
 import casid
 from analysis.diagnosis_park.cases import Case, Hidden, make
 from analysis.diagnosis_park.networks import KINDS, network
-from analysis.diagnosis_park.oracle import judged
+from analysis.diagnosis_park.oracle import judged, signatures_of
 from analysis.diagnosis_park.simulator import System
 from analysis.diagnosis_park.systems import SYSTEMS
 
@@ -78,6 +78,7 @@ def of_diagnosis(d: casid.Diagnosis) -> Row:
             for c in d.causes
         ],
         "unexplained": None if d.unexplained is None else " ".join(d.unexplained.sentences),
+        "disturbances": [x.where for x in d.disturbances],
         "fitted": _plain(d.fitted),
         "held_out": _plain(d.held_out),
     }
@@ -94,8 +95,9 @@ def _of_oracles(hidden: Hidden) -> Row:
     bench, row = hidden.bench, Row()
     truth = (hidden.effect, hidden.hyper, np.asarray(hidden.size))
     y = hidden.y[: bench.n]
+    found = signatures_of(bench, hidden.white, hidden.catalogue)
     for label, knows in (("oracle_2", False), ("oracle_1", True)):
-        v = judged(bench, hidden.white, y, hidden.catalogue, truth, knows_parameters=knows)
+        v = judged(bench, hidden.white, y, found, truth, knows_parameters=knows)
         row[label] = [v.effect.kind, v.effect.where]
         row[f"{label}_set"] = [[e.kind, e.where] for e in v.reported]
         if not knows:
