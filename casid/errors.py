@@ -30,6 +30,10 @@ class SolveError(CasidError):
     """A simulation diverged or a solver gave up."""
 
 
+class OutOfTimeError(SolveError):
+    """A time limit ended the work before it was done."""
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """``; did you mean 'b1'?`` for the nearest known name, or what there is; for messages."""
     known = sorted(known)

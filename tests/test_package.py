@@ -52,7 +52,7 @@ __main__: cli
 # Modules right below casid, of the standard library and NumPy alone, that every package may use.
 GROUND = set(
     "arrays compiler deprecation errors exportable pickling presentation versions grouping"
-    " threshold_table".split()
+    " threshold_table time_limit".split()
 )
 
 

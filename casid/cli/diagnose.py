@@ -24,6 +24,7 @@ class _Search:
 
     false_alarm_rate: float
     calibrate: int | None
+    budget: float | None
     jobs: int | None
     max_causes: int
     without: tuple[str, ...]
@@ -76,6 +77,7 @@ def diagnose(problem: str, **given: Any) -> None:
                 max_causes=search.max_causes,
                 without=search.without,
                 calibrate=search.calibrate or 0,
+                budget=search.budget,
                 solver=fit.own_solver(),
                 starts=fit.starts,
                 seed=fit.seed,

@@ -46,6 +46,13 @@ DIAGNOSIS_OPTIONS = (
         "takes is printed first, and Ctrl-C goes on with what is done.",
     ),
     click.option(
+        "--budget",
+        type=click.FloatRange(min=0.0, min_open=True),
+        metavar="SECONDS",
+        help="Time that the diagnosis may take: it reports what was found until then, and lists "
+        "what was not done. Default 600 s, and for --calibrate what it takes.",
+    ),
+    click.option(
         "--jobs",
         type=click.IntRange(min=1),
         metavar="N",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
@@ -18,13 +20,16 @@ from casid.diagnosis.evidence.baseline import fit_baseline
 from casid.diagnosis.evidence.recorded_channels import with_unused_columns
 from casid.diagnosis.search.findings import Findings, search_causes
 from casid.diagnosis.settings import DiagnosisSettings, Progress, require_settings
+from casid.diagnosis.thresholds import BUDGET
 from casid.diagnosis.verdict.judgement import judge, notes_on
 from casid.diagnosis.verdict.sentences import noise_text
+from casid.errors import OutOfTimeError
 from casid.estimation.estimate import Origin
 from casid.estimation.holdout import Split, split_records
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
 from casid.identifiability.requirement import require_identifiable
+from casid.time_limit import until
 from casid.versions import versions
 
 SOURCES = (
@@ -50,6 +55,7 @@ def diagnose(
     without: Collection[str] = (),
     calibrate: int = 0,
     advise: bool = True,
+    budget: float | None = None,
     solver: Solver | None = None,
     starts: int | None = None,
     seed: int = 0,
@@ -70,6 +76,9 @@ def diagnose(
     calibrate : null records that the false-alarm rate is measured on, for this problem and these
         records; where it is too high, the records are judged at the level that holds it. 0: none.
     advise : whether experiments that separate tied causes are planned, which takes some seconds.
+    budget : seconds that the diagnosis may take; what no time is left for is listed in `not_done`,
+        and the verdict is "undecided" where that leaves it open. Default 600, and for `calibrate`
+        what it takes.
     progress : called with a line of text at every step.
 
     A channel that was probably recorded with the wrong sign is named first, as `sensor_scale`, and
@@ -98,7 +107,7 @@ def diagnose(
         _, hold_out = in_si(problem, hold_out)
     problem, chosen = in_si(problem, experiments_of(problem, experiments))
     problem = with_unused_columns(problem, chosen)
-    require_settings(problem, false_alarm_rate, max_causes, without)
+    require_settings(problem, false_alarm_rate, max_causes, without, budget)
     if calibrate:
         require_runs(calibrate)
     split = split_records(chosen, hold_out)
@@ -106,8 +115,16 @@ def diagnose(
         starts=problem.starts if starts is None else starts, solver=solver, seed=seed
     )
     settings = DiagnosisSettings(
-        false_alarm_rate, max_causes, without, fit_settings, progress or (lambda _: None)
+        false_alarm_rate,
+        max_causes,
+        without,
+        fit_settings,
+        progress or (lambda _: None),
+        BUDGET.seconds if budget is None else budget,
     )
+    if budget is not None:
+        ends = settings.began + BUDGET.calibration * budget
+        settings = replace(settings, calibration_ends=ends)
     require_identifiable(problem.model, split.fitted, problem=problem, progress=settings.progress)
     # Evidence and search: the baseline, then rounds of candidates.
     found, calibration = _found(problem, split, settings, calibrate)
@@ -122,10 +139,22 @@ def _found(
     found = _searched(problem, split, settings)
     if not runs or found.baseline.why_undecided:
         return found, None
-    calibration = _calibrated(problem, found, settings, runs)
+    not_done = found.search.attempts.not_done
+    try:
+        with until(settings.calibration_ends):
+            calibration = _calibrated(problem, found, settings, runs)
+    except OutOfTimeError:
+        not_done["the calibration"] = None
+        return found, None
     if calibration.is_corrected:
         settings.progress(f"repeat at level {calibration.threshold:.2g}")
-        found = _searched(problem, split, replace(settings, alpha=calibration.threshold))
+        again = replace(settings, alpha=calibration.threshold)
+        if not math.isfinite(settings.calibration_ends):
+            again = replace(again, began=time.monotonic())
+        found = _searched(problem, split, again)
+        not_done = found.search.attempts.not_done
+    if calibration.is_interrupted and time.monotonic() > settings.calibration_ends:
+        not_done[f"{runs - calibration.runs} of the {runs} null records"] = None
     return found, calibration
 
 
@@ -139,6 +168,8 @@ def _concluded(
 ) -> Diagnosis:
     """Verdict and advice; `plan` as in `recommend`, `settings` with the requested level."""
     false_alarm_rate = settings.alpha
+    attempts = found.search.attempts
+    attempts.ends = max(settings.ends, attempts.ends)
     judged = judge(problem, found, false_alarm_rate)
     advice = recommend(problem, found, judged, plan=plan)
     remainder = judged.remainder
@@ -165,6 +196,7 @@ def _concluded(
             isolability=advice.isolability,
             undetectable=advice.undetectable,
             calibration=calibration,
+            not_done=tuple(attempts.not_done),
         ),
         origin=Origin(judged.baseline.provenance, versions(), SOURCES),
         settings=_settings_in_words(found, settings.fit, false_alarm_rate),

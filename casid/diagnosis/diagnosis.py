@@ -66,6 +66,7 @@ class Limits:
     isolability: Isolability | None = None
     undetectable: tuple[Undetectable, ...] = ()
     calibration: Calibration | None = None  # false alarms counted on simulated records
+    not_done: tuple[str, ...] = ()  # what the budget of time left no room for
     invisible = renamed("invisible", "undetectable")
 
 
@@ -106,6 +107,7 @@ class Diagnosis(Presented, Saved):
     undetectable: ClassVar[Grouped[tuple[Undetectable, ...]]] = Grouped("limits")
     invisible = renamed("invisible", "undetectable")
     calibration: ClassVar[Grouped[Calibration | None]] = Grouped("limits")
+    not_done: ClassVar[Grouped[tuple[str, ...]]] = Grouped("limits")
     provenance: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
     versions: ClassVar[Grouped[Mapping[str, str]]] = Grouped("origin")
     sources: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
@@ -181,6 +183,7 @@ class Diagnosis(Presented, Saved):
             "invisible": [i.to_json() for i in self.undetectable],
             "proposals": [p.to_json() for p in self.proposals],
             "calibration": _plain(self.calibration),
+            "not_done": list(self.not_done),
         }
 
     def __repr__(self) -> str:

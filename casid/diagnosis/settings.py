@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import math
+import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 
 from casid.data.problem import Problem
+from casid.diagnosis.thresholds import BUDGET
 from casid.errors import DataError
 from casid.estimation.simulation.fit import FitSettings
 from casid.model.effects.effect import KINDS
@@ -26,6 +29,8 @@ class DiagnosisSettings:
     without : kinds that are left out of the catalogue.
     fit : of the simulation-error fits.
     progress : called with a line of text at every step.
+    budget : seconds that the diagnosis may take, from `began` of `time.monotonic` on.
+    calibration_ends : when the calibration has to end; it has no limit unless one is given.
     """
 
     alpha: float = 0.05
@@ -33,18 +38,41 @@ class DiagnosisSettings:
     without: Collection[str] = ()
     fit: FitSettings = field(default_factory=FitSettings)
     progress: Progress = lambda _: None
+    budget: float = math.inf
+    began: float = field(default_factory=time.monotonic)
+    calibration_ends: float = math.inf
+
+    @property
+    def search_ends(self) -> float:
+        """When the search has to end: the verdict needs the rest."""
+        return self.began + BUDGET.search * self.budget
+
+    @property
+    def ends(self) -> float:
+        """When the diagnosis has to end."""
+        return self.began + self.budget
 
 
 def require_settings(
-    problem: Problem, false_alarm_rate: float, max_causes: int, without: Collection[str]
+    problem: Problem,
+    false_alarm_rate: float,
+    max_causes: int,
+    without: Collection[str],
+    budget: float | None = None,
 ) -> None:
     """Refuse settings of a diagnosis that mean nothing.
 
     Raises
     ------
     DataError
-        For a rate outside (0, 1), fewer causes than one, or a kind that there is none of.
+        For a rate outside (0, 1), fewer causes than one, a kind that there is none of, or a budget
+        that is no time.
     """
+    if budget is not None and not budget > 0.0:
+        raise DataError(
+            f"budget = {budget:g} s is no time; give the seconds that the diagnosis may take, for "
+            "example 600 (--budget 600)"
+        )
     if not 0.0 < false_alarm_rate < 1.0:
         raise DataError(
             f"false_alarm_rate = {false_alarm_rate:g} is no rate between 0 and 1; give the share "

@@ -610,6 +610,18 @@ class Calibrating:
     )
 
 
+_BUDGET = f"{TESTS}/test_budget.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """The time that a diagnosis may take."""
+
+    seconds: float = _is(600.0, "where none is given; a calibration comes on top", _BUDGET)
+    calibration: float = _is(0.5, "of one that is given, when the calibration ends", _BUDGET)
+    search: float = _is(0.7, "of it, when the search ends: the verdict needs the rest", _BUDGET)
+
+
 SUFFICIENCY = Sufficiency()
 CLIPPING = Clipping()
 OUTLIERS = Outliers()
@@ -630,6 +642,7 @@ JUDGING = Judging()
 PLANNING = Planning()
 EXPERIMENTS = Experiments()
 CALIBRATING = Calibrating()
+BUDGET = Budget()
 
 GROUPS = (
     SUFFICIENCY,
@@ -652,6 +665,7 @@ GROUPS = (
     PLANNING,
     EXPERIMENTS,
     CALIBRATING,
+    BUDGET,
 )
 
 TABLE = entries(*GROUPS)

@@ -75,7 +75,7 @@ def describe_null(rank: LocalRank) -> str:
             f"{' and '.join(names)} are not separately identifiable ({together} changes nothing)"
             f"{instead}: give one of them a known value"
         )
-    return "; ".join(parts)
+    return "; ".join(dict.fromkeys(parts))
 
 
 def _invariants(direction: Mapping[str, float]) -> list[str]:

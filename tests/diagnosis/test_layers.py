@@ -13,15 +13,16 @@ ROOM = Path(__file__).resolve().parents[2] / "casid" / "diagnosis"
 # Who may import whom inside casid.diagnosis; from low to high.
 LAYERS = """
 thresholds:
+attempts:
 settings: thresholds
-evidence: thresholds settings
+evidence: thresholds attempts settings
 unexplained: thresholds evidence
-search: thresholds settings evidence
-verdict: thresholds settings evidence unexplained search
+search: thresholds attempts settings evidence
+verdict: thresholds attempts settings evidence unexplained search
 advice: thresholds settings evidence search verdict
 calibration: thresholds evidence verdict
 diagnosis: evidence unexplained verdict advice calibration
-diagnose: settings evidence search verdict advice calibration diagnosis
+diagnose: thresholds settings evidence search verdict advice calibration diagnosis
 """
 
 FILES = sorted(p for p in ROOM.rglob("*.py") if p.name != "__init__.py")

@@ -29,7 +29,7 @@ from casid.diagnosis.advice.planned_records import Planned, Planner, with_start
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
 from casid.diagnosis.thresholds import PLANNING, SCORES
-from casid.errors import CasidError, DataError
+from casid.errors import CasidError, DataError, OutOfTimeError
 from casid.estimation.noise import NoiseModel, noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -167,6 +167,8 @@ def next_experiment(
         say(f"predict: {planned.name}")
         try:
             proposals.append(rule.judged(planned, now))
+        except OutOfTimeError:
+            break  # the best of those that there was time for
         except CasidError:
             continue  # cannot be simulated with sensitivities: no prediction
     # Both gains count among those that are clearer; of the others, the shortest goes first.

@@ -15,7 +15,6 @@ from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import Cause, Verdict
 from casid.diagnosis.verdict.judgement import Judgement
 from casid.diagnosis.verdict.sentences import separates
-from casid.errors import CasidError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +37,11 @@ def recommend(
     plan : whether experiments are planned, and undetectable causes explained; it takes seconds.
     """
     table, base = found.search.first_table, found.baseline
-    planned = _planned(problem, found, judged.causes) if plan else None
+    attempt = found.search.attempts.attempt
+    planned = None
+    if plan:
+        what = "the plan of an experiment that separates tied causes"
+        planned = attempt(what, lambda: _planned(problem, found, judged.causes))
     if base.negated is not None:
         text = base.negated.remedy
     elif judged.bounds and judged.verdict == "undecided":
@@ -49,10 +52,16 @@ def recommend(
         text = advice(judged.verdict, judged.causes, table, judged.why_undecided)
     if table is None:
         return Recommendation(text, None, (), planned.proposals if planned is not None else ())
+    undetectable: tuple[Undetectable, ...] | None = ()
+    if plan:
+        undetectable = attempt(
+            "why some causes are undetectable",
+            lambda: undetectable_effects(table, problem.model, base.split.fitted),
+        )
     return Recommendation(
         sentence=text,
         isolability=isolability(table, n_samples=found.base_fit.criterion.n_samples),
-        undetectable=undetectable_effects(table, problem.model, base.split.fitted) if plan else (),
+        undetectable=undetectable or (),
         proposals=planned.proposals if planned is not None else (),
     )
 
@@ -74,10 +83,7 @@ def _planned(problem: Problem, found: Findings, causes: Sequence[Cause]) -> Advi
             for c in (a.candidate, *rivals[: PLANNING.suspects])
         ]
         say("plan an experiment that separates the tied causes")
-        try:
-            return next_experiment(problem, a.before, suspects, progress=say)
-        except CasidError as error:
-            say(f"no experiment could be planned: {error}")
+        return next_experiment(problem, a.before, suspects, progress=say)
     return None
 
 

@@ -16,6 +16,7 @@ do not show what a search at a looser threshold would name.
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import math
 import signal
@@ -47,6 +48,7 @@ from casid.errors import CasidError, DataError, ModelError, SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.minimization import Fit
 from casid.presentation import Presented, present
+from casid.time_limit import require_time, seconds_left
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
@@ -392,6 +394,8 @@ class NullRun:
             hold_out=apart or self.recipe.hold_out,
             false_alarm_rate=self.alpha,
         )
+        if seconds_left() <= 0.0:
+            raise KeyboardInterrupt  # ended in the middle: no answer
         smallest = min((r.adjusted for r in d.ranking), default=1.0)
         level = max(smallest, self.alpha)
         if d.verdict == "deficient":
@@ -462,7 +466,7 @@ def _table(
     with tempfile.TemporaryDirectory(prefix="casid-calibration-") as scratch:
         folder = Path(scratch) / "runs"
         try:
-            with _interruptible(run.stop, is_serial=workers == 1):
+            with _interruptible(run.stop, is_serial=workers == 1), _ended_in_time(run.stop):
                 start = time.perf_counter()
                 with joblib.parallel_config(backend="sequential"):
                     done = campaign(run, 1, seed=seed, out=folder, batch=1)
@@ -484,6 +488,7 @@ def _table(
             parts = Parts(folder, manifest_of(run, seed))
             n = len(parts.runs)
             if not n:
+                require_time("the calibration")
                 raise KeyboardInterrupt("no null record was done; nothing is kept") from None
             say(f"interrupted: the diagnosis goes on with {n} of {runs} null records")
             return parts.end().to_pandas(), True
@@ -499,6 +504,23 @@ def _labelled(say: Callable[[str], None]) -> Callable[[str], None]:
             say(f"calibrate: {text}")
 
     return line
+
+
+@contextlib.contextmanager
+def _ended_in_time(stop: threading.Event) -> Iterator[None]:
+    """Do at the time limit what Ctrl-C does."""
+    seconds = seconds_left()
+    if not math.isfinite(seconds):
+        yield
+        return
+    is_main = threading.current_thread() is threading.main_thread()
+    timer = threading.Timer(seconds, _thread.interrupt_main if is_main else stop.set)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from casid.data.problem import Problem
+from casid.diagnosis.attempts import FAILURES, reason_of
 from casid.diagnosis.evidence.corrupted_samples import CorruptedSamples, without_corrupted
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.recorded_channels import channels_held_out_too, recorded_beside
@@ -17,7 +18,7 @@ from casid.diagnosis.evidence.sufficiency import (
     why_uninformative,
 )
 from casid.diagnosis.settings import DiagnosisSettings
-from casid.errors import SolveError
+from casid.errors import CasidError, OutOfTimeError, SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
@@ -27,6 +28,7 @@ from casid.identification.signs_from_simulation import (
     quick_settings,
     wrong_sign,
 )
+from casid.time_limit import require_time, until
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,10 +69,25 @@ def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) ->
     SolveError
         If the records support an answer, but the fit does not converge.
     """
-    say = settings.progress
     reason = why_uninformative(problem.model, split)
-    if reason:
-        return _uninformative(problem, split, settings.fit, reason)
+    if not reason:
+        try:
+            with until(settings.search_ends):
+                return _fitted(problem, split, settings)
+        except OutOfTimeError:
+            reason = (
+                "the budget of time ended before the model as it is was fitted: fit a shorter "
+                "window (--window), or raise the budget (--budget)"
+            )
+        except CasidError:
+            raise
+        except FAILURES as error:
+            reason = f"the model as it is cannot be judged, since {reason_of(error)}"
+    return _uninformative(problem, split, settings.fit, reason)
+
+
+def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
+    say = settings.progress
     say("fit the model as it is")
     negated = wrong_sign(problem, split.fitted, settings.fit, alpha=settings.alpha)
     as_recorded: Fit | None = None
@@ -93,6 +110,7 @@ def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) ->
     start = weighing.weigh(problem.model, fit)
     undecided = why_undecided(fit, start, partial(std_error, start.fit))
     if not undecided and not fit.solution.is_converged:
+        require_time("the fit of the model as it is")
         raise SolveError(
             f"{problem.name}: the model as it is could not be fitted "
             f"({fit.solution.status}): {fit.solution.remedy}"

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -18,11 +19,12 @@ from scipy.stats import chi2, norm
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighted, use_samples_of
 from casid.diagnosis.evidence.score_tests import ScoreTable
-from casid.diagnosis.search.candidates import Candidate, Rival
+from casid.diagnosis.search.candidates import Candidate, Rival, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import COMPARISON
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.model.effects.effect import ON_THE_CLOCK
+from casid.time_limit import seconds_left
 
 IMITATORS = (*ON_THE_CLOCK, "missing_mode")
 """Kinds with a time or a frequency of their own."""
@@ -83,15 +85,26 @@ def rejudge(
     for c in found[:count]:
         if c is not best and c.gain <= COMPARISON.relative_gain * best.gain:
             continue
-        criterion = weighing.criterion(c.model, noise, c.fit.values, at.criterion)
-        use_samples_of(criterion, c.fit.criterion)
-        fit = weighing.minimum(criterion)
-        judged = refitting.judged(again, c.effect, c.names, c.model, fit)
-        out.append(replace(judged, score=c.score))
+        judged = refitting.attempts.attempt(
+            name_of(c.effect), partial(_judged_again, refitting, again, c)
+        )
+        if judged is not None:
+            out.append(judged)
+    if not out or seconds_left() <= 0.0:
+        return found
     out.sort(key=lambda c: -c.merit)
     if out[0].effect.key != best.effect.key and rounds > 1:
         return rejudge(refitting, at, out, count, rounds - 1)
     return out
+
+
+def _judged_again(refitting: Refitting, again: Weighted, c: Candidate) -> Candidate:
+    """A candidate refitted and judged under another noise."""
+    criterion = refitting.weighing.criterion(c.model, again.noise, c.fit.values, again.criterion)
+    use_samples_of(criterion, c.fit.criterion)
+    fit = refitting.weighing.minimum(criterion)
+    judged = refitting.judged(again, c.effect, c.names, c.model, fit)
+    return replace(judged, score=c.score)
 
 
 def p_value(table: ScoreTable, candidate: Candidate) -> float:

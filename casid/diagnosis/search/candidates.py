@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score
@@ -48,11 +49,31 @@ class Adopted:
     before: Weighted | None = None  # the model that it was adopted into
 
 
+NOWHERE = 1e300
+"""The limit of a clipping that cuts off nothing."""
+
+
 def null_values(candidate: Candidate) -> dict[str, float]:
     """The values of an effect's parameters at which it does nothing."""
     effect = candidate.effect
-    starts = [1e9 if effect.test == "clip" else p.start for p in effect.parameters]
+    starts = [NOWHERE if effect.test == "clip" else p.start for p in effect.parameters]
     return dict(zip(candidate.names, starts, strict=True))
+
+
+def taken_out(model: Model, null: Mapping[str, float]) -> Model:
+    """A copy of `model` with effects at their null values, whatever bounds the search gave them."""
+    new = model.copy()
+    for name, value in null.items():
+        p = new.parameters[name]
+        new.parameters[name] = replace(
+            p, value=value, lower=min(p.lower, value), upper=max(p.upper, value)
+        )
+    return new
+
+
+def name_of(effect: Effect) -> str:
+    """Kind and place, as notes have them."""
+    return f"{effect.kind} in {effect.key[1]}"
 
 
 def found_values(candidate: Candidate) -> dict[str, float]:

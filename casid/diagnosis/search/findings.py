@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from casid.data.problem import Problem
+from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.search.candidates import Adopted
+from casid.diagnosis.search.candidates import Adopted, name_of
 from casid.diagnosis.search.reconsideration import reconsidered
 from casid.diagnosis.search.record_specific import Specific, record_specific
 from casid.diagnosis.search.rounds import Search
@@ -55,6 +56,7 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         without=settings.without,
         effects=problem.effects,
         progress=settings.progress,
+        attempts=Attempts(settings.search_ends),
     )
     # With a wrong sign, the model fitted to the negated channel is an extension by itself.
     negated_fit = baseline.fit if baseline.negated is not None else None
@@ -62,11 +64,31 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         return Findings(baseline, search, baseline.start, negated_fit)
     fit, split, start = baseline.fit, baseline.split, baseline.start
     adopted, at, extended = adopt_causes(search, start, fit, split, settings.fit)
+    if not adopted:
+        baseline = replace(baseline, why_undecided=_why_open(search))
     adopted = reconsidered(search, adopted, start, at)
     specific: tuple[Specific, ...] = ()
     if extended is not None and len(split.fitted) > 1:
         settings.progress("test whether one size of each cause explains every record")
-        specific, extended, at = record_specific(
-            baseline.weighing, adopted, extended, at, settings.fit
+        whole, noise = extended, at
+        apart = search.attempts.attempt(
+            "the test whether one size of each cause explains every record",
+            lambda: record_specific(baseline.weighing, adopted, whole, noise, settings.fit),
         )
+        specific, extended, at = apart or (specific, extended, at)
     return Findings(baseline, search, at, extended or negated_fit, tuple(adopted), specific)
+
+
+def _why_open(search: Search) -> str:
+    """Why a search that adopted nothing is no answer, or an empty text."""
+    attempts = search.attempts
+    if attempts.not_done:
+        best = next(iter(search.first_candidates), None)
+        so_far = f", when {name_of(best.effect)} explained most" if best is not None else ""
+        return (
+            f"the budget of time ended before the search{so_far}: fit a shorter window (--window), "
+            "or raise the budget (--budget)"
+        )
+    if search.first_table is None:
+        return f"no effect could be tested, since {'; '.join(attempts.failed.values())}"
+    return ""

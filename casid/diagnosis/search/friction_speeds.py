@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from casid.arrays import TINY
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.search.candidates import Candidate
+from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import COMPARISON, FRICTION
 from casid.model.effects.balance_effects import coulomb_friction
@@ -31,7 +32,10 @@ def sharpened(
     """Promising dry friction refitted with sharper reversals, as long as that explains more."""
     top = max(c.gain for c in found)
     return [
-        _sharpened(refitting, at, c, progress)
+        refitting.attempts.attempt(
+            f"the sharpness of {name_of(c.effect)}", partial(_sharpened, refitting, at, c, progress)
+        )
+        or c
         if c.effect.kind == "coulomb_friction" and c.gain > FRICTION.promising * top
         else c
         for c in found

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
+from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.divergence import diverging_size
 from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted, use_samples_of
 from casid.diagnosis.evidence.robust_errors import wald
-from casid.diagnosis.search.candidates import Candidate, found_values
+from casid.diagnosis.search.candidates import Candidate, found_values, name_of
 from casid.diagnosis.thresholds import REFITS
 from casid.errors import SolveError
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
@@ -29,6 +31,7 @@ class Refitting:
 
     weighing: Weighing
     left_out: dict[tuple[str, str], str] = field(default_factory=dict)  # a user's effect -> why
+    attempts: Attempts = field(default_factory=Attempts)
     _before: tuple[Weighted, float] | None = None  # J of the last model requested
 
     def refit(
@@ -46,33 +49,46 @@ class Refitting:
         are known to be right: no others are tried.
         """
         best: Candidate | None = None
-        if self._runs_away(at, effect):
+        if self.attempts.attempt(name_of(effect), partial(self._runs_away, at, effect)):
             return None
         for start, upper in _starts(at, effect, step, near=near):
-            model, names = effect.extended(
-                at.model, starts={**(starts or {}), effect.parameters[0].name: start}, upper=upper
-            )
-            moved = moved_parameter(effect)
-            if moved is not None:
-                _keep_sign(model, names[0], at.fit.values.get(moved, 0.0), effect)
+            first = {**(starts or {}), effect.parameters[0].name: start}
             values = {**at.fit.values, **(best.fit.values if best else {})}
-            for name in names:
-                values.pop(name, None)
-            try:
-                criterion = self.weighing.criterion(model, at.noise, values, at.criterion)
-                fit = minimize_simulation_error(
-                    criterion,
-                    solver=self.weighing.solver or NEAR,
-                    check_rank=False,
-                    throw=False,
-                    retry="none",
-                )
-            except SolveError:
-                continue  # this start diverges; the others decide
-            found = self.judged(at, effect, names, model, fit)
-            if np.isfinite(found.gain) and (best is None or found.gain > best.gain):
+            found = self.attempts.attempt(
+                name_of(effect), partial(self._from, at, effect, first, upper, values)
+            )
+            if found is not None and (best is None or found.gain > best.gain):
                 best = found
+        if best is not None:
+            self.attempts.succeeded(name_of(effect))
         return best
+
+    def _from(
+        self,
+        at: Weighted,
+        effect: Effect,
+        starts: Mapping[str, float],
+        upper: float | None,
+        values: Mapping[str, float],
+    ) -> Candidate:
+        """The refit from one start; `values` of everything else."""
+        model, names = effect.extended(at.model, starts=starts, upper=upper)
+        moved = moved_parameter(effect)
+        if moved is not None:
+            _keep_sign(model, names[0], at.fit.values.get(moved, 0.0), effect)
+        values = {name: value for name, value in values.items() if name not in names}
+        criterion = self.weighing.criterion(model, at.noise, values, at.criterion)
+        fit = minimize_simulation_error(
+            criterion,
+            solver=self.weighing.solver or NEAR,
+            check_rank=False,
+            throw=False,
+            retry="none",
+        )
+        found = self.judged(at, effect, names, model, fit)
+        if not (np.isfinite(found.gain) and np.isfinite(found.wald)):
+            raise SolveError("its gain is not finite")
+        return found
 
     def again(self, at: Weighted, found: Candidate, *, near: bool = True) -> Candidate | None:
         """A candidate refitted into another model or on other records, from what it was."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import scan
-from casid.diagnosis.search.candidates import Candidate
+from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
 from casid.model.effects.effect import Effect
@@ -40,7 +41,8 @@ def placed(
             progress(f"place {c.effect.kind} in {c.effect.where}")
             if instant is not None:
                 c = _better_at(refitting, at, c, instant, known)
-            c = _placed(refitting, at, c, known)
+            scan_of = partial(_placed, refitting, at, c, known)
+            c = refitting.attempts.attempt(f"the instant of {name_of(c.effect)}", scan_of) or c
             instant = instant if instant is not None else c.effect.variant
         out.append(c)
     return out

@@ -53,7 +53,7 @@ def preselected(
         return everything
     heads = [_head(e, share) for e in refitting.weighing.experiments]
     weighing = replace(refitting.weighing, experiments=heads)
-    small = Refitting(weighing, refitting.left_out)
+    small = Refitting(weighing, refitting.left_out, refitting.attempts)
     part = replace(at, fit=weighing.fitted(at.model, at, at.fit.values), unbiased=None)
     found: dict[tuple[str, str], Candidate | None] = {}
     for i, s in enumerate(compared):

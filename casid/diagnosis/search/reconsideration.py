@@ -9,14 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.alternatives import rivals_of
-from casid.diagnosis.search.candidates import Adopted, Candidate, found_values
+from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, found_values, name_of
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import COMPARISON, ROUNDS
-from casid.errors import CasidError
 from casid.model.model import Model
+from casid.time_limit import require_time
 
 
 def reconsidered(
@@ -37,19 +38,29 @@ def reconsidered(
         if rivals and judged_under_misfit and not at.noise_absorbs_misfit:
             search.progress(f"judge the rivals of {a.candidate.effect.kind} again")
             others = [b.candidate for b in adopted if b is not a]
-            try:
-                again = _without(search, others, start, at)
-                found = [
-                    c
-                    for b in (a.candidate, *(r.candidate for r in rivals[: ROUNDS.rivals]))
-                    if (c := search.refitting.again(again, b, near=False)) is not None
-                ]
-            except CasidError:
-                found = []
-            if found and found[0].effect is a.candidate.effect:
-                rivals = rivals_of(again, found[0], found)
+            again = search.attempts.attempt(
+                f"the second judgement of the rivals of {name_of(a.candidate.effect)}",
+                partial(_rivals_beside, search, a, others, start, at),
+            )
+            rivals = rivals if again is None else again
         out.append(replace(a, rivals=rivals))
     return out
+
+
+def _rivals_beside(
+    search: Search, a: Adopted, others: Sequence[Candidate], start: Weighted, at: Weighted
+) -> tuple[Rival, ...]:
+    """The rivals of one cause with the others in the model."""
+    again = _without(search, others, start, at)
+    found = [
+        c
+        for b in (a.candidate, *(r.candidate for r in a.rivals[: ROUNDS.rivals]))
+        if (c := search.refitting.again(again, b, near=False)) is not None
+    ]
+    require_time("the rivals")  # one that was not refitted is no less a rival
+    if not found or found[0].effect is not a.candidate.effect:
+        return a.rivals
+    return rivals_of(again, found[0], found)
 
 
 def better_rivals(
@@ -61,16 +72,13 @@ def better_rivals(
     leaves a little, may have come first. Which of these to take is decided by its remainder.
     """
     last = adopted[-1]
-    try:
-        again = _without(search, [a.candidate for a in adopted[:-1]], start, at)
-        first = search.refitting.again(again, last.candidate, near=False)
-        found = [
-            c
-            for r in last.rivals[: ROUNDS.rivals]
-            if (c := search.refitting.again(again, r.candidate, near=False)) is not None
-        ]
-    except CasidError:
-        return []
+    again = _without(search, [a.candidate for a in adopted[:-1]], start, at)
+    first = search.refitting.again(again, last.candidate, near=False)
+    found = [
+        c
+        for r in last.rivals[: ROUNDS.rivals]
+        if (c := search.refitting.again(again, r.candidate, near=False)) is not None
+    ]
     better = [c for c in found if first is not None and c.merit > first.merit + COMPARISON.strong]
     return sorted(better, key=lambda c: (c.effect.priority, -c.merit))
 

@@ -20,7 +20,6 @@ from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.thresholds import ROUNDS
-from casid.errors import SolveError
 from casid.estimation.covariance import sandwich
 from casid.estimation.estimate import Estimated
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -57,20 +56,14 @@ def record_specific(
     if not own:
         return (), fit, at
     once = replace(settings, starts=1)
-    try:
-        apart = _fit(fit, own, weighing, once)
-    except SolveError:
-        return (), fit, at
+    apart = _fit(fit, own, weighing, once)
     different = {key: _wald(apart, names[0]) for key, names in tested.items()}
     level = ROUNDS.record_alpha / max(len(different), 1)
     kept = {key: p for key, (p, _) in different.items() if p < level}
     if not kept:
         return (), fit, at
     own = [tested[key][0] for key in kept]
-    try:
-        apart = _fit(fit, own, weighing, once)
-    except SolveError:
-        return (), fit, at
+    apart = _fit(fit, own, weighing, once)
     specific = tuple(
         Specific(key, max(p, TINY), _values(apart, tested[key][0])) for key, p in kept.items()
     )

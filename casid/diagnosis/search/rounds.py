@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.residual_tests import ResidualTests
 from casid.diagnosis.evidence.score_tests import Score, ScoreTable, score_test
@@ -22,7 +23,7 @@ from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.friction_speeds import sharpened
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
-from casid.diagnosis.search.preselection import preselected
+from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.settings import Progress
 from casid.diagnosis.thresholds import COMPARISON, ROUNDS
 from casid.model.effects.catalogue import catalogue
@@ -44,10 +45,11 @@ class Search:
     first_table: ScoreTable | None = None
     first_candidates: list[Candidate] = field(default_factory=list)
     refused: list[tuple[Candidate, str]] = field(default_factory=list)
+    attempts: Attempts = field(default_factory=Attempts)
     refitting: Refitting = field(init=False)
 
     def __post_init__(self) -> None:
-        self.refitting = Refitting(self.weighing)
+        self.refitting = Refitting(self.weighing, attempts=self.attempts)
 
     def table(self, at: Weighted, adopted: Sequence[Candidate]) -> ScoreTable:
         """Score every effect not adopted yet."""
@@ -87,8 +89,12 @@ class Search:
     ) -> list[Candidate]:
         """Refit the shortlist of what was not adopted yet; best first."""
         found: list[Candidate] = []
-        refitting = self.refitting
-        short = preselected(refitting, at, shortlist(at, table), self.progress)
+        refitting, attempt = self.refitting, self.attempts.attempt
+        scores = shortlist(at, table)
+        short = attempt(
+            "the choice of candidates on a part of the records",
+            lambda: preselected(refitting, at, scores, self.progress),
+        ) or [Start(s) for s in scores]
         for i, start in enumerate(short):
             s = start.score
             self.progress(f"refit {i + 1}/{len(short)}: {s.effect.kind} in {s.effect.key[1]}")
@@ -106,7 +112,8 @@ class Search:
             found = sharpened(refitting, at, found, self.progress)
         found.sort(key=lambda c: -c.merit)
         ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
-        return ranked(refitting, at, found)
+        what = "the comparison of the candidates"
+        return attempt(what, lambda: ranked(refitting, at, found)) or found
 
 
 def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:

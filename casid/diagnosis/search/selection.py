@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
 from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.search.alternatives import IMITATORS, p_value, rivals_of
-from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, null_values
+from casid.diagnosis.search.candidates import (
+    Adopted,
+    Candidate,
+    Rival,
+    name_of,
+    null_values,
+    taken_out,
+)
 from casid.diagnosis.search.reconsideration import better_rivals
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import COMPARISON, ROUNDS
-from casid.errors import SolveError
 from casid.estimation.holdout import Split, held_out_error, why_no_better, why_worse
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
@@ -35,8 +43,11 @@ def adopt_causes(
     adopted, at = state.adopted, state.at
     extended = state.fit if adopted else None
     if extended is not None and len(adopted) > 1:
-        extended = _eliminated(search, adopted, extended, split, once)
-        at = search.weighing.weigh(extended.criterion.model, extended, rounds=1)
+        left = search.attempts.attempt(
+            "the test whether later causes make earlier ones superfluous",
+            partial(_eliminated, search, adopted, extended, split, once),
+        )
+        adopted, at, extended = left or (adopted, at, extended)
     return adopted, at, extended
 
 
@@ -58,15 +69,20 @@ class _Selection:
         search, at = self.search, self.at
         search.progress(f"test every effect (round {len(self.adopted) + 1})")
         named = [a.candidate for a in self.adopted]
-        table = search.table(at, named)
+        attempt = search.attempts.attempt
+        table = attempt(f"round {len(named) + 1} of the search", lambda: search.table(at, named))
+        if table is None:
+            return False
         if search.first_table is None:
             search.first_table = table
         # A score is robust by what repeats: misfit in one short burst, which no score can see,
         # shows in the residual's kind.
         is_scored = search.has_alarm(at, table)
-        if not is_scored and not is_more_than_noise(at, search):
+        if not is_scored and not attempt(
+            "the test of the residual", lambda: is_more_than_noise(at, search)
+        ):
             return False
-        found = search.round(at, table, named)
+        found = attempt("the refits of the candidates", lambda: search.round(at, table, named))
         if not found:
             return False
         if not self.adopted:
@@ -84,25 +100,29 @@ class _Selection:
         return False
 
     def _adopt(self, best: Candidate, *, is_alarm: bool) -> bool:
-        """Extend the model, unless the held-out data speak against it."""
-        try:
-            fit = _whole_fit(best, self.split, self.settings)
-            error = held_out_error(fit, self.split)
-        except SolveError as reason:
-            self.search.refused.append((best, f"its simulation diverges ({reason})"))
-            return False
+        """Extend the model, unless the held-out data speak against it, or the fit fails."""
+        attempts, what = self.search.attempts, f"the extension by {name_of(best.effect)}"
+        why = attempts.attempt(what, partial(self._extend, best, is_alarm=is_alarm))
+        if why is None:
+            why = attempts.failed.pop(what, "no time was left to extend the model by it")
+        if why:
+            self.search.refused.append((best, why))
+        return not why
+
+    def _extend(self, best: Candidate, *, is_alarm: bool) -> str:
+        """Extend the model; why the held-out data speak against it, or an empty text."""
+        fit = _whole_fit(best, self.split, self.settings)
+        error = held_out_error(fit, self.split)
         refuse = why_worse if is_alarm else why_no_better
         why = refuse(self.error, error)
         if why and best.effect.kind not in ON_THE_CLOCK:
             # The errors that an integrator has gathered say little: judge the end anew as well,
             # where the cause means something on a clock that starts anew.
             why = refuse(*(held_out_error(f, self.split, anew=True) for f in (self.fit, fit)))
-        if why:
-            self.search.refused.append((best, why))
-            return False
-        self.error, self.fit = error, fit
-        self.at = self.search.weighing.weigh(best.model, fit, rounds=1)
-        return True
+        if not why:
+            at = self.search.weighing.weigh(best.model, fit, rounds=1)
+            self.error, self.fit, self.at = error, fit, at
+        return why
 
     def exchange_last(self) -> None:
         """Take a rival of the last cause instead, where that leaves noise and the cause does not.
@@ -115,13 +135,20 @@ class _Selection:
             return
         search.progress(f"compare the rivals of {taken.candidate.effect.kind} by their residuals")
         for other in better_rivals(search, self.adopted, self.start, self.at):
-            fit = _whole_fit(other, self.split, self.settings)
-            instead = search.weighing.weigh(other.model, fit, rounds=1)
-            if not is_more_than_noise(instead, search):
-                self.adopted[-1] = replace(taken, candidate=other, rivals=_others(taken, other))
-                self.error = held_out_error(fit, self.split)
-                self.fit, self.at = fit, instead
+            what = f"the extension by {name_of(other.effect)}"
+            if search.attempts.attempt(what, partial(self._exchange, taken, other)):
                 return
+
+    def _exchange(self, taken: Adopted, other: Candidate) -> bool:
+        """Take another candidate in the place of the last one, if it leaves noise alone."""
+        fit = _whole_fit(other, self.split, self.settings)
+        instead = self.search.weighing.weigh(other.model, fit, rounds=1)
+        if is_more_than_noise(instead, self.search):
+            return False
+        error = held_out_error(fit, self.split)
+        self.adopted[-1] = replace(taken, candidate=other, rivals=_others(taken, other))
+        self.error, self.fit, self.at = error, fit, instead
+        return True
 
 
 def _whole_fit(candidate: Candidate, split: Split, settings: FitSettings) -> Fit:
@@ -142,23 +169,26 @@ def _others(taken: Adopted, chosen: Candidate) -> tuple[Rival, ...]:
 
 
 def _eliminated(
-    search: Search, adopted: list[Adopted], fit: Fit, split: Split, settings: FitSettings
-) -> Fit:
+    search: Search, adopted: Sequence[Adopted], fit: Fit, split: Split, settings: FitSettings
+) -> tuple[list[Adopted], Weighted, Fit]:
     """Take back, last first, what later causes have made insignificant; refit what is left."""
-    for a in reversed(list(adopted)):
+    kept, refused = list(adopted), []
+    for a in reversed(adopted):
         c = a.candidate
         null = null_values(c)
         first = c.names[0]
-        if len(adopted) == 1 or c.effect.test != "score":
+        if len(kept) == 1 or c.effect.test != "score":
             continue
         if abs(wald(fit, first, null[first])) > ROUNDS.backward_wald:
             continue
-        search.refused.append((c, "the other causes together leave nothing for it to explain"))
-        adopted.remove(a)
-        model = fit.criterion.model.with_known(**null)
+        refused.append((c, "the other causes together leave nothing for it to explain"))
+        kept.remove(a)
+        model = taken_out(fit.criterion.model, null)
         values = {k: v for k, v in fit.values.items() if k not in c.names}
         fit = fit_model(model, split.fitted, settings, start=values, check_rank=False, throw=False)
-    return fit
+    at = search.weighing.weigh(fit.criterion.model, fit, rounds=1)
+    search.refused += refused
+    return kept, at, fit
 
 
 def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:

@@ -41,7 +41,7 @@ def causes_of(
     samples += [  # a fact, however little it cuts off
         (c.energy * scale[c.channel], _saturation(found.search, c)) for c in corrupted.plateaus
     ]
-    losses = contributions_of(found.search.weighing, found.adopted, fit)
+    losses = contributions_of(found.search.weighing, found.adopted, fit, found.search.attempts)
     effects = [_adopted(found, a, estimate, columns or {}) for a in found.adopted]
     rows = [*zip(losses, effects, strict=True), *samples]
     total = max(sum(losses) + sum(loss for loss, _ in samples), TINY)

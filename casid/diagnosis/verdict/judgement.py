@@ -71,6 +71,7 @@ class Judgement:
 def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgement:
     """Name the causes, compute how much they explain, and decide."""
     base_fit, extended_fit, start = found.base_fit, found.extended_fit, found.baseline
+    attempt = found.search.attempts.attempt
     baseline = estimate_of(problem, base_fit, validation(base_fit, start.recorded))
     extended = None
     if extended_fit is not None:
@@ -82,7 +83,8 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     remainder = None
     if not start.why_undecided:
         found.search.progress("test the residual")
-        remainder = tested_remainder(found.at, found.search, found.adopted)
+        test = partial(tested_remainder, found.at, found.search, found.adopted)
+        remainder = attempt("the test of the remainder", test)
     disturbances = remainder.disturbances if remainder is not None else ()
     fitted, held = errors_of(found, with_disturbances=bool(disturbances))
     part = held if held.get("extended_rmse") else fitted
@@ -98,7 +100,9 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):
         # A parameter held at its bound leaves misfit of its own: it is named first.
         causes = with_the_unknown(causes, remainder, remaining)
-    causes, remainder = _compared_with_functions(found, causes, remainder)
+    compare = partial(_compared_with_functions, found, causes, remainder)
+    compared = attempt("the comparison with functions outside the catalogue", compare)
+    causes, remainder = compared or (causes, remainder)
     if start.negated is not None:
         causes = with_the_sign(start.negated, causes, base_fit, found.best_fit)
     why_undecided = start.why_undecided or unlike_held_out(fitted, held)
@@ -162,4 +166,4 @@ def notes_on(problem: Problem, found: Findings) -> tuple[str, ...]:
         for c, why in search.refused
     ]
     notes += [why for why in search.refitting.left_out.values() if why]
-    return tuple(notes)
+    return (*notes, *search.attempts.notes())

@@ -8,7 +8,9 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.errors import OutOfTimeError
 from casid.estimation.nlp.solution import Evaluation
+from casid.time_limit import no_time_limit
 
 
 class Criterion(Protocol):
@@ -88,8 +90,8 @@ def scales_at_start(first: Evaluation, scale: Array) -> tuple[Array, float]:
 class OnePass:
     """A criterion that remembers its last point: value, gradient and Hessian share one pass.
 
-    After `budget` passes it answers NaN without one, so that a line search that finds no descent
-    (a kink) ends at once.
+    After `budget` passes, or the time limit, it answers NaN without one, so that a line search
+    that finds no descent (a kink) ends at once.
     """
 
     def __init__(self, criterion: Criterion, budget: int) -> None:
@@ -103,13 +105,20 @@ class OnePass:
         if self._at is None or key != self._key:
             self.budget -= 1
             if self.budget < 0:
-                n, m = len(point), self.criterion.n_constraints
-                nan = np.full((n, n), np.nan)
-                return Evaluation(np.nan, nan[0], nan, np.full(m, np.nan), np.full((m, n), np.nan))
-            self._key, self._at = key, self.criterion.evaluate(point)
+                return self._nothing(len(point))
+            try:
+                self._key, self._at = key, self.criterion.evaluate(point)
+            except OutOfTimeError:
+                self._key, self._at = None, None
+                return self._nothing(len(point))
         return self._at
+
+    def _nothing(self, n: int) -> Evaluation:
+        m, nan = self.criterion.n_constraints, np.full((n, n), np.nan)
+        return Evaluation(np.nan, nan[0], nan, np.full(m, np.nan), np.full((m, n), np.nan))
 
     def judged(self, point: Array) -> Evaluation:
         """The criterion at `point`, whatever was spent."""
         self.budget = max(self.budget, 1)
-        return self(point)
+        with no_time_limit():
+            return self(point)

@@ -23,7 +23,7 @@ from casid.estimation.nlp.solution import (
     not_finite,
     stacked,
 )
-from casid.estimation.nlp.solver import Solver, gave_up, set_up
+from casid.estimation.nlp.solver import Solver, gave_up, limited, set_up
 
 
 class SymbolicProgram:
@@ -142,7 +142,7 @@ def solve_once(
         raise not_finite(name, names, x0)
     scale, solver = program.scale, program.solver
     problem = program.stated(ca.MX.sym("z", len(x0)))
-    nlpsol = set_up(name, solver, problem, program.options)
+    nlpsol = set_up(name, solver, problem, limited(program.options, solver))
     try:
         result = nlpsol(x0=x0 / scale, lbx=lower / scale, ubx=upper / scale, lbg=low, ubg=high)
     except RuntimeError as error:

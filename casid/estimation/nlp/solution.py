@@ -23,6 +23,7 @@ _REMEDIES = {
     "change the start values",
     "Restoration_Failed": "the constraints cannot be met from this start: try several starts",
     "Subproblem_Failed": "its quadratic program has no solution here: use Solver('ipopt')",
+    "Maximum_WallTime_Exceeded": "give it more time, or fit a shorter window",
     "Diverging_Iterates": "a parameter runs to infinity: give it bounds, or fix it",
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,6 +12,7 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import SolveError
+from casid.time_limit import seconds_left
 
 _QUIET: dict[str, dict[str, Any]] = {
     "ipopt": {
@@ -90,6 +92,18 @@ class Solver:
                 _QUIET_QP.get(str(merged["qpsol"]), {"error_on_fail": False})
             )
         return merged
+
+
+def limited(options: Mapping[str, Any], solver: Solver) -> dict[str, Any]:
+    """Options with the time limit around the call, where the solver knows one: Ipopt does."""
+    seconds = seconds_left()
+    if solver.name != "ipopt" or not math.isfinite(seconds):
+        return dict(options)
+    seconds = max(min(seconds, options.get(_SECONDS, math.inf)), 1e-3)
+    return {**options, _SECONDS: seconds}
+
+
+_SECONDS = "ipopt.max_wall_time"
 
 
 def as_solver(solver: Solver | str | None) -> Solver:

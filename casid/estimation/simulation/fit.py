@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casid.data.experiment import Experiment
+from casid.errors import OutOfTimeError, SolveError
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.minimization import Constraint, Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -57,17 +58,27 @@ def fit_model(
             substeps=substeps,
             start=start if fit is None else fit.values,
         )
-        fit = minimize_simulation_error(
-            criterion,
-            solver=settings.solver,
-            starts=settings.starts if fit is None else 1,
-            seed=settings.seed,
-            constraints=settings.constraints,
-            check_rank=check_rank and fit is None,
-            throw=throw,
-        )
-        if settings.substeps is not None or substeps >= 16 or not _steps_matter(fit):
-            return fit
+        try:
+            fit = minimize_simulation_error(
+                criterion,
+                solver=settings.solver,
+                starts=settings.starts if fit is None else 1,
+                seed=settings.seed,
+                constraints=settings.constraints,
+                check_rank=check_rank and fit is None,
+                throw=throw,
+            )
+            if settings.substeps is not None or substeps >= 16 or not _steps_matter(fit):
+                return fit
+        except OutOfTimeError:
+            if fit is None:
+                raise
+            return fit  # with the steps that there was time for
+        except SolveError:
+            # Too long a step makes a stable simulation diverge, too.
+            diverges = not np.isfinite(criterion.evaluate(criterion.start).value)
+            if fit is not None or settings.substeps is not None or substeps >= 64 or not diverges:
+                raise
         substeps *= 2
 
 

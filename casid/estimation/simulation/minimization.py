@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -16,6 +17,7 @@ from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
+from casid.time_limit import require_time, seconds_left
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +89,7 @@ def minimize_simulation_error(
     SolveError
         If no start leads to an optimum.
     """
+    require_time(f"the fit of {criterion.model.name}")
     nlp = _stated(criterion, constraints)
     first = _at_start(criterion)
     if check_rank and not constraints and criterion.segments == 1:
@@ -94,22 +97,25 @@ def minimize_simulation_error(
     solutions: list[Solution] = []
     failures: list[str] = []
     for k in range(max(starts, 1)):
-        point = criterion.start
-        if k > 0:
-            point = _random_start(criterion, point, np.random.default_rng((seed, k)))
+        if k > 0 and seconds_left() <= 0.0:
+            break
+        rng = np.random.default_rng((seed, k))
+        point = _random_start(criterion, criterion.start, rng) if k else criterion.start
         try:
-            solution = nlp.solve(solver, point.tolist(), throw=False, natural_scales=True)
+            solution = _solved(nlp, criterion, solver, point)
         except SolveError as error:
             failures.append(str(error))
             continue
-        is_done = solution.is_converged or retry == "none"
+        is_done = solution.is_converged or retry == "none" or seconds_left() <= 0.0
         if retry == "unsuccessful" and k == 0 and solution.status == "Solve_Succeeded":
             is_done |= solution.value > 0.5 * first.value
         if not is_done:
             # The natural scales of a far start are wrong at the end: once more from there.
-            solution = nlp.solve(solver, solution.x.tolist(), throw=False, natural_scales=True)
+            with suppress(SolveError):
+                solution = _solved(nlp, criterion, solver, solution.x)
         solutions.append(solution)
     if not solutions:
+        require_time(f"the fit of {criterion.model.name}")
         raise SolveError(failures[0])
     best = max(solutions, key=lambda s: (s.is_converged, -s.value))
     if throw and not best.is_converged:
@@ -117,6 +123,19 @@ def minimize_simulation_error(
     limit = best.value * (1 + 1e-6) + 1e-12
     agreeing = sum(solution.value <= limit for solution in solutions)
     return Fit(criterion, best, max(starts, 1), agreeing)
+
+
+def _solved(nlp: Nlp, criterion: SimulationError, solver: Solver | None, point: Array) -> Solution:
+    """Where the solver ends from `point` (n,); refuses an end without finite derivatives."""
+    solution = nlp.solve(solver, point.tolist(), throw=False, natural_scales=True)
+    if not (np.isfinite(solution.value) and np.all(np.isfinite(solution.hessian))):
+        there = zip(solution.names, solution.x.tolist(), strict=True)
+        raise SolveError(
+            f"{criterion.model.name}: the fit runs to where the simulation is not finite "
+            f"({', '.join(f'{name} = {value:.3g}' for name, value in there)}); "
+            "bound the parameters, or change the start values"
+        )
+    return solution
 
 
 def _stated(criterion: SimulationError, constraints: Sequence[Constraint]) -> Nlp:

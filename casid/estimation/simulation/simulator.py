@@ -22,6 +22,7 @@ from casid.arrays import Array
 from casid.estimation.simulation.band_limited import between_samples
 from casid.estimation.simulation.machine_code import MachineCode
 from casid.model.model import Explicit, Model, Stage
+from casid.time_limit import require_time
 
 BLOCK = 200
 """Samples that one mapped CasADi function steps through."""
@@ -228,6 +229,7 @@ class Simulator:
         for first in range(0, len(u), BLOCK):
             last = min(first + BLOCK, len(u))
             n = last - first
+            require_time("simulation")
             buffer, trigger = step.block(n)
             arguments = [state, u[first:last], after[first:last], repeated[:n]]
             for i, argument in enumerate(arguments):

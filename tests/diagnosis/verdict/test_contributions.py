@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 import casid
+from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.search.joint_refit import Refitting
@@ -48,7 +49,7 @@ def contributions(fits):
     beside = weighing.weigh(first.model, first.fit)
     second = refitting.refit(beside, quadratic_damping(first.model, "torque"), 0.07)
     adopted = [Adopted(first, 0.0, (), start), Adopted(second, 0.0, (), beside)]
-    return contributions_of(weighing, adopted, found["both"])
+    return contributions_of(weighing, adopted, found["both"], Attempts())
 
 
 def test_a_contribution_is_the_loss_of_the_model_without_that_cause(fits, contributions):

@@ -1,0 +1,72 @@
+"""Attempts that may fail: a candidate whose numbers break down is left out, and the search goes on.
+
+The one place where a numerical failure, or the end of the time limit, is caught in a diagnosis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+
+from casid.errors import CasidError, OutOfTimeError
+from casid.time_limit import require_time, until
+
+T = TypeVar("T")
+
+FAILURES = (CasidError, ArithmeticError, RuntimeError, ValueError)
+"""What casid, NumPy (`LinAlgError` is a ValueError), SciPy and CasADi raise where numbers fail."""
+
+
+@dataclass(slots=True)
+class Attempts:
+    """What was tried in vain.
+
+    Attributes
+    ----------
+    ends : of `time.monotonic`, when attempts have to end.
+    failed : what was left out -> why.
+    not_done : what no time was left for, each once, in order.
+    """
+
+    ends: float = math.inf
+    failed: dict[str, str] = field(default_factory=dict)
+    not_done: dict[str, None] = field(default_factory=dict)
+
+    def attempt(self, what: str, function: Callable[[], T]) -> T | None:
+        """The function's value; None, with a note under `what`, where it fails or time is over."""
+        try:
+            with until(self.ends), np.errstate(all="ignore"):
+                require_time(what)
+                return function()
+        except OutOfTimeError:
+            self.not_done[what] = None
+        except FAILURES as error:
+            self.failed[what] = reason_of(error)
+        return None
+
+    def succeeded(self, what: str) -> None:
+        """Forget the failures of something that succeeded from another start."""
+        self.failed.pop(what, None)
+
+    def notes(self) -> list[str]:
+        """What was left out and what was not done, in sentences."""
+        found = []
+        if self.not_done:
+            found.append(
+                f"the budget of time ended; not done: {', '.join(self.not_done)}. What was found "
+                "until then is reported; raise it (--budget SECONDS) for the rest"
+            )
+        found += [f"{what} was left out: {why}" for what, why in self.failed.items()]
+        return found
+
+
+def reason_of(error: Exception) -> str:
+    """An error in one line, those of other libraries as what they are to a reader."""
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    if isinstance(error, CasidError):
+        return lines[0]
+    return f"its numbers break down ({lines[-1].strip()})"

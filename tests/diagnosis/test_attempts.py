@@ -1,0 +1,66 @@
+"""A candidate whose numbers break down is left out with its reason, and the search goes on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+import casid
+from casid.diagnosis.attempts import Attempts
+from casid.diagnosis.evidence.prewhitening import Weighing
+from problems import roll_decay
+
+
+@pytest.mark.parametrize(
+    "breaks_down",
+    [
+        pytest.param(lambda: np.linalg.cholesky(-np.eye(2)), id="linear algebra"),
+        pytest.param(lambda: nnls(np.eye(3), np.full(3, np.nan)), id="not finite"),
+        pytest.param(lambda: 1 / 0, id="arithmetic"),
+    ],
+)
+def test_what_breaks_down_is_left_out_with_its_reason(breaks_down):
+    attempts = Attempts()
+    assert attempts.attempt("drag", breaks_down) is None
+    (note,) = attempts.notes()
+    assert note.startswith("drag was left out: its numbers break down (")
+
+
+def test_a_refusal_of_casid_is_passed_on_in_its_own_words():
+    attempts = Attempts()
+
+    def refuse() -> None:
+        raise casid.SolveError("the simulation diverges at t = 3 s")
+
+    assert attempts.attempt("drag", refuse) is None
+    assert attempts.notes() == ["drag was left out: the simulation diverges at t = 3 s"]
+    attempts.succeeded("drag")  # from another start
+    assert not attempts.notes()
+
+
+@pytest.mark.parametrize("fault", [TypeError, KeyError, KeyboardInterrupt])
+def test_faults_and_interrupts_are_not_taken_for_numbers(fault):
+    def fail() -> None:
+        raise fault
+
+    with pytest.raises(fault):
+        Attempts().attempt("drag", fail)
+
+
+def test_one_candidate_that_breaks_down_leaves_the_others_to_be_named(monkeypatch):
+    """The refits of a further mode fail: drag is named all the same, and a note says what failed."""
+    record = roll_decay.simulate(duration=120.0, C_3=0.0).decimate(10)
+    compensated = Weighing.compensated
+
+    def breaking(self, at, criterion, x):
+        if "missing_mode" in criterion.model.name:
+            raise np.linalg.LinAlgError("SVD did not converge")
+        return compensated(self, at, criterion, x)
+
+    monkeypatch.setattr(Weighing, "compensated", breaking)
+    found = casid.diagnose(roll_decay.problem, record, advise=False, max_causes=1)
+    assert found.verdict == "deficient"
+    assert found.causes[0].kind == "quadratic_damping"
+    left_out = "missing_mode in torque was left out: its numbers break down (SVD did not"
+    assert any(note.startswith(left_out) for note in found.notes)
