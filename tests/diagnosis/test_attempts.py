@@ -49,7 +49,7 @@ def test_faults_and_interrupts_are_not_taken_for_numbers(fault):
 
 
 def test_one_candidate_that_breaks_down_leaves_the_others_to_be_named(monkeypatch):
-    """The refits of a further mode fail: drag is named all the same, and a note says what failed."""
+    """The refits of a further mode fail: drag is named, and a note says what failed."""
     record = roll_decay.simulate(duration=120.0, C_3=0.0).decimate(10)
     compensated = Weighing.compensated
 
