@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from casid.arrays import TINY
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score
 from casid.estimation.simulation.minimization import Fit
@@ -49,14 +50,10 @@ class Adopted:
     before: Weighted | None = None  # the model that it was adopted into
 
 
-NOWHERE = 1e300
-"""The limit of a clipping that cuts off nothing."""
-
-
 def null_values(candidate: Candidate) -> dict[str, float]:
     """The values of an effect's parameters at which it does nothing."""
-    effect = candidate.effect
-    starts = [NOWHERE if effect.test == "clip" else p.start for p in effect.parameters]
+    effect, nowhere = candidate.effect, 1 / TINY  # the limit of a clipping that cuts off nothing
+    starts = [nowhere if effect.test == "clip" else p.start for p in effect.parameters]
     return dict(zip(candidate.names, starts, strict=True))
 
 

@@ -120,8 +120,7 @@ def minimize_simulation_error(
     best = max(solutions, key=lambda s: (s.is_converged, -s.value))
     if throw and not best.is_converged:
         raise not_converged(criterion.model.name, best)
-    limit = best.value * (1 + 1e-6) + 1e-12
-    agreeing = sum(solution.value <= limit for solution in solutions)
+    agreeing = sum(s.value <= best.value * (1 + 1e-6) + 1e-12 for s in solutions)
     return Fit(criterion, best, max(starts, 1), agreeing)
 
 

@@ -216,6 +216,7 @@ class Simulator:
         Sensitivities of states are as many as those of outputs and more, and serve the next step
         alone: they are not kept.
         """
+        require_time("simulation")
         n_state, n_out = step.n_state, step.n_out
         states, outputs = np.empty((len(u), self.nx)), np.empty((len(u), n_out))
         state = np.ascontiguousarray(start, dtype=float)
