@@ -49,7 +49,7 @@ def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Res
     """
     model, d = criterion.model, criterion.data[experiment]
     p, _ = criterion.parameter_vector(x, experiment)
-    _, states, _ = criterion.simulate(x, experiment)
+    states = criterion.simulated(x, experiment).x  # kept: the residual comes from it as well
     disturbed = _with_disturbances(model)
     e = disturbed.explicit()
     nb = len(model.balances)

@@ -95,13 +95,14 @@ class Weighing:
         """The root of (2) in `scores`, with the noise found there; None if none is near.
 
         Where much is unexplained, the noise meanwhile is that of sensors and inputs alone. Given up
-        where several steps come no nearer: a bound holds a parameter back, say.
+        where several steps come no nearer (a bound holds a parameter back, say), or so slowly that
+        all that are left would not reach it.
         """
         if not any(found.input_sd.values()):
             return None
         at = found
-        shortest, since = np.inf, 0
-        for _ in range(PREWHITENING.steps):
+        shortest, since, first = np.inf, 0, np.inf
+        for k in range(PREWHITENING.steps):
             noise = at.full.quiet(at.input_sd) if at.noise_absorbs_misfit else at.full
             criterion = self.criterion(at.model, noise, at.fit.values, found.criterion)
             use_samples_of(criterion, found.criterion)
@@ -112,6 +113,11 @@ class Weighing:
             at = self._estimated(moved)
             if length < PREWHITENING.converged:
                 return at
+            first = length if k == 0 else first
+            if k >= PREWHITENING.patience and length > PREWHITENING.longest_step:
+                to_come = (first - length) / k * (PREWHITENING.steps - k)
+                if length - to_come > PREWHITENING.longest_step:
+                    return None  # at this rate it is still far away after the last step
             is_nearer = length < PREWHITENING.nearer * shortest
             shortest, since = (length, 0) if is_nearer else (shortest, since + 1)
             if since >= PREWHITENING.patience and length < PREWHITENING.longest_step:
