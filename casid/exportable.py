@@ -63,7 +63,7 @@ class Exportable:
 
         Parameters
         ----------
-        at : state or input -> its value there, SI; 0 where not named.
+        at : state or input -> its value there, in its unit; 0 SI where not named.
         time : on the record's clock [s]; default the beginning of the first fitted record.
         without_delays : leave out the delays of sensors; otherwise a delayed output is refused.
         """

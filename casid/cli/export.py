@@ -59,5 +59,5 @@ def export(
     if path.exists() and not force:
         raise DataError(f"{path} exists; name another file with --out, or add --force")
     model = fitted_model(result)
-    point = model.model.in_si(dict(parse_setting(text, "--at") for text in at))
+    point = dict(parse_setting(text, "--at") for text in at)
     say(f"wrote {run(model, target, path, at=point, without_delays=without_delays)}")

@@ -110,7 +110,7 @@ def _of_result(
 
     fitted = fitted_model(path)
     problem = problem_of(fitted)
-    known = fitted.model.in_si(request.known(problem))
+    known = request.known(problem)
     start = _initial(fitted, x0)
     if not request.data:
         record = clock(fitted, duration)
@@ -128,19 +128,19 @@ def _of_problem(
     from casid.estimation.fitted.simulation_inputs import clock, inputs_alone, starting_model
 
     problem = load(path)
-    known = problem.model.in_si(request.known(problem))
+    known = request.known(problem)
     if request.data:
         experiment = request.experiments(inputs_alone(problem))[0][0]
     else:
         experiment = problem.examples()[0]
-    fitted = starting_model(problem, experiment, known)
+    fitted = starting_model(problem, experiment, problem.model.in_si(known))
     if duration is not None:
         experiment = Experiment(clock(fitted, duration))
     return fitted, fitted.simulate(experiment, _initial(fitted, x0), known=known, on_clock=True)
 
 
 def _initial(fitted: FittedModel, texts: tuple[str, ...]) -> dict[str, float] | None:
-    """The initial states of --x0, SI."""
+    """The initial states of --x0, in their units."""
     from casid.errors import nearest
 
     given = dict(parse_setting(text, "--x0") for text in texts)
@@ -151,4 +151,4 @@ def _initial(fitted: FittedModel, texts: tuple[str, ...]) -> dict[str, float] | 
                 f"--x0 {name}: {fitted.name} has no such state; it has {there}"
                 f"{nearest(name, fitted.model.states)}"
             )
-    return fitted.model.in_si(given) or None
+    return given or None

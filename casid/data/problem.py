@@ -11,13 +11,13 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from casid.data.derived import Derived, derive
 from casid.data.experiment import Experiment
 from casid.data.reading.columns import ColumnSpec, resolve
 from casid.data.reading.file_format import FileFormat
-from casid.data.reading.frames import is_frame, open_frame
+from casid.data.reading.frames import open_frame
 from casid.data.reading.opening import open_table
 from casid.data.reading.record_file import record_of
 from casid.data.reading.sources import source_of
@@ -208,15 +208,23 @@ class Problem(Viewed):
         model = self.model
         if model.takes_si:
             return self
-        units = self._channel_units()
-        noise = {n: float(difference_to_si(sd, units[n])) for n, sd in self.noise.items()}
         return replace(
             self,
             model=model.taking_si(),
-            noise=noise,
+            noise=self.noise_in_si(self.noise),
             load_cases={case: model.in_si(values) for case, values in self.load_cases.items()},
             truth=model.in_si(self.truth),
         )
+
+    def noise_in_si(self, noise: Mapping[str, float]) -> dict[str, float]:
+        """Standard deviations by channel in SI, given in the channels' units.
+
+        A name that is no channel keeps its number.
+        """
+        if self.model.takes_si:
+            return dict(noise)
+        units = self._channel_units()
+        return {n: float(difference_to_si(sd, units.get(n, "1"))) for n, sd in noise.items()}
 
     def read(
         self,
@@ -420,9 +428,6 @@ class Problem(Viewed):
         return replace(self, model=self.model.with_si_values(values))
 
 
-Recorded: TypeAlias = "Experiment | Record | pd.DataFrame"
-"""What a record can be given as; a DataFrame is read through the problem's channels."""
-
 _FUNCTIONS = ("derived", "example", "simulate", "effects")
 """Fields of a problem that hold functions."""
 
@@ -502,66 +507,3 @@ def _line(error: Exception, path: Path) -> str:
         if Path(frame.filename).resolve() == path.resolve()
     ]
     return f"line {lines[-1]}" if lines else "an unknown line"
-
-
-def in_si(
-    problem: Problem | Model,
-    experiments: Sequence[Recorded] | Recorded | None,
-) -> tuple[Problem, list[Experiment]]:
-    """Problem and experiments as the library's own functions take them: every number in SI.
-
-    Parameters
-    ----------
-    problem : or its model alone, where there is nothing to add to it.
-    experiments : values known in them in the units that the model declares; default the problem's
-        own example. Names are made unique.
-
-    Raises
-    ------
-    DataError
-        If there is no record.
-    ModelError
-        If `problem` is none.
-    """
-    if isinstance(problem, Model):
-        problem = Problem(problem.name, problem)
-    chosen = experiments_of(problem, experiments)
-    converted = [replace(e, known=problem.model.in_si(e.known)) for e in chosen]
-    return problem.in_si(), converted
-
-
-def experiments_of(
-    problem: Problem, experiments: Sequence[Recorded] | Recorded | None
-) -> list[Experiment]:
-    """What the caller gave as a list of experiments, names made unique; the example by default.
-
-    A DataFrame is read through the problem's channels, as a file is.
-    """
-    if not isinstance(problem, Problem):
-        what = f"model {problem.name}" if isinstance(problem, Model) else repr(problem)
-        raise ModelError(
-            f"{what} is no problem; give casid.Problem(name, model), or "
-            "casid.load_problem(path) of a file"
-        )
-    chosen: list[Experiment]
-    if experiments is None:
-        chosen = problem.examples()
-    else:
-        alone = isinstance(experiments, Record | Experiment) or is_frame(experiments)
-        given: Any = [experiments] if alone else experiments
-        chosen = [_experiment(problem, e) for e in given]
-    if not chosen:
-        raise DataError("no record given; name at least one")
-    seen: dict[str, int] = {}
-    out = []
-    for e in chosen:
-        n = seen.get(e.name, 0)
-        seen[e.name] = n + 1
-        out.append(e if n == 0 else replace(e, name=f"{e.name}#{n + 1}"))
-    return out
-
-
-def _experiment(problem: Problem, given: Recorded) -> Experiment:
-    if isinstance(given, Experiment):
-        return given
-    return problem.experiment(given) if isinstance(given, Record) else problem.read_frame(given)

@@ -10,8 +10,9 @@ from functools import partial
 
 import numpy as np
 
+from casid.data.arguments import Recorded, experiments_of, in_si
 from casid.data.experiment import Experiment
-from casid.data.problem import Problem, Recorded, experiments_of, in_si
+from casid.data.problem import Problem
 from casid.diagnosis.advice.recommendation import recommend
 from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, require_runs
 from casid.diagnosis.calibration.false_alarm_rate import calibrate as run_calibration

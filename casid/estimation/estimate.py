@@ -15,6 +15,7 @@ from casid.deprecation import renamed
 from casid.estimation.covariance import Sampled, sample_through
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.grouping import Grouped
+from casid.model.declared_units import quantity_of
 from casid.model.units import from_si, is_si, parse_unit, si_unit, to_si
 from casid.presentation import Presented, present
 from casid.saving.saved import Saved
@@ -291,7 +292,7 @@ class Estimate(Presented, Saved):
 
     def in_si(self) -> Estimate:
         """The estimate with every number in SI."""
-        named = {_base(p.name): p.unit for p in (*self.parameters, *self.initial_states)}
+        named = {quantity_of(p.name): p.unit for p in (*self.parameters, *self.initial_states)}
         for r in self.records:
             named |= dict(_pairs(r.inputs, r.input_units)) | dict(_pairs(r.states, r.state_units))
         named |= self.units
@@ -414,10 +415,5 @@ def _factor(before: Mapping[str, str], after: Mapping[str, str], name: str) -> f
     return parse_unit(before[name]).factor / parse_unit(after[name]).factor
 
 
-def _base(name: str) -> str:
-    """The parameter or state in the name of a variable, `phi` of `phi(0)@run`."""
-    return name.partition("@")[0].partition("(")[0]
-
-
 def _unit_in(units: Mapping[str, str], row: Estimated) -> str:
-    return units.get(_base(row.name), row.unit)
+    return units.get(quantity_of(row.name), row.unit)

@@ -34,7 +34,7 @@ def control_system(
 
     Parameters
     ----------
-    at : state or input -> its value at the operating point, SI; 0 where not named.
+    at : state or input -> its value at the operating point, in its unit; 0 SI where not named.
     time : on the record's clock [s], for a model whose parameters depend on it; default the
         beginning of the first fitted record.
     without_delays : leave out the delays of sensors.
@@ -45,7 +45,9 @@ def control_system(
         If a name is no state or input, an output is delayed, or the model has no slope there.
     """
     plain = plain_model(fitted, what="a state space", without_delays=without_delays)
-    A, B, C, D = _matrices(plain, at or {}, fitted.records[0].t0 if time is None else time)
+    A, B, C, D = _matrices(
+        plain, fitted.model.in_si(at or {}), fitted.records[0].t0 if time is None else time
+    )
     inputs = list(plain.inputs)
     if not inputs:
         B, D, inputs = np.zeros((len(A), 1)), np.zeros((len(C), 1)), ["none"]

@@ -195,7 +195,7 @@ def resolved(fitted: FittedModel, *, what: str) -> PlainModel:
         If an input is unknown, or a function of the user's own.
     """
     model = fitted.model.copy()
-    values, initial = dict(fitted.values), dict(fitted.initial_states)
+    values, initial = fitted.si_values, fitted.si_initial_states
     for name, entry in model.inputs.items():
         if entry.kind == "unknown":
             raise ModelError(

@@ -193,7 +193,7 @@ class _Writer:
         lines = []
         for name, state in self.model.states.items():
             given = [_text(name), _text(self.whole.unit_of(name))]
-            start = self.fitted.initial_states[name]
+            start = self.fitted.si_initial_states[name]
             if state.initial is not None:
                 given.append(f"initial={self._number(name, state.initial)}")
             elif start != 0.0:
@@ -232,7 +232,7 @@ class _Writer:
         for name, p in self.model.parameters.items():
             if name in self.added:
                 continue
-            unit, value = _text(self.whole.unit_of(name)), self.fitted.values[name]
+            unit, value = _text(self.whole.unit_of(name)), self.fitted.si_values[name]
             variable = self.names[name]
             if p.is_constant:
                 number = self._number(name, value)
@@ -332,7 +332,7 @@ class _Writer:
         for stage in self.whole.stages:
             function, size = _EXTENSIONS[stage.kind]
             p = self.whole.parameters[stage.parameter]
-            largest = p.upper if size == "longest" else self.fitted.values[p.name]
+            largest = p.upper if size == "longest" else self.fitted.si_values[p.name]
             number = self._number(p.name, largest)
             made = f"casid.{function}({self.m}, {_text(stage.channel)}, {size}={number})"
             lines += self._extended(made, stage.parameter)
@@ -340,7 +340,7 @@ class _Writer:
 
     def _extended(self, effect: str, name: str) -> Iterator[str]:
         """A line that adds an effect, and one that gives its parameter its value."""
-        value = self.fitted.values[name]
+        value = self.fitted.si_values[name]
         yield from self._call(self.m, "extend", effect, remark=self._remark(name))
         how = "with_unknown" if self._is_estimated(name) else "with_known"
         number = self._number(name, value, is_start=self._is_estimated(name))

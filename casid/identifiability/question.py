@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from casid.algebra.symbolic import exact
-from casid.data.problem import Problem, experiments_of, load_problem
+from casid.data.arguments import experiments_of
+from casid.data.problem import Problem, load_problem
 from casid.errors import CasidError, ModelError, nearest
 from casid.identifiability.equations.equation_file import EquationFile, read_equations
 from casid.identifiability.equations.model_system import system_of, translated

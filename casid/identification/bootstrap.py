@@ -15,6 +15,7 @@ from casid.arrays import Array
 from casid.errors import SolveError
 from casid.estimation.moments.long_run_covariance import memory
 from casid.estimation.moments.moment_estimate import MomentEstimate
+from casid.model.units import from_si
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -23,7 +24,8 @@ class Bootstrap:
 
     Attributes
     ----------
-    names : (n,); values : (runs that ended, n); failed : runs without an optimum.
+    names : (n,); values : (runs that ended, n), in the parameters' units; failed : runs without an
+        optimum.
     """
 
     names: tuple[str, ...]
@@ -104,7 +106,14 @@ def bootstrap(estimate: MomentEstimate, *, runs: int = 500, seed: int = 0) -> Bo
             f"bootstrap: {failed} of {runs} runs had no optimum; the estimate itself rests on "
             "weak moments, look at its canonical correlations"
         )
-    return Bootstrap(estimate.names, np.array(found), failed)
+    return Bootstrap(estimate.names, _in_units(estimate, np.array(found)), failed)
+
+
+def _in_units(estimate: MomentEstimate, values: Array) -> Array:
+    """(runs, n) SI values in the units of the estimated parameters."""
+    units = [estimate.parameter(name).unit for name in estimate.names]
+    columns = zip(values.T, units, strict=True)
+    return np.column_stack([from_si(column, unit) for column, unit in columns])
 
 
 def _record(estimate: MomentEstimate, key: tuple[int, int]) -> str:

@@ -47,7 +47,7 @@ def estimate_from_moments(
         channels are those of the model and of the instruments, in SI units, with lags at least up
         to the order of the difference equation and of the instruments.
     Ts : sample time [s], or one for each load case.
-    known : load case -> values known for it.
+    known : load case -> values known for it, in the parameters' units.
     instruments : columns on channels of the sums; None: least squares.
     free, prior, settings : as `estimators.instrumental_variables`; noise models and
         refinement need samples and are not available here.
@@ -118,7 +118,7 @@ def _equations(
     }
     for name in known:
         model.parameter_named(name)
-    values |= known
+    values |= model.in_si(known)
     for output in settings.outputs or tuple(model.outputs):
         equation = difference_equation(model, output, Ts, method=settings.method)
         _require(case, total, (equation.left, *equation.columns, *(instruments or ())))

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from casid.data.arguments import Recorded, in_si
 from casid.data.experiment import Experiment
-from casid.data.problem import Problem, Recorded, in_si
+from casid.data.problem import Problem
 from casid.errors import IdentifiabilityError, SolveError
 from casid.estimation.estimate import Estimate
 from casid.estimation.holdout import record_views, split_records, validation

@@ -184,7 +184,7 @@ def invariants(
     Intervals hold the truth at the stated level or more if the truth is inside the bounds. That the
     ends of a curve are uncertain themselves is not counted.
     """
-    from casid.data.problem import in_si
+    from casid.data.arguments import in_si
     from casid.identification.identify import identify
 
     problem, chosen = in_si(problem, experiments)

@@ -141,13 +141,13 @@ def iterative_joint(
 
 
 def family_values(estimate: MomentEstimate) -> dict[str, float]:
-    """Numbers for the formulas of a `Family`: all parameters, and each record's load case.
+    """Numbers for the formulas of a `Family`, SI: all parameters, and each record's load case.
 
     What a record knows has the record's name behind it there: zbar_m_calibration.
     """
     import re
 
-    out: dict[str, float] = dict(estimate.values)
+    out = {p.name: p.value for p in estimate.estimate.in_si().parameters}
     for stage in estimate.stages:
         for part, values in zip(stage.parts, stage.values, strict=True):
             word = re.sub(r"\W+", "_", part.record).strip("_") or "record"

@@ -15,7 +15,7 @@ class Derived:
 
     Attributes
     ----------
-    function : of a mapping of every parameter of the model to its value.
+    function : of a mapping of every parameter of the model to its value, in its unit.
     unit : of its value.
     limit : alarm when the lower end of its interval is below; None: no alarm.
     """

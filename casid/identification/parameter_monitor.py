@@ -78,7 +78,7 @@ class Monitor:
             method=s.method,
         )
         self.free = self.estimator.free
-        self._units = {p.name: p.unit for p in model.parameters.values()}
+        self._model = model
         self._Ts = float(Ts)
         self._derived = dict(derived or {})
         self._quantile = float(ndtri(0.5 + s.level / 2))
@@ -118,10 +118,15 @@ class Monitor:
         return raised
 
     def intervals(self, sums: Moments, windows: float) -> dict[str, Interval]:
-        """Intervals of the free parameters and of the derived numbers; see `WindowEstimator`."""
+        """Intervals of the free parameters and of the derived numbers, in their units."""
+        model = self._model
         theta_p, joint = self.estimator.estimate(sums, windows)
         out = {
-            name: self._interval(float(value), float(joint[i, i]), self._units[name])
+            name: self._interval(
+                model.shown(name, float(value)),
+                model.shown_size(name, math.sqrt(max(joint[i, i], 0.0))),
+                model.unit_of(name),
+            )
             for i, (name, value) in enumerate(zip(self.free, theta_p, strict=True))
         }
         names = (*self.free, *self.estimator.known)
@@ -131,13 +136,14 @@ class Monitor:
             for i, parameter in enumerate(names):
                 h = 1e-5 * max(abs(at[parameter]), 1e-3)
                 up, down = ({**at, parameter: at[parameter] + s * h} for s in (1.0, -1.0))
-                gradient[i] = (d.function(up) - d.function(down)) / (2.0 * h)
-            variance = float(gradient @ joint @ gradient)
-            out[name] = self._interval(float(d.function(at)), variance, d.unit)
+                high, low = (d.function(model.in_declared_units(v)) for v in (up, down))
+                gradient[i] = (high - low) / (2.0 * h)
+            error = math.sqrt(max(float(gradient @ joint @ gradient), 0.0))
+            value = float(d.function(model.in_declared_units(at)))
+            out[name] = self._interval(value, error, d.unit)
         return out
 
-    def _interval(self, value: float, variance: float, unit: str) -> Interval:
-        error = math.sqrt(max(variance, 0.0))
+    def _interval(self, value: float, error: float, unit: str) -> Interval:
         half = self._quantile * error
         return Interval(value, error, value - half, value + half, unit)
 

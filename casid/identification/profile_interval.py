@@ -23,6 +23,7 @@ from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_nlp import Condensed, PhysicalNlp
 from casid.estimation.moments.propagation import free_slope
 from casid.estimation.moments.stage import StageFit
+from casid.model.units import from_si
 from casid.presentation import Viewed, present
 
 
@@ -32,7 +33,7 @@ class Profile(Viewed):
 
     Attributes
     ----------
-    lower, upper : end points, +-inf where the moments set no limit.
+    lower, upper : end points in the parameter's unit, +-inf where the moments set no limit.
     best : where the efficient criterion is smallest.
     grid, drop : (m,) values tried and 2 (V - V_min) there, chi squared with one degree of freedom.
     """
@@ -160,11 +161,13 @@ def profile(estimate: MomentEstimate, name: str, *, level: float = 0.95) -> Prof
             tried[x] = p.value(x)
         return tried[x]
 
-    step = max(estimate.std_error(name), 1e-9 * abs(p.at), 1e-12)
+    i = estimate.names.index(name)
+    error, begin = np.sqrt(max(estimate.propagated.covariance[i, i], 0.0)), p.start
+    step = max(float(error), 1e-9 * abs(p.at), 1e-12)
     low, high = p.bounds
     inside = (max(low, p.at - 2 * step), min(high, p.at + 2 * step))
-    middle = minimize_scalar(value, bounds=inside, method="bounded", options={"xatol": 0.01 * step})
-    best, smallest = float(middle.x), float(middle.fun)
+    found = minimize_scalar(value, bounds=inside, method="bounded", options={"xatol": 0.01 * step})
+    best, smallest = float(found.x), float(found.fun)
     threshold = float(chi2.isf(1 - level, 1)) / 2
 
     def drop(x: float) -> float:
@@ -172,7 +175,7 @@ def profile(estimate: MomentEstimate, name: str, *, level: float = 0.95) -> Prof
 
     ends = []
     for side, limit in ((-1.0, low), (1.0, high)):
-        p.start = np.array([estimate[f] for f in p.free])
+        p.start = begin
         inner, size, end = best, step, side * np.inf
         for _ in range(25):
             outer = float(np.clip(inner + side * size, low, high))
@@ -184,13 +187,7 @@ def profile(estimate: MomentEstimate, name: str, *, level: float = 0.95) -> Prof
                 break
             inner, size = outer, 1.7 * size
         ends.append(end)
-    grid = np.array(sorted(tried))
-    return Profile(
-        name,
-        level,
-        ends[0],
-        ends[1],
-        best,
-        grid,
-        np.array([2 * (tried[x] - smallest) for x in grid.tolist()]),
-    )
+    grid, unit = np.array(sorted(tried)), estimate.parameter(name).unit
+    lower, upper, middle = (float(from_si(x, unit)) for x in (*ends, best))
+    drops = np.array([2 * (tried[x] - smallest) for x in grid.tolist()])
+    return Profile(name, level, lower, upper, middle, np.asarray(from_si(grid, unit)), drops)

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import TINY, Array
+from casid.data.arguments import problem_of
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.record import Record
@@ -140,8 +141,7 @@ def wrong_sign(
     experiments : as recorded, with their load cases.
     alpha : of the test, for all channels together.
     """
-    if not isinstance(problem, Problem):
-        problem = Problem(problem.name, problem)
+    problem = problem_of(problem)
     model = problem.model
     inputs = [n for n, u in model.inputs.items() if u.kind == "measured"]
     if any(all(_rests(e.record, n) for e in experiments) for n in inputs):

@@ -32,11 +32,12 @@ from casid.estimation.moments.prior import Prior
 from casid.linear.difference_equation import difference_equation
 from casid.linear.lagged_columns import Column
 from casid.model.model import Model
+from casid.model.units import difference_to_si
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MonitoredParameters:
-    """What may change, and what is known.
+    """What may change, and what is known, in the units that the model declares.
 
     Attributes
     ----------
@@ -94,9 +95,9 @@ class WindowEstimator:
                 f"{model.name} has outputs {', '.join(model.outputs)}; one is monitored. Take the "
                 "others out of the model, or monitor each."
             )
-        known, free = parameters.known, parameters.free
-        for name in (*known.values, *free):
+        for name in (*parameters.known.values, *parameters.free):
             model.parameter_named(name)
+        known, free = parameters.known.in_si(model), model.in_si(parameters.free)
         self.differential = differential
         self.free, self.known = tuple(free), tuple(known.values)
         self._equation = difference_equation(model, next(iter(model.outputs)), Ts, method=method)
@@ -105,7 +106,11 @@ class WindowEstimator:
             p.name: p.value if p.value is not None else p.start for p in model.parameters.values()
         } | {n: float(v) for n, v in {**known.values, **free}.items()}
         self._known_covariance = known.matrix()
-        start = [parameters.start.get(n, (v, math.inf)) for n, v in free.items()]
+        given = {
+            n: (model.in_si({n: value})[n], float(difference_to_si(error, model.unit_of(n))))
+            for n, (value, error) in parameters.start.items()
+        }
+        start = [given.get(n, (v, math.inf)) for n, v in free.items()]
         self._start = np.array([value for value, _ in start])
         self._prior = np.diag([1.0 / spread**2 for _, spread in start])
         self._theta_0 = np.array([float(v) for v in free.values()])

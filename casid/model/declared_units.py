@@ -28,6 +28,11 @@ def si_text(unit: str) -> str:
     return unit if is_si(unit) else si_unit(unit)
 
 
+def quantity_of(variable: str) -> str:
+    """The parameter or state in the name of a variable: `phi` of `phi(0)@run`."""
+    return variable.partition("@")[0].partition("(")[0]
+
+
 def numbers_in_si(declared: Declared, fields: Sequence[str]) -> Declared:
     """A copy of a parameter or state with the numbers in `fields`, and its unit, in SI."""
     unit = declared.unit

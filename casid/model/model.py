@@ -26,6 +26,7 @@ from casid.errors import ModelError, nearest
 from casid.model.declared_units import (
     common_unit,
     numbers_in_si,
+    quantity_of,
     refuse_conversion,
     si_text,
 )
@@ -543,7 +544,7 @@ class Model(Viewed):
         return {n: self._converted(n, v, from_si) for n, v in values.items()}
 
     def _converted(self, name: str, value: float, convert: Callable[..., Any]) -> float:
-        unit = self.declared_units.get(name.partition("@")[0].partition("(")[0])
+        unit = self.declared_units.get(quantity_of(name))
         return value if unit is None or self.takes_si else float(convert(value, unit))
 
     def shown(self, name: str, value: float) -> float:

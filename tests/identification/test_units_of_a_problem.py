@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import casid
+from casid.identification.profile_interval import profile
 from casid.model.units import difference_from_si, from_si, to_si
 
 TS = 0.02
@@ -101,6 +104,48 @@ def test_an_estimate_goes_to_si_and_back():
         assert (p.value, p.unit) == (pytest.approx(q.value), q.unit)
 
 
+def test_the_fitted_model_takes_and_gives_numbers_in_the_declared_units():
+    units = {n: u[1] for n, u in OTHERS.items()}
+    found = casid.identify(problem(units), record())
+    model = found.model
+    assert model.values == {p.name: pytest.approx(p.value) for p in found.parameters}
+    assert model.initial_states == {n: pytest.approx(found[f"{n}(0)"]) for n in ("q", "v")}
+    values, start = {"m": 2.0, "d": 8.0, "k": 900.0}, {"q": 5e-3, "v": 0.1}
+    pushed = REFERENCE.model.simulate({"F": np.ones(300)}, start, known=values)
+    force = np.full(300, from_si(1.0, units["F"]))
+    values = model.model.in_declared_units(values)
+    for x0 in ({"q": 5.0, "v": 0.1}, [5.0, 0.1]):  # mm and mm/ms
+        run = model.simulate({"F": force}, x0, known=values)
+        assert run["x"] == pytest.approx(pushed["x"], rel=1e-9, abs=1e-12)
+    expected = model.predict(record(), known=values)
+    assert model.residuals(record(), known=values)["x"] == pytest.approx(
+        record()["x"] - expected["x"], abs=1e-12
+    )
+
+
+def test_an_estimate_from_moments_and_its_prior_are_in_the_declared_units():
+    units = {n: u[1] for n, u in OTHERS.items()}
+    run, stage = casid.Experiment(record()), [casid.StageSpec(("d", "k"))]
+    kilograms = casid.Prior({"m": 2.0}, {"m": 0.1})
+    expected = casid.multistage(problem(SI), run, stage, prior=kilograms)
+    grams = casid.Prior({"m": 2000.0}, {"m": 100.0})
+    found = casid.multistage(problem(units), run, stage, prior=grams)
+    for name in ("d", "k"):
+        unit = units[name]
+        assert found.parameter(name).unit == unit
+        assert in_si(found[name], unit) == pytest.approx(expected[name], rel=1e-6)
+        assert in_si(found.std_error(name), unit) == pytest.approx(expected.std_error(name))
+        assert found.parameter(name).std_error == pytest.approx(found.std_error(name))
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(found.covariance)), [found.std_error(n) for n in found.names]
+    )
+    interval = profile(found, "k")
+    assert interval.lower < found["k"] < interval.upper
+    assert in_si(interval.lower, units["k"]) == pytest.approx(
+        profile(expected, "k").lower, rel=1e-4
+    )
+
+
 def test_known_values_and_starts_are_in_the_declared_units():
     units = {n: u[1] for n, u in OTHERS.items()}
     stated = problem(units)
@@ -131,6 +176,16 @@ def test_the_verdict_is_that_in_si_and_its_numbers_are_converted():
     text = found.sentence + " ".join(found.noise.values())
     assert " mm" in text
     assert " m " not in f"{text} ".replace(".", " ")
+
+
+def test_noise_of_a_channel_beside_the_model_is_in_its_unit():
+    units = SI | {"x": "mm"}
+    stated = replace(problem(units), recorded={"temperature": "degC"})
+    assert stated.noise_in_si({"x": 0.1, "temperature": 0.5}) == pytest.approx(
+        {"x": 1e-4, "temperature": 0.5}  # a difference of temperature: K
+    )
+    marked = replace(stated, recorded={"ref": "mm/s^2"}, noise={"ref": 2.0})
+    assert marked.in_si().noise == pytest.approx({"ref": 2e-3})
 
 
 def test_practical_identifiability_takes_values_and_noise_in_the_declared_units():

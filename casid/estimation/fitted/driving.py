@@ -18,6 +18,7 @@ from casid.errors import DataError
 from casid.estimation.fitted.parts import Channels, FittedRecord
 from casid.estimation.simulation.signals import input_columns
 from casid.model.model import Model
+from casid.model.units import to_si
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,10 +118,11 @@ def _of_arrays(model: Model, inputs: Any, Ts: float) -> Driving:
     elif isinstance(inputs, Mapping):
         arrays = {name: np.asarray(value, dtype=float) for name, value in inputs.items()}
         N = _length(model, arrays, needed)
+        arrays = {name: to_si(values, model.unit_of(name)) for name, values in arrays.items()}
     else:
         raise DataError(
             f"{model.name}: cannot be driven with {type(inputs).__name__}; give a casid.Record, an "
-            "experiment, a DataFrame, or a mapping of input to samples (SI)"
+            "experiment, a DataFrame, or a mapping of input to samples"
         )
     if N < 2:
         raise DataError(f"{model.name}: {N} samples; give at least 2")

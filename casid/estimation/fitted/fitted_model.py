@@ -50,7 +50,8 @@ class HasModel(Protocol):
 class FittedModel(Saved, Exportable, Viewed):
     """A model with its estimated values, and all that is needed to simulate it as the fit did.
 
-    Every number is in SI units; `model.declared_units` has the units that the user declared.
+    Numbers that are given or read by name are in the units that the model declares
+    (`model.unit_of(name)`). Records are in SI, and so are `covariance` and the equations.
 
     Attributes
     ----------
@@ -86,12 +87,22 @@ class FittedModel(Saved, Exportable, Viewed):
 
     @property
     def values(self) -> dict[str, float]:
-        """Parameter -> value, SI; of one that each record has for itself the mean."""
+        """Parameter -> value, in its unit; of one that each record has for itself the mean."""
+        return self.model.in_declared_units(self.si_values)
+
+    @property
+    def si_values(self) -> dict[str, float]:
+        """The same in SI, as the equations take them."""
         return {p.name: float(p.value or 0.0) for p in self.model.parameters.values()}
 
     @property
     def initial_states(self) -> dict[str, float]:
-        """State -> its value at the first sample of the first fitted record, SI."""
+        """State -> its value at the first sample of the first fitted record, in its unit."""
+        return self.model.in_declared_units(self.si_initial_states)
+
+    @property
+    def si_initial_states(self) -> dict[str, float]:
+        """The same in SI."""
         return dict(zip(self.model.states, self.records[0].nodes[0].tolist(), strict=True))
 
     @property
@@ -113,14 +124,14 @@ class FittedModel(Saved, Exportable, Viewed):
         Parameters
         ----------
         inputs : a record, an experiment (with its load case), a DataFrame (read through the
-            problem's channels), or a mapping of input to N samples (SI), a number holding for all
-            of them. For a model without inputs the number of samples will do.
-        x0 : initial state (nx,), or state -> value (SI) for some of them. Of the others, and by
-            default, a fitted record gets the initial state that was estimated for it, and anything
-            else that of the first fitted record.
+            problem's channels), or a mapping of input to N samples in its unit, a number holding
+            for all of them. For a model without inputs the number of samples will do.
+        x0 : initial state (nx,), or state -> value for some of them, in the states' units. Of the
+            others, and by default, a fitted record gets the initial state that was estimated for
+            it, and anything else that of the first fitted record.
         Ts : sample time [s] of a mapping or number of samples, default that of the first fitted
             record. A record has its own.
-        known : parameter -> value (SI) for this simulation, over those of the fit.
+        known : parameter -> value in its unit for this simulation, over those of the fit.
         on_clock : whether jumps, drifts and periodic terms act, which the fit found on the clock of
             its records. Default: in those records alone.
 
@@ -140,7 +151,7 @@ class FittedModel(Saved, Exportable, Viewed):
             If the simulation diverges: at which time.
         """
         given = self._driving(inputs, Ts)
-        return self._simulated(given, x0, known, on_clock)
+        return self._simulated(given, self._start_in_si(x0), self._known_in_si(known), on_clock)
 
     def predict(
         self,
@@ -160,7 +171,7 @@ class FittedModel(Saved, Exportable, Viewed):
             state, otherwise from the one with which it is simulated best (least squares).
         horizon : samples between the last output used and the one predicted, 1 or more; None
             simulates.
-        known : parameter -> value (SI) for this record, over those of the fit.
+        known : parameter -> value in its unit for this record, over those of the fit.
 
         Returns
         -------
@@ -178,7 +189,7 @@ class FittedModel(Saved, Exportable, Viewed):
                 f"{self.name}: horizon = {horizon!r}; give a whole number of samples ahead, 1 or "
                 "more, or None for the simulation"
             )
-        given = self._driving(record, None)
+        given, known = self._driving(record, None), self._known_in_si(known)
         if given.record is None:
             raise DataError(f"{self.name}: a prediction needs measured outputs; give a record")
         if self.noise is None or horizon is None:
@@ -298,6 +309,21 @@ class FittedModel(Saved, Exportable, Viewed):
     def _driving(self, inputs: Inputs, Ts: float | None) -> Driving:
         return driving_of(self._driven, self.records, inputs, Ts, self.channels)
 
+    def _known_in_si(self, known: Mapping[str, float] | None) -> dict[str, float]:
+        return self.model.in_si(known or {})
+
+    def _start_in_si(
+        self, x0: Mapping[str, float] | Array | None
+    ) -> dict[str, float] | Array | None:
+        """An initial state in the states' units, in SI; checked where it is used."""
+        if x0 is None or isinstance(x0, Mapping):
+            return None if x0 is None else self.model.in_si(x0)
+        start = np.asarray(x0, dtype=float).ravel()
+        if len(start) != len(self.model.states):
+            return start
+        named = dict(zip(self.model.states, start.tolist(), strict=True))
+        return np.array(list(self.model.in_si(named).values()))
+
     def _values(
         self, given: Driving, known: Mapping[str, float] | None
     ) -> tuple[dict[str, float], bool]:
@@ -309,7 +335,7 @@ class FittedModel(Saved, Exportable, Viewed):
                     f"{nearest(name, self.model.parameters)}"
                 )
         own = given.fitted.known if given.fitted is not None else {}
-        values = {**self.values, **own, **given.known, **(known or {})}
+        values = {**self.si_values, **own, **given.known, **(known or {})}
         return {n: float(v) for n, v in values.items()}, given.fitted is not None
 
     def _substeps(self, Ts: float) -> int:

@@ -16,6 +16,7 @@ from casid.estimation.moments.prior import Prior
 from casid.estimation.moments.propagation import Propagated
 from casid.estimation.moments.stage import StageFit
 from casid.model.model import Model
+from casid.model.units import difference_from_si
 from casid.presentation import Presented
 
 
@@ -23,11 +24,13 @@ from casid.presentation import Presented
 class MomentEstimate(Presented):
     """An estimate from moment equations, with what the instruments could see.
 
+    Values, standard errors and covariance are in the units that the model declares.
+
     Attributes
     ----------
     estimate : values, covariance with everything propagated, status, provenance.
-    propagated : the covariances, and the overidentification test.
-    stages : what every stage found, its iterations, instruments and noise models.
+    propagated : the covariances (SI), and the overidentification test.
+    stages : what every stage found (SI), its iterations, instruments and noise models.
     """
 
     model: Model
@@ -37,7 +40,7 @@ class MomentEstimate(Presented):
     prior: Prior | None = None
 
     def __getitem__(self, name: str) -> float:
-        """The value of a parameter, SI."""
+        """The value of a parameter, in its unit."""
         return self.estimate[name]
 
     def parameter(self, name: str) -> Estimated:
@@ -61,7 +64,14 @@ class MomentEstimate(Presented):
     @property
     def covariance(self) -> Array:
         """(n, n) in the order of `names`."""
-        return self.propagated.covariance
+        scaled: Array = self.propagated.covariance * np.outer(self._scale, self._scale)
+        return scaled
+
+    @property
+    def _scale(self) -> Array:
+        """(n,) factors from SI to the unit of each estimated parameter."""
+        units = {p.name: p.unit for p in self.parameters}
+        return np.array([float(difference_from_si(1.0, units[n])) for n in self.names])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -72,7 +82,7 @@ class MomentEstimate(Presented):
         """Standard error; `propagated=False` takes earlier stages and known values as exact."""
         matrix = self.propagated.covariance if propagated else self.propagated.own
         i = self.names.index(name)
-        return float(np.sqrt(max(matrix[i, i], 0.0)))
+        return float(np.sqrt(max(matrix[i, i], 0.0)) * self._scale[i])
 
     def sample(self, function: Any, **options: Any) -> Sampled:
         """Draws of N(estimate, covariance) through a map, as Figure 7.15; see `Estimate.sample`."""

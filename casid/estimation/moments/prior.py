@@ -9,6 +9,8 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.model.model import Model
+from casid.model.units import difference_to_si
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -17,12 +19,28 @@ class Prior:
 
     Attributes
     ----------
-    values : parameter -> value, SI.
-    covariance : (n, n) in the order of `values`; or a mapping of parameter -> standard error.
+    values : parameter -> value, in its unit.
+    covariance : (n, n) in the order of `values`, in products of their units; or a mapping of
+        parameter -> standard error, in its unit.
     """
 
     values: Mapping[str, float]
     covariance: Array | Mapping[str, float] | None = None
+
+    def in_si(self, model: Model) -> Prior:
+        """The prior with its numbers in SI, given in the units that `model` declares.
+
+        Raises
+        ------
+        ModelError
+            For a parameter that the model does not have, or as `matrix`.
+        """
+        if model.takes_si:
+            return self
+        scale = np.array(
+            [float(difference_to_si(1.0, model.unit_of(name))) for name in self.values]
+        )
+        return Prior(model.in_si(self.values), self.matrix() * np.outer(scale, scale))
 
     def matrix(self) -> Array:
         """Covariance, (n, n).
@@ -48,6 +66,8 @@ class Prior:
                 f"prior: covariance of shape {matrix.shape} for {n} values; give a symmetric "
                 f"({n}, {n}) matrix in the order {', '.join(self.values)}"
             )
-        if np.min(np.linalg.eigvalsh(matrix), initial=0.0) < -1e-9 * np.max(np.abs(matrix)):
+        if np.min(np.linalg.eigvalsh(matrix), initial=0.0) < -1e-9 * np.max(
+            np.abs(matrix), initial=0.0
+        ):
             raise ModelError("prior: the covariance has a negative eigenvalue; check its signs")
         return matrix

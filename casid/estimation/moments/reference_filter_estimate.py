@@ -33,7 +33,7 @@ def estimate_reference_filter(
     Parameters
     ----------
     model : the indirect model, with one unknown input eliminated.
-    values : all its parameters; the record's load case wins.
+    values : all its parameters, in their units; the record's load case wins.
     channel : measured channel to explain; default the first output of the indirect model.
     nb, nf : coefficients of the numerator (from lag 0) and order of the denominator.
 
@@ -60,7 +60,7 @@ def estimate_reference_filter(
             )
     zero = np.zeros(record.N)
     drives = {n: record[reference] if n == unknown[0] else zero for n in loop.inputs}
-    at = {**values, **model.in_si(experiment.known)}
+    at = model.in_si({**values, **experiment.known})
     try:
         simulated = loop.driven(drives, at)[chosen]
     except UnstableLoop as unstable:

@@ -68,12 +68,15 @@ def moment_estimate(
     structural : the identifiability of the parameters, in words.
     """
     names = tuple(prior.values) if prior else ()
-    propagated = propagate(fits, names, prior.matrix() if prior else None, how=how)
+    certain = prior.in_si(model).matrix() if prior else None
+    propagated = propagate(fits, names, certain, how=how)
     estimate = _as_estimate(model, fits, propagated, settings, origin)
     if structural:
         estimate = replace(
             estimate, identifiability=replace(estimate.identifiability, structural=structural)
         )
+    if not model.takes_si:
+        estimate = estimate.in_units(model.declared_units)
     return MomentEstimate(model, estimate, propagated, tuple(fits), prior)
 
 

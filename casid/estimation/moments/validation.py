@@ -88,7 +88,8 @@ def validate(
 
     Parameters
     ----------
-    model : the indirect model; `values` of all its parameters, the records' load cases win.
+    model : the indirect model; `values` of all its parameters in their units, the records' load
+        cases win.
     instruments : names the reference and F_delta; its lags do not matter here.
     method : ``"bilinear"`` is the loop that the estimate was made with; ``"foh"`` samples the
         continuous system exactly where the reference runs straight between samples. With few
@@ -114,7 +115,7 @@ def validate(
         if record.Ts not in loops:
             loops[record.Ts] = Loop(model, record.Ts, method)
         loop = loops[record.Ts]
-        at = {**values, **model.in_si(e.known)}
+        at = model.in_si({**values, **e.known})
         drives = reference_signals(
             instruments, loop.direct, {n: record[n] for n in record.names}, record.Ts, e.name
         )

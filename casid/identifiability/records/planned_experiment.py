@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import TINY, Array
+from casid.data.arguments import in_si, problem_of
 from casid.data.experiment import Experiment
-from casid.data.problem import Problem, in_si
+from casid.data.problem import Problem
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.estimate import Estimate
@@ -23,7 +24,6 @@ from casid.estimation.fit_statistics import rms
 from casid.estimation.noise import input_noise_floor
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
-from casid.model.units import difference_to_si
 
 Experiments = Sequence[Experiment | Record] | Experiment | Record | None
 MOST_SUBSTEPS = 16
@@ -127,7 +127,7 @@ def plan(
         The simulation diverges at these values.
     """
     values = values_of(problem, at)
-    noise = None if noise is None else noise_in_si(problem, noise)
+    noise = problem_of(problem).noise_in_si(noise or {})
     problem, chosen = in_si(problem, experiments)
     known = {
         n: v
@@ -157,15 +157,6 @@ def values_of(
         return {name: at[name] for name in at.names}
     model = problem if isinstance(problem, Model) else problem.model
     return model.in_si({str(name): float(value) for name, value in at.items()})
-
-
-def noise_in_si(problem: Problem | Model, noise: Mapping[str, float]) -> dict[str, float]:
-    """Standard deviations by channel, given in the channels' units, in SI."""
-    model = problem if isinstance(problem, Model) else problem.model
-    if model.takes_si:
-        return dict(noise)
-    units = model.declared_units
-    return {n: float(difference_to_si(sd, units.get(n, "1"))) for n, sd in noise.items()}
 
 
 def _unmeasured_starts(

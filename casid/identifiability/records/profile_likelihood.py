@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.data.problem import Problem, in_si
+from casid.data.arguments import in_si, problem_of
+from casid.data.problem import Problem
 from casid.errors import DataError, ModelError, SolveError, nearest
 from casid.estimation.estimate import Estimate
 from casid.estimation.nlp.nlp import Nlp
@@ -29,7 +30,6 @@ from casid.estimation.simulation.simulation_error import SimulationError
 from casid.identifiability.records.planned_experiment import (
     Experiments,
     Planned,
-    noise_in_si,
     plan,
     values_of,
 )
@@ -76,7 +76,7 @@ def profile_likelihood(
         If the first fit diverges.
     """
     values = values_of(problem, at)
-    noise = None if noise is None else noise_in_si(problem, noise)
+    noise = problem_of(problem).noise_in_si(noise or {})
     problem, chosen = in_si(problem, experiments)
     settings = settings or FitSettings(starts=problem.starts)
     _check_settings(problem, settings, points, confidence)

@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.arguments import problem_of
 from casid.data.files import plain_fields
 from casid.data.problem import Problem
 from casid.errors import DataError, nearest
@@ -36,7 +37,7 @@ from casid.identifiability.records.excitation_order import (
     signal,
     singular_values,
 )
-from casid.identifiability.records.planned_experiment import Experiments, Planned, noise_in_si, plan
+from casid.identifiability.records.planned_experiment import Experiments, Planned, plan
 from casid.model.model import Model
 
 SOURCES = (
@@ -148,7 +149,7 @@ def record_excitation(
     ----------
     at : values along which the unknown input is reconstructed. Errors in them look like an input:
         give an estimate, whose covariance is then allowed for.
-    noise : channel -> standard deviation of its white noise [SI], over the problem's.
+    noise : channel -> standard deviation of its white noise, in its unit, over the problem's.
     max_order, spacing : most lags examined, and the samples between them; by default the lag at
         which the autocorrelation of the measured channel falls below one half.
     draws : simulated errors (noise, estimation) that the unknown input has to exceed, each of them.
@@ -161,9 +162,8 @@ def record_excitation(
     DataError, SolveError
         See `excitation_orders` and `plan`.
     """
-    if isinstance(problem, Model):
-        problem = Problem(problem.name, problem)
-    sd = {**problem.in_si().noise, **noise_in_si(problem, noise or {})}
+    problem = problem_of(problem)
+    sd = problem.noise_in_si({**problem.noise, **(noise or {})})
     p = plan(problem, experiments, at=at)
     there = [*p.criterion.model.inputs, *p.criterion.model.outputs, *problem.recorded]
     for name in sd:

@@ -114,7 +114,7 @@ def fitted_view(fitted: FittedModel) -> Document:
     for name, value in fitted.values.items():
         variance = errors.get(name)
         error = "" if variance is None else f"{m.shown_size(name, math.sqrt(variance)):.2g}"
-        rows.append((Code(name), m.unit_of(name), value_text(m.shown(name, value)), error))
+        rows.append((Code(name), m.unit_of(name), value_text(value), error))
     added = [f"{c.kind} in {c.where}" for c in fitted.causes]
     changed = equation_changes(fitted)
     return Document(

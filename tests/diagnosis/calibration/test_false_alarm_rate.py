@@ -17,7 +17,7 @@ import pytest
 from scipy.stats import beta, chi2, kstest
 
 import casid
-from casid.data.problem import experiments_of
+from casid.data.arguments import experiments_of
 from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, calibrate, require_runs
 from casid.diagnosis.calibration.null_records import null_records
 from casid.diagnosis.diagnose import diagnose
