@@ -103,6 +103,12 @@ class Outliers:
     neighbours: tuple[float, float] = _is(
         (0.15, 0.85), "of a large spike, turned round, that its two neighbours show", _SPIKES
     )
+    after_steps: int = _is(
+        2, "samples after an input's step in which a spike may be a response to it", _SPIKES
+    )
+    usual_steps: float = _is(
+        0.5, "quantile of the inputs' steps beyond which a spike is a response to one", _SPIKES
+    )
     test_share: float = _is(
         1 / 50,
         "of the false-alarm rate, spent on each test of samples in each channel",

@@ -245,8 +245,8 @@ class _Stages:
         value = self.values[stage.parameter]
         if stage.is_of_input:
             self._drop(stage.carrier)
-            self._drop(Stage.end_of(stage.carrier))
-            self._drop(Stage.end_of(stage.channel))
+            for name in (*Stage.line_of(stage.carrier), *Stage.line_of(stage.channel)):
+                self._drop(name)
         if stage.kind == "clip":
             self._clip(stage)
         elif value <= 0.0:

@@ -74,7 +74,7 @@ def _without_stages(model: Model) -> Model:
         n: replace(u, hold=model.acting_hold(n), blends=()) for n, u in base.inputs.items()
     }
     for stage in model.stages:
-        for name in (stage.carrier, Stage.end_of(stage.carrier), Stage.end_of(stage.channel)):
+        for name in (stage.carrier, *Stage.line_of(stage.carrier), *Stage.line_of(stage.channel)):
             if stage.is_of_input and name in base.inputs:
                 base.substitute_symbol(name, 0)
                 del base.inputs[name]

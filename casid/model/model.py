@@ -165,9 +165,9 @@ class Stage:
         return f"change of {self.channel} with {self.parameter}"
 
     @staticmethod
-    def end_of(channel: str) -> str:
-        """Name of the input that says where a lagged input is at the end of a sample."""
-        return f"end of {channel}"
+    def line_of(channel: str) -> tuple[str, str]:
+        """Names of the inputs that say where a lagged input's line in a sample begins and ends."""
+        return f"start of {channel}", f"end of {channel}"
 
 
 _SENSED: Mapping[str, Literal["delay", "lag"]] = {"delay_input": "delay", "lead_input": "lag"}

@@ -9,7 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.diagnosis.evidence.plateaus import Plateaus, find_plateaus
-from casid.diagnosis.evidence.spikes import Spikes, find_spikes
+from casid.diagnosis.evidence.spikes import Spikes, find_spikes, starts_apart
 from casid.diagnosis.thresholds import OUTLIERS
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
 from casid.estimation.simulation.minimization import Fit
@@ -21,11 +21,13 @@ class CorruptedSamples:
 
     spikes: tuple[Spikes, ...] = ()
     plateaus: tuple[Plateaus, ...] = ()
+    first: int = 0  # first samples, from before the inputs had acted
 
     @property
     def count(self) -> int:
         """Samples left out."""
-        return sum(s.count for s in self.spikes) + sum(p.count for p in self.plateaus)
+        left_out = [s.count for s in self.spikes] + [p.count for p in self.plateaus]
+        return sum(left_out) + self.first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +37,7 @@ class _Simulated:
     measured: list[Array]
     simulated: list[Array]
     used: list[Array]
+    inputs: list[Array]  # (N, nu), those recorded
 
     @property
     def residuals(self) -> list[Array]:
@@ -51,6 +54,7 @@ def without_corrupted(
 
     `without` are kinds that are not looked for.
     """
+    first = 0
     spikes: list[Spikes] = []
     plateaus: list[Plateaus] = []
     for i, channel in enumerate(fit.criterion.outputs):
@@ -65,20 +69,38 @@ def without_corrupted(
                 for used, mask in zip(at.used, cut.masks, strict=True):
                     used &= ~mask
         if "outliers" not in without:
-            found = find_spikes(channel, at.residuals, OUTLIERS.test_share * alpha)
+            early = [_early(r, OUTLIERS.test_share * alpha) for r in at.residuals]
+            if any(mask.any() for mask in early):
+                first += sum(int(mask.sum()) for mask in early)
+                split = _masked(split, channel, early)
+                for used, mask in zip(at.used, early, strict=True):
+                    used &= ~mask
+            found = find_spikes(
+                channel, at.residuals, OUTLIERS.test_share * alpha, inputs=at.inputs
+            )
             if found is not None:
                 spikes.append(found)
                 split = _masked(split, channel, found.masks)
-    return CorruptedSamples(tuple(spikes), tuple(plateaus)), split
+    return CorruptedSamples(tuple(spikes), tuple(plateaus), first), split
+
+
+def _early(residual: Array, alpha: float) -> Array:
+    """A first sample (N,) from before the inputs had acted."""
+    mask = np.zeros(len(residual), dtype=bool)
+    mask[0] = starts_apart(residual, alpha)
+    return mask
 
 
 def _channel(fit: Fit, split: Split, i: int) -> _Simulated:
     runs = [whole_simulation(fit, split, e) for e in range(len(split.whole))]
     runs += [simulate_apart(fit, experiment) for experiment in split.apart]
+    entries = fit.criterion.model.inputs.values()
+    recorded = [k for k, entry in enumerate(entries) if entry.kind != "generated"]
     return _Simulated(
         [d.y[:, i] for d, _, _ in runs],
         [y[:, i] for _, y, _ in runs],
         [d.used[:, i].copy() for d, _, _ in runs],
+        [d.u[:, recorded] for d, _, _ in runs],
     )
 
 

@@ -7,6 +7,9 @@ ones show in the fourth moment of d, whose mean Hermite polynomial has, under no
     sqrt(N / (24 (1 + 2 (2/3)^4 + 2 (1/6)^4))) mean(h^4 - 6 h^2 + 3),   h = d / sd(d)         (1)
 
 with variance one (Isserlis), and in a mixture of normal distributions fitted to d.
+
+Errors of a sensor or logger know nothing of the inputs. Spikes that follow the inputs' steps more
+often than other samples do (Mann and Whitney 1947) are a fast response that the model lacks.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import norm
+from scipy.stats import mannwhitneyu, norm
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.thresholds import OUTLIERS
@@ -40,6 +43,7 @@ def find_spikes(
     residuals: Sequence[Array],
     alpha: float,
     *,
+    inputs: Sequence[Array] = (),
     largest_share: float = OUTLIERS.largest_share,
 ) -> Spikes | None:
     """Samples that differ from both neighbours more than noise ever would.
@@ -50,6 +54,7 @@ def find_spikes(
     kind are spikes as well. Scale: the larger of the median absolute deviation and the spread of
     the central 98 %, so that quantised records (many equal samples) do not count as noise-free.
 
+    `inputs` (N, nu) of each record, where given: spikes that follow their steps are left alone.
     Returns None where there are none, or so many that they are not exceptions.
     """
     total = sum(len(r) for r in residuals)
@@ -74,15 +79,17 @@ def find_spikes(
         if cut is not None:
             threshold = min(threshold, cut)
             p = min(p, float(norm.sf(fourth)))
-    masks, heights = [], []
+    masks = []
     for d, sd in zip(differences, sds, strict=True):
         mask = np.zeros(len(d), dtype=bool)
         # A spike's neighbours show half of it, with the other sign: keep the tops only.
         for k in np.flatnonzero(np.abs(d) > threshold * sd) if sd > 0 else ():
             near = d[max(k - 1, 0) : k + 2]
             mask[k] = np.abs(d[k]) >= np.abs(near).max() and _stands_alone(near, d[k], sd)
-        heights.append(np.abs(d[mask]))
         masks.append(mask)
+    for mask, response in zip(masks, _responses(masks, inputs, alpha), strict=False):
+        mask &= ~response
+    heights = [np.abs(d[mask]) for d, mask in zip(differences, masks, strict=True)]
     count = int(sum(m.sum() for m in masks))
     if count == 0 or count > largest_share * total:
         return None
@@ -96,6 +103,51 @@ def find_spikes(
         energy=float(np.sum(height**2)),
         p_value=float(min(1.0, max(p, TINY))),
     )
+
+
+def starts_apart(residual: Array, alpha: float) -> bool:
+    """True if the first sample alone is far off: it was taken before the inputs had acted.
+
+    What an output owes to inputs at once, a model has from the first sample on; a system that was
+    at rest before the record has it a little later.
+    """
+    sd = _scale(_from_neighbours(residual))
+    if sd <= 0.0:
+        return False
+    first, second = np.abs(np.diff(residual[:3]))
+    # Differences of two samples have 2 variances, those from two neighbours 1.5.
+    limit = float(norm.isf(alpha / (2 * len(residual)))) * sd * np.sqrt(2 / 1.5)
+    return bool(first > limit and second < OUTLIERS.neighbours[1] * first)
+
+
+def _responses(masks: Sequence[Array], inputs: Sequence[Array], alpha: float) -> list[Array]:
+    """Spikes (N,) of each record that respond to inputs: none, if they do not follow steps."""
+    out = [np.zeros(len(mask), dtype=bool) for mask in masks]
+    if not any(mask.any() for mask in masks):
+        return out
+    steps = [_latest_steps(u) for u in inputs]
+    spiky = np.concatenate(masks)
+    for i in range(min((s.shape[1] for s in steps), default=0)):
+        size = np.concatenate([s[:, i] for s in steps])
+        if np.ptp(size) == 0.0 or spiky.all():
+            continue
+        p = float(mannwhitneyu(size[spiky], size[~spiky], alternative="greater").pvalue)
+        if p < alpha / steps[0].shape[1]:
+            usual = float(np.quantile(size[~spiky], OUTLIERS.usual_steps))
+            out = [
+                a | (mask & (s[:, i] > usual)) for a, mask, s in zip(out, masks, steps, strict=True)
+            ]
+    return out
+
+
+def _latest_steps(u: Array) -> Array:
+    """The largest step (N, nu) of each input within the last samples; a record begins with one."""
+    size = np.abs(np.diff(u, axis=0, prepend=u[:1]))
+    size[0] = size.max(axis=0, initial=0.0)
+    latest = size.copy()
+    for lag in range(1, OUTLIERS.after_steps + 1):
+        latest[lag:] = np.maximum(latest[lag:], size[:-lag])
+    return latest
 
 
 def _from_neighbours(r: Array) -> Array:

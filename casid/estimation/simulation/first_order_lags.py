@@ -53,7 +53,9 @@ def lag_columns(y: Array, samples: float) -> tuple[Array, Array]:
 def lag_inputs(u: Array, samples: float, hold: Hold) -> tuple[Array, Array]:
     """An input column (N,) behind a lag as a line in each sample, and its derivative with the lag.
 
-    Both are (N, 2): where the line begins and where it ends. Mean and first moment over the sample
+    Both are (N, 3): the exact value at the sample, where the line begins, and where it ends. A
+    held input that steps moves nothing at the sample itself, but the line that stands for what
+    follows begins beside it. Mean and first moment over the sample
     are those of the exact response to the input held or (else) joined by straight lines, so that
     nothing moves in time; without a lag the line is the input. Before the record the input was what
     it is at its first sample. After the last sample it is held.
@@ -72,8 +74,8 @@ def lag_inputs(u: Array, samples: float, hold: Hold) -> tuple[Array, Array]:
     tilt = (1 - f) * rise - g * (x - u)
     d_tilt = -df * rise - dg * (x - u) - g * dx
     return (
-        np.stack([mean - 0.5 * tilt, mean + 0.5 * tilt], axis=1),
-        np.stack([d_mean - 0.5 * d_tilt, d_mean + 0.5 * d_tilt], axis=1),
+        np.stack([x, mean - 0.5 * tilt, mean + 0.5 * tilt], axis=1),
+        np.stack([dx, d_mean - 0.5 * d_tilt, d_mean + 0.5 * d_tilt], axis=1),
     )
 
 

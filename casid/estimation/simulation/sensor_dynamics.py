@@ -69,8 +69,8 @@ def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: flo
     """A copy of the inputs (N, nu) with every input stage applied and all carriers filled.
 
     Delays and leads come first, an actuator's lag last: they commute, but a lag of an input that is
-    held or joined by straight lines leaves a line in every sample, which begins in the input's own
-    column and ends in its companion's. A band-limited input stays one.
+    held or joined by straight lines leaves a line in every sample, which begins and ends where its
+    companions say; its own column has the values at the samples. A band-limited input stays one.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: flo
             if stage.kind == "lag_input":
                 hold = model.acting_hold(channel)
                 r = values[stage.parameter] / Ts
-                if Stage.end_of(channel) not in place:
+                if Stage.line_of(channel)[0] not in place:
                     change = lag_columns(columns[channel], r)[1]
                     columns = {n: _lagged(c, r) for n, c in columns.items()}
                     columns[stage.carrier] = change / Ts
@@ -100,7 +100,8 @@ def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: flo
                 lines = {n: lag_inputs(c, r, hold)[0] for n, c in columns.items()}
                 lines[stage.carrier] = lag_inputs(columns[channel], r, hold)[1] / Ts
                 for name, line in lines.items():
-                    out[:, place[name]], out[:, place[Stage.end_of(name)]] = line.T
+                    for own, at in zip((name, *Stage.line_of(name)), line.T, strict=True):
+                        out[:, place[own]] = at
                 break
         else:
             for name, column in columns.items():

@@ -75,13 +75,13 @@ def _within(
 ) -> Iterator[Any]:
     """Every input at `part` / `parts` of a sample.
 
-    One that passes a lag is a line that ends where its companion column says; what blends would do
-    to it is that of its samples, which is exact once they are settled.
+    One that passes a lag is a line that begins and ends where its companion columns say; what
+    blends would do to it is that of its samples, which is exact once they are settled.
     """
     lagged = any(stage.kind == "lag_input" for stage in model.stages)
     banded = band_limited(model)
     for i, name in enumerate(e.inputs):
-        entry, end = model.inputs[name], Stage.end_of(name)
+        entry, ends = model.inputs[name], Stage.line_of(name)
         u, line = e.u[i], e.u[i] + part / parts * (u_next[i] - e.u[i])
         acts = {"zoh": u, "foh": line}
         if name in banded:
@@ -89,8 +89,9 @@ def _within(
             place = banded.index(name) * (parts - 1) + part - 1
             acts["bandlimited"] = between[place] if inside else line
         value, settled = acts[entry.hold], None
-        if lagged and end in e.inputs:
-            value = u + part / parts * (e.u[e.inputs.index(end)] - u)
+        if lagged and ends[0] in e.inputs:
+            begin, end = (e.u[e.inputs.index(n)] for n in ends)
+            value = begin + part / parts * (end - begin)
             settled = model.acting_hold(name)
         for blend in entry.blends:
             b = e.p[e.parameters.index(blend.parameter)]

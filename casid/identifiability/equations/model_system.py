@@ -230,7 +230,8 @@ def _slopes(model: Model) -> frozenset[str]:
     """Generated inputs that carry no signal: the tangents of input stages, and ends of samples."""
     stages = [s for s in model.stages if s.is_of_input]
     carried = {s.carrier for s in stages}
-    ends = {Stage.end_of(name) for name in (*carried, *(s.channel for s in stages))}
+    channels = (*carried, *(s.channel for s in stages))
+    ends = {end for name in channels for end in Stage.line_of(name)}
     return frozenset(n for n in model.inputs if n in carried | ends)
 
 

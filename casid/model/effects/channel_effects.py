@@ -55,7 +55,7 @@ def carry(model: Model, stage: Stage) -> None:
     """Add a stage that prepares an input column, with the input that carries its tangent.
 
     The carrier does between its samples what the channel does, so that the tangent is exact. Behind
-    a lag an input is a line in each sample, with a column for its end; a band-limited one stays so.
+    a lag an input is a line in each sample, with columns for its ends; a band-limited one stays so.
     """
     entry = model.inputs[stage.channel]
     per_second = unit_quotient(entry.unit, "s", 1)
@@ -69,7 +69,8 @@ def carry(model: Model, stage: Stage) -> None:
     if is_lagging(model, stage.channel) and model.acting_hold(stage.channel) != "bandlimited":
         for name in (stage.channel, *_carriers(model, stage.channel)):
             unit = model.inputs[name].unit
-            model.add_input(Input(Stage.end_of(name), unit, "generated", "zoh"))
+            for end in Stage.line_of(name):
+                model.add_input(Input(end, unit, "generated", "zoh"))
 
 
 def is_lagging(model: Model, channel: str) -> bool:
@@ -161,9 +162,7 @@ def hold(model: Model, channel: str, toward: Hold | None = None) -> Effect:
     and else to held: b = 0 is the model, b = 1 an input that does what `toward` says. Extended from
     a b other than 0, the effect has no free parameter: an input does the one or the other. In a
     slow model a change between held and straight lines is a delay of half a sample. Where the
-    record cannot separate them, the hold is named for an input that is declared as held, as a delay
-    of just half a sample is rare; the delay for one that is joined by straight lines, as sensors
-    are late.
+    record cannot separate them, the hold is named: a delay of just half a sample is rare.
 
     Raises
     ------
@@ -203,7 +202,6 @@ def hold(model: Model, channel: str, toward: Hold | None = None) -> Effect:
         apply,
         sided="positive",
         cost=0,  # extended, it has no free parameter
-        priority=0 if entry.hold == "zoh" else 2,
         shape=toward if toward == "bandlimited" else "",
         description=_COURSES[toward],
     )
@@ -261,7 +259,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
         ]
     for channel, entry in model.inputs.items():
         if entry.kind in ("measured", "known") and not entry.blends:
-            lines = is_lagging(model, channel) and Stage.end_of(channel) in model.inputs
+            lines = is_lagging(model, channel) and Stage.line_of(channel)[0] in model.inputs
             others = [h for h in HOLDS if h != entry.hold and not (lines and h == "bandlimited")]
             effects += [hold(model, channel, other) for other in others]
     return effects

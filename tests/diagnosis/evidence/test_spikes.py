@@ -12,7 +12,12 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from casid.diagnosis.evidence.spikes import _fourth_moment, _from_neighbours, find_spikes
+from casid.diagnosis.evidence.spikes import (
+    _fourth_moment,
+    _from_neighbours,
+    find_spikes,
+    starts_apart,
+)
 
 Array = np.ndarray
 
@@ -138,3 +143,38 @@ def test_records_too_short_to_judge_have_no_outliers():
     r = np.zeros(19)
     r[9] = 100.0
     assert find_spikes("y", [r], ALPHA) is None
+
+
+def test_a_fast_response_to_steps_is_no_outlier_and_an_outlier_beside_it_is_one():
+    """A peak of one sample after each step of a held input, and errors where nothing steps.
+
+    With 60 steps among 6000 samples, chance puts all 30 errors away from steps (3 samples each).
+    """
+    rng = np.random.default_rng(7)
+    u = np.repeat(rng.normal(size=60), 100)
+    r = rng.standard_normal(6000)
+    r[100::100] += 8.0 * np.diff(u[::100])
+    assert find_spikes("y", [r], ALPHA) is not None
+    assert find_spikes("y", [r], ALPHA, inputs=[u[:, None]]) is None
+    at = 50 + 200 * np.arange(30)
+    r[at] += 12.0
+    found = find_spikes("y", [r], ALPHA, inputs=[u[:, None]])
+    assert found is not None
+    np.testing.assert_array_equal(np.flatnonzero(found.masks[0]), at)
+    # Without steps the inputs say nothing.
+    smooth = np.sin(0.01 * np.arange(6000))[:, None]
+    errors, at = spoilt(3, size=12.0)
+    kept = find_spikes("y", [errors], ALPHA, inputs=[smooth])
+    assert kept is not None
+    np.testing.assert_array_equal(np.flatnonzero(kept.masks[0]), at)
+
+
+def test_a_first_sample_from_before_the_inputs_acted_stands_alone():
+    """400 records of noise at 1 %: the Bonferroni bound keeps the rate below it."""
+    noise = [np.random.default_rng(s).standard_normal(300) for s in range(400)]
+    assert sum(starts_apart(r, 0.01) for r in noise) < 4
+    at_rest, slow = noise[0].copy(), noise[0].copy()
+    at_rest[0] -= 20.0
+    slow += 20.0 * np.exp(-np.arange(300) / 5.0)
+    assert starts_apart(at_rest, ALPHA)
+    assert not starts_apart(slow, ALPHA)

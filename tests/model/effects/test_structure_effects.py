@@ -69,6 +69,26 @@ def held_through_a_lag(tau: float, command=COMMAND) -> np.ndarray:
     return out
 
 
+@pytest.mark.parametrize("tau", [0.004, 0.03])
+def test_an_output_that_shows_the_command_at_once_shows_it_behind_the_lag(tau):
+    """The current of a coil follows its voltage exactly as the recursion of a held one does."""
+    m = casid.Model("coil")
+    flux = m.state("flux", "V s", initial=0.0)
+    U = m.input("U", "V", hold="zoh", known=True)
+    R = m.parameter("R", "ohm", start=1.2)
+    m.derivative(flux, U)
+    m.output("i", U / R, "A")
+    model = actuator_lag(m, "U", 2.0).extend(m)
+    record = casid.Record({"U": COMMAND, "i": np.zeros(N)}, {"U": "V", "i": "A"}, Ts=TS)
+    criterion = SimulationError(model, [casid.Experiment(record, {}, "r")])
+    current, expected, E = COMMAND[0], np.empty(N), np.exp(-TS / tau)
+    for k in range(N):
+        expected[k] = current / 1.2
+        current = E * current + (1 - E) * COMMAND[k]
+    found = criterion.simulate(at(criterion, tau_U=tau), 0)[0][:, 0]
+    assert found == pytest.approx(expected, abs=1e-12)
+
+
 @pytest.mark.parametrize("kind", ["zoh", "foh"])
 @pytest.mark.parametrize("tau", [0.0, 0.004, 0.03, 0.5])
 def test_the_lag_of_an_actuator_has_the_derivative_of_what_is_computed(tau, kind):
