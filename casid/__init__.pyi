@@ -70,6 +70,7 @@ from .linear.closed_loop import closed_loop_view
 from .linear.discretisation_bias import bias_table
 from .linear.linear_model import linearise
 from .model.clock_signals import Always, RampOver, StepAt, TimeSince
+from .model.effects.actuator_effects import input_backlash
 from .model.effects.channel_effects import hold, saturation, sensor_lag, time_delay
 from .model.effects.effect import Effect
 from .model.effects.structure_effects import actuator_lag
@@ -205,6 +206,7 @@ __all__ = [
     "immerse",
     "indirect_equations",
     "indirect_model",
+    "input_backlash",
     "instrumental_variables",
     "invariants",
     "known_initial_state",

@@ -148,8 +148,12 @@ class Prewhitening:
         "share of the information that input noise leaves, below which a step is held short",
         POWER_STUDY,
     )
-    longest_delay: float = _is(0.3, "seconds of delay that are sought at most", POWER_STUDY)
-    delay_share: float = _is(0.02, "of the record, the same", POWER_STUDY)
+    delay_samples: float = _is(
+        15.0, "samples of delay that are sought at most, where the model is faster", POWER_STUDY
+    )
+    delay_share: float = _is(
+        0.02, "of the record, beyond which no delay is sought in any case", POWER_STUDY
+    )
     trial: float = _is(
         0.01,
         "what the trial of an effect adds to a derivative or an output, over the RMS of that",

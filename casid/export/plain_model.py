@@ -257,6 +257,12 @@ class _Stages:
             self._lag_output(stage)
         elif stage.kind == "lag_input":
             self._lag_input(stage)
+        elif stage.kind == "play_input":
+            raise ModelError(
+                f"{self.model.name}: the command {stage.channel} acts through play, which has a "
+                "memory that no equation of an exported model holds; export --as problem, or leave "
+                f"the play out, model.with_known({stage.parameter}=0)"
+            )
         else:
             did = "delayed by" if stage.kind == "delay_input" else "lagging with"
             self.notes.append(

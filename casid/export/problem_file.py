@@ -40,6 +40,7 @@ _EXTENSIONS = {
     "lag": ("sensor_lag", "longest"),
     "lead_input": ("sensor_lag", "longest"),
     "lag_input": ("actuator_lag", "longest"),
+    "play_input": ("input_backlash", "largest"),
     "clip": ("saturation", "limit"),
 }
 """How a stage is written: the function that makes its effect, and the size that it takes."""

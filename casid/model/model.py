@@ -143,12 +143,12 @@ class Stage:
 
     An output may be late (`delay`), pass a first-order lag (`lag`) or be clipped (`clip`). Of an
     input what acted is found: the recorded column moved ahead (`delay_input`), rid of its sensor's
-    lag (`lead_input`), or sent through an actuator's lag (`lag_input`). The column is prepared
-    before the simulation; `carrier` is the generated input that brings its change with `parameter`
-    into the sensitivities.
+    lag (`lead_input`), or sent through an actuator's lag (`lag_input`) or play (`play_input`). The
+    column is prepared before the simulation; `carrier` is the generated input that brings its
+    change with `parameter` into the sensitivities.
     """
 
-    kind: Literal["delay", "lag", "clip", "delay_input", "lead_input", "lag_input"]
+    kind: Literal["delay", "lag", "clip", "delay_input", "lead_input", "lag_input", "play_input"]
     channel: str
     parameter: str
 

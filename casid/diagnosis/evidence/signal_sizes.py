@@ -11,7 +11,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import PREWHITENING
-from casid.model.effects.effect import Sizes, Spread
+from casid.model.effects.effect import Motion, Sizes, Spread
 
 
 def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
@@ -19,6 +19,7 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
     sims = [at.criterion.simulated(at.fit.x, e) for e in range(len(at.criterion.experiments))]
     x = np.concatenate([s.x for s in sims])
     d = at.criterion.data[0]
+    readings = _readings(at)
     rms = np.sqrt(np.mean(x**2, axis=0))
     return Sizes(
         rates={n: float(r) for n, r in zip(at.model.states, rms, strict=True)},
@@ -27,15 +28,56 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
             for i, n in enumerate(at.criterion.outputs)
         },
         window=(float(d.t[0]), float(d.t[-1])),
-        longest_delay=float(min(PREWHITENING.longest_delay, PREWHITENING.delay_share * d.N * d.Ts)),
+        longest_delay=_longest_delay(at, x),
         Ts=min(s.Ts for s in at.criterion.data),
         channels={c: _spread(at, c) for c in recorded},
         ranges={
             n: (float(low), float(most))
             for n, low, most in zip(at.model.states, x.min(axis=0), x.max(axis=0), strict=True)
         },
+        readings={n: (m.low, m.high) for n, m in readings.items()},
+        levels={n: m.operating_point for n, m in readings.items() if m.operating_point},
         course=lambda expression: _course(at, [s.x for s in sims], expression),
     )
+
+
+def _longest_delay(at: Weighted, states: Array) -> float:
+    """Longest delay that is sought [s]: some samples, or a time constant of the model.
+
+    Transport and dead volume scale with the process. Time constants are those of the model
+    linearised at its mean; those beyond the record's length are integrations.
+    """
+    d = at.criterion.data[0]
+    e = at.model.explicit()
+    slopes = ca.Function("A", [e.x, e.u, e.p], [ca.densify(ca.jacobian(e.f, e.x))])
+    p, _ = at.criterion.parameter_vector(at.fit.x, 0)
+    A = slopes(states.mean(axis=0), d.u.mean(axis=0), p).full()
+    length = d.N * d.Ts
+    slowest = 0.0
+    if np.all(np.isfinite(A)):
+        rates = np.abs(np.linalg.eigvals(A)) if A.size else np.zeros(0)
+        slowest = max((1.0 / r for r in rates if r * length > 1.0), default=0.0)
+    longest = max(PREWHITENING.delay_samples * d.Ts, slowest)
+    return float(min(longest, PREWHITENING.delay_share * length))
+
+
+def _readings(at: Weighted) -> dict[str, Motion]:
+    """RMS, range and mean of every output and recorded input."""
+    signals = at.criterion.data
+    columns = {
+        n: np.concatenate([s.y[s.used[:, i] > 0, i] for s in signals])
+        for i, n in enumerate(at.criterion.outputs)
+    }
+    columns |= {
+        n: np.concatenate([s.u[:, i] for s in signals])
+        for i, (n, entry) in enumerate(at.model.inputs.items())
+        if entry.kind in ("measured", "known")
+    }
+    return {
+        n: Motion(float(np.sqrt(np.mean(c**2))), float(c.min()), float(c.max()), float(c.mean()))
+        for n, c in columns.items()
+        if c.size
+    }
 
 
 def _course(at: Weighted, states: Sequence[Array], expression: Any) -> Array:

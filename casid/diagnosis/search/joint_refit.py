@@ -21,7 +21,7 @@ from casid.diagnosis.search.candidates import Candidate, found_values, name_of
 from casid.diagnosis.thresholds import REFITS
 from casid.errors import SolveError
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
-from casid.model.effects.effect import KINDS, Effect
+from casid.model.effects.effect import KINDS, SWITCHED, Effect
 from casid.model.model import Model
 
 
@@ -152,16 +152,19 @@ def _starts(
     at: Weighted, effect: Effect, step: float, *, near: bool = False
 ) -> list[tuple[float, float | None]]:
     """Values of the first parameter to start from, each with its upper bound."""
-    Ts = at.criterion.data[0].Ts
-    if effect.kind == "hold":
+    tick = at.criterion.data[0].Ts
+    if effect.parameters[0].unit != "s":  # a gap, beside the corners of which it is nothing
+        tick = effect.constants.get("width", tick)
+    if effect.kind in SWITCHED:
         return [(effect.parameters[0].upper, None)]  # an input does the one or the other
     if effect.limit is not None:
         # A large delay or lag is far from its linearised size, and the fit has local minima.
-        factors = REFITS.factors if at.noise_absorbs_misfit or abs(step) > Ts else (1.0,)
+        factors = REFITS.factors if at.noise_absorbs_misfit or abs(step) > tick else (1.0,)
         factors = (1.0,) if near else factors
-        grid = {min(max(k * abs(step), REFITS.least_delay * Ts), effect.limit) for k in factors}
+        grid = {min(max(k * abs(step), REFITS.least_delay * tick), effect.limit) for k in factors}
         return [
-            (g, min(REFITS.room * g + REFITS.room_samples * Ts, effect.limit)) for g in sorted(grid)
+            (g, min(REFITS.room * g + REFITS.room_samples * tick, effect.limit))
+            for g in sorted(grid)
         ]
     if near:
         return [(effect.parameters[0].start + step, None)]

@@ -18,7 +18,7 @@ from casid.diagnosis.verdict.sentences import says, says_kind, why_alternative
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import WrongSign
-from casid.model.effects.effect import Effect
+from casid.model.effects.effect import SWITCHED, Effect
 
 
 def causes_of(
@@ -105,8 +105,9 @@ def _saturation(search: Search, cut: Plateaus) -> Cause:
 
 def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated, ...]:
     rows = [p for p in estimate.parameters if p.name in candidate.names]
-    if candidate.effect.kind == "hold":
-        rows = [replace(p, note="not estimated: an input does it or not") for p in rows]
+    if candidate.effect.kind in SWITCHED:
+        blend, note = candidate.names[0], "not estimated: a channel does it or not"
+        rows = [replace(p, note=note) if p.name == blend else p for p in rows]
     if candidate.effect.kind == "parameter_jump" and candidate.effect.variant is not None:
         rows.append(Estimated("time", candidate.effect.variant, "s", note="searched"))
     return tuple(rows)

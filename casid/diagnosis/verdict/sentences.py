@@ -24,7 +24,7 @@ _SAYS = {
     "cubic_stiffness": "{restoring} is not linear: it has a cubic term",
     "quadratic_stiffness": "{restoring} is not linear: it is stiffer to one side",
     "deadzone": "{restoring} has play (a dead zone)",
-    "backlash": "{restoring} has play, which spring and damper share (backlash)",
+    "backlash": "the coupling of {where} has play (backlash)",
     "end_stop": "a stop (or an overflow) limits the motion in {place}",
     "cogging": "a force that is periodic in the position (cogging) acts in {place}",
     "offset": "a constant {where} acts on the system",
@@ -45,7 +45,6 @@ _SAYS = {
     "saturation": "the channel {where} is clipped",
     "rectified": "the channel {where} shows the absolute value",
     "lever_arm": "the sensor of {where} sits away from the assumed point",
-    "quantisation": "the channel {where} is recorded in coarse steps",
     "outliers": "the channel {where} has isolated outliers",
 }
 
@@ -62,7 +61,6 @@ _SEPARATES = {
     "actuator_saturation": "a record at half the command",
     "rectified": "a record that changes its sign, beside a second sensor",
     "lever_arm": "rotation about another point, or a second sensor at a known distance",
-    "quantisation": "a record at a finer resolution, or with a larger amplitude",
     "coulomb_friction": "slow motion and free decays to rest, where dry friction dominates",
     "cubic_stiffness": "excitation at two clearly different amplitudes",
     "deadzone": "motion well inside the play and far beyond it",
@@ -88,6 +86,8 @@ _SEPARATES = {
 
 def says_kind(kind: str, where: str, *, is_relative: bool = False) -> str:
     """A kind of the catalogue in words; `is_relative` where the place is a relative motion."""
+    if kind == "backlash" and not is_relative:
+        return f"the command {where} acts through play (backlash)"
     place = f"the relative motion {where}" if is_relative else f"the {where} balance"
     restoring = f"the spring that acts on {where}" if is_relative else f"the restoring {where}"
     return _SAYS[kind].format(where=where, place=place, restoring=restoring)

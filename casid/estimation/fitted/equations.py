@@ -23,6 +23,7 @@ _STAGES = {
     "delay_input": ("{c}(t + {p})", "the record is late"),
     "lead_input": ("{c} + {p} d{c}/dt", "the record lags"),
     "lag_input": ("{c} behind a lag of {p}", "the actuator lags"),
+    "play_input": ("{c} behind play of {p} to either side", "the actuator has play"),
 }
 """Kind of a stage -> what becomes of a channel c with the parameter p, and in words."""
 

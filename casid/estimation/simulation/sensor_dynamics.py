@@ -83,7 +83,12 @@ def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: flo
         columns = {channel: u[:, place[channel]]}
         mine = [s for s in stages if s.channel == channel]
         for stage in mine:
-            if stage.kind != "lag_input":
+            if stage.kind == "play_input":
+                last, sign = play(columns[channel], values[stage.parameter])
+                columns = {n: c[last] for n, c in columns.items()}
+                columns[channel] = columns[channel] - values[stage.parameter] * sign
+                columns[stage.carrier] = -sign
+            elif stage.kind != "lag_input":
                 value = values[stage.parameter]
                 change = _slope(columns[channel], value if stage.kind == "delay_input" else 0.0, Ts)
                 columns = {n: _moved(stage.kind, c, value, Ts) for n, c in columns.items()}
@@ -107,6 +112,27 @@ def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: flo
             for name, column in columns.items():
                 out[:, place[name]] = column
     return out
+
+
+def play(column: Array, gap: float) -> tuple[Array, Array]:
+    """The contacts of a command with play: what acts is column[last] - gap sign.
+
+    Returns
+    -------
+    last : (N,) sample at which the command last pushed.
+    sign : (N,) 1 where it pushed upwards, -1 downwards, 0 before the first contact, where what acts
+        is as the record begins.
+    """
+    u = column.tolist()
+    last, sign = np.zeros(len(u), dtype=int), np.zeros(len(u))
+    acting, at, pushed = u[0], 0, 0.0
+    for k, now in enumerate(u):
+        if now - gap > acting:
+            acting, at, pushed = now - gap, k, 1.0
+        elif now + gap < acting:
+            acting, at, pushed = now + gap, k, -1.0
+        last[k], sign[k] = at, pushed
+    return last, sign
 
 
 def _moved(kind: str, column: Array, value: float, Ts: float) -> Array:

@@ -218,6 +218,7 @@ _CALLED = {
     "lag": "sensor's lag",
     "lead_input": "sensor's lag",
     "lag_input": "actuator's lag",
+    "play_input": "actuator's play",
     "clip": "clipping",
 }
 """Name of what a stage does."""

@@ -15,7 +15,8 @@ import numpy as np
 from casid.errors import UnitError
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Sided
-from casid.model.effects.places import Place, place_named
+from casid.model.effects.place import Place
+from casid.model.effects.places import place_named
 from casid.model.model import Input, Model, Parameter
 from casid.model.units import same_dimension, unit_quotient
 

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from casid.model.effects.actuator_effects import actuator_effects_of
 from casid.model.effects.balance_effects import (
     coulomb_friction,
     cubic_damping,
@@ -34,11 +35,20 @@ from casid.model.effects.parameter_effects import (
     parameter_drift,
     parameter_jump,
     scheduled_parameter,
+    state_schedules_of,
 )
-from casid.model.effects.places import Place, places_of
+from casid.model.effects.place import Place
+from casid.model.effects.places import places_of
 from casid.model.effects.search_ranges import FRICTION_RANGES, RANGES, SMOOTHING
+from casid.model.effects.sensor_effects import sensor_effects_of
 from casid.model.effects.structure_effects import missing_modes_of, structure_effects_of
-from casid.model.effects.unnamed_effects import is_positive, power_law, unnamed_effects
+from casid.model.effects.unnamed_effects import (
+    flow_law,
+    is_positive,
+    linear_loss,
+    power_law,
+    unnamed_effects,
+)
 from casid.model.model import Model
 
 
@@ -64,6 +74,7 @@ def catalogue(
     effects: list[Effect] = []
     for place in places_of(model):
         effects += forces_at(model, place, sizes)
+        effects += _linear_and_power_laws(model, place, sizes)
         if place.where in model.balances:
             effects.append(offset(model, place.where))
             effects += [extra_input(model, place.where, c, u) for c, u in recorded.items()]
@@ -75,7 +86,9 @@ def catalogue(
         effects.append(sensor_bias(model, channel))
         effects.append(time_delay(model, channel, sizes.longest_delay))
     effects += channel_effects_of(model, sizes, recorded)
+    effects += sensor_effects_of(model, sizes)
     effects += structure_effects_of(model, sizes)
+    effects += actuator_effects_of(model, sizes)
     effects += missing_modes_of(model, sizes, sizes.Ts)
     effects += _parameter_variations(model, sizes, recorded)
     effects += extra
@@ -121,6 +134,19 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
     return effects + unnamed_effects(model, place, speed)
 
 
+def _linear_and_power_laws(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
+    """The law of a flow between two stores, or a loss that the model leaves out."""
+    if place.velocity is None:
+        return []
+    motion = sizes.motion_of(place.velocity)
+    found = (
+        flow_law(model, place, motion.rms)
+        if place.is_relative
+        else linear_loss(model, place, motion.operating_point)
+    )
+    return [] if found is None else [found]
+
+
 def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
     """Stops of a mechanical position, or the overflow of a store that stays filled."""
     q = place.position if place.is_mechanical else place.velocity
@@ -151,3 +177,4 @@ def _parameter_variations(
         yield parameter_drift(model, name, sizes.window)
         for c, spread in sizes.channels.items():
             yield scheduled_parameter(model, name, c, recorded[c], spread)
+    yield from state_schedules_of(model, sizes)

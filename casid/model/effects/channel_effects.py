@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from casid.errors import ModelError, UnitError
-from casid.model.effects.effect import Effect, Sizes
+from casid.model.dimensional_analysis import carrying_unit
+from casid.model.effects.effect import Effect, Sizes, switched_on
 from casid.model.effects.search_ranges import RANGES
 from casid.model.model import HOLDS, Blend, Hold, Input, Model, Parameter, Stage
 from casid.model.units import same_dimension, unit_quotient
@@ -58,9 +59,9 @@ def carry(model: Model, stage: Stage) -> None:
     a lag an input is a line in each sample, with columns for its ends; a band-limited one stays so.
     """
     entry = model.inputs[stage.channel]
-    per_second = unit_quotient(entry.unit, "s", 1)
+    slope = unit_quotient(entry.unit, model.parameters[stage.parameter].unit, 1)
     carrier = model.add_input(
-        Input(stage.carrier, per_second, "generated", entry.hold, blends=entry.blends)
+        Input(stage.carrier, slope, "generated", entry.hold, blends=entry.blends)
     )
     model.substitute_symbol(
         stage.channel, model.symbol(stage.channel) + model.symbol(stage.parameter) * carrier
@@ -84,29 +85,39 @@ def _carriers(model: Model, channel: str) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def sensor_scale(model: Model, channel: str) -> Effect:
+def sensor_scale(model: Model, channel: str, about: float = 0.0) -> Effect:
     """A sensor whose gain is 1 + s in place of 1; s = -2 is a wrong sign, and not searched here.
 
     What a measured input did is its record over 1 + s. A parameter often absorbs it, and the effect
     is then undetectable.
+
+    Parameters
+    ----------
+    about : the reading that is right (the channel's SI unit): zero, or the operating point of a
+        channel that stays away from zero, where a gain about zero is a bias to first order.
     """
+    point = carrying_unit(about) if about else 0.0
     if channel in model.outputs:
 
         def apply(new: Model, names: Sequence[str]) -> None:
             expression, unit = new.outputs[channel]
-            new.replace_output(channel, expression * (1 + new.symbol(names[0])), unit)
+            s = new.symbol(names[0])
+            new.replace_output(channel, expression + s * (expression - point), unit)
 
         priority = 1
     else:
 
         def apply(new: Model, names: Sequence[str]) -> None:
-            for name in (channel, *_carriers(new, channel)):
-                new.substitute_symbol(name, new.symbol(name) / (1 + new.symbol(names[0])))
+            s = new.symbol(names[0])
+            new.substitute_symbol(channel, (new.symbol(channel) + s * point) / (1 + s))
+            for name in _carriers(new, channel):
+                new.substitute_symbol(name, new.symbol(name) / (1 + s))
 
         priority = 2
     lower, upper = RANGES.lowest_scale, RANGES.highest_scale
     p = Parameter(f"scale_{channel}", "1", 0.0, lower=lower, upper=upper)
-    return Effect("sensor_scale", channel, (p,), apply, priority=priority)
+    constants = {"about": about} if about else {}
+    return Effect("sensor_scale", channel, (p,), apply, priority=priority, constants=constants)
 
 
 def sensor_lag(model: Model, channel: str, longest: float) -> Effect:
@@ -188,9 +199,7 @@ def hold(model: Model, channel: str, toward: Hold | None = None) -> Effect:
     p = Parameter(f"{_BLENDS[entry.hold, toward]}_{channel}", "1", 0.0, lower=0.0, upper=1.0)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        p = new.parameters[names[0]]
-        if p.start > 0.0:
-            new.parameters[names[0]] = replace(p, start=1.0, lower=1.0, upper=1.0)
+        switched_on(new, names[0])
         for name in (channel, *_carriers(new, channel)):
             entry = new.inputs[name]
             new.inputs[name] = replace(entry, blends=(*entry.blends, Blend(names[0], toward)))
@@ -247,7 +256,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
     effects: list[Effect] = []
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
     for channel in (*model.outputs, *measured):
-        effects.append(sensor_scale(model, channel))
+        effects.append(sensor_scale(model, channel, sizes.levels.get(channel, 0.0)))
         effects.append(sensor_lag(model, channel, RANGES.sensor_lag * sizes.longest_delay))
     beside = {n: unit for n, (_, unit) in model.outputs.items()}
     beside |= {n: model.inputs[n].unit for n in measured} | dict(recorded)

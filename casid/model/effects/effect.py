@@ -26,13 +26,19 @@ KINDS = frozenset(
     """quadratic_damping cubic_damping coulomb_friction asymmetric_friction stribeck_friction
     cubic_stiffness quadratic_stiffness deadzone backlash end_stop cogging offset extra_input
     periodic_disturbance parameter_drift parameter_jump scheduled_parameter sensor_bias sensor_scale
-    sensor_lag time_delay cross_axis saturation rectified lever_arm quantisation outliers hold
+    sensor_lag time_delay cross_axis saturation rectified lever_arm outliers hold
     actuator_lag actuator_saturation missing_mode unknown""".split()
 )
 """Names of kinds that mean what `diagnosis.json` says they mean, and nothing else."""
 
 ON_THE_CLOCK = ("parameter_jump", "parameter_drift", "periodic_disturbance")
 """Kinds with an instant, a span or a phase on the clock of the record that they were found in."""
+
+SWITCHED = ("hold", "rectified", "actuator_saturation")
+"""Kinds whose first parameter blends from 0, the model, to 1: a channel does it or does not.
+
+Extended from a start other than 0 the parameter is 1, and not estimated.
+"""
 
 OF_SAMPLES = ("outliers", "saturation")
 """Kinds that spoil samples, and leave the rest of the record as it is."""
@@ -144,6 +150,7 @@ class Sizes:
     channels: Mapping[str, Spread] = field(default_factory=dict)  # recorded beside the model's
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # state -> least, most
     course: Callable[[Any], Array] | None = None  # expression in the simulation -> its samples
+    readings: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of each channel
     levels: Mapping[str, float] = field(default_factory=dict)  # channel -> its operating point
 
     def motion_of(self, expression: Any) -> Motion:
@@ -189,6 +196,13 @@ class Motion:
     def operating_point(self) -> float:
         """Where nonlinear terms are expanded: zero, or the mean of what stays away from zero."""
         return self.mean if self.is_signed else 0.0
+
+
+def switched_on(model: Model, name: str) -> None:
+    """Fix the blend of a switched kind at 1 where the effect is not null."""
+    p = model.parameters[name]
+    if p.start > 0.0:
+        model.parameters[name] = replace(p, start=1.0, lower=1.0, upper=1.0)
 
 
 def known_while_null(model: Model, names: Sequence[str]) -> None:

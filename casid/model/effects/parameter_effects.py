@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
+import casadi as ca
 import numpy as np
 
 from casid.model.clock_signals import RampOver, StepAt
-from casid.model.effects.effect import Effect, Spread
+from casid.model.dimensional_analysis import carrying_unit
+from casid.model.effects.effect import Effect, Sizes, Spread
+from casid.model.effects.place import is_mechanical
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Input, Model, Parameter
 from casid.model.units import unit_quotient
@@ -54,6 +57,63 @@ def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Eff
     p = Parameter(f"drift_{name}", old.unit, 0.0)
     chosen = {"start": start, "stop": stop}
     return Effect("parameter_drift", name, (p,), apply, span=(-0.5, 0.5), constants=chosen)
+
+
+def state_scheduled_parameter(model: Model, name: str, state: str, mean: float) -> Effect:
+    """A parameter p that falls or grows with the size of a state x: p + s (|x| - mean).
+
+    Iron that saturates lowers a motor's constant or an inductance with the current. `mean` is that
+    of |x| in the records (x's unit), so that p stays what it is on average there.
+    """
+    old = model.parameters[name]
+    unit = unit_quotient(old.unit, model.states[state].unit, 1)
+    p = Parameter(f"slope_{name}_{state}", unit, 0.0)
+    centre = carrying_unit(mean)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        moved = new.symbol(name) + new.symbol(names[0]) * (ca.fabs(new.symbol(state)) - centre)
+        new.substitute_symbol(name, moved)
+
+    return Effect(
+        "scheduled_parameter",
+        f"{name}~{state}",
+        (p,),
+        apply,
+        priority=int(old.is_known),
+        span=(-mean, mean),
+        constants={"mean": mean},
+    )
+
+
+def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Parameters that no force in one place expresses, with the states of their own equations.
+
+    Such a parameter stands in several equations out of proportion (a motor's constant in torque and
+    voltage), or in an inertia of no mass (an inductance). Elsewhere it is a force that grows with
+    its state, and tested as one.
+    """
+    for name, p in model.parameters.items():
+        if p.is_constant or (p.is_known and p.value == 0.0):
+            continue
+        symbol = model.symbol(name)
+        inside = {
+            b.rate: sum(b.terms[1:], b.terms[0])
+            for b in model.balances.values()
+            if any(ca.which_depends(ca.SX(sum(b.terms[1:], b.terms[0])), symbol))
+        }
+        shapes = [ca.jacobian(ca.SX(side), symbol) for side in inside.values()]
+        felt = {s.name() for shape in shapes for s in ca.symvar(shape) if s.name() in model.states}
+        rates = {b.rate for b in model.balances.values()}
+        several = sorted(felt & rates) if len(inside) > 1 and len(felt & rates) > 1 else []
+        heavy = [
+            b.rate
+            for b in model.balances.values()
+            if any(ca.which_depends(ca.SX(b.inertia), symbol)) and not is_mechanical(b.unit)
+        ]
+        for state in dict.fromkeys((*several, *heavy)):
+            mean = float(sizes.motion_of(ca.fabs(model.symbol(state))).mean)
+            if mean > 0.0:
+                yield state_scheduled_parameter(model, name, state, mean)
 
 
 def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread: Spread) -> Effect:

@@ -15,6 +15,7 @@ _TESTS = "tests/model/effects"
 _CATALOGUE = f"{_TESTS}/test_effect.py"
 _BALANCES = f"{_TESTS}/test_balance_effects.py"
 _CHANNELS = f"{_TESTS}/test_channel_effects.py"
+_ACTUATORS = f"{_TESTS}/test_actuator_effects.py"
 _CONTACT = f"{_TESTS}/test_contact_effects.py"
 _FRICTION = f"{_TESTS}/test_friction_effects.py"
 _STRUCTURE = f"{_TESTS}/test_structure_effects.py"
@@ -101,6 +102,20 @@ class ContactRanges:
 
 
 @dataclass(frozen=True, slots=True)
+class Actuators:
+    """Limits and play of commands."""
+
+    starts: tuple[float, ...] = _is(
+        (0.5, 0.8), "of the largest command, the limits that the search starts from", _ACTUATORS
+    )
+    limit: tuple[float, float] = _is(
+        (0.4, 1.6), "of its start, lower and upper bound of a limit", _ACTUATORS
+    )
+    gap: float = _is(0.4, "of the command's range, the widest play", _ACTUATORS)
+    tick: float = _is(0.005, "of the widest play, what is none beside it", _ACTUATORS)
+
+
+@dataclass(frozen=True, slots=True)
 class Ranges:
     """Bounds of what an effect's first parameter may be."""
 
@@ -132,6 +147,7 @@ PERIODIC_FORCES = PeriodicForces()
 SMOOTHING = Smoothing()
 FRICTION_RANGES = FrictionRanges()
 CONTACT_RANGES = ContactRanges()
+ACTUATORS = Actuators()
 RANGES = Ranges()
 UNNAMED_EFFECTS = UnnamedEffects()
 
@@ -142,6 +158,7 @@ GROUPS = (
     SMOOTHING,
     FRICTION_RANGES,
     CONTACT_RANGES,
+    ACTUATORS,
     RANGES,
     UNNAMED_EFFECTS,
 )

@@ -17,7 +17,8 @@ import numpy as np
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import force_along
 from casid.model.effects.effect import Effect
-from casid.model.effects.places import Place, place_named
+from casid.model.effects.place import Place
+from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
 from casid.model.model import Model, Parameter
 from casid.model.units import quantity_of
@@ -65,6 +66,62 @@ def unnamed_effects(model: Model, where: str | Place, speed: float) -> list[Effe
             term(f"{q_}^2 {v_}", f"of damping that grows with {q_} squared", q**2 * v, 1, 2),
         ]
     return found
+
+
+def flow_law(model: Model, where: str | Place, typical: float) -> Effect | None:
+    """A flow C d between two stores becomes C d (|d| / d_ref)^(n - 1), d the difference.
+
+    As `power_law`, for a difference of levels, pressures or temperatures, of either sign. `typical`
+    is d_ref. None for mechanical places, and where the model has no flow in proportion to d.
+    """
+    place = place_named(model, where)
+    if place.is_mechanical or place.damping is None or typical <= 0.0:
+        return None
+    small = carrying_unit((SMOOTHING.power * typical) ** 2)
+    whole = carrying_unit(typical**2 + small)
+    d, C, name = place.velocity, place.damping, _bracketed(place.velocity_name)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        power = ca.exp(0.5 * (new.symbol(names[0]) - 1) * ca.log((d**2 + small) / whole))
+        place.add(new, C * d * (1 - power))
+
+    lower, upper = UNNAMED_EFFECTS.lowest_power, UNNAMED_EFFECTS.highest_power
+    suffix = "".join(c if c.isalnum() else "_" for c in place.velocity_name)
+    return Effect(
+        "unknown",
+        place.where,
+        (Parameter(f"exponent_{suffix}", "1", 1.0, lower=lower, upper=upper),),
+        apply,
+        shape=f"|{name}|^n",
+        description=f"a flow that grows with a power of {name}, not in proportion to it",
+        constants={"reference": typical},
+    )
+
+
+def linear_loss(model: Model, where: str | Place, about: float) -> Effect | None:
+    """-c (v - v_0), in a balance whose rate no estimated parameter resists yet.
+
+    A loss or viscous friction that the model leaves out; `about` is v_0, of a rate that stays away
+    from zero. A constant beside it is an offset.
+    """
+    place = place_named(model, where)
+    b = model.balances[place.where]
+    slope = ca.jacobian(ca.SX(sum(b.terms[1:], b.terms[0])), place.velocity)
+    free = [model.symbol(n) for n, p in model.parameters.items() if not p.is_known]
+    if free and any(ca.which_depends(slope, ca.vertcat(*free))):
+        return None
+    v = place.velocity - carrying_unit(about) if about else place.velocity
+    return force_along(
+        place,
+        "unknown",
+        Parameter(f"c_{place.velocity_name}", place.velocity_power(1), 0.0),
+        lambda c: -c * v,
+        priority=1,
+        shape=place.velocity_name,
+        description=f"a {quantity_of(place.unit)} in proportion to {place.velocity_name}, "
+        "which the model leaves out",
+        constants={"about": about} if about else {},
+    )
 
 
 def _bracketed(name: str) -> str:

@@ -11,7 +11,9 @@ from casid.model.dimensions import check_units
 from casid.model.effects.balance_effects import cubic_stiffness
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.effect import Sizes
-from casid.model.effects.places import balance_place, elements_of, place_named
+from casid.model.effects.elements import elements_of
+from casid.model.effects.place import balance_place
+from casid.model.effects.places import place_named
 
 
 def rig(ratio: float | None = None) -> casid.Model:

@@ -1,0 +1,97 @@
+"""What an actuator makes of a command beyond a lag: a limit, and play (a sticking valve)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import casadi as ca
+
+from casid.errors import ModelError
+from casid.model.effects.channel_effects import carry
+from casid.model.effects.effect import Effect, Sizes, known_while_null, switched_on
+from casid.model.effects.search_ranges import ACTUATORS
+from casid.model.model import Model, Parameter, Stage
+
+
+def actuator_saturation(model: Model, channel: str, limit: float) -> Effect:
+    """A recorded command that acts up to a limit alone, to both sides: clip(u, -limit, limit).
+
+    `limit` (the channel's SI unit) is where the search starts, below the largest command. The blend
+    `saturated` is 0 in the model and 1 in the extended one.
+    """
+    lower, upper = (share * limit for share in ACTUATORS.limit)
+    parameters = (
+        Parameter(f"saturated_{channel}", "1", 0.0, lower=0.0, upper=1.0),
+        Parameter(f"limit_{channel}", model.inputs[channel].unit, limit, lower=lower, upper=upper),
+    )
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        known_while_null(new, names)
+        switched_on(new, names[0])
+        u, (share, most) = new.symbol(channel), (new.symbol(n) for n in names)
+        new.substitute_symbol(channel, u + share * (ca.fmin(ca.fmax(u, -most), most) - u))
+
+    return Effect(
+        "actuator_saturation",
+        channel,
+        parameters,
+        apply,
+        sided="positive",
+        variant=limit,
+        cost=2,
+    )
+
+
+def input_backlash(model: Model, channel: str, largest: float) -> Effect:
+    """A recorded command that acts through play, as a valve's stem or a worn linkage does.
+
+    What acts stays where it is until the command has moved by the gap on either side of it: w
+    follows u - gap upwards and u + gap downwards. It begins where the command begins. The gap is
+    at most `largest` (the channel's SI unit).
+
+    Raises
+    ------
+    ModelError
+        If the input is not recorded, or acts through play already.
+    """
+    entry = model.inputs[channel]
+    if entry.kind not in ("measured", "known"):
+        raise ModelError(
+            f"{model.name}: {channel} is no recorded command (it is {entry.kind}); request the "
+            "backlash of a recorded input"
+        )
+    if any(s.kind == "play_input" and s.channel == channel for s in model.stages):
+        raise ModelError(
+            f"{model.name}: the command {channel} acts through play already; extend the model "
+            "before that one"
+        )
+    p = Parameter(f"gap_{channel}", entry.unit, 0.0, lower=0.0, upper=largest)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        carry(new, Stage("play_input", channel, names[0]))
+
+    return Effect(
+        "backlash",
+        channel,
+        (p,),
+        apply,
+        sided="positive",
+        limit=largest,
+        priority=1,
+        constants={"width": ACTUATORS.tick * largest},
+    )
+
+
+def actuator_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Limits and play of every recorded command that no elimination made of an output."""
+    eliminated = {m.output for m in model._measured}
+    played = {s.channel for s in model.stages if s.kind == "play_input"}
+    for channel, entry in model.inputs.items():
+        low, high = sizes.readings.get(channel, (0.0, 0.0))
+        if entry.kind not in ("measured", "known") or channel in eliminated or high <= low:
+            continue
+        largest = max(-low, high)
+        for share in ACTUATORS.starts:
+            yield actuator_saturation(model, channel, share * largest)
+        if channel not in played:
+            yield input_backlash(model, channel, ACTUATORS.gap * (high - low))

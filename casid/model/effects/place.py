@@ -1,0 +1,133 @@
+"""A place where a force may act: a coordinate, and the equations that the force enters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.model.model import Model
+from casid.model.units import same_dimension, unit_quotient
+
+Expr = Any  # a CasADi SX expression
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """A coordinate and the equations that a force along it enters.
+
+    Attributes
+    ----------
+    where : name of the balance, or the relative motion in symbols ("w1-w2").
+    unit : of the force, that of the first balance.
+    velocity, position : expressions in states and inputs; None where the model has none.
+    shares : (balance or state with a derivative, factor): what a force of one gives to it.
+    stiffness, damping : K and C of the model's own force -K q - C v in the first equation, None
+        where it has none.
+    velocity_name, position_name : the coordinates in symbols.
+    """
+
+    where: str
+    unit: str
+    velocity: Expr
+    velocity_unit: str
+    position: Expr
+    position_unit: str
+    shares: tuple[tuple[str, Expr], ...]
+    velocity_name: str
+    position_name: str
+    stiffness: Expr | None = None
+    damping: Expr | None = None
+
+    @property
+    def is_mechanical(self) -> bool:
+        """True for forces and torques, which may be dry friction, play or stops."""
+        return is_mechanical(self.unit)
+
+    @property
+    def is_relative(self) -> bool:
+        """True for a relative motion, which is no balance by its name."""
+        return self.where != self.shares[0][0]
+
+    @property
+    def words(self) -> str:
+        """The equations that a force on a relative motion enters; "" for a balance."""
+        if not self.is_relative:
+            return ""
+        rows = [row if str(f) == "1" else f"{row} times {_spaced(f)}" for row, f in self.shares]
+        return f"acts on {self.position_name or self.where} in {' and in '.join(rows)}"
+
+    def add(self, model: Model, force: Expr) -> None:
+        """Add a force to every equation that it enters (used by effects on their own copy)."""
+        for row, factor in self.shares:
+            given = _in_symbols_of(model, factor * force)
+            if row in model.balances:
+                model.add_term(row, given)
+            else:
+                model.add_rate(row, given)
+
+    def velocity_power(self, power: int, position_power: int = 0) -> str:
+        """Unit of a coefficient that turns powers of velocity and position into a force."""
+        unit = unit_quotient(self.unit, self.velocity_unit, power)
+        return unit_quotient(unit, self.position_unit, position_power) if position_power else unit
+
+
+def is_mechanical(unit: str) -> bool:
+    """True for the unit of a force or a torque, or of one over a mass or an inertia."""
+    return any(same_dimension(unit, known) for known in ("N", "N m", "m/s^2", "rad/s^2"))
+
+
+def balance_place(model: Model, balance: str) -> Place:
+    """One balance: its rate, and the position that the rate moves."""
+    b = model.balances[balance]
+    v = model.symbol(b.rate)
+    position = model.position_of(b.rate) or _moved_by(model, b.rate)
+    return Place(
+        where=balance,
+        unit=b.unit,
+        velocity=v,
+        velocity_unit=model.states[b.rate].unit,
+        position=None if position is None else model.symbol(position),
+        position_unit="1" if position is None else model.states[position].unit,
+        shares=((balance, 1.0),),
+        velocity_name=b.rate,
+        position_name=position or "",
+    )
+
+
+def _in_symbols_of(model: Model, expression: Expr) -> Expr:
+    """An expression in the symbols that a model has for the same names."""
+    symbols = ca.symvar(ca.SX(expression))
+    own = [model.symbol(s.name()) for s in symbols]
+    if all(ca.is_equal(a, b, 0) for a, b in zip(symbols, own, strict=True)):
+        return expression
+    return ca.substitute(ca.SX(expression), ca.vertcat(*symbols), ca.vertcat(*own))
+
+
+def _moved_by(model: Model, rate: str) -> str | None:
+    """A state whose derivative is the rate times a factor: an angle behind a gearbox."""
+    v = model.symbol(rate)
+    variables = ca.vertcat(*[model.symbol(n) for n in (*model.states, *model.inputs)])
+    for name, expression in model._rates.items():
+        slope = ca.jacobian(expression, v)
+        if slope.nnz() and not any(ca.which_depends(slope, variables)):
+            if is_zero(expression - slope * v):
+                return name
+    return None
+
+
+def is_zero(expression: Expr) -> bool:
+    """True if an expression vanishes at random points."""
+    symbols = ca.symvar(expression)
+    function = ca.Function("z", [ca.vertcat(ca.SX(0, 1), *symbols)], [ca.densify(expression)])
+    rng = np.random.default_rng(3)
+    points = [rng.uniform(0.2, 1.7, len(symbols)) for _ in range(3)]
+    return all(abs(float(function(p))) < 1e-9 for p in points)
+
+
+def _spaced(factor: Expr) -> str:
+    """A factor in symbols, without the brackets around it."""
+    text = str(factor).replace(" ", "")
+    return text[1:-1] if text.startswith("(-") and text.count("(") == 1 else text

@@ -1,0 +1,71 @@
+"""What a sensor shows in place of the quantity: its absolute value, or that of another point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import casadi as ca
+
+from casid.model.effects.effect import Effect, Sizes, switched_on
+from casid.model.model import Model, Parameter
+from casid.model.units import same_dimension
+
+Expr = Any  # a CasADi expression
+
+
+def rectified(model: Model, channel: str) -> Effect:
+    """An output that shows the absolute value: y + r (|y| - y), r = 1 where it does."""
+    p = Parameter(f"rectified_{channel}", "1", 0.0, lower=0.0, upper=1.0)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        switched_on(new, names[0])
+        expression, unit = new.outputs[channel]
+        other = expression + new.symbol(names[0]) * (ca.fabs(expression) - expression)
+        new.replace_output(channel, other, unit)
+
+    return Effect("rectified", channel, (p,), apply, sided="positive")
+
+
+def lever_arm(model: Model, channel: str, rate: str) -> Effect:
+    """A sensor at a distance r from the assumed point of a body that turns at the state `rate`.
+
+    An acceleration gains r dw/dt, a speed r w, a displacement r times the angle; for small angles,
+    along the direction that the output measures.
+    """
+    p = Parameter(f"arm_{channel}", "m", 0.0)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        expression, unit = new.outputs[channel]
+        turned = _turned(new, channel, rate)
+        new.replace_output(channel, expression + new.symbol(names[0]) * turned, unit)
+
+    return Effect("lever_arm", channel, (p,), apply, shape=rate)
+
+
+def sensor_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Sensors that may show an absolute value, or sit away from the assumed point."""
+    for channel in model.outputs:
+        low, high = sizes.readings.get(channel, (-1.0, 1.0))
+        if low >= 0.0 < high:
+            yield rectified(model, channel)
+        for balance in model.balances.values():
+            if same_dimension(model.states[balance.rate].unit, "rad/s") and (
+                _turned(model, channel, balance.rate) is not None
+            ):
+                yield lever_arm(model, channel, balance.rate)
+
+
+def _turned(model: Model, channel: str, rate: str) -> Expr:
+    """What a lever arm multiplies in an output, None where the output is no motion of a point."""
+    unit = model.outputs[channel][1]
+    if not same_dimension(model.states[rate].unit, "rad/s"):
+        return None
+    if same_dimension(unit, "m/s^2"):
+        return model.der(rate)
+    if same_dimension(unit, "m/s"):
+        return model.symbol(rate)
+    angle = model.position_of(rate)
+    if same_dimension(unit, "m") and angle is not None:
+        return model.symbol(angle)
+    return None

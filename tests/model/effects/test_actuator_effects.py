@@ -1,0 +1,114 @@
+"""Commands that act up to a limit, or through play."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import casid
+from casid.errors import ModelError
+from casid.estimation.simulation.sensor_dynamics import play
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.model.effects.actuator_effects import actuator_saturation, input_backlash
+from casid.model.effects.effect import Effect
+
+Ts, N = 0.1, 400
+T = np.arange(N) * Ts
+COMMAND = np.sin(0.6 * T) + 0.4 * np.sin(1.7 * T)
+
+
+def tank() -> casid.Model:
+    """A level that follows a valve, tau dh/dt = u - h."""
+    m = casid.Model("valve and tank")
+    h = m.state("h", "m", initial=0.0)
+    u = m.input("u", "m", known=True, hold="zoh")
+    m.derivative(h, (u - h) / m.constant("tau", 2.0, "s"))
+    m.output("level", h, "m")
+    return m
+
+
+def criterion(effect: Effect | None, values: tuple[float, ...] = ()) -> SimulationError:
+    model, names = (tank(), ()) if effect is None else effect.extended(tank())
+    if effect is not None and effect.kind == "actuator_saturation":
+        model = model.with_known(**{names[1]: values[1]})
+        names = names[:1]
+    record = casid.Record({"u": COMMAND, "level": np.zeros(N)}, {"u": "m", "level": "m"}, Ts=Ts)
+    start = dict(zip(names, values, strict=False))
+    return SimulationError(
+        model, [casid.Experiment(record, {}, "r")], weights=np.ones(1), start=start
+    )
+
+
+def simulated(effect: Effect | None, *values: float) -> np.ndarray:
+    c = criterion(effect, values)
+    return c.simulate(c.start, 0)[0][:, 0]
+
+
+def level_under(acting: np.ndarray) -> np.ndarray:
+    """The exact answer to a held input, sample by sample."""
+    decay, h = np.exp(-Ts / 2.0), np.zeros(N)
+    for k in range(N - 1):
+        h[k + 1] = decay * h[k] + (1 - decay) * acting[k]
+    return h
+
+
+def after_play(gap: float) -> np.ndarray:
+    """What a pin in a slot of half width `gap` does."""
+    w, acting = COMMAND[0], []
+    for u in COMMAND:
+        w = min(max(w, u - gap), u + gap)
+        acting.append(w)
+    return np.array(acting)
+
+
+def test_a_command_acts_up_to_its_limit():
+    effect = actuator_saturation(tank(), "u", 0.7)
+    y = simulated(effect, 1.0, 0.7)
+    assert y == pytest.approx(level_under(np.clip(COMMAND, -0.7, 0.7)), abs=1e-6)
+    assert simulated(effect, 0.0, 0.7) == pytest.approx(simulated(None), abs=1e-12)
+
+
+def test_the_extended_model_clips_outright_and_estimates_the_limit():
+    model, names = actuator_saturation(tank(), "u", 0.7).extended(
+        tank(), starts={"saturated_u": 0.4}
+    )
+    blend, limit = (model.parameters[n] for n in names)
+    assert (blend.start, blend.lower, blend.upper) == (1.0, 1.0, 1.0)
+    assert not limit.is_known
+
+
+@pytest.mark.parametrize("gap", [0.1, 0.35])
+def test_a_valve_with_play_moves_once_the_command_has_crossed_it(gap: float):
+    y = simulated(input_backlash(tank(), "u", 1.0), gap)
+    assert y == pytest.approx(level_under(after_play(gap)), abs=1e-6)
+    assert np.max(np.abs(y - simulated(None))) > 0.3 * gap
+
+
+def test_without_play_the_command_acts_as_it_is():
+    assert simulated(input_backlash(tank(), "u", 1.0), 0.0) == pytest.approx(simulated(None))
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.2])
+def test_the_sensitivity_to_play_is_its_derivative(gap: float):
+    """Of null on the side that exists: contacts change at isolated samples alone."""
+    effect = input_backlash(tank(), "u", 1.0)
+    c = criterion(effect, (gap,))
+    i = c.names.index("gap_u")
+    jacobian = c.simulated(c.start, 0).jacobian[:, 0, i]
+    h, up = 1e-7, c.start
+    up[i] += h
+    slope = (c.simulate(up, 0)[0] - c.simulate(c.start, 0)[0])[:, 0] / h
+    assert jacobian == pytest.approx(slope, abs=1e-5)
+    assert np.max(np.abs(slope)) > 0.5
+
+
+def test_a_contact_is_where_the_command_last_pushed():
+    last, sign = play(np.array([0.0, 0.5, 2.0, 1.5, -1.0, -0.8]), 1.0)
+    assert last.tolist() == [0, 0, 2, 2, 4, 4]
+    assert sign.tolist() == [0.0, 0.0, 1.0, 1.0, -1.0, -1.0]
+
+
+def test_play_is_refused_twice_and_of_what_is_no_command():
+    once = tank().extend(input_backlash(tank(), "u", 1.0))
+    with pytest.raises(ModelError, match="acts through play already; extend the model before"):
+        input_backlash(once, "u", 1.0)
