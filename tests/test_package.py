@@ -39,7 +39,7 @@ estimation: model algebra data saving linear
 identifiability: model algebra data saving linear estimation
 identification: model algebra data saving linear estimation identifiability
 unknown_inputs: model algebra data linear estimation identifiability identification
-campaigns: model data estimation identification
+campaigns: model data saving estimation identification
 diagnosis: model algebra data saving linear estimation identifiability identification campaigns
 export: model data linear estimation
 report: model algebra data linear estimation identifiability identification unknown_inputs

@@ -32,6 +32,7 @@ from casid.estimation.simulation.fit import FitSettings
 from casid.identification.identify import identify
 from casid.model.model import Model
 from casid.presentation import Presented, present, write
+from casid.saving.saved import Saved
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
@@ -56,7 +57,7 @@ METHODS: dict[str, Method] = {"identify": simulation_error}
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """How well one parameter is estimated, SI units.
+    """How well one parameter is estimated, in its unit.
 
     Attributes
     ----------
@@ -153,7 +154,7 @@ class Accuracy:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MonteCarlo(Presented):
+class MonteCarlo(Presented, Saved):
     """The result of a study: every estimate, and how well each parameter is estimated."""
 
     problem: str
@@ -174,7 +175,7 @@ class MonteCarlo(Presented):
         )
 
     def estimates(self, name: str) -> Array:
-        """(n,) the estimates of a parameter, failed runs left out, SI units."""
+        """(n,) the estimates of a parameter, failed runs left out, in its unit."""
         return self.campaign.column(self[name].name)
 
     @property
@@ -265,7 +266,7 @@ class Study:
             )
 
     def __call__(self, seed: SeedSequence) -> dict[str, Any]:
-        """One run: the estimates and their standard errors, SI units."""
+        """One run: the estimates and their standard errors, in the parameters' units."""
         number = int(seed.generate_state(1, np.uint64)[0])
         with contextlib.redirect_stdout(sys.stderr):  # standard output is for the result
             experiments = [self._cut(e) for e in self.problem.simulated(number)]

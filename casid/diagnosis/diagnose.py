@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 
 from casid.data.arguments import Recorded, experiments_of, in_si
-from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.diagnosis.advice.recommendation import recommend
 from casid.diagnosis.calibration.false_alarm_rate import Calibration, Null, require_runs
@@ -50,7 +49,7 @@ def diagnose(
     problem: Problem,
     experiments: Sequence[Recorded] | Recorded | None = None,
     *,
-    hold_out: float | Sequence[Experiment] | Experiment = 0.3,
+    hold_out: float | Sequence[Recorded] | Recorded = 0.3,
     false_alarm_rate: float = 0.05,
     max_causes: int = 4,
     without: Collection[str] = (),

@@ -26,7 +26,7 @@ def identify(
     problem: Problem | Model,
     experiments: Sequence[Recorded] | Recorded | None = None,
     *,
-    hold_out: float | Sequence[Experiment] = 0.0,
+    hold_out: float | Sequence[Recorded] | Recorded = 0.0,
     settings: FitSettings | None = None,
     start: Mapping[str, float] | None = None,
     progress: Callable[[str], None] | None = None,

@@ -72,7 +72,7 @@ def save(result: Any, path: str | Path) -> Path:
 
 
 def load(path: str | Path) -> Any:
-    """Read a result that was saved: an `Estimate`, `Diagnosis`, `Assessment` or `FittedModel`.
+    """Read a saved `Estimate`, `Diagnosis`, `Assessment`, `FittedModel` or `MonteCarlo`.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from __future__ import annotations
 import importlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,22 @@ from casid.saving.symbolic_trees import is_symbolic, symbolic_of, tree_of
 LARGE = 64
 """Entries from which on an array is kept in a table."""
 
-MOVED: Mapping[str, str] = {}
+MOVED: Mapping[str, str] = {"data.record.Experiment": "data.experiment.Experiment"}
 """Place of a class when files were saved -> where it is now."""
+
+
+def _blends_of_ramp(held: dict[str, Any]) -> dict[str, Any]:
+    """An input was once blended with one other hold, by the parameter `ramp`."""
+    if "ramp" in held:
+        ramp, toward = held.pop("ramp"), "foh" if held["hold"] == "zoh" else "zoh"
+        held["blends"] = () if ramp is None else (class_at("model.model.Blend")(ramp, toward),)
+    return held
+
+
+CHANGED: Mapping[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    "model.model.Input": _blends_of_ramp
+}
+"""Class -> what makes its fields of those that earlier versions saved."""
 
 _MODEL = "model.model.Model"
 _CLASS = re.compile(r"[a-z_][a-z_0-9.]*\.[A-Za-z_]\w*")
@@ -99,6 +113,8 @@ class Encoder:
             return {"$expression": len(self.expressions) - 1}
         if is_symbolic(value):
             return {"$symbolic": tree_of(value)}
+        if kind.__module__.partition(".")[0] == "pandas" and hasattr(value, "columns"):
+            return self._frame(value, path)
         what = f"the function {value.__qualname__}" if callable(value) else f"a {kind.__name__}"
         raise DataError(
             f"{path} holds {what}, which no file can keep; save what it computes, or the problem "
@@ -113,6 +129,15 @@ class Encoder:
             return {key: self.plain(v, f"{path}.{key}") for key, v in value.items()}
         rows = [[self.plain(k, path), self.plain(v, f"{path}.{k}")] for k, v in value.items()]
         return {"$items": rows}
+
+    def _frame(self, value: Any, path: str) -> Any:
+        """A pandas DataFrame: columns of numbers as arrays, others entry by entry."""
+        columns = []
+        for name in value.columns:
+            kind, entries = str(value[name].dtype), value[name].to_numpy()
+            held = entries if entries.dtype.kind in "biuf" else entries.tolist()
+            columns.append([str(name), kind, self.plain(held, f"{path}.{name}")])
+        return {"$frame": columns}
 
     def _array(self, value: Array, path: str) -> Any:
         shape, kind = list(value.shape), str(value.dtype)
@@ -175,6 +200,8 @@ class Decoder:
         if tag == "$entries":
             entries = np.array([self.value(v) for v in content], dtype=plain["dtype"])
             return self._shaped(entries, plain)
+        if tag == "$frame":
+            return self._frame(content)
         if tag == "$expression":
             return self.expressions[content]
         if tag == "$symbolic":
@@ -183,13 +210,19 @@ class Decoder:
             return self._instance(content, plain["fields"])
         raise DataError(f"holds {tag!r}, which this version of casid does not know; upgrade casid")
 
+    def _frame(self, columns: Sequence[Any]) -> Any:
+        import pandas as pd
+
+        held = {name: pd.Series(self.value(v), dtype=kind) for name, kind, v in columns}
+        return pd.DataFrame(held)
+
     @staticmethod
     def _shaped(entries: Array, plain: Mapping[str, Any]) -> Array:
         return entries.astype(plain["dtype"]).reshape(plain["shape"])
 
     def _instance(self, place: str, held: Mapping[str, Any]) -> Any:
         kind = class_at(MOVED.get(place, place))
-        values = {name: self.value(v) for name, v in held.items()}
+        values = CHANGED.get(place, dict)({name: self.value(v) for name, v in held.items()})
         if place == _MODEL:
             model = kind.__new__(kind)
             model.__dict__.update(vars(kind("")) | values)

@@ -20,13 +20,14 @@ import pytest
 from click.testing import CliRunner, Result
 
 from casid.campaigns.campaign import Campaign
-from casid.campaigns.monte_carlo import Accuracy, accuracy, montecarlo
+from casid.campaigns.monte_carlo import Accuracy, accuracy, montecarlo, simulation_error
 from casid.cli.main import main
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem, load_problem
 from casid.errors import CasidError, DataError, ModelError, SolveError
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
+from casid.saving.archive import load
 from tests.support.shared import ROOT
 
 TANK = """\
@@ -171,6 +172,21 @@ def test_the_estimate_of_a_model_in_the_set_is_unbiased_and_covers(tank: Problem
     assert result.estimates("a").shape == (100,)
     with pytest.raises(KeyError, match="there are a, b"):
         result["c"]
+
+
+def test_a_study_is_saved_and_read_again_whole(tank: Problem, tmp_path: Path) -> None:
+    def half_of_them(problem: Problem, records: Any, settings: FitSettings) -> Any:
+        if records[0].record["level"][0] > 0:  # the noise at rest
+            raise SolveError("no optimum")
+        return simulation_error(problem, records, settings)
+
+    study = montecarlo(tank, runs=6, method=half_of_them, seed=1)
+    assert 0 < len(study.campaign.failures) < 6
+    again = load(study.save(tmp_path / "study.casid"))
+    pd.testing.assert_frame_equal(again.campaign.table, study.campaign.table)
+    assert again.parameters == study.parameters
+    assert again.to_json() == study.to_json()
+    assert str(again) == str(study)
 
 
 def test_a_wrong_known_value_biases_as_the_static_gain_says(tank: Problem) -> None:
