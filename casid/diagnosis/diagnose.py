@@ -178,6 +178,7 @@ def _concluded(
         verdict=judged.verdict,
         sentence=judged.sentence,
         causes=judged.causes,
+        remainders=judged.remainders,
         ranking=judged.ranking,
         evidence=Evidence(
             judged.baseline,

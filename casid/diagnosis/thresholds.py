@@ -402,6 +402,11 @@ class Rounds:
     shortlist: int = _is(6, "kinds refitted, by robust p and by plain score each", POWER_STUDY)
     unnamed: int = _is(4, "neighbours without a name beside them, of each order", POWER_STUDY)
     rivals: int = _is(4, "rivals of one cause that are refitted in the end", POWER_STUDY)
+    pairs: int = _is(
+        2,
+        "candidates beside which a second is sought where none alone lowers the held-out error",
+        f"{TESTS}/search/test_selection.py",
+    )
     backward_wald: float = _is(
         2.0, "standard errors below which a cause is eliminated again", POWER_STUDY
     )

@@ -175,21 +175,14 @@ def why_no_better(before: Array, after: Array) -> str:
     return ""
 
 
-WORSE = 1.01
-"""Held-out error over that before it, beyond which an extension is refused whatever it explains."""
-
-
 def why_worse(before: Array, after: Array) -> str:
-    """Why an extension is refused by what was held out, or an empty text: it makes it worse.
-
-    An effect of no size at all still costs its own variance there, some thousandths of the error.
-    """
+    """Why an extension is refused by what was held out, or an empty text: it makes it worse."""
     if not len(before):
         return ""
     old, new = float(np.nansum(before**2)), float(np.nansum(after**2))
     if not np.isfinite(new):
         return "its simulation diverges on the held-out data"
-    if new > WORSE**2 * old:
+    if new > old:
         return f"it makes the held-out error worse, by {100 * (np.sqrt(new / old) - 1):.2g} %"
     return ""
 

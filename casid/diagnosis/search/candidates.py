@@ -48,6 +48,8 @@ class Adopted:
     p_value: float
     rivals: tuple[Rival, ...]
     before: Weighted | None = None  # the model that it was adopted into
+    is_alarm: bool = False  # the first, significant by itself under noise that is known
+    share: float = 0.0  # of the misfit that all adopted effects removed
 
 
 def null_values(candidate: Candidate) -> dict[str, float]:

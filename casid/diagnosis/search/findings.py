@@ -26,6 +26,7 @@ class Findings:
     at : the model as extended, under the noise found there; the baseline where nothing was adopted.
     extended_fit : its simulation-error fit; None where nothing was adopted and no sign is wrong.
     specific : causes whose size differs from record to record.
+    remainders : effects that are significant but explain too little; not in the extended model.
     """
 
     baseline: Baseline
@@ -34,6 +35,7 @@ class Findings:
     extended_fit: Fit | None = None
     adopted: tuple[Adopted, ...] = ()
     specific: tuple[Specific, ...] = ()
+    remainders: tuple[Adopted, ...] = ()
 
     @property
     def base_fit(self) -> Fit:
@@ -63,7 +65,8 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
     if baseline.why_undecided:
         return Findings(baseline, search, baseline.start, negated_fit)
     fit, split, start = baseline.fit, baseline.split, baseline.start
-    adopted, at, extended = adopt_causes(search, start, fit, split, settings.fit)
+    found = adopt_causes(search, start, fit, split, settings.fit)
+    adopted, at, extended = list(found.adopted), found.at, found.fit
     if not adopted:
         baseline = replace(baseline, why_undecided=_why_open(search))
     adopted = reconsidered(search, adopted, start, at)
@@ -76,7 +79,15 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
             lambda: record_specific(baseline.weighing, adopted, whole, noise, settings.fit),
         )
         specific, extended, at = apart or (specific, extended, at)
-    return Findings(baseline, search, at, extended or negated_fit, tuple(adopted), specific)
+    return Findings(
+        baseline,
+        search,
+        at,
+        extended or negated_fit,
+        tuple(adopted),
+        specific,
+        found.remainders,
+    )
 
 
 def _why_open(search: Search) -> str:

@@ -1,4 +1,4 @@
-"""Which causes are adopted: significant, and borne out by what was held out."""
+"""Which causes are adopted: significant, and with smaller errors on all that was measured."""
 
 from __future__ import annotations
 
@@ -8,47 +8,46 @@ from functools import partial
 
 from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
-from casid.diagnosis.evidence.robust_errors import wald
 from casid.diagnosis.search.alternatives import IMITATORS, p_value, rivals_of
-from casid.diagnosis.search.candidates import (
-    Adopted,
-    Candidate,
-    Rival,
-    name_of,
-    null_values,
-    taken_out,
-)
+from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
 from casid.diagnosis.search.reconsideration import better_rivals
+from casid.diagnosis.search.refinement import Adoption, Refinement, exchanged, whole_fit
 from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.search.simulation_errors import (
+    SimulationErrors,
+    simulation_errors,
+    units_of,
+    why_not_adopted,
+)
 from casid.diagnosis.thresholds import COMPARISON, ROUNDS
-from casid.estimation.holdout import Split, held_out_error, why_no_better, why_worse
-from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.holdout import Split
+from casid.estimation.simulation.fit import FitSettings
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import ON_THE_CLOCK
 
 
 def adopt_causes(
     search: Search, at: Weighted, base_fit: Fit, split: Split, settings: FitSettings
-) -> tuple[list[Adopted], Weighted, Fit | None]:
-    """Adopt effects until nothing significant is left that improves what was held out.
-
-    Returns what was adopted, the last model under its noise, and its simulation-error fit.
-    """
+) -> Adoption:
+    """Adopt effects until nothing significant is left that lowers the errors; keep what matters."""
     once = replace(settings, starts=1, solver=settings.solver or EXACT)
-    error = held_out_error(base_fit, split)
-    state = _Selection(search, split, once, start=at, at=at, fit=base_fit, error=error)
+    units = units_of(at)
+    errors = simulation_errors(base_fit, split, units)
+    state = _Selection(search, split, once, units, start=at, at=at, fit=base_fit, errors=errors)
     while len(state.adopted) < search.max_causes and state.adopt_next():
         state.exchange_last()
-    adopted, at = state.adopted, state.at
-    extended = state.fit if adopted else None
-    if extended is not None and len(adopted) > 1:
-        left = search.attempts.attempt(
-            "the test whether later causes make earlier ones superfluous",
-            partial(_eliminated, search, adopted, extended, split, once),
-        )
-        adopted, at, extended = left or (adopted, at, extended)
-    return adopted, at, extended
+    if not state.adopted:
+        return Adoption((), at, None)
+    found = Adoption(tuple(state.adopted), state.at, state.fit)
+    refine = Refinement(search, split, once, units, at, errors)
+    for what, step in (
+        ("the test whether later causes make earlier ones superfluous", refine.significant),
+        ("the comparison of the causes with their rivals by what was held out", refine.exchanged),
+        ("the test whether every cause matters", refine.main),
+    ):
+        found = search.attempts.attempt(what, partial(step, found)) or found
+    return found
 
 
 @dataclass(slots=True)
@@ -58,21 +57,30 @@ class _Selection:
     search: Search
     split: Split
     settings: FitSettings
+    units: Array  # of the outputs, see `simulation_errors`
     start: Weighted  # the model as it is
     at: Weighted
     fit: Fit  # simulation error, whole records
-    error: Array  # held out
+    errors: SimulationErrors
     adopted: list[Adopted] = field(default_factory=list)
 
     def adopt_next(self) -> bool:
         """One round of the search; False where nothing was adopted."""
+        found = self._significant()
+        for best in found:
+            if self._adopt([best]):
+                return True
+        return self._adopt_pair(found)
+
+    def _significant(self) -> list[Adopted]:
+        """Candidates of one round that are significant, in the order in which they are tried."""
         search, at = self.search, self.at
         search.progress(f"test every effect (round {len(self.adopted) + 1})")
         named = [a.candidate for a in self.adopted]
         attempt = search.attempts.attempt
         table = attempt(f"round {len(named) + 1} of the search", lambda: search.table(at, named))
         if table is None:
-            return False
+            return []
         if search.first_table is None:
             search.first_table = table
         # A score is robust by what repeats: misfit in one short burst, which no score can see,
@@ -81,48 +89,88 @@ class _Selection:
         if not is_scored and not attempt(
             "the test of the residual", lambda: is_more_than_noise(at, search)
         ):
-            return False
+            return []
         found = attempt("the refits of the candidates", lambda: search.round(at, table, named))
         if not found:
-            return False
-        if not self.adopted:
+            return []
+        if not search.first_candidates:
             search.first_candidates = found
-        # The first alarm has the rate that the user set, and is named unless the held-out data
-        # speak against it; a further cause has to earn its place there.
+        # The first alarm has the rate that the user set, and is named unless the errors speak
+        # against it; a further cause has to earn its place there.
         is_alarm = is_scored and not (self.adopted or at.noise_absorbs_misfit)
+        out = []
         for best in _named_first(at, found):
             p = p_value(table, best)
-            if p >= search.alpha or (best.merit <= 0 and not is_alarm):
-                continue
-            if self._adopt(best, is_alarm=is_alarm):
-                self.adopted.append(Adopted(best, p, rivals_of(at, best, found), at))
-                return True
-        return False
+            if p < search.alpha and (best.merit > 0 or is_alarm):
+                out.append(Adopted(best, p, rivals_of(at, best, found), at, is_alarm))
+        return out
 
-    def _adopt(self, best: Candidate, *, is_alarm: bool) -> bool:
-        """Extend the model, unless the held-out data speak against it, or the fit fails."""
-        attempts, what = self.search.attempts, f"the extension by {name_of(best.effect)}"
-        why = attempts.attempt(what, partial(self._extend, best, is_alarm=is_alarm))
+    def _adopt(self, news: Sequence[Adopted], *, note: bool = True) -> bool:
+        """Extend the model, unless its errors speak against it, or the fit fails.
+
+        Parameters
+        ----------
+        news : one effect, or two of which the last was found beside the first.
+        """
+        best, attempts = news[-1].candidate, self.search.attempts
+        what = f"the extension by {' and '.join(name_of(a.candidate.effect) for a in news)}"
+        why = attempts.attempt(what, partial(self._extend, news))
         if why is None:
             why = attempts.failed.pop(what, "no time was left to extend the model by it")
-        if why:
+        if why and note:
             self.search.refused.append((best, why))
         return not why
 
-    def _extend(self, best: Candidate, *, is_alarm: bool) -> str:
-        """Extend the model; why the held-out data speak against it, or an empty text."""
-        fit = _whole_fit(best, self.split, self.settings)
-        error = held_out_error(fit, self.split)
-        refuse = why_worse if is_alarm else why_no_better
-        why = refuse(self.error, error)
-        if why and best.effect.kind not in ON_THE_CLOCK:
-            # The errors that an integrator has gathered say little: judge the end anew as well,
-            # where the cause means something on a clock that starts anew.
-            why = refuse(*(held_out_error(f, self.split, anew=True) for f in (self.fit, fit)))
+    def _extend(self, news: Sequence[Adopted]) -> str:
+        """Extend the model; why its errors speak against it, or an empty text."""
+        best = news[-1].candidate
+        fit = whole_fit(best.model, self.split, self.settings, best.fit.values)
+        errors = simulation_errors(fit, self.split, self.units)
+        kinds = {a.candidate.effect.kind for a in (*self.adopted, *news)}
+        why = why_not_adopted(
+            self.errors,
+            errors,
+            is_alarm=news[0].is_alarm,
+            is_on_the_clock=bool(kinds & set(ON_THE_CLOCK)),
+        )
         if not why:
             at = self.search.weighing.weigh(best.model, fit, rounds=1)
-            self.error, self.fit, self.at = error, fit, at
+            self.errors, self.fit, self.at = errors, fit, at
+            self.adopted += news
         return why
+
+    def _adopt_pair(self, refused: Sequence[Adopted]) -> bool:
+        """Adopt two effects at once where each alone makes the held-out error no better.
+
+        Of two that act together, stiffness and damping of one swing say, the first alone shifts
+        the errors from where it helps to where the second is missing.
+        """
+        room = self.search.max_causes - len(self.adopted)
+        lasting = [a for a in refused if a.candidate.effect.kind not in IMITATORS]
+        if room < 2 or not self.at.noise_absorbs_misfit:
+            return False
+        for first in lasting[: ROUNDS.pairs]:
+            self.search.progress(
+                f"look for a second cause beside {name_of(first.candidate.effect)}"
+            )
+            what = f"the search beside {name_of(first.candidate.effect)}"
+            beside = self.search.attempts.attempt(what, partial(self._with, first))
+            for second in beside._significant() if beside is not None else ():
+                is_lasting = second.candidate.effect.kind not in IMITATORS
+                if is_lasting and self._adopt([first, second], note=False):
+                    keys = {a.candidate.effect.key for a in self.adopted}
+                    self.search.refused = [
+                        row for row in self.search.refused if row[0].effect.key not in keys
+                    ]
+                    return True
+        return False
+
+    def _with(self, first: Adopted) -> _Selection:
+        """The selection as it would be with one more effect, whatever the errors say."""
+        best = first.candidate
+        fit = whole_fit(best.model, self.split, self.settings, best.fit.values)
+        at = self.search.weighing.weigh(best.model, fit, rounds=1)
+        return replace(self, at=at, fit=fit, adopted=[*self.adopted, first])
 
     def exchange_last(self) -> None:
         """Take a rival of the last cause instead, where that leaves noise and the cause does not.
@@ -141,54 +189,15 @@ class _Selection:
 
     def _exchange(self, taken: Adopted, other: Candidate) -> bool:
         """Take another candidate in the place of the last one, if it leaves noise alone."""
-        fit = _whole_fit(other, self.split, self.settings)
+        fit = whole_fit(other.model, self.split, self.settings, other.fit.values)
         instead = self.search.weighing.weigh(other.model, fit, rounds=1)
-        if is_more_than_noise(instead, self.search):
+        errors = simulation_errors(fit, self.split, self.units)
+        is_worse = errors.held_out_square > self.errors.held_out_square
+        if is_worse or is_more_than_noise(instead, self.search):
             return False
-        error = held_out_error(fit, self.split)
-        self.adopted[-1] = replace(taken, candidate=other, rivals=_others(taken, other))
-        self.error, self.fit, self.at = error, fit, instead
+        self.adopted[-1] = exchanged(taken, other)
+        self.errors, self.fit, self.at = errors, fit, instead
         return True
-
-
-def _whole_fit(candidate: Candidate, split: Split, settings: FitSettings) -> Fit:
-    return fit_model(
-        candidate.model,
-        split.fitted,
-        settings,
-        start=candidate.fit.values,
-        check_rank=False,
-        throw=False,
-    )
-
-
-def _others(taken: Adopted, chosen: Candidate) -> tuple[Rival, ...]:
-    """The rivals of one that was exchanged for one of them; all are judged once more."""
-    first = Rival(taken.candidate, 1.0)
-    return (first, *(r for r in taken.rivals if r.candidate.effect is not chosen.effect))
-
-
-def _eliminated(
-    search: Search, adopted: Sequence[Adopted], fit: Fit, split: Split, settings: FitSettings
-) -> tuple[list[Adopted], Weighted, Fit]:
-    """Take back, last first, what later causes have made insignificant; refit what is left."""
-    kept, refused = list(adopted), []
-    for a in reversed(adopted):
-        c = a.candidate
-        null = null_values(c)
-        first = c.names[0]
-        if len(kept) == 1 or c.effect.test != "score":
-            continue
-        if abs(wald(fit, first, null[first])) > ROUNDS.backward_wald:
-            continue
-        refused.append((c, "the other causes together leave nothing for it to explain"))
-        kept.remove(a)
-        model = taken_out(fit.criterion.model, null)
-        values = {k: v for k, v in fit.values.items() if k not in c.names}
-        fit = fit_model(model, split.fitted, settings, start=values, check_rank=False, throw=False)
-    at = search.weighing.weigh(fit.criterion.model, fit, rounds=1)
-    search.refused += refused
-    return kept, at, fit
 
 
 def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:

@@ -8,12 +8,12 @@ from dataclasses import replace
 from casid.arrays import TINY
 from casid.diagnosis.evidence.plateaus import Plateaus
 from casid.diagnosis.evidence.spikes import Spikes
-from casid.diagnosis.search.candidates import Adopted, Candidate
+from casid.diagnosis.search.candidates import Adopted, Candidate, found_values
+from casid.diagnosis.search.contributions import contributions_of
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import JUDGING, SCORES
 from casid.diagnosis.verdict.cause import Alternative, Cause
-from casid.diagnosis.verdict.contributions import contributions_of
 from casid.diagnosis.verdict.sentences import says, says_kind, why_alternative
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.simulation.minimization import Fit
@@ -47,6 +47,29 @@ def causes_of(
     total = max(sum(losses) + sum(loss for loss, _ in samples), TINY)
     rows.sort(key=lambda row: -row[0])
     return [replace(cause, share=loss / total) for loss, cause in rows]
+
+
+def remainders_of(found: Findings) -> tuple[Cause, ...]:
+    """What is significant but explains too little to be a cause, with sizes as first fitted."""
+    out = []
+    for a in sorted(found.remainders, key=lambda a: -a.share):
+        effect, values = a.candidate.effect, found_values(a.candidate)
+        out.append(
+            Cause(
+                kind=effect.kind,
+                where=effect.where,
+                p_value=a.p_value,
+                parameters=tuple(
+                    Estimated(p.name, values[p.name], p.unit)
+                    for p in effect.parameters
+                    if p.name in values
+                ),
+                share=a.share,
+                sentence=says(effect),
+                description=effect.description,
+            )
+        )
+    return tuple(out)
 
 
 def _adopted(

@@ -11,7 +11,7 @@ from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.sufficiency import weak_parameters
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
-from casid.diagnosis.verdict.causes import causes_of, with_the_sign
+from casid.diagnosis.verdict.causes import causes_of, remainders_of, with_the_sign
 from casid.diagnosis.verdict.extended_model import extended_model
 from casid.diagnosis.verdict.gain import (
     Errors,
@@ -55,6 +55,7 @@ class Judgement:
     sentence: str
     why_undecided: str
     causes: tuple[Cause, ...]
+    remainders: tuple[Cause, ...]
     ranking: tuple[Ranked, ...]
     baseline: Estimate
     extended: Estimate | None
@@ -116,6 +117,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         sentence=verdict_sentence(verdict, causes, part, why_undecided, problem, disturbances),
         why_undecided=why_undecided,
         causes=tuple(causes),
+        remainders=remainders_of(found),
         ranking=ranking(found.search, found.adopted, causes),
         baseline=baseline,
         extended=extended,

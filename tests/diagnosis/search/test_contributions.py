@@ -8,8 +8,8 @@ import casid
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search.candidates import Adopted
+from casid.diagnosis.search.contributions import contributions_of
 from casid.diagnosis.search.joint_refit import Refitting
-from casid.diagnosis.verdict.contributions import contributions_of
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balance_effects import cubic_stiffness, quadratic_damping
 from problems import roll_decay

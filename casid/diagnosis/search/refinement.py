@@ -1,0 +1,207 @@
+"""The adopted causes as a set: none superfluous, none for a better rival, none too small to matter.
+
+Causes are adopted one after another, and the first ones while the others are missing. The set is
+therefore refined when it is complete, by the errors of all causes together:
+
+- a cause that the others have made insignificant is taken out;
+- where misfit passed for noise, gains were no likelihoods: a cause whose rival, in its place beside
+  the others, fits as well in practice and predicts what was held out better gives way to it, and a
+  function without a name to a named effect that fits and predicts as well in practice;
+- a cause that explains less than `JUDGING.practical` of the misfit is a small remainder: reported,
+  but neither a cause nor in the extended model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from casid.arrays import TINY, Array
+from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.evidence.robust_errors import wald
+from casid.diagnosis.search.alternatives import IMITATORS
+from casid.diagnosis.search.candidates import (
+    Adopted,
+    Candidate,
+    Rival,
+    found_values,
+    name_of,
+    null_values,
+    taken_out,
+)
+from casid.diagnosis.search.contributions import contributions_of
+from casid.diagnosis.search.rounds import Search
+from casid.diagnosis.search.simulation_errors import (
+    SimulationErrors,
+    simulation_errors,
+    why_held_out,
+)
+from casid.diagnosis.thresholds import JUDGING, ROUNDS
+from casid.estimation.holdout import Split
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.minimization import Fit
+from casid.model.effects.effect import ON_THE_CLOCK
+from casid.model.model import Model
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adoption:
+    """What was adopted, the model with it under its noise, and its simulation-error fit."""
+
+    adopted: tuple[Adopted, ...]
+    at: Weighted
+    fit: Fit | None
+    remainders: tuple[Adopted, ...] = ()  # significant, but too small to matter; not in `fit`
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refinement:
+    """The steps from what was adopted to the causes.
+
+    Attributes
+    ----------
+    units : of the outputs, see `simulation_errors`.
+    start, before : the model as it is, and its errors.
+    """
+
+    search: Search
+    split: Split
+    settings: FitSettings
+    units: Array
+    start: Weighted
+    before: SimulationErrors
+
+    def significant(self, found: Adoption) -> Adoption:
+        """Without what later causes have made insignificant, last first."""
+        kept, fit, refused = list(found.adopted), found.fit, []
+        assert fit is not None
+        for a in reversed(found.adopted):
+            c = a.candidate
+            first = c.names[0]
+            if len(kept) == 1 or c.effect.test != "score":
+                continue
+            if abs(wald(fit, first, null_values(c)[first])) > ROUNDS.backward_wald:
+                continue
+            refused.append((c, "the other causes together leave nothing for it to explain"))
+            kept.remove(a)
+            fit = self._without(fit, c)
+        if not refused:
+            return found
+        self.search.refused += refused
+        return self._refined(found, kept, fit)
+
+    def exchanged(self, found: Adoption) -> Adoption:
+        """With rivals in the place of causes that predict worse."""
+        if not self.start.noise_absorbs_misfit or found.fit is None:
+            return found
+        adopted, fit = list(found.adopted), found.fit
+        errors = simulation_errors(fit, self.split, self.units)
+        is_new = False
+        for i in range(len(adopted)):
+            for rival in self._rivals(adopted, i):
+                self.search.progress(
+                    f"compare {name_of(adopted[i].candidate.effect)} with {name_of(rival.effect)} "
+                    "by what was held out"
+                )
+                others = [a.candidate for a in adopted]
+                others[i] = rival
+                model, placed = _extended(self.start.model, others)
+                values = {**self.start.fit.values, **fit.values, **_values(placed, others)}
+                other = whole_fit(model, self.split, self.settings, values)
+                after = simulation_errors(other, self.split, self.units)
+                if self._is_preferred(adopted[i].candidate, rival, errors, after):
+                    adopted = [
+                        replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)
+                    ]
+                    adopted[i] = exchanged(found.adopted[i], placed[i])
+                    fit, errors, is_new = other, after, True
+                    break
+        return self._refined(found, adopted, fit) if is_new else found
+
+    def main(self, found: Adoption) -> Adoption:
+        """Without what explains too little, the smallest first."""
+        kept, fit, small = list(found.adopted), found.fit, list(found.remainders)
+        while fit is not None and len(kept) > 1:
+            losses = contributions_of(self.search.weighing, kept, fit, self.search.attempts)
+            total = max(sum(losses), TINY)
+            i = min(range(len(kept)), key=lambda k: losses[k])
+            if losses[i] >= JUDGING.practical * total:
+                break
+            small.append(replace(kept[i], share=losses[i] / total))
+            fit = self._without(fit, kept.pop(i).candidate)
+        if len(kept) == len(found.adopted):
+            return found
+        return self._refined(replace(found, remainders=tuple(small)), kept, fit)
+
+    def _rivals(self, adopted: Sequence[Adopted], i: int) -> Iterator[Candidate]:
+        """What may stand in the place of a cause; of a function without a name, every name."""
+        taken = {a.candidate.effect.key for a in adopted}
+        own = adopted[i].candidate.effect
+        candidates = [r.candidate for r in adopted[i].rivals]
+        if own.kind == "unknown":
+            candidates += [c for c in self.search.first_candidates if c.effect.where == own.where]
+        count = 0
+        for c in candidates:
+            is_new = c.effect.key not in taken and c.effect.kind not in ("unknown", *IMITATORS)
+            if is_new and count < ROUNDS.rivals:
+                count += 1
+                taken.add(c.effect.key)
+                yield c
+
+    def _is_preferred(
+        self, own: Candidate, rival: Candidate, old: SimulationErrors, new: SimulationErrors
+    ) -> bool:
+        """True if a rival fits as well in practice, and predicts better or is the one with a name.
+
+        In practice: it leaves less than `JUDGING.practical` of the misfit more.
+        """
+        fits = new.square - old.square < JUDGING.practical * (self.before.square - old.square)
+        gained = self.before.held_out_square - old.held_out_square
+        lost = new.held_out_square - old.held_out_square
+        is_on_the_clock = rival.effect.kind in ON_THE_CLOCK
+        if own.effect.kind == "unknown":
+            return fits and lost <= JUDGING.practical * max(gained, 0.0)
+        has_held = bool(len(old.continued) or len(old.restarted))
+        return fits and has_held and not why_held_out(old, new, is_on_the_clock=is_on_the_clock)
+
+    def _without(self, fit: Fit, c: Candidate) -> Fit:
+        """The model fitted again without one effect."""
+        model = taken_out(fit.criterion.model, null_values(c))
+        values = {k: v for k, v in fit.values.items() if k not in c.names}
+        return whole_fit(model, self.split, self.settings, values)
+
+    def _refined(self, found: Adoption, kept: Sequence[Adopted], fit: Fit | None) -> Adoption:
+        assert fit is not None
+        at = self.search.weighing.weigh(fit.criterion.model, fit, rounds=1)
+        return replace(found, adopted=tuple(kept), at=at, fit=fit)
+
+
+def whole_fit(model: Model, split: Split, settings: FitSettings, start: dict[str, float]) -> Fit:
+    """The simulation-error fit of an extended model."""
+    return fit_model(model, split.fitted, settings, start=start, check_rank=False, throw=False)
+
+
+def exchanged(taken: Adopted, chosen: Candidate) -> Adopted:
+    """Another candidate in the place of one, which is its first rival then."""
+    first = Rival(taken.candidate, 1.0)
+    others = (r for r in taken.rivals if r.candidate.effect.key != chosen.effect.key)
+    return replace(taken, candidate=chosen, rivals=(first, *others))
+
+
+def _extended(model: Model, candidates: Sequence[Candidate]) -> tuple[Model, list[Candidate]]:
+    """A model with several effects, and the candidates with their names in it."""
+    placed = []
+    for c in candidates:
+        model, names = c.effect.extended(model, starts=found_values(c))
+        placed.append(replace(c, names=names))
+    return model, [replace(c, model=model) for c in placed]
+
+
+def _values(placed: Sequence[Candidate], before: Sequence[Candidate]) -> dict[str, float]:
+    """What the parameters of effects were found to be, by their new names."""
+    return {
+        new: c.fit.values[old]
+        for p, c in zip(placed, before, strict=True)
+        for new, old in zip(p.names, c.names, strict=True)
+        if old in c.fit.values
+    }
