@@ -260,6 +260,25 @@ class Residual:
     by_chance: float = _is(2.0, "times what chance gives, for each after the first", _RESIDUAL)
 
 
+_REFERENCES = f"{TESTS}/evidence/test_loop_references.py"
+
+
+@dataclass(frozen=True, slots=True)
+class References:
+    """When a recorded channel is the reference of a control loop."""
+
+    apart: float = _is(
+        0.5, "of the reference's variance by which the output may miss it", _REFERENCES
+    )
+    left: float = _is(
+        0.1,
+        "of an input's variance, and of what the output alone leaves of it, that a filter of "
+        "reference and output may leave: noise and saturation of the drive",
+        _REFERENCES,
+    )
+    lags: int = _is(4, "samples of memory of that filter, beside an integral", _REFERENCES)
+
+
 _PEAKS = f"{TESTS}/evidence/test_spectral_peaks.py"
 
 
@@ -405,7 +424,7 @@ class Rounds:
     pairs: int = _is(
         2,
         "candidates beside which a second is sought where none alone lowers the held-out error",
-        f"{TESTS}/search/test_selection.py",
+        f"{TESTS}/search/test_refinement.py",
     )
     backward_wald: float = _is(
         2.0, "standard errors below which a cause is eliminated again", POWER_STUDY
@@ -644,6 +663,7 @@ PREWHITENING = Prewhitening()
 SCORES = Scores()
 FUNCTIONS = Functions()
 RESIDUAL = Residual()
+REFERENCES = References()
 PEAKS = Peaks()
 COMPARISON = Comparison()
 REFITS = Refits()
@@ -667,6 +687,7 @@ GROUPS = (
     SCORES,
     FUNCTIONS,
     RESIDUAL,
+    REFERENCES,
     PEAKS,
     COMPARISON,
     REFITS,

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casid.diagnosis.attempts import Attempts
+from casid.diagnosis.evidence.loop_references import loop_references
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.residual_tests import ResidualTests
 from casid.diagnosis.evidence.score_tests import Score, ScoreTable, score_test
@@ -28,6 +29,7 @@ from casid.diagnosis.settings import Progress
 from casid.diagnosis.thresholds import COMPARISON, ROUNDS
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.user_effects import UserEffect, user_effects
+from casid.model.model import Model
 
 
 @dataclass(slots=True)
@@ -46,6 +48,7 @@ class Search:
     first_candidates: list[Candidate] = field(default_factory=list)
     refused: list[tuple[Candidate, str]] = field(default_factory=list)
     attempts: Attempts = field(default_factory=Attempts)
+    references: tuple[str, ...] | None = None  # of a control loop, among `recorded`
     refitting: Refitting = field(init=False)
 
     def __post_init__(self) -> None:
@@ -62,7 +65,12 @@ class Search:
             extra=user_effects(at.model, self.effects),
             without=self.without,
         )
-        effects = [e for e in every if e.key not in taken]
+        references = self._references(at.model)
+        effects = [
+            e
+            for e in every
+            if e.key not in taken and not (e.kind == "extra_input" and e.where in references)
+        ]
         own = {n for c in adopted for n in c.names}
         known = events_of(adopted)
         effects = [
@@ -78,6 +86,13 @@ class Search:
             return table
         found = periodic_candidates(judged, sizes.window)
         return table.with_peaks([_peak_score(c) for c in found])
+
+    def _references(self, model: Model) -> tuple[str, ...]:
+        """Recorded channels that drive an input in a closed loop: no inputs of their own."""
+        if self.references is None:
+            of = self.weighing.experiments
+            self.references = loop_references(of, model, self.recorded)
+        return self.references
 
     def has_alarm(self, at: Weighted, table: ScoreTable) -> bool:
         """True if something is wrong: much is unexplained, or a test is significant."""

@@ -49,6 +49,17 @@ class Cause:
     by_record: Mapping[str, Mapping[str, Estimated]] = field(default_factory=dict, hash=False)
     # record -> parameter -> value; empty where one value explains all records
 
+    @property
+    def tied(self) -> tuple[str, ...]:
+        """Name and place of everything that it may be, where the record does not determine which.
+
+        Empty where it is determined, and of what has no name.
+        """
+        if not self.alternatives or self.kind == "unknown":
+            return ()
+        own = f"{self.kind} in {self.where}"
+        return tuple(dict.fromkeys((own, *(a.name for a in self.alternatives))))
+
     def in_units(self, units: Mapping[str, str]) -> Cause:
         """The cause with its parameters in the units that `units` has for them.
 

@@ -100,7 +100,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     bounds = bounds_met(problem, found.best_fit)
     if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):
         # A parameter held at its bound leaves misfit of its own: it is named first.
-        causes = with_the_unknown(causes, remainder, remaining)
+        causes = with_the_unknown(causes, remainder, remaining, found.search.refused)
     compare = partial(_compared_with_functions, found, causes, remainder)
     compared = attempt("the comparison with functions outside the catalogue", compare)
     causes, remainder = compared or (causes, remainder)
@@ -163,6 +163,11 @@ def notes_on(problem: Problem, found: Findings) -> tuple[str, ...]:
             f"{negated.reference}: negated, Hansen's J falls to {100 * negated.left:.2g} %; "
             "the simulation error alone, most of it noise or disturbance, does not determine it"
         )
+    notes += [
+        f"{channel} is the reference of a control loop: it acts through a measured input, and is no "
+        "input of its own"
+        for channel in search.references or ()
+    ]
     notes += [
         f"{c.effect.kind} in {c.effect.where} was significant but refused: {why}"
         for c, why in search.refused

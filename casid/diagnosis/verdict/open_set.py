@@ -11,7 +11,7 @@ not lack it: it is reported with its place and spectrum, and is no cause.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +26,8 @@ from casid.diagnosis.evidence.residual_tests import (
     ResidualTests,
     residual_tests,
 )
-from casid.diagnosis.search.candidates import Adopted
+from casid.diagnosis.search.alternatives import IMITATORS
+from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.residual_check import tested_residual
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import DESCRIPTION, JUDGING, ROUNDS
@@ -139,9 +140,18 @@ def with_the_unnamed_alternative(
 
 
 def with_the_unknown(
-    causes: Sequence[Cause], remainder: Remainder, remaining: Remaining | None
+    causes: Sequence[Cause],
+    remainder: Remainder,
+    remaining: Remaining | None,
+    refused: Sequence[tuple[Candidate, str]] = (),
 ) -> list[Cause]:
-    """The causes with one of kind "unknown", where the remainder is too large for a named cause."""
+    """The causes with one of kind "unknown", where the remainder is too large for a named cause.
+
+    Parameters
+    ----------
+    refused : candidates that were significant but not adopted, and why, the best first: where
+        nothing is named, the nearest of the catalogue.
+    """
     found = remainder.unexplained
     assert found is not None
     share = remaining.unexplained if remaining is not None else 1.0
@@ -161,7 +171,20 @@ def with_the_unknown(
         alternatives = (Alternative(nearest.kind, nearest.where, nearest.p_value, why),)
         unknown = _unknown(where, remainder, alternatives, share=nearest.share)
         return [unknown, *others]
+    if not named:
+        alternatives = tuple(_nearest(refused))
     return [*others, _unknown(where, remainder, alternatives, share=share)]
+
+
+def _nearest(refused: Sequence[tuple[Candidate, str]]) -> Iterator[Alternative]:
+    """Named effects that explain much of what was fitted, and what speaks against each."""
+    keys: set[tuple[str, str]] = set()
+    for c, why in refused:
+        is_new = c.effect.key not in keys and c.effect.kind not in ("unknown", *IMITATORS)
+        if is_new and len(keys) < ROUNDS.rivals:
+            keys.add(c.effect.key)
+            text = f"significant, and near in the catalogue, but {why}"
+            yield Alternative(c.effect.kind, c.effect.where, 1.0, text, c.effect.description)
 
 
 def _unknown(

@@ -144,7 +144,7 @@ def verdict_sentence(
         )
         said = "; ".join(d.sentence for d in disturbances)
         return f"{text} {said[0].upper()}{said[1:]}." if said else text
-    text = "; ".join(c.sentence for c in causes)
+    text = "; ".join(f"one of: {', '.join(c.tied)}" if c.tied else c.sentence for c in causes)
     gains = []
     for output, before in part.get("baseline_rmse", {}).items():
         after = part.get("extended_rmse", {}).get(output)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from casid.diagnosis.diagnosis import Cause, Diagnosis
 from casid.estimation.estimate import Estimated
@@ -56,7 +56,17 @@ def cause_part(i: int, c: Cause, by_record: Figure | None) -> Section:
             for a in c.alternatives
         ]
         parts += ["Could also be:", Bullets(others)]
-    return Section((f"{i}. ", *title), parts, look="cause")
+    first = f"{i}. one of: " if c.tied else f"{i}. "
+    return Section((first, *title, *_others(c)), parts, look="cause")
+
+
+def _others(c: Cause) -> Iterator[str]:
+    """The rest of a title that names everything that the record does not separate."""
+    seen = {(c.kind, c.where)}
+    for a in c.alternatives if c.tied else ():
+        if (a.kind, a.where) not in seen:
+            seen.add((a.kind, a.where))
+            yield from (", ", *effect_name(a.kind, a.where))
 
 
 def _size(p: Estimated) -> Sequence[str]:

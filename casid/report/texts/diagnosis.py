@@ -73,7 +73,7 @@ def _gain(d: Diagnosis) -> Table:
 def _cause(i: int, c: Cause) -> Iterator[str]:
     values = ", ".join(_value(p) for p in c.parameters)
     yield (
-        f"  {i}. {c.kind} in {c.where} (p = {c.p_value:.1e})"
+        f"  {i}. {'one of: ' if c.tied else ''}{c.kind} in {c.where} (p = {c.p_value:.1e})"
         + (f": {c.description.rstrip('.')}" if c.description else "")
         + (f"{';' if c.description else ':'} {values}" if values else "")
     )
