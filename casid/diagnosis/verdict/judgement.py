@@ -48,7 +48,6 @@ class Judgement:
     fitted, held_out : RMS errors before and after, and the noise floor, see `Diagnosis`.
     bounds : parameters that the fit holds at a bound, where they decide the verdict.
     remainder : the test of the residual, and its description.
-    disturbances : in the residual, where it is nothing else.
     """
 
     verdict: Verdict
@@ -65,8 +64,12 @@ class Judgement:
     moved: tuple[Moved, ...]
     remaining: Remaining | None
     remainder: Remainder | None
-    disturbances: tuple[Disturbance, ...]
     bounds: dict[str, str]
+
+    @property
+    def disturbances(self) -> tuple[Disturbance, ...]:
+        """Of the residual, where it is nothing else."""
+        return self.remainder.disturbances if self.remainder is not None else ()
 
 
 def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgement:
@@ -127,7 +130,6 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         moved=moved_parameters(baseline, extended) if extended is not None else (),
         remaining=remaining if extended is not None or remainder is not None else None,
         remainder=remainder,
-        disturbances=disturbances,
         bounds=bounds,
     )
 
@@ -164,8 +166,8 @@ def notes_on(problem: Problem, found: Findings) -> tuple[str, ...]:
             "the simulation error alone, most of it noise or disturbance, does not determine it"
         )
     notes += [
-        f"{channel} is the reference of a control loop: it acts through a measured input, and is no "
-        "input of its own"
+        f"{channel} is the reference of a control loop: it acts through a measured input and is "
+        "no input of its own"
         for channel in search.references or ()
     ]
     notes += [
