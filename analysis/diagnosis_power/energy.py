@@ -37,7 +37,7 @@ import casid
 from casid.data.experiment import Experiment
 from casid.estimation.noise import NoiseModel, noise_response
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.minimization import minimize_simulation_error
+from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 
 FITTED = 0.7
@@ -70,6 +70,16 @@ def visible_energy(
     sd : the true noise of each sensor.
     start : the true parameters without the effect; the fit starts there.
     """
+    return 2.0 * fit_with_true_noise(problem, clean, sd, start).solution.value
+
+
+def fit_with_true_noise(
+    problem: casid.Problem,
+    clean: casid.Record,
+    sd: Mapping[str, float],
+    start: Mapping[str, float],
+) -> Fit:
+    """The model fitted to the first part of a record, whitened by (2) with the true noise."""
     part = clean.between(clean.t0, clean.t0 + (FITTED * clean.N - 0.5) * clean.Ts)
     experiments = [Experiment(part, {}, clean.name)]
     settings = FitSettings(starts=1, substeps=SUBSTEPS)
@@ -94,7 +104,7 @@ def visible_energy(
             start=fit.values,
         )
         fit = minimize_simulation_error(white, check_rank=False, throw=False)
-    return 2.0 * fit.solution.value
+    return fit
 
 
 def energy_of_samples(kind: str, strength: float, N: int) -> float:

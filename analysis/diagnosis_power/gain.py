@@ -72,7 +72,7 @@ def _effects(problem: casid.Problem, base: Fit, hidden: Hidden) -> list[Effect]:
     window = (0.0, FITTED * hidden.case.duration)
     if kind == "periodic_disturbance":
         return [periodic_disturbance(problem.model, where, hidden.truth["frequency"], window)]
-    sizes = _signals(problem, base, hidden, window)
+    sizes = signals_of(problem, base, hidden, window)
     found = [e for e in catalogue(problem.model, sizes, problem.recorded) if e.kind == kind]
     if kind == "missing_mode":
         omega = 2 * np.pi * hidden.truth["frequency"]
@@ -95,9 +95,10 @@ def _sizes(hidden: Hidden, effect: Effect) -> list[float]:
     return [size]
 
 
-def _signals(
+def signals_of(
     problem: casid.Problem, base: Fit, hidden: Hidden, window: tuple[float, float]
 ) -> Sizes:
+    """Sizes of a record's signals, from which the catalogue's ranges follow."""
     simulated = base.criterion.simulated(base.x, 0)
     record: Mapping[str, Any] = hidden.record.channels
     spreads = {

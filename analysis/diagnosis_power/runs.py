@@ -63,6 +63,18 @@ def judged_by_peers(part: str, number: int) -> Row:
     return row | {"where": hidden.where, "peers": found, "cpu": time.process_time() - began}
 
 
+def judged_by_oracles(part: str, number: int) -> Row:
+    """What the oracles would name in one case (`oracle`)."""
+    from analysis.diagnosis_power.oracle import oracles
+
+    case = draw_case(part, number)
+    row: Row = {"part": "oracle", "of": part, "number": number, "kind": case.kind}
+    if case.kind == "none" or case.kind in OF_SAMPLES:
+        return row
+    hidden = make(case)
+    return {**row, "where": hidden.where, **oracles(problem_of(case.system), hidden)}
+
+
 def _of_case(hidden: Hidden) -> Row:
     case = hidden.case
     same = ("part", "number", "system", "kind", "seed", "duration", "Ts", "noise")

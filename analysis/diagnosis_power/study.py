@@ -27,7 +27,7 @@ from analysis.common.targets import Target
 from analysis.diagnosis_power.energy import with_energy
 from analysis.diagnosis_power.figures import figures_of
 from analysis.diagnosis_power.judgement import is_flagged, is_right, is_wrong_name
-from analysis.diagnosis_power.runs import diagnosed, gained, judged_by_peers
+from analysis.diagnosis_power.runs import diagnosed, gained, judged_by_oracles, judged_by_peers
 from analysis.diagnosis_power.tables import summary_of
 from analysis.diagnosis_power.targets import targets_of
 
@@ -40,6 +40,7 @@ COUNTS = {
     "unlisted": 200,
     "gain": 500,
     "peers": 500,
+    "oracle": 500,
     "roll": 80,
     "ship": 100,
 }
@@ -78,15 +79,22 @@ Task = tuple[str, str, int]  # part, part whose case it is, number
 
 
 def tasks_of(part: str, first: int, count: int) -> list[Task]:
-    """What a part has to do; peers and gain judge the cases of other parts again."""
-    of = {"gain": ("single",), "peers": ("nulls", "single")}.get(part, (part,))
-    return [(part, name, number) for name in of for number in range(first, first + count)]
+    """What a part has to do; gain, peers and oracle judge the cases of other parts again."""
+    again = {
+        "gain": ("single",),
+        "peers": ("nulls", "single"),
+        "oracle": ("single", "roll", "ship"),
+    }
+    of = again.get(part, (part,))
+    most = {name: min(count, COUNTS[name]) if part in again else count for name in of}
+    return [(part, name, n) for name in of for n in range(first, first + most[name])]
 
 
 def do(task: Task) -> Row:
     """One row of the file."""
     part, of, number = task
-    work = {"gain": gained, "peers": judged_by_peers}.get(part, diagnosed)
+    again = {"gain": gained, "peers": judged_by_peers, "oracle": judged_by_oracles}
+    work = again.get(part, diagnosed)
     return work(of, number)
 
 
@@ -105,8 +113,9 @@ def run_cases(file: Path, tasks: Sequence[Task], jobs: int) -> Iterator[Row]:
 
 def line_of(row: Row) -> str:
     """One line for a finished case."""
-    if row["part"] in ("gain", "peers"):
-        return f"{row['part']} of {row['of']} {row['number']:>4} {row.get('kind', '')}"
+    if row["part"] in ("gain", "peers", "oracle"):
+        named = "{}({})".format(*row["oracle_2"]) if "oracle_2" in row else ""
+        return f"{row['part']} of {row['of']} {row['number']:>4} {row.get('kind', '')} {named}"
     hidden = f"{row['kind']}({row['where']})"
     energy = f"{row['energy']:.0f}"
     if "second" in row:

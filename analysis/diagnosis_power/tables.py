@@ -63,6 +63,8 @@ def summary_of(rows: Sequence[Row]) -> Summary:
         out["gain"] = _gain(done["gain"], singles)
     if done.get("peers") and singles and done.get("nulls"):
         out["rivals"] = _rivals(done["peers"], singles, done["nulls"])
+    if done.get("oracle"):
+        out["oracle"] = _oracle(done)
     diagnosed = [r for r in rows if "cpu" in r and "verdict" in r]
     if diagnosed:
         out["time"] = _time(diagnosed)
@@ -79,6 +81,30 @@ def rate(hits: int, of: int) -> Summary:
 def _share(rows: Iterable[Row], claim: Callable[[Row], bool]) -> Summary:
     found = [claim(r) for r in rows]
     return rate(sum(found), len(found)) if found else {"hits": 0, "of": 0, "rate": None}
+
+
+def _oracle(done: Mapping[str, list[Row]]) -> Summary:
+    """R by system: right names of the diagnosis over the oracle's, lambda of 100 and more."""
+    from analysis.diagnosis_park.tables import ratio_of
+
+    out: Summary = {}
+    for system in ("single", "roll", "ship"):
+        said = {r["number"]: r for r in done["oracle"] if r["of"] == system and "oracle_2" in r}
+        rows = [
+            {**r, "oracle_2": said[r["number"]]["oracle_2"]}
+            for r in done.get(system, ())
+            if r["number"] in said and r["energy"] >= 100
+        ]
+        if rows:
+            R, low, high, avoidable = ratio_of(rows, is_right, _oracle_is_right)
+            found = {"R": R, "low": low, "high": high, "avoidable": avoidable, "of": len(rows)}
+            out["pendulum" if system == "single" else system] = found
+    return out
+
+
+def _oracle_is_right(row: Row) -> bool:
+    kind, where = row["oracle_2"]
+    return matches((kind, where), (row["kind"], row["where"]))
 
 
 def _nulls(rows: list[Row]) -> Summary:

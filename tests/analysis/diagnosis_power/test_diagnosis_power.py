@@ -29,7 +29,7 @@ from analysis.diagnosis_power.judgement import (
     is_wrong_name,
 )
 from analysis.diagnosis_power.page import NONE, TABLES, page_of
-from analysis.diagnosis_power.runs import problem_of
+from analysis.diagnosis_power.runs import judged_by_oracles, problem_of
 from analysis.diagnosis_power.study import key_of, rows_of, run_cases, tasks_of
 from analysis.diagnosis_power.tables import rate, summary_of
 from analysis.diagnosis_power.targets import targets_of
@@ -378,3 +378,28 @@ def test_a_peer_names_a_force_that_it_has_a_column_for() -> None:
     found = judged_by_peers("single", 4)
     assert (found["kind"], found["where"]) == ("extra_input", "yaw_rate")
     assert found["peers"]["t-test"]["kind"] == "extra_input"
+
+
+# -- the oracle -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("part", "number"), [("single", 5), ("roll", 1)])
+def test_the_oracle_names_what_is_hidden_where_it_shows_much(part: str, number: int) -> None:
+    """A periodic disturbance of the pendulum and drag of a roll, lambda in the thousands."""
+    found = judged_by_oracles(part, number)
+    assert found["oracle_2"] == found["oracle_1"] == [found["kind"], found["where"]]
+    assert "oracle_2" not in judged_by_oracles("ship", 0)  # nothing hidden
+
+
+def test_names_are_compared_with_the_oracle_record_by_record() -> None:
+    """Both right, and the oracle alone: R = 1/2, half of the errors avoidable."""
+    right = row("deadzone", "torque", cause("deadzone", "torque"), number=0)
+    wrong = row("deadzone", "torque", cause("offset", "torque"), number=1)
+    said = [
+        {"part": "oracle", "of": "single", "number": n, "oracle_2": ["deadzone", "torque"]}
+        for n in (0, 1)
+    ]
+    found = summary_of([right, wrong, *said])["oracle"]["pendulum"]
+    assert (found["R"], found["avoidable"], found["of"]) == (0.5, 0.5, 2)
+    missed = [t.what for t in targets_of(summary_of([right, wrong, *said])) if not t.is_met]
+    assert "pendulum: right names over an oracle's" in missed
