@@ -55,7 +55,9 @@ def cells_of(line: str, separator: str) -> list[str]:
     """The cells of a line."""
     if separator == " ":
         return line.split()
-    return [c.strip() for c in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+    parts = [f"{part}\n" for part in line.split("\n")]  # more than one where a cell has breaks
+    cells = next(csv.reader(parts, delimiter=separator, skipinitialspace=True))
+    return [" ".join(c.split()) if "\n" in c else c.strip() for c in cells]
 
 
 def is_value(cell: str) -> bool:

@@ -20,6 +20,8 @@ HEAD = 500
 
 _BLOCK = 1 << 20
 _CONTROL = bytes(set(range(32)) - set(b"\t\n\v\f\r\x1a\x1b"))
+_LAST_QUOTED = re.compile(r'(?:\A|[;,\t|]) *"[^"]*\Z')
+_MOST_PARTS = 6  # lines of one cell in quotes; more of them: a quote that stands alone
 _COMMENT = re.compile(rb"(?:^|[\r\n])[ \t]*(?:#(?!N/A|NV|NA\b|VALUE|WERT|DIV|REF)|%|//)")
 COMMENT = re.compile(r"[ \t]*(?:#(?!N/A|NV|NA\b|VALUE|WERT|DIV|REF)|%|//)")
 """The beginning of a line of comment; #N/A and its like are cells."""
@@ -115,10 +117,10 @@ class TextSource:
         return self.path if self._content is None else self._bytes()
 
     def lines(self) -> Iterator[str]:
-        """Every line, in order, without its end."""
+        """Every line, in order, without its end; line breaks in quotes end none."""
         with io.TextIOWrapper(self._bytes(), encoding=self.encoding, newline=None) as text:
             for line in text:
-                yield line.rstrip("\n")
+                yield from _closed(line.rstrip("\n"), text)
 
     def head(self) -> list[str]:
         """The first lines."""
@@ -132,6 +134,23 @@ class TextSource:
             content = file.read()
         text = content.decode(self.encoding, errors="replace")
         return text.replace("\r\n", "\n").replace("\r", "\n").removesuffix("\n").split("\n")
+
+
+def _closed(line: str, following: Iterator[str]) -> Iterator[str]:
+    """A line with those that follow up to the end of a cell in quotes that it leaves open."""
+    parts = [line]
+    while _leaves_open("\n".join(parts)) and len(parts) < _MOST_PARTS:
+        further = next(following, None)
+        if further is None:
+            break
+        parts.append(further.rstrip("\n"))
+    whole = "\n".join(parts)
+    yield from parts if _leaves_open(whole) else [whole]
+
+
+def _leaves_open(text: str) -> bool:
+    """Whether the last cell begins with a quote and does not end with one."""
+    return text.count('"') % 2 == 1 and _LAST_QUOTED.search(text) is not None
 
 
 def unpacked(path: Path, form: FileFormat, remarks: list[str]) -> bytes | None:

@@ -196,11 +196,13 @@ class TextTable(Table):
         """The line number, from 1, of each row; the slow way, for messages only."""
         separator = self.layout.separator
         with self.source.open() as text:
-            for _ in range(self.layout.first):
+            above = itertools.islice(self.source.lines(), self.layout.first)
+            first = sum(line.count("\n") + 1 for line in above)
+            for _ in range(first):
                 next(text, None)
             reader = csv.reader(text, delimiter=separator)
             for cells in reader:
                 if not cells or (len(cells) == 1 and not cells[0].strip()):
                     continue
                 if not COMMENT.match(cells[0]):
-                    yield self.layout.first + reader.line_num
+                    yield first + reader.line_num
