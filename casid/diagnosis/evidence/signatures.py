@@ -436,13 +436,12 @@ class Regression:
         )
         each = np.hstack([rest[:, self.slices[i]] @ roots[i] for i in free])
         edges = np.cumsum([0, *(roots[i].shape[1] for i in free)])
-        starts = np.arange(0, len(left), self.ny)
-        per_sample = np.add.reduceat(each * left[:, None], starts, axis=0)
+        per_sample = self._per_sample(each * left[:, None])
         lags = bartlett_lags(per_sample)
         covariance = long_run_covariance(per_sample, lags)
         if given is not None:
             own = np.hstack([given[:, self.slices[i]] @ roots[i] for i in free])
-            own = np.add.reduceat(own, starts, axis=0)
+            own = self._per_sample(own)
             covariance = covariance + long_run_covariance(own - own.mean(axis=0), lags)
         possible = np.abs(rest.T @ self.between).sum(axis=1)
         certain = np.sign(z) * np.maximum(np.abs(z) - possible, 0.0)
@@ -464,6 +463,12 @@ class Regression:
             for k, (i, part) in enumerate(zip(free, slices, strict=True))
         ]
 
+    def _per_sample(self, rows: Array) -> Array:
+        """Rows (N ny, K) summed over the outputs of each sample, (N, K)."""
+        if self.ny == 1:
+            return rows
+        return np.asarray(rows.reshape(-1, self.ny, rows.shape[1]).sum(axis=1))
+
     def estimate(self, chosen: Sequence[int]) -> tuple[Array, Array]:
         """Coefficients of the chosen groups' functions, together, and their covariance.
 
@@ -477,8 +482,7 @@ class Regression:
         root = vectors[:, keep] / np.sqrt(values[keep])
         score = root.T @ z[index]
         left = self.e - part @ (root @ score)
-        starts = np.arange(0, len(left), self.ny)
-        per_sample = np.add.reduceat((part @ root) * left[:, None], starts, axis=0)
+        per_sample = self._per_sample((part @ root) * left[:, None])
         covariance = long_run_covariance(per_sample, bartlett_lags(per_sample))
         map_back = root / self.size[index][:, None]
         return map_back @ score, map_back @ covariance @ map_back.T
