@@ -7,9 +7,10 @@ noise, the force measured with noise of its own, 100 Hz. Records of 60 s and of 
 tenths of them fitted. Each case runs in a fresh process on one thread; times are CPU seconds, which
 other programs on the machine do not count in, a C compiler's included. Steps are compiled into an
 empty folder, and the whole diagnosis is run once more, with what was compiled. `--real` adds EMPS
-(25 000 samples at 1 kHz) and Silverbox (40 000 fitted) from the folder that `CASID_SHARED` names. The memory of the score stage is the peak of what
-Python and NumPy hold in `score_test` beyond what they held before,
-by tracemalloc, over the number of candidates. Exit status 1 when a target is missed.
+(25 000 samples at 1 kHz) and Silverbox (40 000 fitted) from the folder that `CASID_SHARED` names.
+The memory of the score stage is the peak of what Python and NumPy hold in `score_test` beyond what
+they held before, by tracemalloc, over the number of candidates. Exit status 1 when a target is
+missed.
 """
 
 from __future__ import annotations

@@ -37,20 +37,30 @@ LOOKED_FOR = 2000
 """Samples after which a step is looked for among those compiled before: reading its formula takes
 as long as some hundred samples."""
 
-COMPILED_AFTER = 25_000, 250
-"""A step of n operations is compiled after the first number of samples times (1 + the second / n):
-a compiler takes 25 ms and 0.1 ms an operation, an interpreter 4 ns an operation and sample."""
+SHORT = 1500
+"""Operations of a step up to which it is optimised at once."""
+
+COMPILED_AFTER = 8_000, 750
+"""A longer step of n operations is translated as it is after the first number of samples times
+(1 + the second / n): a compiler takes 25 ms and 33 us an operation, and the interpreter, 4 or 5 ns
+an operation and sample, four times as long as what it makes."""
+
+OPTIMISED_AFTER = 25_000, 250, 90_000, 4000
+"""A short step is optimised after the first number times (1 + the second / n), 0.1 ms an operation;
+a longer one after the third, times n over the fourth: the time goes with the square of n, and what
+comes out takes a quarter of what the step took as it is."""
 
 TO_COME = 4
 """Passes that are expected after the present one, which count as taken: a fit has ten or so."""
 
-LARGEST = 20_000
-"""Operations of a step beyond which a compiler takes more than its share."""
+LARGEST = 100_000, 20_000
+"""Operations beyond which a step is interpreted, and beyond which it is not optimised."""
 
 KEPT = 2000
 """Compiled steps that the folder holds; the quarter that was not used for longest leaves it."""
 
-_FLAGS = ("-O1", "-ffp-contract=off", "-w")  # the operations as they are written, none fused
+_FLAGS = ("-ffp-contract=off", "-w")  # the operations as they are written, none fused
+_LEVELS = ("-O0", "-O1")
 
 _LOOP = """
 #ifdef _WIN32
@@ -88,37 +98,51 @@ class MachineCode:
 
     def __init__(self, function: Any, nx: int) -> None:
         self._function, self._nx = function, nx
-        n = int(function.n_instructions())
-        samples, operations = COMPILED_AFTER
-        self._enough = samples * (1 + operations / max(n, 1)) if n <= LARGEST else np.inf
+        self._enough = _enough(int(function.n_instructions()))
         self._taken = 0
         self._source: tuple[str, Array] | None = None
         self._steps: Steps | None = None
-        self._is_absent = False  # neither found nor to be compiled
+        self._level = 0  # of what was tried: interpreted, as it is, optimised
 
     def before(self, samples: int) -> Steps | None:
         """The steps to take `samples` more, None where they are to be interpreted."""
-        if self._steps is not None or self._is_absent:
+        if self._level == len(_LEVELS):
             return self._steps
         expected = self._taken + (1 + TO_COME) * samples
         self._taken += samples
-        is_looked_for = self._source is None and self._taken >= LOOKED_FOR
-        if is_looked_for or expected >= self._enough:
-            self._find(compile_it=expected >= self._enough)
+        wanted = max((i + 1 for i, n in enumerate(self._enough) if expected >= n), default=0)
+        if wanted > self._level or (self._source is None and self._taken >= LOOKED_FOR):
+            self._find(wanted)
         return self._steps
 
-    def _find(self, *, compile_it: bool) -> None:
+    def _find(self, wanted: int) -> None:
+        """Load the best that there is, compiling what is `wanted` where that is better."""
         folder = cache_folder()
-        if folder is None or (compiler() is None):
-            self._is_absent = True
+        if folder is None or compiler() is None:
+            self._level = len(_LEVELS)
             return
         if self._source is None:
             self._source = source_of(self._function, self._nx)
         text, numbers = self._source
-        entry = _library(text, folder, compile_it=compile_it)
-        if entry is not None:
-            self._steps = _called(entry, numbers)
-        self._is_absent = entry is None and compile_it
+        for level in range(len(_LEVELS), self._level, -1):
+            entry = _library(text, _LEVELS[level - 1], folder, compile_it=level == wanted)
+            if entry is not None:
+                self._steps, self._level = _called(entry, numbers), level
+                return
+        self._level = max(self._level, wanted)
+
+
+def _enough(n: int) -> tuple[float, float]:
+    """Samples after which a step of `n` operations is compiled as it is, and optimised."""
+    as_it_is, fixed = COMPILED_AFTER
+    short, extra, long, square = OPTIMISED_AFTER
+    if n <= SHORT:
+        return np.inf, short * (1 + extra / max(n, 1))
+    most, most_optimised = LARGEST
+    return (
+        as_it_is * (1 + fixed / n) if n <= most else np.inf,
+        long * max(1.0, n / square) if n <= most_optimised else np.inf,
+    )
 
 
 def _called(entry: Any, numbers: Array) -> Steps:
@@ -166,9 +190,9 @@ def _loaded(path: str) -> Any:
     return entry
 
 
-def _library(text: str, folder: Path, *, compile_it: bool) -> Any:
+def _library(text: str, level: str, folder: Path, *, compile_it: bool) -> Any:
     """The loop of a C text from the folder, compiled into it where asked for; None without."""
-    what = "\n".join((text, *_FLAGS, sys.platform, platform.machine(), str(compiler())))
+    what = "\n".join((text, level, *_FLAGS, sys.platform, platform.machine(), str(compiler())))
     path = folder / f"{hashlib.sha256(what.encode()).hexdigest()[:40]}.so"
     if path.exists():
         with contextlib.suppress(OSError):
@@ -180,7 +204,7 @@ def _library(text: str, folder: Path, *, compile_it: bool) -> Any:
         with tempfile.TemporaryDirectory(dir=folder) as inside:
             written = Path(inside, "step.c")
             written.write_text(text, encoding="utf-8")
-            made = shared_library([written], Path(inside, path.name), *_FLAGS)
+            made = shared_library([written], Path(inside, path.name), level, *_FLAGS)
             made.replace(path)  # whole or not at all: others may be looking
         _forget_oldest(folder)
     except (OSError, DataError):

@@ -23,7 +23,7 @@ FREE = ["m", "d", "k"]
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder of its own for compiled steps, which are compiled at once."""
     monkeypatch.setenv("CASID_CACHE", str(tmp_path))
-    monkeypatch.setattr(machine_code, "COMPILED_AFTER", (0, 0))
+    monkeypatch.setattr(machine_code, "OPTIMISED_AFTER", (0, 0, 0, 1))
     monkeypatch.setattr(machine_code, "LOOKED_FOR", 0)
     return tmp_path / "steps"
 
@@ -72,6 +72,22 @@ def test_a_step_is_compiled_when_the_interpreter_has_taken_as_long(
     for _ in range(600):
         s.simulate(U, P, X0)
     assert len(list(tmp_path.glob("steps/*.so"))) == 1
+
+
+@needs_compiler
+def test_a_long_step_is_translated_as_it_is_and_optimised_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What an optimising compiler takes for it goes with the square of its length."""
+    monkeypatch.setenv("CASID_CACHE", str(tmp_path))
+    monkeypatch.setattr(machine_code, "SHORT", 0)
+    monkeypatch.setattr(machine_code, "COMPILED_AFTER", (1000, 0))
+    monkeypatch.setattr(machine_code, "OPTIMISED_AFTER", (0, 0, 3000, 4000))
+    s = Simulator(oscillator(), TS, FREE)
+    for libraries in (1, 1, 1, 2, 2):  # with four passes of 400 samples to come
+        run = s.sensitivities(U, P, X0)
+        assert len(list(tmp_path.glob("steps/*.so"))) == libraries
+        assert_same(run, interpreted(monkeypatch))
 
 
 def test_without_a_compiler_steps_are_interpreted(
