@@ -18,7 +18,6 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
     """Sizes of states and outputs, and of the channels recorded beside the model's."""
     sims = [at.criterion.simulated(at.fit.x, e) for e in range(len(at.criterion.experiments))]
     x = np.concatenate([s.x for s in sims])
-    d = at.criterion.data[0]
     readings = _readings(at)
     rms = np.sqrt(np.mean(x**2, axis=0))
     return Sizes(
@@ -27,7 +26,7 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
             n: max(float(np.max(np.abs(s.y[:, i]), initial=0.0)) for s in at.criterion.data)
             for i, n in enumerate(at.criterion.outputs)
         },
-        window=(float(d.t[0]), float(d.t[-1])),
+        window=window_of(at),
         longest_delay=_longest_delay(at, x),
         Ts=min(s.Ts for s in at.criterion.data),
         channels={c: _spread(at, c) for c in recorded},
@@ -78,6 +77,12 @@ def _readings(at: Weighted) -> dict[str, Motion]:
         for n, c in columns.items()
         if c.size
     }
+
+
+def window_of(at: Weighted) -> tuple[float, float]:
+    """The earliest and the latest time of the fitted records [s], by their clocks."""
+    data = at.criterion.data
+    return min(float(d.t[0]) for d in data), max(float(d.t[-1]) for d in data)
 
 
 def _course(at: Weighted, states: Sequence[Array], expression: Any) -> Array:

@@ -76,7 +76,7 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         whole, noise = extended, at
         apart = search.attempts.attempt(
             "the test whether one size of each cause explains every record",
-            lambda: record_specific(baseline.weighing, adopted, whole, noise, settings.fit),
+            lambda: record_specific(baseline.weighing, adopted, whole, noise, split, settings.fit),
         )
         specific, extended, at = apart or (specific, extended, at)
     return Findings(

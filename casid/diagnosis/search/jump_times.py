@@ -10,6 +10,7 @@ import numpy as np
 
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import scan
+from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
@@ -52,8 +53,8 @@ def _placed(
     refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
 ) -> Candidate:
     """Scan ever finer, linearly about the last refit: a ringing leaves many local minima."""
-    d = at.criterion.data[0]
-    start, stop = float(d.t[0]), float(d.t[-1])
+    start, stop = window_of(at)
+    Ts = min(d.Ts for d in at.criterion.data)
     reach = JUMPS.reach * (stop - start) / (PARAMETER_JUMPS.times + 1)
     for _ in range(JUMPS.scans):
         now = found.effect.variant
@@ -64,7 +65,7 @@ def _placed(
         effects = [parameter_jump(model, found.effect.where, t) for t in inside]
         left = scan(found.fit, found.names[0], effects)
         found = _better_at(refitting, at, found, inside[int(np.argmin(left))], known)
-        if reach < JUMPS.fine * d.Ts:
+        if reach < JUMPS.fine * Ts:
             break
         reach /= JUMPS.zoom
     return found
@@ -93,7 +94,7 @@ def events_of(adopted: Sequence[Candidate]) -> list[float]:
 
 def is_known_event(at: Weighted, effect: Effect, known: Sequence[float]) -> bool:
     """True if a jump is at about the instant of a known one: one event, named once."""
-    d = at.criterion.data[0]
-    near = JUMPS.same_event * d.N * d.Ts / (PARAMETER_JUMPS.times + 1)
+    start, stop = window_of(at)
+    near = JUMPS.same_event * (stop - start) / (PARAMETER_JUMPS.times + 1)
     when = effect.variant
     return when is not None and any(abs(t - when) < near for t in known)

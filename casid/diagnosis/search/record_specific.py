@@ -22,6 +22,7 @@ from casid.diagnosis.search.candidates import Adopted
 from casid.diagnosis.thresholds import ROUNDS
 from casid.estimation.covariance import sandwich
 from casid.estimation.estimate import Estimated
+from casid.estimation.holdout import Split, held_out_error, why_worse
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 
@@ -40,12 +41,14 @@ def record_specific(
     adopted: Sequence[Adopted],
     fit: Fit,
     at: Weighted,
+    split: Split,
     settings: FitSettings,
 ) -> tuple[tuple[Specific, ...], Fit, Weighted]:
     """Causes that no one size explains, the fit with sizes of their own, and its noise.
 
     Causes are tested together, and those that one size does explain keep it. A clipping or the
-    frequency of a line is not tested: neither is a size.
+    frequency of a line is not tested: neither is a size. Sizes of their own that fit worse than one
+    size, or predict what was held out worse, are no finding.
     """
     tested = {
         a.candidate.effect.key: a.candidate.names[:1]
@@ -64,6 +67,9 @@ def record_specific(
         return (), fit, at
     own = [tested[key][0] for key in kept]
     apart = _fit(fit, own, weighing, once)
+    is_worse = not apart.solution.value <= fit.solution.value
+    if is_worse or why_worse(held_out_error(fit, split), held_out_error(apart, split)):
+        return (), fit, at
     specific = tuple(
         Specific(key, max(p, TINY), _values(apart, tested[key][0])) for key, p in kept.items()
     )

@@ -1,0 +1,45 @@
+"""Jumps are looked for in every record, by the records' clock."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import casid
+
+TS, JUMP, NOISE = 0.1, 62.0, 5e-3
+
+
+def leak() -> casid.Problem:
+    m = casid.Model("leak")
+    h = m.state("h", "m")
+    q = m.input("q", "m/s", hold="zoh", known=True)
+    k = m.parameter("k", "1/s", start=0.5, lower=0.01, upper=10.0)
+    m.balance(h, "volume", inertia=1, terms=[q, -k * h], unit="m/s")
+    m.output("level", h, "m")
+    return casid.Problem("leak", m)
+
+
+def run() -> casid.Record:
+    """80 s of dh/dt = q - k h sampled exactly, the leak k half as large again from 62 s on."""
+    rng = np.random.default_rng(6)
+    q = np.repeat(rng.uniform(0.0, 1.0, 40), 20)
+    level, h = np.empty(800), 1.0
+    for i, inflow in enumerate(q):
+        level[i] = h
+        k = 0.6 if i * TS < JUMP else 0.9
+        h = inflow / k + (h - inflow / k) * np.exp(-k * TS)
+    level += NOISE * rng.standard_normal(800)
+    return casid.Record({"q": q, "level": level}, {"q": "m/s", "level": "m"}, Ts=TS, name="run")
+
+
+def test_a_jump_in_the_second_record_is_found_where_it_is():
+    whole = run()
+    records = [whole.between(0.0, 39.95), whole.between(40.0, np.inf)]
+    d = casid.diagnose(leak(), records, hold_out=0, max_causes=1, advise=False)
+    (cause,) = d.causes
+    assert (cause.kind, cause.where) == ("parameter_jump", "k")
+    found = {p.name: p for p in cause.parameters}
+    assert found["time"].value == pytest.approx(JUMP, abs=3 * TS)
+    jump = found["jump_k"]
+    assert jump.value == pytest.approx(0.3, abs=3 * jump.std_error)
