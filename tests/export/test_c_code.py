@@ -34,7 +34,7 @@ def pointer(values: Array) -> Any:
 def test_the_c_step_is_the_step_of_the_fit(run: Simulated, tmp_path: Path) -> None:
     library = compiled(run.fitted.to_c(tmp_path / "model"))
     nx, ny = run.x.shape[1], run.y.shape[1]
-    p = np.array(list(run.fitted.values.values()))
+    p = np.array(list(run.fitted.si_values.values()))
     x0 = np.array((ctypes.c_double * nx).in_dll(library, "model_x0"))
     assert np.array_equal((ctypes.c_double * len(p)).in_dll(library, "model_p"), p)
     y, x_next = np.zeros(ny), np.zeros(nx)

@@ -32,7 +32,7 @@ def test_chosen_parameters_stay_free() -> None:
     function = fitted.to_casadi(["k", "d_2"])
     e = fitted.model.explicit()
     f = ca.Function("f", [e.x, e.u, e.p], [e.f])
-    values = fitted.values | {"k": 11.0, "d_2": 0.4}
+    values = fitted.si_values | {"k": 11.0, "d_2": 0.4}
     wanted = f([0.1, -0.3], [0.2], [values[n] for n in e.parameters])
     assert_allclose(function(x=[0.1, -0.3], u=0.2, p=[11.0, 0.4])["dx"], wanted, rtol=1e-14)
 

@@ -35,7 +35,7 @@ def test_the_state_space_is_the_model_linearised(run: Simulated) -> None:
     assert (tuple(system.state_labels), system.input_labels) == (e.states, [*e.inputs] or ["none"])
     assert tuple(system.output_labels) == e.outputs
     point, nx = np.array(list(at.values())), len(e.states)
-    p = [fitted.values[n] for n in e.parameters]
+    p = [fitted.si_values[n] for n in e.parameters]
 
     def value(z: Array) -> Array:
         return np.vstack([np.array(v) for v in f(z[:nx], z[nx:], p)]).ravel()

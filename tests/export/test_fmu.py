@@ -100,7 +100,7 @@ def test_model_exchange_has_the_equations(pendulum_unit: Path) -> None:
     fitted = extended_pendulum()
     e = fitted.model.explicit()
     f = ca.Function("f", [e.x, e.u, e.p], [e.f])
-    values = fitted.values | {"d_2": 0.7}
+    values = fitted.si_values | {"d_2": 0.7}
     wanted = np.array(f([0.3, -0.4], [0.5], [values[n] for n in e.parameters])).ravel()
     with unit(pendulum_unit, "ModelExchange") as (fmu, places):
         fmu.setupExperiment(startTime=0.0)

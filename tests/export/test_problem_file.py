@@ -39,7 +39,7 @@ def simulate_both(fitted: FittedModel, problem: casid.Problem) -> tuple[np.ndarr
     N, rng = 300, np.random.default_rng(8)
     recorded = [n for n, u in fitted.model.inputs.items() if u.kind != "generated"]
     inputs = {n: 0.1 * np.cumsum(rng.standard_normal(N)) for n in recorded} or N
-    again = replace(fitted, model=problem.model.with_si_values(fitted.values))
+    again = replace(fitted, model=problem.model.with_si_values(fitted.si_values))
     runs = [m.simulate(inputs, on_clock=True) for m in (fitted, again)]
     names = list(fitted.model.outputs)
     return tuple(np.column_stack([r[n] for n in names]) for r in runs)  # type: ignore[return-value]
