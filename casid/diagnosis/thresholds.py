@@ -302,6 +302,12 @@ class Peaks:
     neighbours: tuple[int, int] = _is((10, 40), "lines on each side, at least and at most", _PEAKS)
     most: int = _is(3, "peaks of one search", _PEAKS)
     most_forces: int = _is(2, "peaks that are tried as forces", _PEAKS)
+    resonance: float = _is(
+        0.05,
+        "of a resonance's largest squared gain from which a line is at it; the static gain is less "
+        "of it: about two half-power bandwidths beside it",
+        f"{TESTS}/search/test_imitations.py",
+    )
 
 
 # -- search ---------------------------------------------------------------------------------------
@@ -425,6 +431,11 @@ class Rounds:
         2,
         "candidates beside which a second is sought where none alone lowers the held-out error",
         f"{TESTS}/search/test_refinement.py",
+    )
+    frictions: int = _is(
+        2,
+        "laws of friction or damping adopted in one place: a third repairs their shape",
+        f"{TESTS}/search/test_imitations.py",
     )
     backward_wald: float = _is(
         2.0, "standard errors below which a cause is eliminated again", POWER_STUDY

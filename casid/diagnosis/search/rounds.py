@@ -22,6 +22,7 @@ from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_
 from casid.diagnosis.search.alternatives import ranked_by_remainder, rejudge
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.friction_speeds import sharpened
+from casid.diagnosis.search.imitations import is_at_resonance, is_further_friction
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.preselection import Start, preselected
@@ -69,7 +70,9 @@ class Search:
         effects = [
             e
             for e in every
-            if e.key not in taken and not (e.kind == "extra_input" and e.where in references)
+            if e.key not in taken
+            and not (e.kind == "extra_input" and e.where in references)
+            and not is_further_friction(e, adopted)
         ]
         own = {n for c in adopted for n in c.names}
         known = events_of(adopted)
@@ -85,6 +88,8 @@ class Search:
         if "periodic_disturbance" in self.without:
             return table
         found = periodic_candidates(judged, sizes.window)
+        if adopted:
+            found = [c for c in found if not is_at_resonance(at, c.peak.frequency)]
         return table.with_peaks([_peak_score(c) for c in found])
 
     def _references(self, model: Model) -> tuple[str, ...]:
