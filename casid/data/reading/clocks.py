@@ -12,7 +12,30 @@ from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.sources import limit_text
 
 UNIFORM = 0.01  # every interval within 1 % of the median
+RARE = 0.01  # of all intervals: as many may be less even, each stamp within
+OFF_GRID = 0.1  # of the median off the even grid: the error is that of so small a delay
 GAP = 1.5  # an interval longer than this many medians is a gap
+
+
+def jitter_text(times: FloatArray) -> str | None:
+    """What is uneven in stamps (N,) [s] that are even enough, or empty; None if they are not.
+
+    Every interval is within 1 % of the median, or a few are not and all stamps lie next to an even
+    grid: its step is then the mean interval.
+    """
+    intervals = np.diff(times)
+    median = float(np.median(intervals))
+    off = np.abs(intervals - median) > UNIFORM * abs(median) * (1 + 1e-9)
+    if not off.any():
+        return ""
+    away = float(np.abs(times - np.linspace(times[0], times[-1], times.size)).max())
+    if off.mean() > RARE or away > OFF_GRID * median or not (intervals > 0).all():
+        return None
+    worst = float(np.abs(intervals - median).max()) / median
+    return (
+        f"{off.sum()} of {off.size} intervals are up to {100 * worst:.2g} % off the median of "
+        f"{median:.6g} s, stamps up to {away / median:.2g} samples off an even clock: read as even"
+    )
 
 
 def time_faults(
@@ -30,7 +53,7 @@ def time_faults(
 
     Returns
     -------
-    list of Fault, empty where every interval is within 1 % of the median
+    list of Fault, empty where the clock is even but for the jitter of `jitter_text`
     """
     intervals = np.diff(times)
     backward = np.flatnonzero(intervals < 0)
@@ -50,7 +73,7 @@ def time_faults(
         return faults
     median = float(np.median(intervals))
     off = np.abs(intervals - median) > UNIFORM * median * (1 + 1e-9)
-    if not off.any():
+    if jitter_text(times) is not None:
         return faults
     gaps = np.flatnonzero(intervals > GAP * median)
     if gaps.size:

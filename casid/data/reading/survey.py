@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.cells import non_finite, numbers_of, stands_for_none, times_of
-from casid.data.reading.clocks import UNIFORM, time_faults, window_rows
+from casid.data.reading.clocks import UNIFORM, jitter_text, time_faults, window_rows
 from casid.data.reading.column_survey import column_surveys
 from casid.data.reading.columns import Columns, ColumnSpec, Time, resolve, time_unit
 from casid.data.reading.faults import Fault, Survey
@@ -326,6 +326,9 @@ def _record(
     values, units, missing, times = channels.values, channels.units, channels.missing, found.times
     assert times is not None
     if resample is None:
+        if text := jitter_text(times):
+            found.notes.append(text)
+            steps = [*steps, f"remark: {text}"]
         step = float(times[-1] - times[0]) / (times.size - 1)
         return Record(values, units, step, float(times[0]), name, missing, tuple(steps))
     try:

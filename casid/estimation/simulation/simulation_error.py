@@ -11,7 +11,7 @@ Gauss-Newton matrix; nothing in the NLP grows with the number of samples.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -97,6 +97,8 @@ class SimulationError:
         self._cuts: list[Array] = []
         self._lay_out()
         self._last: LastOf[Simulated] = LastOf()
+        if segments == 1 and any(stage.kind in MEMORY for stage in model.stages):
+            self._bound_initial_states()
 
     # -- the variables -----------------------------------------------------------------------
 
@@ -118,6 +120,22 @@ class SimulationError:
             longest = MEMORY[stage.kind] * self.model.parameters[stage.parameter].upper
             for d in self.data:
                 d.used[: min(int(np.ceil(longest / d.Ts)) + 1, d.N), column] = False
+
+    def _bound_initial_states(self) -> None:
+        """Keep initial states near the motion: the samples left out may be all that tell of them.
+
+        Within the range of the simulation at the start, and once its width on either side.
+        """
+        for e in range(len(self.data)):
+            with np.errstate(all="ignore"):
+                states = self.simulate(self.start, e)[1]
+            low, high = states.min(axis=0), states.max(axis=0)
+            index = self._index[e][0][len(self.free) :]
+            for i, a, b in zip(index.tolist(), low.tolist(), high.tolist(), strict=True):
+                if i >= 0 and np.isfinite(b - a) and b > a:
+                    v = self.variables[i]
+                    lower, upper = max(v.lower, 2 * a - b), min(v.upper, 2 * b - a)
+                    self.variables[i] = replace(v, lower=lower, upper=upper)
 
     def _state_scale(self, name: str) -> float:
         state = self.model.states[name]

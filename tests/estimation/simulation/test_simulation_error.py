@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import cont2discrete
 
 import casid
+from casid.estimation.simulation.fit import fit_model
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.sensor_dynamics import delay_columns
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -441,3 +442,28 @@ def test_angles_are_numbers_but_cycles_are_no_radians() -> None:
         assert casid.identify(m, record)["d"] == pytest.approx(0.7, rel=1e-4)
     with pytest.raises(casid.DataError, match=r"'Hz', but coasting has it in 'rad/s'.*true unit"):
         casid.identify(m, casid.Record({"gyro": gyro}, {"gyro": "Hz"}, Ts=0.05))
+
+
+def test_an_initial_state_stays_near_the_motion_where_a_late_sensor_hides_it():
+    """A first-order lag whose start has died out before the first sample that counts.
+
+    The delay may be up to 2 s, ten time constants: what the record says of the initial state is
+    noise, thousands of times as large.
+    """
+    m = casid.Model("lag")
+    x, u = m.state("x", "m"), m.input("u", "m", hold="zoh")
+    tau = m.parameter("tau", "s", start=0.3, lower=0.01)
+    m.derivative(x, (u - x) / tau)
+    m.output("y", x, "m")
+    model = m.extend(time_delay(m, "y", 2.0))
+    rng = np.random.default_rng(4)
+    held = rng.standard_normal(20).repeat(20)
+    y, path = np.zeros(400), 0.0
+    for k in range(400):
+        y[k] = path
+        path = held[k] + (path - held[k]) * np.exp(-0.05 / 0.2)
+    y = np.r_[np.zeros(6), y[:-6]] + 0.05 * rng.standard_normal(400)  # 0.3 s late
+    record = casid.Record({"u": held, "y": y}, {"u": "m", "y": "m"}, Ts=0.05)
+    fit = fit_model(model, [casid.Experiment(record)], casid.FitSettings(starts=1), throw=False)
+    assert fit.values["delay_y"] == pytest.approx(0.3, abs=0.03)
+    assert abs(fit.values["x(0)"]) < 3 * np.ptp(held)
