@@ -6,12 +6,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from casid.errors import SolveError
+
 Array = NDArray[Any]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 TINY = 1e-300
 """Added to, or the least of, a divisor that may vanish: far below any physical square."""
+
+
+def require_finite(what: str, *arrays: Array) -> None:
+    """Refuse numbers that no linear algebra has an answer for.
+
+    Raises
+    ------
+    SolveError
+        If any is infinite or not a number.
+    """
+    if not all(np.all(np.isfinite(a)) for a in arrays):
+        raise SolveError(
+            f"{what} are not finite: the simulation overflows; shorten the window, or bound the "
+            "parameters that make it grow"
+        )
 
 
 def finite_or_none(value: float) -> float | None:

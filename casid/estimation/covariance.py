@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, require_finite
 
 
 def bartlett_lags(scores: Array, *, largest: int | None = None) -> int:
@@ -79,10 +79,16 @@ def sandwich(
     free : (n,) bool, False at active bounds: those rows and columns are zero.
     constraint_jacobian : (m, n) of the equality constraints: the estimate moves in its null space.
 
+    Raises
+    ------
+    SolveError
+        If either is not finite.
+
     Notes
     -----
     Assumes residuals of zero mean and memory short against the record; see the module docstring.
     """
+    require_finite("the derivatives of the criterion", hessian, scores)
     n = len(hessian)
     index = np.flatnonzero(free)
     basis = np.eye(n)[:, index]

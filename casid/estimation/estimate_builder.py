@@ -21,7 +21,7 @@ from casid.estimation.estimate import (
     Trust,
     Uncertainty,
 )
-from casid.estimation.fit_statistics import nrmse_fit, rms
+from casid.estimation.fit_statistics import nrmse_fit, poor_fit_text, rms
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.local_rank import LocalRank, describe_null, local_rank
 from casid.estimation.nlp.solution import Solution
@@ -160,6 +160,11 @@ class EstimateBuilder:
         measures = zip(outputs, rms(error), nrmse_fit(measured, error), strict=True)
         for output, rmse, nrmse in measures:
             self.add_fit(record, output, float(rmse), float(nrmse))
+
+    def warn_of_poor_fits(self) -> None:
+        """A warning where the model explains next to nothing of an output."""
+        if text := poor_fit_text(self._nrmse):
+            self.warnings.append(text)
 
     def add_whiteness(
         self, where: str, residual: Array, what: str = "whiteness", remark: str = INCOMPLETE

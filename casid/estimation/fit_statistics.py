@@ -2,9 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from casid.arrays import TINY, Array
+
+POOR = 20.0
+"""Fit [%] of an output up to which the model explains next to nothing of it (a heuristic)."""
+
+
+def poor_fit_text(fits: Mapping[str, Mapping[str, float]]) -> str:
+    """A warning of outputs that the model explains next to nothing of; empty where there is none.
+
+    Parameters
+    ----------
+    fits : record -> output -> fit [%].
+    """
+    poor = [
+        f"{output} in {record} ({fit:.3g} %)"
+        for record, by_output in fits.items()
+        for output, fit in by_output.items()
+        if fit <= POOR
+    ]
+    if not poor:
+        return ""
+    return (
+        f"the model explains next to nothing of {', '.join(poor)}: the fit is 100 % where "
+        "simulation and measurement agree, 0 % for the mean. Check signs, units and mapping of "
+        "the channels; the parameters mean little"
+    )
 
 
 def rms(error: Array) -> Array:

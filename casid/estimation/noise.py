@@ -19,10 +19,10 @@ from dataclasses import dataclass, field, replace
 import casadi as ca
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.optimize import nnls
+from scipy.optimize import lsq_linear, nnls
 from scipy.special import gammaincinv
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, require_finite
 from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -282,6 +282,7 @@ def estimate_noise(
     names = [*criterion.outputs, *sources]
     given = np.array([known[name] ** 2 if name in known else np.nan for name in names])
     spectra = _spectra(residuals, responses, sources, ny)
+    require_finite("the residual's spectra", spectra.power, spectra.design)
     floor = 1e-8 * max(float(np.average(spectra.power, weights=spectra.count)), TINY)
     value = _variances(spectra, given, floor)
     output_sd = np.sqrt(np.maximum(value[:ny], floor))
@@ -349,7 +350,10 @@ def _least(a: Array, b: Array, near: Array) -> Array:
             # Lawson and Hanson's condition, columns of unit size: none held at zero would grow.
             if np.all(a[:, held].T @ (b - a @ x) <= 1e-12 * np.linalg.norm(b)):
                 return x
-    return np.asarray(nnls(a, b)[0])
+    try:
+        return np.asarray(nnls(a, b)[0])
+    except RuntimeError:  # its active set cycles where columns are nearly dependent
+        return np.asarray(lsq_linear(a, b, bounds=(0.0, np.inf)).x)
 
 
 def _alike(

@@ -362,7 +362,7 @@ def step_without_bias(
             moved, turned, _ = columns.antithetic(x, k, sd, rng)
             gradient -= turned.T @ moved
             noise += turned.T @ turned
-    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(noise))):
+    if not all(np.all(np.isfinite(part)) for part in (matrix, noise, gradient)):
         return x, 0.0  # the sensitivities overflow: no step can be trusted
     size = np.sqrt(np.maximum(np.diag(matrix), TINY))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))

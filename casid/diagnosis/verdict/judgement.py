@@ -32,7 +32,9 @@ from casid.diagnosis.verdict.remainder import Moved, Remaining, moved_parameters
 from casid.diagnosis.verdict.sentences import verdict_sentence
 from casid.diagnosis.verdict.unnamed_alternatives import unnamed_alternatives
 from casid.estimation.estimate import Estimate, RecordView
+from casid.estimation.fit_statistics import poor_fit_text
 from casid.estimation.holdout import validation
+from casid.estimation.simulation.record_agreement import disagreements
 from casid.estimation.simulation.simulation_estimate import (
     estimate_of,
     stuck_channel_notes,
@@ -152,12 +154,15 @@ def _compared_with_functions(
     return with_the_unnamed_alternative(causes, best, whole), whole
 
 
-def notes_on(problem: Problem, found: Findings) -> tuple[str, ...]:
+def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str, ...]:
     """Notes that qualify a diagnosis."""
     search, base, negated = found.search, found.baseline, found.baseline.negated
     notes = stuck_channel_notes(problem.model, [*base.recorded.whole, *base.recorded.apart])
     notes += base.notes
     if not base.why_undecided:
+        poor = poor_fit_text((judged.extended or judged.baseline).fit.nrmse)
+        notes += [poor] if poor else []
+        notes += disagreements(found.best_fit)
         notes += weak_parameters(found.at, partial(std_error, found.at.fit))
     if negated is not None and negated.reference:
         notes.append(

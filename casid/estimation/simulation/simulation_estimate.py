@@ -16,6 +16,7 @@ from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.fitted.from_fit import fitted_model
 from casid.estimation.holdout import HeldOut
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.record_agreement import disagreements
 from casid.model.model import Model
 
 SOURCES = (
@@ -74,6 +75,8 @@ def estimate_of(
         for i, name in enumerate(criterion.outputs):
             where = f"{d.name}/{name}" if len(criterion.data) > 1 else name
             builder.add_whiteness(where, residual[d.used[:, i], i])
+    builder.warn_of_poor_fits()
+    builder.warnings += disagreements(fit)
     return builder.build(
         method or f"simulation error, {_shooting(criterion.segments)}",
         uncertainty,

@@ -1,0 +1,98 @@
+"""Whether records that share parameters agree on them, without a fit of each.
+
+At the joint minimum record e has a gradient g_e and a matrix H_e of its own; a Gauss-Newton step
+
+    d_e = -H_e^-1 g_e                                                                         (1)
+
+from there is its own estimate, to first order, with the robust covariance P_e of its own scores
+there.
+Were a parameter the same in all records, its d_e would differ by these errors alone:
+sum_e (d_e - d)^2 / P_e about their weighted mean d is chi^2 with a degree of freedom less than
+records (Cochran, Biometrics 10 (1954) 101-129).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from casid.estimation.covariance import sandwich
+from casid.estimation.local_rank import local_rank
+from casid.estimation.simulation.minimization import Fit
+
+LEVEL = 1e-3
+"""Of the test, over all parameters: below it the records disagree (a heuristic)."""
+
+RATIO = 4.0
+"""Of chi^2 to its degrees of freedom, at least: errors twice as large as they are given."""
+
+
+def disagreements(fit: Fit) -> list[str]:
+    """A sentence for each shared parameter on which the records disagree, the worst first.
+
+    Parameters that a record does not determine by itself are left out there.
+    """
+    c = fit.criterion
+    shared = [i for i, v in enumerate(c.variables) if v.name in c.free and v.name not in c.own]
+    held = {*fit.solution.at_lower, *fit.solution.at_upper}
+    shared = [i for i in shared if c.names[i] not in held]
+    if len(c.data) < 2 or c.segments > 1 or not shared:
+        return []
+    apart = [_own_step(fit, e) for e in range(len(c.data))]
+    found = []
+    for i in shared:
+        rows = [(d.name, *a[i]) for d, a in zip(c.data, apart, strict=True) if i in a]
+        if len(rows) < 2:
+            continue
+        steps, errors = (np.array([row[k] for row in rows]) for k in (1, 2))
+        weights = errors**-2.0
+        mean = float(np.average(steps, weights=weights))
+        q, freedom = float(np.sum(weights * (steps - mean) ** 2)), len(rows) - 1
+        if q > RATIO * freedom and chi2.sf(q, freedom) < LEVEL / len(shared):
+            found.append((q / freedom, c.names[i], rows))
+    found.sort(key=lambda f: -f[0])
+    return [_sentence(fit, ratio, name, rows) for ratio, name, rows in found]
+
+
+def _own_step(fit: Fit, e: int) -> dict[int, tuple[float, float]]:
+    """(1) of one record and its standard error, by variable; those that it determines alone."""
+    c = fit.criterion
+    residual, jacobian = c.columns(fit.x, e)
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    hessian = flat.T @ flat
+    if not (np.all(np.isfinite(hessian)) and np.all(np.isfinite(residual))):
+        return {}
+    held = np.array([v in (*fit.solution.at_lower, *fit.solution.at_upper) for v in c.names])
+    free = (np.diag(hessian) > 0) & ~held
+    index = np.flatnonzero(free)
+    part = hessian[np.ix_(index, index)]
+    scale = np.array([v.scale for v in c.variables])
+    names = [c.names[i] for i in index]
+    rank = local_rank(part, fit.x[index], names, scale[index])
+    undetermined = {name for direction in rank.null for name in direction}
+    d = 1 / np.sqrt(np.diag(part))
+    own = d * (flat[:, index].T @ residual.ravel())
+    step = d * (np.linalg.pinv(part * np.outer(d, d), rcond=1e-13) @ own)
+    # The residual at the record's own estimate: what the joint one misses is no noise of it.
+    left = residual - jacobian[:, :, index] @ step
+    covariance, _ = sandwich(hessian, np.einsum("ki,kin->kn", left, jacobian), free)
+    found = {}
+    for i, s in zip(index.tolist(), step.tolist(), strict=True):
+        sd = float(np.sqrt(max(covariance[i, i], 0.0)))
+        if c.names[i] not in undetermined and sd > 0:
+            found[i] = (s, sd)
+    return found
+
+
+def _sentence(fit: Fit, ratio: float, name: str, rows: list[tuple[str, float, float]]) -> str:
+    model = fit.criterion.model
+    value, unit = fit.values[name], model.unit_of(name)
+    shown = ", ".join(
+        f"{model.shown(name, value + step):.4g} in {record}" for record, step, _ in rows[:4]
+    )
+    more = f" and {len(rows) - 4} more" if len(rows) > 4 else ""
+    return (
+        f"the records disagree on {name} by more than their errors (chi^2 is {ratio:.2g} times its "
+        f"degrees of freedom): about {shown}{more} [{unit}]; its interval is too narrow. Estimate "
+        "the records apart, or look for what differs between them (casid diagnose)"
+    )
