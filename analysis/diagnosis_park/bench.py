@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from analysis.diagnosis_park.effects import Effect, Scales, sensed
-from analysis.diagnosis_park.simulator import Acting, Array, System, simulate, staged
+from tests.support.park.effects import Effect, Scales, sensed
+from tests.support.park.simulator import Acting, Array, System, simulate, staged
 
 SKIP = 10
 """First samples that count for nothing: what lags and delays remember is not in the record."""

@@ -25,7 +25,8 @@ from analysis.diagnosis_park.bench import (
     sensitivities,
     whitener_of,
 )
-from analysis.diagnosis_park.effects import (
+from analysis.diagnosis_park.oracle import minimised
+from tests.support.park.effects import (
     SAMPLES,
     Effect,
     catalogue_of,
@@ -33,8 +34,7 @@ from analysis.diagnosis_park.effects import (
     spoilt,
     unlisted_of,
 )
-from analysis.diagnosis_park.oracle import minimised
-from analysis.diagnosis_park.simulator import Acting, Array, Feedback, System, simulate, staged
+from tests.support.park.simulator import Acting, Array, Feedback, System, simulate, staged
 
 FITTED = 0.7
 """Share of a record that a diagnosis fits by default."""
@@ -251,7 +251,7 @@ def size_for(
         if 0.7 < got / energy < 1.4:
             return size
         energies = energies * got / energy
-    return size
+    return size if 0.4 < got / energy < 2.5 else None
 
 
 def _energy(bench: Bench, white: Whitener, truth: Variant) -> float:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 import casid
-from analysis.diagnosis_park.simulator import Input, Output, Place, System
-from analysis.diagnosis_park.systems.signals import coloured, daily, steps, sunshine
+from tests.support.park.signals import coloured, daily, steps, sunshine
+from tests.support.park.simulator import Input, Output, Place, System
 
 KINDS = ("random_mechanical", "random_thermal")
 

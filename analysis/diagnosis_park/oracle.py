@@ -32,10 +32,10 @@ from analysis.diagnosis_park.bench import (
     projected,
     sensitivities,
 )
-from analysis.diagnosis_park.effects import Effect
+from tests.support.park.effects import Effect
 
 if TYPE_CHECKING:
-    from analysis.diagnosis_park.simulator import Array
+    from tests.support.park.simulator import Array
 
 REFINED = 6
 """Candidates that are refitted."""

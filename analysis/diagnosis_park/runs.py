@@ -13,8 +13,8 @@ import casid
 from analysis.diagnosis_park.cases import Case, Hidden, make
 from analysis.diagnosis_park.networks import KINDS, network
 from analysis.diagnosis_park.oracle import judged, signatures_of
-from analysis.diagnosis_park.simulator import System
-from analysis.diagnosis_park.systems import SYSTEMS
+from tests.support.park.simulator import System
+from tests.support.park.systems import SYSTEMS
 
 Row = dict[str, Any]
 FILES = Path(__file__).with_name("problem_files")

@@ -4,11 +4,12 @@
                                       [--jobs N] [--out DIR] [--quick] [--without-oracles]
                                       [--summary]
 
-Every system of `systems` has a simulator of its own, which shares no code with casid, and a problem
-file in `problem_files`, written from the manual; `random_mechanical` and `random_thermal` are
-networks drawn anew for every record. A record hides one effect (lambda 100 to 3000, or beyond 1e5),
-nothing, or something that no catalogue has (`cases`). The oracles of `oracle` judge the same
-records. Each finished record is a line of DIR/cases.jsonl at once; a run that was stopped goes on.
+Every system has a simulator of its own in `tests/support/park`, which shares no code with casid,
+and a problem file in `problem_files`, written from the manual; `random_mechanical` and
+`random_thermal` are networks drawn anew for every record. A record hides one effect (lambda 100 to
+3000, or beyond 1e5), nothing, or something that no catalogue has (`cases`). The oracles of `oracle`
+judge the same records. Each finished record is a line of DIR/cases.jsonl at once; a run that was
+stopped goes on.
 """
 
 from __future__ import annotations

@@ -15,10 +15,10 @@ from analysis.diagnosis_park.bench import Bench, Variant, sensitivities, whitene
 from analysis.diagnosis_park.cases import CYCLE, Case, make
 from analysis.diagnosis_park.oracle import judged, posterior, probability_right, signatures_of
 from analysis.diagnosis_park.runs import system_and_problem
-from analysis.diagnosis_park.simulator import Disturbance, System, simulate
 from analysis.diagnosis_park.study import STUDY, rows_of, run_cases
-from analysis.diagnosis_park.systems import SYSTEMS
 from analysis.diagnosis_park.tables import ratio_of, targets_of
+from tests.support.park.simulator import Disturbance, System, simulate
+from tests.support.park.systems import SYSTEMS
 
 Row = dict[str, Any]
 
@@ -170,7 +170,7 @@ def test_the_oracle_finds_a_spring_that_hardens_between_two_bodies() -> None:
     system = SYSTEMS["two_mass"]
     bench = bench_of(system, 300)
     from analysis.diagnosis_park.bench import scales_of
-    from analysis.diagnosis_park.effects import catalogue_of
+    from tests.support.park.effects import catalogue_of
 
     catalogue = catalogue_of(system, scales_of(bench))
     white = whitener_of(bench)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from analysis.diagnosis_park.simulator import System
-from analysis.diagnosis_park.systems import machines, process
+from tests.support.park import machines, process
+from tests.support.park.simulator import System
 
 SYSTEMS: dict[str, System] = {s.name: s for s in (*machines.SYSTEMS, *process.SYSTEMS)}

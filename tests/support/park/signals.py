@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lfilter
 
-from analysis.diagnosis_park.simulator import Array, Signal
+from tests.support.park.simulator import Array, Signal
 
 
 def steps(low: float, high: float, dwell: tuple[float, float]) -> Signal:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from analysis.diagnosis_park.simulator import Disturbance, Input, Output, Place, System
-from analysis.diagnosis_park.systems.signals import coloured, daily, sines, steps, sunshine
+from tests.support.park.signals import coloured, daily, sines, steps, sunshine
+from tests.support.park.simulator import Disturbance, Input, Output, Place, System
 
 
 def _rooms(x: Any, u: Any, p: Any, f: Any) -> Sequence[Any]:

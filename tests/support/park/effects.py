@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.signal import lfilter
 
-from analysis.diagnosis_park.simulator import Acting, Array, Input, Place, System, staged
+from tests.support.park.simulator import Acting, Array, Input, Place, System, staged
 
 Stage = Literal["force", "parameter", "mode", "input", "sensor", "sample"]
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from analysis.diagnosis_park.simulator import Disturbance, Input, Output, Place, System
-from analysis.diagnosis_park.systems.signals import coloured, sines, steps
+from tests.support.park.signals import coloured, sines, steps
+from tests.support.park.simulator import Disturbance, Input, Output, Place, System
 
 
 def _two_mass(x: Any, u: Any, p: Any, f: Any) -> Sequence[Any]:
