@@ -310,6 +310,26 @@ class Peaks:
     )
 
 
+_COGGING = f"{TESTS}/evidence/test_cogging_periods.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Cogging:
+    """The search for a force that is periodic in a position."""
+
+    fewest: float = _is(4.0, "periods in the range of a motion, at least", _COGGING)
+    most: float = _is(
+        64.0, "periods in the range of a motion, or teeth in a turn, at most", _COGGING
+    )
+    samples: float = _is(
+        6.0, "samples in a period at the rms speed, which a Runge-Kutta step resolves", _COGGING
+    )
+    start: float = _is(
+        0.5, "of the linear estimate, the amplitude that a refit begins at", _COGGING
+    )
+    at_once: int = _is(32, "periods whose responses are computed at once", _COGGING)
+
+
 # -- search ---------------------------------------------------------------------------------------
 
 
@@ -676,6 +696,7 @@ FUNCTIONS = Functions()
 RESIDUAL = Residual()
 REFERENCES = References()
 PEAKS = Peaks()
+COGGING = Cogging()
 COMPARISON = Comparison()
 REFITS = Refits()
 JUMPS = Jumps()
@@ -700,6 +721,7 @@ GROUPS = (
     RESIDUAL,
     REFERENCES,
     PEAKS,
+    COGGING,
     COMPARISON,
     REFITS,
     JUMPS,

@@ -179,6 +179,11 @@ class PeriodicCandidate:
     peak: Peak
     statistic: float  # Lagrange multiplier, chi^2(2) at a frequency given beforehand
 
+    @property
+    def p_value(self) -> float:
+        """Over all frequencies searched."""
+        return self.peak.p_value
+
 
 def periodic_candidates(
     fit: Fit, window: tuple[float, float], *, alpha: float = 0.05, most: int = PEAKS.most_forces

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casid.diagnosis.attempts import Attempts
+from casid.diagnosis.evidence.cogging_periods import CoggingCandidate, cogging_candidates
 from casid.diagnosis.evidence.loop_references import loop_references
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.residual_tests import ResidualTests
@@ -85,11 +86,13 @@ class Search:
         effects = [e for e in effects if e.span is None or moved_parameter(e) not in own]
         judged = at.unbiased or at.fit
         table = score_test(judged, effects, input_sd=at.input_sd, seed=self.weighing.seed)
-        if "periodic_disturbance" in self.without:
-            return table
-        found = periodic_candidates(judged, sizes.window)
-        if adopted:
-            found = [c for c in found if not is_at_resonance(at, c.peak.frequency)]
+        found: list[PeriodicCandidate | CoggingCandidate] = []
+        if "periodic_disturbance" not in self.without:
+            lines = periodic_candidates(judged, sizes.window)
+            at_resonance = [bool(adopted) and is_at_resonance(at, c.peak.frequency) for c in lines]
+            found += [c for c, resonates in zip(lines, at_resonance, strict=True) if not resonates]
+        if "cogging" not in self.without:
+            found += [c for c in cogging_candidates(at, sizes) if c.effect.key not in taken]
         return table.with_peaks([_peak_score(c) for c in found])
 
     def _references(self, model: Model) -> tuple[str, ...]:
@@ -164,14 +167,14 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
     return list(chosen.values())
 
 
-def _peak_score(found: PeriodicCandidate) -> Score:
-    """A line of the residual's spectrum as a candidate among the others."""
+def _peak_score(found: PeriodicCandidate | CoggingCandidate) -> Score:
+    """A line of the residual's spectrum, or a period in a position, among the others."""
     first = found.effect.parameters[0].name
     return Score(
         effect=found.effect,
         z=float(np.sqrt(found.statistic)),
-        p_value=found.peak.p_value,
-        adjusted=found.peak.p_value,
+        p_value=found.p_value,
+        adjusted=found.p_value,
         energy=0.0,
         step=found.starts[first],
         unrobust=found.statistic,
