@@ -327,7 +327,7 @@ class Cogging:
     start: float = _is(
         0.5, "of the linear estimate, the amplitude that a refit begins at", _COGGING
     )
-    at_once: int = _is(32, "periods whose responses are computed at once", _COGGING)
+    at_once: int = _is(64, "periods whose responses are computed at once", _COGGING)
 
 
 # -- search ---------------------------------------------------------------------------------------

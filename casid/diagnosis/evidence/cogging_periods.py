@@ -81,7 +81,7 @@ def _best(fit: Fit, sizes: Sizes, place: Place, pitches: Array) -> CoggingCandid
     gains, steps = responses.gains(pitches, responses.e)
     i = int(np.argmax(gains))
     effect = cogging(fit.criterion.model, place, float(pitches[i]), span, middle)
-    if effect is None:
+    if effect is None or gains[i] <= 2 * np.log(len(pitches)):  # the largest by chance
         return None
     # What is periodic leaks into all other periods: their level is that of what it leaves.
     left = responses.e - responses.off_the_tangent(pitches[i : i + 1]) @ steps[i]
