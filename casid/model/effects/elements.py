@@ -19,12 +19,6 @@ from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.place import Expr, Place, is_zero
 from casid.model.model import Model
 
-POINTS = 6
-"""Random points at which two expressions are compared."""
-
-SAME = 1e-9
-"""Relative difference below which they are the same."""
-
 
 def elements_of(model: Model) -> list[Place]:
     """The relative motions on which a term of the model acts, in the order of its balances."""
@@ -52,9 +46,8 @@ class _Elements:
         self.rows: dict[str, Expr] = rows | dict(model._rates)
         self.own = {n: b.rate for n, b in model.balances.items()} | {n: n for n in model._rates}
         rng = np.random.default_rng(13)
-        self.z_at = rng.uniform(0.3, 1.7, (self.z.numel(), POINTS)) * rng.choice(
-            [-1.0, 1.0], (self.z.numel(), POINTS)
-        )
+        shape = self.z.numel(), 6  # random points at which expressions are compared
+        self.z_at = rng.uniform(0.3, 1.7, shape) * rng.choice([-1.0, 1.0], shape)
         self.p_at = rng.uniform(0.3, 1.7, self.p.numel())
         self.p_other = rng.uniform(0.3, 1.7, (self.p.numel(), 3))
 
@@ -261,7 +254,7 @@ class _Elements:
         if not np.all(np.isfinite(values)):
             return None
         largest = np.max(np.abs(values), axis=0)
-        used = np.flatnonzero(largest > SAME * max(largest.max(initial=0.0), 1e-300))
+        used = np.flatnonzero(largest > 1e-9 * max(largest.max(initial=0.0), 1e-300))
         if not used.size or np.any(np.abs(values[:, used]) <= 0.0):
             return None
         ratios = values[:, used] / values[:, used[:1]]
@@ -315,12 +308,12 @@ class _Elements:
         values = [float(function(z, p)) for p in self.p_other.T]
         if not np.all(np.isfinite(values)):
             return None
-        if np.ptp(values) <= SAME * abs(values[0]):
+        if np.ptp(values) <= 1e-9 * abs(values[0]):
             return _literal(values[0])
         for i, name in enumerate(self.model.parameters):
             for power in (1, -1):
                 scale = np.array(values) / self.p_other[i] ** power
-                if np.ptp(scale) <= SAME * abs(scale[0]):
+                if np.ptp(scale) <= 1e-9 * abs(scale[0]):
                     p = self.model.symbol(name)
                     size = _literal(float(scale[0]))
                     return size * (p if power == 1 else 1 / p)
@@ -366,7 +359,7 @@ def _ratio(values: Array, others: Array) -> float:
 def _literal(value: float) -> Expr:
     """A number in a model: plain where it is one, else carrying the unit of its place."""
     nearest_simple = round(value * 12) / 12
-    if abs(value - nearest_simple) < SAME * max(1.0, abs(value)):
+    if abs(value - nearest_simple) < 1e-9 * max(1.0, abs(value)):
         value = nearest_simple
     return ca.SX(value if abs(value) == 1.0 else carrying_unit(value))
 
