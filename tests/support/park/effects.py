@@ -245,7 +245,7 @@ def of_sensor(system: System, j: int, s: Scales) -> Iterator[Effect]:
         "sensor_lag", lambda a, Y: lagged(Y[:, j], a[0] * system.Ts, h), positive=True, limit=30.0
     )
     for i, other in enumerate(system.outputs):
-        if i != j:
+        if i != j and other.unit == o.unit:  # a sensor mounted askew feels its own kind
             ratio = R / s.rms[other.name]
 
             def mixed(a: Array, Y: Array, i: int = i, ratio: float = ratio) -> Array:
