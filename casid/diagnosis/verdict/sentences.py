@@ -103,7 +103,8 @@ def says(effect: Effect, column: str = "") -> str:
     if effect.kind == "extra_input" and column and column != effect.where:
         return says_kind(effect.kind, f"{effect.where} (column {column!r})")
     if effect.kind == "hold" and effect.description:
-        return f"the input {effect.where} is {effect.description}, unlike in the model"
+        one, is_one = ("the input", "is") if "," not in effect.where else ("the inputs", "are")
+        return f"{one} {effect.where} {is_one} {effect.description}, unlike in the model"
     if effect.kind in _SAYS:
         return says_kind(effect.kind, effect.where, is_relative=bool(effect.description))
     what = effect.description or f"{effect.kind} acts"

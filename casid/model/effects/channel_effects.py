@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from casid.errors import ModelError, UnitError
@@ -216,6 +216,35 @@ def hold(model: Model, channel: str, toward: Hold | None = None) -> Effect:
     )
 
 
+def hold_of_all(model: Model, channels: Sequence[str], toward: Hold) -> Effect:
+    """Several inputs that all do what the model does not say: one logger treats them alike."""
+    each = [hold(model, channel, toward) for channel in channels]
+    name = each[0].parameters[0].name.removesuffix(channels[0]) + "inputs"
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        for effect in each:
+            effect.apply(new, names)
+
+    p = replace(each[0].parameters[0], name=name)
+    return replace(each[0], where=", ".join(channels), parameters=(p,), apply=apply)
+
+
+def _holds_of_all(model: Model) -> Iterator[Effect]:
+    """Inputs declared alike, held or joined by straight lines, that all do the other."""
+    was_output = {m.output for m in model._measured}
+    pairs: tuple[tuple[Hold, Hold], ...] = (("zoh", "foh"), ("foh", "zoh"))
+    for declared, toward in pairs:
+        channels = [
+            name
+            for name, entry in model.inputs.items()
+            if entry.kind in ("measured", "known")
+            and entry.hold == declared
+            and not (entry.blends or name in was_output or is_lagging(model, name))
+        ]
+        if len(channels) > 1:
+            yield hold_of_all(model, channels, toward)
+
+
 _COURSES: Mapping[Hold, str] = {
     "zoh": "held between its samples",
     "foh": "joined by straight lines between its samples",
@@ -271,7 +300,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
             lines = is_lagging(model, channel) and Stage.line_of(channel)[0] in model.inputs
             others = [h for h in HOLDS if h != entry.hold and not (lines and h == "bandlimited")]
             effects += [hold(model, channel, other) for other in others]
-    return effects
+    return [*effects, *_holds_of_all(model)]
 
 
 def _is_alike(unit: str, other: str) -> bool:

@@ -280,3 +280,16 @@ def test_units_follow_the_channel():
     assert sensor_scale(m, "gyro").parameters[0].unit == "1"
     assert sensor_lag(m, "gyro", 0.1).parameters[0].unit == "s"
     assert m.inputs["accel"].blends == ()
+
+
+def test_inputs_that_are_declared_alike_are_tried_together():
+    """One parameter moves both; settled, both are what it says, and it is not free."""
+    m = oscillator()
+    push = m.input("push", "N", hold="foh", known=True)
+    m.add_term("force balance", push)
+    together = [e for e in channel_effects_of(m, SIZES, {}) if e.key == ("hold", "force, push")]
+    assert [e.description for e in together] == ["held between its samples"]
+    settled = together[0].extend(m, starts={"ramp_inputs": 1.0})
+    assert {settled.acting_hold(n) for n in ("force", "push")} == {"zoh"}
+    p = settled.parameters["ramp_inputs"]
+    assert p.lower == p.upper == 1.0
