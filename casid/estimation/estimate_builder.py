@@ -146,9 +146,7 @@ class EstimateBuilder:
     def warn_unless_converged(self, solution: Solution) -> None:
         """A warning with the solver's status where it found no optimum."""
         if not solution.is_converged:
-            self.warnings.append(
-                f"{solution.solver} stopped with {solution.status}: {solution.remedy}"
-            )
+            self.warnings.append(f"{solution.ending}: {solution.remedy}")
 
     def add_fit(self, record: str, output: str, rmse: float, nrmse: float) -> None:
         """RMS error, and fit in per cent, of one output of one record."""

@@ -12,7 +12,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, require_finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +32,7 @@ class LocalRank:
 
 def local_rank(hessian: Array, x: Array, names: Sequence[str], scale: Array) -> LocalRank:
     """Rank of J from J'J with columns of unit length; directions relative to the values."""
+    require_finite("the sensitivities", hessian)
     length = np.sqrt(np.maximum(np.diag(hessian), 0.0))
     largest = float(np.max(length * scale, initial=0.0))
     seen = length * scale > 1e-9 * max(largest, TINY)
@@ -39,7 +40,8 @@ def local_rank(hessian: Array, x: Array, names: Sequence[str], scale: Array) -> 
     index = np.flatnonzero(seen)
     smallest = 0.0
     if index.size:
-        unit = hessian[np.ix_(index, index)] / np.outer(length[index], length[index])
+        # One after the other: the product of two lengths may overflow.
+        unit = hessian[np.ix_(index, index)] / length[index] / length[index][:, None]
         values, vectors = np.linalg.eigh(unit)
         smallest = float(np.sqrt(max(values[0], 0.0))) if not null else 0.0
         for value, vector in zip(values, vectors.T, strict=True):

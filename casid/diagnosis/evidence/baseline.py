@@ -113,7 +113,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         require_time("the fit of the model as it is")
         raise SolveError(
             f"{problem.name}: the model as it is could not be fitted "
-            f"({fit.solution.status}): {fit.solution.remedy}"
+            f"({fit.solution.ending}): {fit.solution.remedy}"
         )
     return Baseline(
         split=split,

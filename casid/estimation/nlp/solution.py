@@ -23,6 +23,8 @@ _REMEDIES = {
     "change the start values",
     "Restoration_Failed": "the constraints cannot be met from this start: try several starts",
     "Subproblem_Failed": "its quadratic program has no solution here: use Solver('ipopt')",
+    "Solve_Succeeded": "it hardly falls there, or has a kink: fix a parameter that has next to no "
+    "effect, or try other start values (starts=...)",
     "Maximum_WallTime_Exceeded": "give it more time, or fit a shorter window",
     "Diverging_Iterates": "a parameter runs to infinity: give it bounds, or fix it",
 }
@@ -84,6 +86,13 @@ class Solution(Presented):
     mend = renamed("mend", "remedy")
 
     @property
+    def ending(self) -> str:
+        """Where the solver stopped short of the minimum, in words."""
+        if self.status.startswith("Solve"):  # it holds that it did not
+            return f"{self.solver} ended short of the minimum of the criterion"
+        return f"{self.solver} stopped with {self.status}"
+
+    @property
     def active(self) -> Mapping[str, str]:
         """Variables that a bound holds -> "lower", "upper" or "lower and upper"."""
         sides = {"lower": self.at_lower, "upper": self.at_upper}
@@ -128,9 +137,9 @@ def not_finite(program: str, names: Sequence[str], x: Array) -> SolveError:
 def not_converged(program: str, solution: Solution) -> SolveError:
     """The refusal of a point that is no optimum: the solver's reason, the measures and a remedy."""
     return SolveError(
-        f"{program}: {solution.solver} stopped with {solution.status} after "
-        f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e},"
-        f" constraint violation {solution.constraint_violation:.1e}): {solution.remedy}"
+        f"{program}: {solution.ending} after {solution.iterations} iterations (scaled gradient "
+        f"{solution.scaled_gradient:.1e}, constraint violation "
+        f"{solution.constraint_violation:.1e}): {solution.remedy}"
     )
 
 

@@ -73,7 +73,7 @@ def failure(layout: Layout, solution: Solution) -> str:
             else "Lower nf, or use A in place of F (ARMAX), which may be unstable"
         )
     return (
-        f"{layout.structure}: {solution.solver} stopped with {solution.status} after "
+        f"{layout.structure}: {solution.ending} after "
         f"{solution.iterations} iterations (scaled gradient {solution.scaled_gradient:.1e}): {why}"
     )
 
