@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 
@@ -14,8 +16,9 @@ def negated(experiments: Sequence[Experiment], channel: str) -> list[Experiment]
 
 
 def _negated(record: Record, channel: str) -> Record:
-    turned = record.with_channel(channel, -record[channel], record.units[channel])
-    mask = record.is_missing(channel)
+    mask = record.is_missing(channel)  # where samples may be NaN
+    values = np.where(mask, 0.0, -record[channel])
+    turned = record.with_channel(channel, values, record.units[channel])
     return turned.mark_missing(channel, mask) if mask.any() else turned
 
 
