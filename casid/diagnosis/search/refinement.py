@@ -115,7 +115,6 @@ class Refinement:
                     ]
                     adopted[i] = exchanged(found.adopted[i], placed[i])
                     fit, errors, is_new = other, after, True
-                    break
         return self._refined(found, adopted, fit) if is_new else found
 
     def main(self, found: Adoption) -> Adoption:

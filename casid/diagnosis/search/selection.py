@@ -43,6 +43,7 @@ def adopt_causes(
     refine = Refinement(search, split, once, units, at, errors)
     for what, step in (
         ("the test whether later causes make earlier ones superfluous", refine.significant),
+        ("the test whether every cause found matters", refine.main),
         ("the comparison of the causes with their rivals by what was held out", refine.exchanged),
         ("the test whether every cause matters", refine.main),
     ):
