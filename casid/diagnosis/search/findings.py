@@ -26,7 +26,7 @@ class Findings:
     at : the model as extended, under the noise found there; the baseline where nothing was adopted.
     extended_fit : its simulation-error fit; None where nothing was adopted and no sign is wrong.
     specific : causes whose size differs from record to record.
-    remainders : effects that are significant but explain too little; not in the extended model.
+    remainders : effects that are significant but explain too little to be causes.
     """
 
     baseline: Baseline

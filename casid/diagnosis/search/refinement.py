@@ -8,7 +8,7 @@ therefore refined when it is complete, by the errors of all causes together:
   the others, fits as well in practice and predicts what was held out better gives way to it, and a
   function without a name to a named effect that fits and predicts as well in practice;
 - a cause that explains less than `JUDGING.practical` of the misfit is a small remainder: reported,
-  but neither a cause nor in the extended model.
+  but not as a cause. It leaves the extended model too, unless the sizes of the causes need it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighted
-from casid.diagnosis.evidence.robust_errors import wald
+from casid.diagnosis.evidence.robust_errors import std_error, wald
 from casid.diagnosis.search.alternatives import IMITATORS
 from casid.diagnosis.search.candidates import (
     Adopted,
@@ -51,7 +51,7 @@ class Adoption:
     adopted: tuple[Adopted, ...]
     at: Weighted
     fit: Fit | None
-    remainders: tuple[Adopted, ...] = ()  # significant, but too small to matter; not in `fit`
+    remainders: tuple[Adopted, ...] = ()  # significant, but too small to matter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +118,11 @@ class Refinement:
         return self._refined(found, adopted, fit) if is_new else found
 
     def main(self, found: Adoption) -> Adoption:
-        """Without what explains too little, the smallest first."""
+        """Without what explains too little, the smallest first.
+
+        Its effect stays in the model where a cause's size would otherwise move by more than its
+        standard error: the errors would be small, and the size be biased.
+        """
         kept, fit, small = list(found.adopted), found.fit, list(found.remainders)
         while fit is not None and len(kept) > 1:
             losses = contributions_of(self.search.weighing, kept, fit, self.search.attempts)
@@ -127,7 +131,8 @@ class Refinement:
             if losses[i] >= JUDGING.practical * total:
                 break
             small.append(replace(kept[i], share=losses[i] / total))
-            fit = self._without(fit, kept.pop(i).candidate)
+            less = self._without(fit, kept.pop(i).candidate)
+            fit = fit if _moves(kept, fit, less) else less
         if len(kept) == len(found.adopted):
             return found
         return self._refined(replace(found, remainders=tuple(small)), kept, fit)
@@ -178,6 +183,13 @@ class Refinement:
 def whole_fit(model: Model, split: Split, settings: FitSettings, start: dict[str, float]) -> Fit:
     """The simulation-error fit of an extended model."""
     return fit_model(model, split.fitted, settings, start=start, check_rank=False, throw=False)
+
+
+def _moves(kept: Sequence[Adopted], fit: Fit, other: Fit) -> bool:
+    """True if the size of a cause differs between two fits by more than its standard error."""
+    names = {a.candidate.names[0] for a in kept} & set(fit.criterion.names)
+    shift = {n: abs(fit.values[n] - other.values[n]) for n in names}
+    return any(d > std_error(fit, n) for n, d in shift.items())
 
 
 def exchanged(taken: Adopted, chosen: Candidate) -> Adopted:

@@ -63,7 +63,8 @@ def small_remainders(d: Diagnosis) -> list[Part]:
     ]
     caption = (
         "Significant, but of no practical size: each explains less than "
-        f"{100 * JUDGING.practical:g} % of the misfit and is not part of the extended model"
+        f"{100 * JUDGING.practical:g} % of the misfit. The extended model has it only where the "
+        "size of a cause depends on it"
     )
     head = ("effect", "where", "share of the misfit", "family-wise p", "description")
     return [Table(head, rows, numbers=(2, 3), caption=caption)]
