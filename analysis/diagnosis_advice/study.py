@@ -181,7 +181,7 @@ def setting_of(drive: Drive) -> Setting:
     white = SimulationError(model, [experiment], weights=weights, whiten=noise.whiten, start=values)
     input_sd = {"accel": records.NOISE}
     fit = Fit(white, replace(there.solution, x=white.start))
-    at = Weighted(model, fit, noise, input_sd)
+    at = Weighted(model, fit, noise, noise, input_sd, noise_absorbs_misfit=False)
     table = score_test(fit, effects_of(model, drive), input_sd={}, draws=50)
     return Setting(drive, at, Weighing([experiment]), table)
 

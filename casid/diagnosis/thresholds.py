@@ -120,12 +120,22 @@ class Outliers:
 class Prewhitening:
     """Noise found at a fit."""
 
-    rounds: int = _is(2, "noise and fit in turn", POWER_STUDY)
-    disturbed: float = _is(
-        0.1,
-        "of the residual's power that is a disturbance: it may be the bias of noisy inputs",
-        "tests/analysis/ship_bias/test_ship_bias_null.py",
+    absorbs_misfit: float = _is(
+        1.1,
+        "residual over the sensors' noise beyond which the noise model absorbs misfit",
+        POWER_STUDY,
     )
+    absorbs_spreads: float = _is(
+        2.0,
+        "standard deviations of that ratio by chance, for short records and sharp resonances",
+        POWER_STUDY,
+    )
+    white_share: float = _is(
+        0.0005,
+        "of the misfit's RMS that counts as white noise where misfit is most of the residual",
+        POWER_STUDY,
+    )
+    rounds: int = _is(2, "noise and fit in turn", POWER_STUDY)
     steps: int = _is(40, "Gauss-Newton steps towards the root without bias", POWER_STUDY)
     patience: int = _is(8, "steps that come no nearer before it is given up", POWER_STUDY)
     nearer: float = _is(0.98, "of the shortest step so far: one that comes nearer", POWER_STUDY)
@@ -152,7 +162,6 @@ class Prewhitening:
 
 
 _BETWEEN = f"{TESTS}/evidence/test_between_samples.py"
-_BANDED = f"{TESTS}/evidence/test_banded_likelihood.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,24 +210,6 @@ class Scores:
         1e-3, "of a group's largest squared singular value, below which it is dropped", POWER_STUDY
     )
     rows: int = _is(1 << 13, "samples projected at once, a bound on memory", POWER_STUDY)
-
-
-@dataclass(frozen=True, slots=True)
-class Banded:
-    """Noise estimated again under each candidate, in bands."""
-
-    per_unknown: int = _is(
-        4,
-        "lines of the lowest band for every unknown, which may all act there: the noise that is "
-        "estimated beside them is then too small by an eighth at most",
-        _BANDED,
-    )
-    bands: int = _is(24, "such bands of each output", _BANDED)
-    least_share: float = _is(
-        1e-6, "of the noise that its sensors and measured inputs have at least", _BANDED
-    )
-    rounds: int = _is(20, "parameters and spectrum in turn, at most", _BANDED)
-    change: float = _is(0.1, "gain of twice the log-likelihood at which they end", _BANDED)
 
 
 _MISSING = f"{TESTS}/unexplained/test_missing_force.py"
@@ -361,11 +352,30 @@ class Comparison:
         POWER_STUDY,
         "chi^2(1): P = 0.2 %",
     )
+    least_samples: float = _is(8.0, "independent samples of a residual, at least", POWER_STUDY)
+    imitator: float = _is(
+        0.5,
+        "of the best lasting cause's gain that one on the clock must gain beside",
+        POWER_STUDY,
+    )
     leaders: int = _is(6, "candidates compared again under the noise of the best", POWER_STUDY)
     rounds: int = _is(2, "such comparisons, where another comes first", POWER_STUDY)
+    vuong_p: float = _is(
+        0.05,
+        "p above which a rival is open where the noise model absorbs misfit",
+        POWER_STUDY,
+        "Vuong, Econometrica 57 (1989) 307-333, (5.6)",
+    )
+    vuong_share: float = _is(0.5, "of the best merit that such a rival has at least", POWER_STUDY)
     likely: float = _is(
         4.0,
         "units of BIC by which a kind with lower prior plausibility must be better than another",
+        POWER_STUDY,
+    )
+    likely_share: float = _is(
+        0.015,
+        "the same as a share of the better one's merit, where the noise model absorbs misfit: "
+        "gains count misfit of another kind as well there",
         POWER_STUDY,
     )
 
@@ -376,9 +386,6 @@ class Refits:
 
     factors: tuple[float, ...] = _is(
         (0.5, 1.0, 2.0, 4.0), "times the linearised delay or lag to start from", POWER_STUDY
-    )
-    nearer: tuple[float, ...] = _is(
-        (0.3, 0.03), "times the first size where the simulation diverges from it", POWER_STUDY
     )
     least_delay: float = _is(0.2, "sample times to start from, at least", POWER_STUDY)
     room: float = _is(2.0, "times its start that a delay may reach", POWER_STUDY)
@@ -565,11 +572,6 @@ class Judging:
         f"{TESTS}/evidence/test_disturbances.py",
         "a tenth of the square root; engineering judgement",
     )
-    flat: float = _is(
-        0.8,
-        "of all frequencies that a spectrum's equivalent width takes: it is flat",
-        f"{TESTS}/evidence/test_disturbances.py",
-    )
     expressed: float = _is(
         0.03,
         "share of a signature, in squares, left beside the causes below which they express it: "
@@ -690,7 +692,6 @@ CLIPPING = Clipping()
 OUTLIERS = Outliers()
 PREWHITENING = Prewhitening()
 SCORES = Scores()
-BANDED = Banded()
 FUNCTIONS = Functions()
 RESIDUAL = Residual()
 REFERENCES = References()
@@ -716,7 +717,6 @@ GROUPS = (
     OUTLIERS,
     PREWHITENING,
     SCORES,
-    BANDED,
     FUNCTIONS,
     RESIDUAL,
     REFERENCES,

@@ -7,10 +7,8 @@ force that nobody models does the same. With G_j the model's transfer functions 
 
 for output i. What sensors and actuators do beyond an expression (delays, lags) is part of G: of the
 recorded input's noise on its way in, and of everything that an output's sensor passes on; the
-sensor's own white noise comes after it. The noise of sensors and measured inputs is white. A force
-that nobody models (wind, waves, a road) is not: where the residual shows it, sigma_j^2 of a balance
-is a function of frequency, linear between knots an octave apart. The variances minimise Whittle's
-likelihood of the residual; the square root of S whitens residuals and sensitivities alike.
+sensor's own white noise comes after it. The variances minimise Whittle's likelihood of the
+residual; the square root of S whitens residuals and sensitivities alike.
 """
 
 from __future__ import annotations
@@ -34,9 +32,6 @@ from casid.model.model import Model
 GROUP = 8
 """Columns that are whitened at once: their transforms take eight times their own room."""
 
-LOWEST = 4
-"""Line of the spectrum at the lowest knot of a disturbance's spectrum."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
@@ -45,34 +40,6 @@ class Response:
     omega: Array  # (F,) rad/sample, 0..pi
     gain2: Array  # (F, ny, ns) squared magnitudes
     sources: tuple[str, ...]
-    Ts: float = 1.0  # s
-    gain: Array | None = None  # (F, ny, ns) the responses themselves; a phase per source is free
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Colour:
-    """Spectrum of a disturbance beside its white part, linear in the logarithm of frequency."""
-
-    omega: Array  # (K,) rad/s, rising; constant beyond its ends
-    power: Array  # (K,) variance a sample
-
-    def at(self, omega: Array) -> Array:
-        """The spectrum at frequencies in rad/s."""
-        return hats(self.omega, omega) @ self.power
-
-
-def hats(knots: Array, omega: Array) -> Array:
-    """Piecewise linear functions of log frequency, (F, K): one at its knot, all together one."""
-    place = np.log(np.maximum(omega, TINY))
-    eye = np.eye(len(knots))
-    return np.column_stack([np.interp(place, np.log(knots), row) for row in eye])
-
-
-def octaves(sample_times: Sequence[float], samples: Sequence[int]) -> Array:
-    """Knots [rad/s] an octave apart, from `LOWEST` lines of the longest record to Nyquist."""
-    low = min(2 * np.pi * LOWEST / (n * Ts) for n, Ts in zip(samples, sample_times, strict=True))
-    high = np.pi / min(sample_times)
-    return np.geomspace(low, high, max(int(np.ceil(np.log2(high / low))), 1) + 1)
 
 
 def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Response:
@@ -118,8 +85,9 @@ def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Res
     enters = _input_stages(criterion, x, experiment, e.inputs, measured, nb, len(omega) - 1)
     rhs = (b0 + z[:, None, None] * b1) @ enters
     g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
-    g = g * _sensor_stages(criterion, x, experiment, len(omega) - 1)[:, :, None]
-    return Response(omega, np.abs(g) ** 2, (*measured, *model.balances), d.Ts, g)
+    passed = _sensor_stages(criterion, x, experiment, len(omega) - 1)
+    gain2 = np.abs(g) ** 2 * passed[:, :, None]
+    return Response(omega, gain2, (*measured, *model.balances))
 
 
 def _input_stages(
@@ -158,9 +126,8 @@ def _input_stages(
 
 
 def _sensor_stages(criterion: SimulationError, x: Array, experiment: int, n: int) -> Array:
-    """H (n + 1, ny) of what each output's sensor passes on, on 0..pi; clipping left out."""
-    out = np.ones((n + 1, len(criterion.outputs)), dtype=complex)
-    back = (-1.0) ** np.arange(n + 1)  # the pulse comes in the middle
+    """|H|^2 (n + 1, ny) of what each output's sensor passes on, on 0..pi; clipping left out."""
+    out = np.ones((n + 1, len(criterion.outputs)))
     for stage in criterion.model.stages:
         if stage.is_of_input or stage.kind == "clip":
             continue
@@ -168,7 +135,7 @@ def _sensor_stages(criterion: SimulationError, x: Array, experiment: int, n: int
         y[n] = 1.0
         value = criterion.value_of(stage.parameter, x, experiment)
         through_sensor(stage.kind, y, None, value, criterion.data[experiment].Ts, -1)
-        out[:, criterion.outputs.index(stage.channel)] *= back * rfft(y)
+        out[:, criterion.outputs.index(stage.channel)] *= np.abs(rfft(y)) ** 2
     return out
 
 
@@ -193,14 +160,11 @@ class NoiseModel:
     responses: Sequence[Response]  # one an experiment
     weights: Array
     alike: Sequence[tuple[str, ...]] = ()  # sources of one shape; the first carries the variance
-    colours: Mapping[str, Colour] = field(default_factory=dict)  # disturbances that are not white
-    likelihood: float = -np.inf  # Whittle's, log, of what it was estimated from
-    _roots: dict[tuple[int, int], Array] = field(default_factory=dict, init=False, repr=False)
+    _gains: dict[tuple[int, int], Array] = field(default_factory=dict, init=False, repr=False)
 
     def quiet(self, input_sd: Mapping[str, float]) -> NoiseModel:
         """The same without disturbances: sensors and measured inputs only."""
-        found = {name: input_sd.get(name, 0.0) for name in self.source_sd}
-        return replace(self, source_sd=found, colours={})
+        return replace(self, source_sd={name: input_sd.get(name, 0.0) for name in self.source_sd})
 
     def of_inputs(self, largest: Mapping[str, float]) -> dict[str, float]:
         """What part of `source_sd` the measured inputs can account for.
@@ -215,29 +179,10 @@ class NoiseModel:
             inputs = [name for name in group if name in largest]
             gains = {name: sum(self._gain(name, r) for r in self.responses) for name in group}
             found = sum(self.source_sd[name] ** 2 * gains[name] for name in group)
-            found += sum(self._coloured_power(name) for name in group if name in self.colours)
             could = sum(largest[name] ** 2 * gains[name] for name in inputs)
             share = np.sqrt(min(found / could, 1.0)) if could > 0 else 0.0
             out.update({name: float(share * largest[name]) for name in inputs})
         return out
-
-    def share_of_disturbances(self, input_sd: Mapping[str, float]) -> float:
-        """Share of the weighted outputs' power that neither sensors nor measured inputs give."""
-        quiet, weights = self.quiet(input_sd), self.weights**2
-        every = range(len(self.responses))
-        part, whole = (
-            sum(float(np.mean(noise.spectrum(e) @ weights)) for e in every)
-            for noise in (quiet, self)
-        )
-        return 1 - part / whole if whole > 0 else 0.0
-
-    def _coloured_power(self, name: str) -> float:
-        """What a disturbance gives to the outputs beside its white part, summed as gains are."""
-        total = 0.0
-        for r in self.responses:
-            colour = self.colours[name].at(r.omega / r.Ts)
-            total += float(np.mean(r.gain2[:, :, r.sources.index(name)] * colour[:, None]))
-        return total
 
     @staticmethod
     def _gain(name: str, r: Response) -> float:
@@ -246,17 +191,8 @@ class NoiseModel:
     def spectrum(self, experiment: int) -> Array:
         """S (F, ny) per sample, output units squared, on the response's frequencies."""
         r = self.responses[experiment]
-        out = np.repeat(self.output_sd[None, :] ** 2, len(r.omega), axis=0)
-        for j, source in enumerate(r.sources):
-            out += r.gain2[:, :, j] * self.source_spectrum(source, experiment)[:, None]
-        return out
-
-    def source_spectrum(self, source: str, experiment: int) -> Array:
-        """Variance a sample (F,) of one source, on the response's frequencies."""
-        r = self.responses[experiment]
-        white = np.full(len(r.omega), self.source_sd[source] ** 2)
-        colour = self.colours.get(source)
-        return white if colour is None else white + colour.at(r.omega / r.Ts)
+        variances = np.array([self.source_sd[s] ** 2 for s in r.sources])
+        return np.asarray(self.output_sd[None, :] ** 2 + r.gain2 @ variances)
 
     def floor(self, experiment: int) -> Array:
         """(ny,) rms that the best possible model would leave."""
@@ -265,64 +201,53 @@ class NoiseModel:
             np.sqrt(np.trapezoid(s, self.responses[experiment].omega, axis=0) / np.pi)
         )
 
-    def whiten(self, columns: Array, experiment: int) -> Array:
-        """Columns (N, ny, m), times `weights`, filtered by S^(-1/2) to white noise of unit size.
+    def excess(self, quiet: NoiseModel, samples: Sequence[int]) -> tuple[float, float]:
+        """Mean square of this noise over that of `quiet`, and the latter's relative spread.
 
-        A force moves several outputs at once: S^(-1/2) is that of the matrix of their spectra.
+        The largest over the outputs, all records together; a mean of exponential periodograms has
+        the variance sum S^2 / (sum S)^2.
+
+        Parameters
+        ----------
+        samples : of each record.
         """
-        n, ny, m = columns.shape
-        if not any(self.source_sd.values()) and not self.colours:
+        total, other, square = (np.zeros(len(self.output_sd)) for _ in range(3))
+        for e, n in enumerate(samples):
+            omega, s, per = self.responses[e].omega, quiet.spectrum(e), n / (2 * np.pi)
+            total += per * np.trapezoid(self.spectrum(e), omega, axis=0)
+            other += per * np.trapezoid(s, omega, axis=0)
+            square += per * np.trapezoid(s**2, omega, axis=0)
+        i = int(np.argmax(total / np.maximum(other, TINY)))
+        floor = max(float(other[i]), TINY)
+        return float(total[i]) / floor, float(np.sqrt(square[i])) / floor
+
+    def whiten(self, columns: Array, experiment: int) -> Array:
+        """Columns (N, ny, m), times `weights`, filtered by S^(-1/2) to white noise of unit size."""
+        n = len(columns)
+        if not any(self.source_sd.values()):
             return np.asarray(columns / (self.output_sd * self.weights)[None, :, None])
         size = next_fast_len(2 * n, real=True)
-        root = self._root_of(experiment, size)
+        gains = self._gains_of(experiment, size)
         out = np.empty(columns.shape)
-        for first in range(0, m, GROUP):
-            group = slice(first, min(first + GROUP, m))
-            # Along the last axis: each column lies in one piece while it is transformed.
-            spectra = [rfft(np.ascontiguousarray(columns[:, i, group].T), size) for i in range(ny)]
-            for i in range(ny):
-                mixed = sum(root[i, k] * spectra[k] for k in range(ny))
-                out[:, i, group] = irfft(mixed, size, overwrite_x=True)[:, :n].T
+        for i, gain in enumerate(gains):
+            for first in range(0, columns.shape[2], GROUP):
+                group = slice(first, first + GROUP)
+                # Along the last axis: each column lies in one piece while it is transformed.
+                spectrum = rfft(np.ascontiguousarray(columns[:, i, group].T), size)
+                spectrum *= gain
+                out[:, i, group] = irfft(spectrum, size, overwrite_x=True)[:, :n].T
         return out
 
-    def _root_of(self, experiment: int, size: int) -> Array:
-        """S^(-1/2) (ny, ny, size // 2 + 1) of the weighted outputs on the grid of a transform."""
-        if (experiment, size) not in self._roots:
+    def _gains_of(self, experiment: int, size: int) -> Array:
+        """S^(-1/2) (ny, size // 2 + 1) of the weighted outputs on the grid of a transform."""
+        if (experiment, size) not in self._gains:
+            s = self.spectrum(experiment) * self.weights[None, :] ** 2
             grid = np.linspace(0, np.pi, size // 2 + 1)
             omega = self.responses[experiment].omega
-            s = self._matrix(experiment) * np.outer(self.weights, self.weights)
-            on_grid = np.empty((len(grid), *s.shape[1:]), dtype=s.dtype)
-            for i, k in np.ndindex(*s.shape[1:]):
-                on_grid[:, i, k] = np.interp(grid, omega, s[:, i, k])
-            self._roots[experiment, size] = np.moveaxis(_inverse_root(on_grid), 0, -1)
-        return self._roots[experiment, size]
-
-    def _matrix(self, experiment: int) -> Array:
-        """Spectra and cross-spectra (F, ny, ny) of the outputs, output units squared."""
-        r = self.responses[experiment]
-        if r.gain is None or r.gain.shape[1] == 1:
-            return self.spectrum(experiment)[:, :, None] * np.eye(r.gain2.shape[1])
-        source = [np.sqrt(self.source_spectrum(s, experiment)) for s in r.sources]
-        g = r.gain * np.stack(source, axis=-1)[:, None, :]
-        return np.asarray(g @ g.conj().swapaxes(1, 2) + np.diag(self.output_sd**2))
-
-    def share_of(self, part: NoiseModel, experiment: int) -> Array:
-        """What a part of this noise leaves of its whitened spectra, (F, ny) on 0..pi, 1 at most."""
-        omega = self.responses[experiment].omega
-        root = _inverse_root(self._matrix(experiment))
-        left = root @ part._matrix(experiment) @ root.conj().swapaxes(1, 2)
-        share = np.minimum(np.diagonal(left, axis1=1, axis2=2).real, 1.0)
-        grid = np.linspace(0, np.pi, len(omega))
-        return np.column_stack([np.interp(grid, omega, column) for column in share.T])
-
-
-def _inverse_root(s: Array) -> Array:
-    """S^(-1/2) of Hermitian matrices (F, n, n)."""
-    if s.shape[1] == 1:
-        return np.asarray(1 / np.sqrt(s))
-    values, vectors = np.linalg.eigh(s)
-    values = np.maximum(values, 1e-15 * values[:, -1:])
-    return np.asarray((vectors / np.sqrt(values)[:, None, :]) @ vectors.conj().swapaxes(1, 2))
+            self._gains[experiment, size] = np.array(
+                [1 / np.sqrt(np.interp(grid, omega, column)) for column in s.T]
+            )
+        return self._gains[experiment, size]
 
 
 def estimate_noise(
@@ -345,6 +270,7 @@ def estimate_noise(
     residuals : (N, ny) an experiment, default those at `x`.
     """
     known = dict(known or {})
+    ny = len(criterion.outputs)
     responses = [noise_response(criterion, x, e) for e in range(len(criterion.data))]
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
@@ -353,40 +279,21 @@ def estimate_noise(
     rest = [name for name in every if name not in known]
     alike += _alike(responses, every, rest) if merge else [(name,) for name in rest]
     sources = [group[0] for group in alike]
-    forces = {g[0]: g[-1] for g in alike if g[-1] in criterion.model.balances}
     names = [*criterion.outputs, *sources]
-    spectra = _spectra(residuals, responses, sources, len(criterion.outputs))
-    require_finite("the residual's spectra", spectra.power, spectra.design)
-    smallest = (
-        float(np.average(spectra.power, weights=spectra.count)) if len(spectra.power) else 0.0
-    )
-    floor = 1e-8 * max(smallest, TINY)
-    least = np.zeros(len(names))
-    least[: len(criterion.outputs)] = np.maximum(resolution(criterion) ** 2 / 12, floor)
     given = np.array([known[name] ** 2 if name in known else np.nan for name in names])
-    knots = octaves([d.Ts for d in criterion.data], [d.N for d in criterion.data])
-    floors = input_noise_floor(criterion.data, list(criterion.model.inputs))
-    places = {names.index(s): floors.get(s, 0.0) ** 2 for s in forces}
-    value, colours, likelihood = _coloured(spectra, given, least, knots, places)
-    found = dict(zip(names, np.sqrt(value).tolist(), strict=True))
+    spectra = _spectra(residuals, responses, sources, ny)
+    require_finite("the residual's spectra", spectra.power, spectra.design)
+    floor = 1e-8 * max(float(np.average(spectra.power, weights=spectra.count)), TINY)
+    value = _variances(spectra, given, floor)
+    output_sd = np.sqrt(np.maximum(value[:ny], floor))
+    found = {name: float(np.sqrt(v)) for name, v in zip(sources, value[ny:], strict=True)}
     return NoiseModel(
-        output_sd=np.array([found[name] for name in criterion.outputs]),
-        source_sd={name: found[name] if name in sources else 0.0 for name in every},
+        output_sd=output_sd,
+        source_sd={name: found.get(name, 0.0) for name in every},
         responses=responses,
         weights=criterion.weights,
         alike=tuple(alike),
-        colours={forces[names[i]]: Colour(knots, power) for i, power in colours.items()},
-        likelihood=likelihood,
     )
-
-
-def resolution(criterion: SimulationError) -> Array:
-    """(ny,) smallest distance between different values of each output: its noise is no less."""
-    out = np.zeros(len(criterion.outputs))
-    for i in range(len(out)):
-        steps = [np.diff(np.unique(d.y[d.used[:, i], i])) for d in criterion.data]
-        out[i] = min((float(s.min()) for s in steps if len(s)), default=0.0)
-    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -396,104 +303,40 @@ class _Spectra:
     design: Array  # (B, ny + ns) |G|^2
     power: Array  # (B,)
     count: Array  # (B,) frequencies of each band
-    omega: Array  # (B,) rad/s, their mean
-
-    def likelihood(self, s: Array) -> float:
-        """Whittle's log-likelihood of the spectrum `s` (B,)."""
-        return -float(self.count @ (np.log(s) + self.power / s))
 
 
 def _spectra(
     residuals: Sequence[Array], responses: Sequence[Response], sources: Sequence[str], ny: int
 ) -> _Spectra:
-    rows, powers, counts, places = [], [], [], []
+    rows, powers, counts = [], [], []
     for r, response in zip(residuals, responses, strict=True):
-        columns = [response.sources.index(source) for source in sources]
-        for i, (power, gain2, count, omega) in enumerate(_bins(r, response)):
+        places = [response.sources.index(source) for source in sources]
+        for i, (power, gain2, count) in enumerate(_bins(r, response)):
             own = np.zeros((len(power), ny))
             own[:, i] = 1.0
-            rows.append(np.hstack([own, gain2[:, columns]]))
+            rows.append(np.hstack([own, gain2[:, places]]))
             powers.append(power)
             counts.append(count)
-            places.append(omega / response.Ts)
-    joined = (np.concatenate(each) for each in (powers, counts, places))
-    return _Spectra(np.vstack(rows), *joined)
+    return _Spectra(np.vstack(rows), np.concatenate(powers), np.concatenate(counts))
 
 
-def _coloured(
-    spectra: _Spectra, given: Array, least: Array, knots: Array, forces: Mapping[int, float]
-) -> tuple[Array, dict[int, Array], float]:
-    """Variances, spectra beside them of those columns `forces` that are not white, likelihood.
-
-    One after another, the one that gains most, while Schwarz's criterion gains. `forces` has the
-    white noise of a measured input that acts alike: so much of what is white stays.
-    """
-    least = least.copy()
-    value = _variances(spectra.design, spectra, given, least)
-    best = spectra.likelihood(spectra.design @ value)
-    white = least.copy()
-    for j, floor in forces.items():
-        white[j] = min(value[j], floor)
-    shapes = hats(knots, spectra.omega)
-    price = 0.5 * (len(knots) - 1) * float(np.log(2 * max(spectra.count.sum(), 1.0)))
-    chosen: list[int] = []
-    design, total = spectra.design, value
-    while True:
-        found = []
-        for j in forces:
-            if j in chosen:
-                continue
-            wide = np.hstack([design, spectra.design[:, [j]] * shapes])
-            more = wide.shape[1] - len(given)
-            kept = np.where(np.arange(len(given)) == j, white, least)
-            v = _variances(
-                wide,
-                spectra,
-                np.concatenate([given, np.full(more, np.nan)]),
-                np.concatenate([kept, np.zeros(more)]),
-            )
-            found.append((spectra.likelihood(wide @ v) - price, j, v, wide))
-        top = max(found, key=lambda f: f[0], default=None)
-        if top is None or top[0] <= best:
-            break
-        best, j, total, design = top
-        chosen.append(j)
-        least[j] = white[j]
-    value, colours = total[: len(given)].copy(), {}
-    for k, j in enumerate(chosen):
-        first = len(given) + k * len(knots)
-        power = total[first : first + len(knots)]
-        if not np.isfinite(given[j]):
-            value[j] += power.min()  # what is in all of them is white
-            power = power - power.min()
-        colours[j] = power
-    return value, colours, best
-
-
-def _variances(design: Array, spectra: _Spectra, given: Array, least: Array) -> Array:
-    """Variances that minimise Whittle's likelihood by scoring; `given` ones (else NaN) are kept.
-
-    None is below `least`.
-    """
-    power, count = spectra.power, spectra.count
+def _variances(spectra: _Spectra, given: Array, floor: float) -> Array:
+    """Variances that minimise Whittle's likelihood by scoring; `given` ones (else NaN) are kept."""
+    design, power, count = spectra.design, spectra.power, spectra.count
     fixed = np.isfinite(given)
-    value = np.where(fixed, given, least)
+    value = np.where(fixed, given, 0.0)
     offset = design @ value
     free = design[:, ~fixed]
-    floor = 1e-12 * max(float(power.max(initial=0.0)), TINY)
-    s = np.maximum(power, floor) + offset
+    s = np.maximum(power, 1e-12 * max(float(power.max(initial=0.0)), TINY)) + offset
     solution = new = np.zeros(free.shape[1])
     for k in range(60):
         weight = np.sqrt(count) / s
         scale = np.sqrt(np.sum((free * weight[:, None]) ** 2, axis=0)) + TINY
         target = np.maximum(power - offset, 0.0) * weight
         new = _least(free * (weight[:, None] / scale), target, new) / scale
-        step = 0.5 * (new - solution) if k else new
-        solution = solution + step
+        solution = new if k == 0 else 0.5 * (solution + new)
         s = np.maximum(free @ solution + offset, floor)
-        if k and np.all(np.abs(free @ step) <= 1e-4 * s):
-            break
-    value[~fixed] += solution
+    value[~fixed] = solution
     return value
 
 
@@ -518,8 +361,6 @@ def _alike(
 ) -> list[tuple[str, ...]]:
     """Those of `candidates` in groups whose |G|^2 are multiples of one another; none that is 0."""
     groups: list[list[str]] = []
-    if not sources:
-        return []
     stacked = np.concatenate([r.gain2.reshape(-1, len(sources)) for r in responses])
     logs = 0.5 * np.log(np.maximum(stacked, TINY))
     for name in candidates:
@@ -537,13 +378,12 @@ def _alike(
     return [tuple(group) for group in groups]
 
 
-def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array, Array]]:
-    """Periodogram and |G|^2 in bands of growing width: (power, gain2, count, omega) an output."""
+def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array]]:
+    """Periodogram and |G|^2 in bands of growing width: (power, gain2, count) for each output."""
     n = len(residual)
     omega = 2 * np.pi * np.arange(n // 2 + 1) / n
     edges = np.unique(np.round(np.geomspace(1, len(omega) + 1, 160)).astype(int)) - 1
     count = np.diff(edges)
-    centre = np.add.reduceat(omega, edges[:-1]) / count
     out = []
     for i in range(residual.shape[1]):
         spectrum = np.abs(rfft(residual[:, i])) ** 2 / n
@@ -553,7 +393,7 @@ def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array
             g = np.interp(omega, response.omega, response.gain2[:, i, j])
             columns.append(np.add.reduceat(g, edges[:-1]) / count)
         gain2 = np.column_stack(columns) if columns else np.zeros((len(power), 0))
-        out.append((power, gain2, count.astype(float), centre))
+        out.append((power, gain2, count.astype(float)))
     return out
 
 

@@ -348,7 +348,7 @@ def _recipe(null: Null) -> _Recipe:
         apart=tuple(split.apart),
         hold_out=_share(split),
         values=(at.unbiased or at.fit).values,
-        noise=null_noise(at.noise, at.criterion.outputs, at.input_sd),
+        noise=null_noise(at.full, at.criterion.outputs, at.input_sd),
         own=tuple(c.own),
         weights=c.weights,
         substeps=c.substeps,

@@ -11,18 +11,17 @@ their Application, Cambridge 1997, section 4.2).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import SolveError
 from casid.estimation.holdout import Split
-from casid.estimation.noise import Colour, NoiseModel
+from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Input, Model
@@ -30,7 +29,7 @@ from casid.model.model import Input, Model
 
 @dataclass(frozen=True, slots=True)
 class NullNoise:
-    """Noise of every source, per sample, SI units.
+    """White noise of every source, per sample, SI units.
 
     Attributes
     ----------
@@ -38,28 +37,11 @@ class NullNoise:
     inputs : measured input -> of its sensor, so in the record and not in the motion.
     disturbances : measured input or balance -> of what acts there, so in the motion and not in the
         record.
-    colours : balance -> spectrum of what acts there beside that white part.
     """
 
     outputs: Mapping[str, float]
     inputs: Mapping[str, float]
     disturbances: Mapping[str, float]
-    colours: Mapping[str, Colour] = field(default_factory=dict)
-
-    @property
-    def acting(self) -> tuple[str, ...]:
-        """Where something acts in the motion."""
-        return tuple(dict.fromkeys((*self.disturbances, *self.colours)))
-
-    def drawn(self, source: str, n: int, Ts: float, rng: np.random.Generator) -> Array:
-        """What acts at a source, (n,)."""
-        out = self.disturbances.get(source, 0.0) * rng.standard_normal(n)
-        if source in self.colours:
-            size = next_fast_len(2 * n, real=True)
-            power = self.colours[source].at(2 * np.pi * rfftfreq(size, Ts))
-            coloured = irfft(np.sqrt(power) * rfft(rng.standard_normal(size)), size)
-            out = out + coloured[:n]
-        return out
 
 
 def null_noise(
@@ -84,7 +66,7 @@ def null_noise(
             left[group[0]] = float(np.sqrt((found - used) / gain))
     sensors = {n: float(sd) for n, sd in input_sd.items() if sd > 0}
     by_output = dict(zip(outputs, noise.output_sd.tolist(), strict=True))
-    return NullNoise(by_output, sensors, left, noise.colours)
+    return NullNoise(by_output, sensors, left)
 
 
 def _gain(noise: NoiseModel, source: str) -> float:
@@ -173,8 +155,8 @@ class NullRecords:
     ) -> Experiment:
         d = criterion.data[e]
         u = d.u.copy()
-        for name in self.noise.acting:
-            u[:, _column(criterion.model, name)] += self.noise.drawn(name, d.N, d.Ts, rng)
+        for name, sd in self.noise.disturbances.items():
+            u[:, _column(criterion.model, name)] += sd * rng.standard_normal(d.N)
         with np.errstate(all="ignore"):
             y, _, _ = criterion.simulate(x, e, signals=replace(d, u=u))
         if not np.all(np.isfinite(y)):
@@ -226,7 +208,7 @@ def _column(model: Model, source: str) -> int:
 
 def _with_disturbances(model: Model, noise: NullNoise) -> Model:
     new = model.copy()
-    for name in noise.acting:
+    for name in noise.disturbances:
         if name in model.balances and name not in model.inputs:
             balance = model.balances[name]
             w = new.add_input(Input(_disturbance(name), balance.unit, "measured"))

@@ -13,11 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from casid.arrays import Array
 from casid.data.files import plain_fields
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import JUDGING
-from casid.estimation.noise import Response
 from casid.model.units import difference_from_si, difference_to_si
 
 
@@ -80,47 +78,29 @@ def disturbances_of(at: Weighted) -> tuple[Disturbance, ...]:
 
     Those that make less than `JUDGING.practical` of the residual are left out.
     """
-    noise = at.noise
-    samples = np.array([d.N for d in at.criterion.data], dtype=float)
+    noise = at.full
     weights = noise.weights**2
-    total = float(samples @ [np.mean(noise.spectrum(e) @ weights) for e in range(len(samples))])
+    samples = [d.N for d in at.criterion.data]
+    total = sum(n * float(np.mean(noise.spectrum(e) @ weights)) for e, n in enumerate(samples))
+
+    def power(source: str) -> float:
+        """Of the residual, for a unit standard deviation of a source."""
+        return sum(
+            n * float(np.mean(r.gain2[:, :, r.sources.index(source)] @ weights))
+            for r, n in zip(noise.responses, samples, strict=True)
+        )
+
     found = []
     # Of sources that act alike, the first carries the variance: that of inputs which their sensors
     # account for is noise, and the rest a force in their balance.
     for group in noise.alike:
+        carried = noise.source_sd[group[0]] ** 2 * power(group[0])
+        measured = sum(at.input_sd.get(name, 0.0) ** 2 * power(name) for name in group)
         where = next((name for name in group if name in at.model.balances), group[0])
-        gains = {
-            name: [r.gain2[:, :, r.sources.index(name)] @ weights for r in noise.responses]
-            for name in group
-        }
-        white = {name: float(samples @ [g.mean() for g in gains[name]]) for name in group}
-        carried = noise.source_sd[group[0]] ** 2 * white[group[0]]
-        measured = sum(at.input_sd.get(name, 0.0) ** 2 * white[name] for name in group)
-        level = max(carried - measured, 0.0) / white[where] if white[where] > 0 else 0.0
-        colour = noise.colours.get(where)
-        spectra = [
-            level + (0.0 if colour is None else colour.at(r.omega / r.Ts)) * np.ones(len(r.omega))
-            for r in noise.responses
-        ]
-        made = [float(np.mean(s * g)) for s, g in zip(spectra, gains[where], strict=True)]
-        share = float(samples @ made) / total if total > 0 else 0.0
-        if share >= JUDGING.practical:
+        unit_power = power(where)
+        share = (carried - measured) / total if total > 0 else 0.0
+        if share >= JUDGING.practical and unit_power > 0:
+            sd = float(np.sqrt((carried - measured) / unit_power))
             place = at.model.balances.get(where) or at.model.inputs[where]
-            found.append(_described(where, place.unit, share, noise.responses[0], spectra[0]))
+            found.append(Disturbance(where, sd, place.unit, min(share, 1.0)))
     return tuple(sorted(found, key=lambda d: -d.share))
-
-
-def _described(where: str, unit: str, share: float, r: Response, spectrum: Array) -> Disturbance:
-    """A disturbance with this spectrum on a response's frequencies."""
-    hertz = r.omega / (2 * np.pi * r.Ts)
-    variance, highest = float(np.trapezoid(spectrum, hertz)), float(spectrum.max())
-    width, band = variance / highest, float(hertz[-1] - hertz[0])
-    is_flat = width > JUDGING.flat * band
-    return Disturbance(
-        where,
-        float(np.sqrt(variance / band)),
-        unit,
-        min(share, 1.0),
-        None if is_flat else float(hertz[int(np.argmax(spectrum))]),
-        None if is_flat else width,
-    )

@@ -37,19 +37,16 @@ class Weighted:
 
     model: Model
     fit: Fit
-    noise: NoiseModel  # what it is fitted under, whatever passes for a disturbance in it
+    noise: NoiseModel  # what it is fitted under
+    full: NoiseModel  # with whatever passes for a disturbance
     input_sd: Mapping[str, float]
+    noise_absorbs_misfit: bool  # much of it is explained by neither sensors nor measured inputs
     unbiased: Fit | None = None  # where the noise of the inputs has no part in the estimate
 
     @property
     def criterion(self) -> SimulationError:
         """The whitened criterion at its minimum."""
         return self.fit.criterion
-
-    @property
-    def is_disturbed(self) -> bool:
-        """True if much of the residual is explained by neither sensors nor measured inputs."""
-        return self.noise.share_of_disturbances(self.input_sd) > PREWHITENING.disturbed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,42 +67,43 @@ class Weighing:
     def weigh(self, model: Model, fit: Fit, *, rounds: int = PREWHITENING.rounds) -> Weighted:
         """Estimate the noise at a fit and fit again under it.
 
-        What the model lacks passes for a disturbance at first: it is judged with the noise
-        estimated again under each candidate (`alternatives`).
+        Where sensors and measured inputs leave much unexplained, misfit would pass for a
+        disturbance and mask its own cause: the fit is then made under the sensors' noise alone.
         """
         found = self._estimated(fit)
+        if found.noise_absorbs_misfit:
+            at = self._without_bias(found)
+            if at is None or at.noise_absorbs_misfit:
+                noise = _not_below(found.full.quiet(found.input_sd), found.criterion, fit.x)
+                criterion = self.criterion(model, noise, fit.values, fit.criterion)
+                return replace(found, fit=self.minimum(criterion), noise=noise)
+            found = at
         for _ in range(rounds):
-            criterion = self.criterion(model, found.noise, found.fit.values, fit.criterion)
+            criterion = self.criterion(model, found.full, found.fit.values, fit.criterion)
             found = self._estimated(self.minimum(criterion))
         at = self._without_bias(found) or found
-        criterion = self.criterion(model, at.noise, found.fit.values, fit.criterion)
-        return replace(at, fit=self.minimum(criterion), unbiased=None if at is found else at.fit)
+        criterion = self.criterion(model, at.full, found.fit.values, fit.criterion)
+        return replace(
+            at,
+            fit=self.minimum(criterion),
+            noise=at.full,
+            noise_absorbs_misfit=False,
+            unbiased=None if at is found else at.fit,
+        )
 
     def _without_bias(self, found: Weighted) -> Weighted | None:
-        """The root of (2) in `score_tests`, with the noise found there; None if none is near.
+        """The root of (2) in `scores`, with the noise found there; None if none is near.
 
-        The bias that the noise of the inputs gives to a fit passes for a disturbance, too. So where
-        there is one, the root is sought under the noise of sensors and inputs alone at first, and
-        kept if it leaves none.
+        Where much is unexplained, the noise meanwhile is that of sensors and inputs alone. Given up
+        where several steps come no nearer (a bound holds a parameter back, say), or so slowly that
+        all that are left would not reach it.
         """
         if not any(found.input_sd.values()):
             return None
-        if found.is_disturbed:
-            at = self._root(found, quiet=True)
-            if at is not None and not at.is_disturbed:
-                return at
-        return self._root(found)
-
-    def _root(self, found: Weighted, *, quiet: bool = False) -> Weighted | None:
-        """The same under the noise found, or that of sensors and inputs alone.
-
-        Given up where several steps come no nearer (a bound holds a parameter back, say), or so
-        slowly that all that are left would not reach it.
-        """
         at = found
         shortest, since, first = np.inf, 0, np.inf
         for k in range(PREWHITENING.steps):
-            noise = at.noise.quiet(at.input_sd) if quiet else at.noise
+            noise = at.full.quiet(at.input_sd) if at.noise_absorbs_misfit else at.full
             criterion = self.criterion(at.model, noise, at.fit.values, found.criterion)
             use_samples_of(criterion, found.criterion)
             x, length = step_without_bias(criterion, criterion.start, at.input_sd, seed=self.seed)
@@ -128,17 +126,13 @@ class Weighing:
 
     def _estimated(self, fit: Fit) -> Weighted:
         """A fit with the noise that its residual shows."""
-        noise = self.noise(fit)
-        return Weighted(fit.criterion.model, fit, noise, self.input_sd(noise, fit.criterion))
-
-    def without_disturbances(self, at: Weighted) -> Weighted:
-        """The same model under the noise of sensors and measured inputs alone, fitted again.
-
-        Where refits start: a cause may explain whatever passes for a disturbance.
-        """
-        quiet = at.noise.quiet(at.input_sd)
-        criterion = self.criterion(at.model, quiet, at.fit.values, at.criterion)
-        return replace(at, fit=self.minimum(criterion), noise=quiet, unbiased=None)
+        full = self.noise(fit)
+        input_sd = self.input_sd(full, fit.criterion)
+        quiet = full.quiet(input_sd)
+        ratio, spread = full.excess(quiet, [d.N for d in fit.criterion.data])
+        limit = max(PREWHITENING.absorbs_misfit**2, 1 + PREWHITENING.absorbs_spreads * spread)
+        noise_absorbs_misfit = ratio > limit
+        return Weighted(fit.criterion.model, fit, full, full, input_sd, noise_absorbs_misfit)
 
     def noise(self, fit: Fit) -> NoiseModel:
         """The noise that the residual of a fit shows."""
@@ -213,3 +207,14 @@ def use_samples_of(criterion: SimulationError, other: SimulationError) -> None:
     """
     for mine, its in zip(criterion.data, other.data, strict=True):
         mine.used[:] = its.used
+
+
+def _not_below(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:
+    """The noise with a white floor that is small against the misfit.
+
+    Where sensors are all but free of noise, whitening would give the word to frequencies at which
+    hardly anything is left, and misfit of another kind, beside what is to be named.
+    """
+    parts = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
+    left = np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
+    return replace(noise, output_sd=np.maximum(noise.output_sd, PREWHITENING.white_share * left))

@@ -10,8 +10,7 @@ Three questions, each answered at one false-alarm rate and then put together by 
   them, and of each growing in time, as forces in every balance and as errors of every output, off
   the baseline's tangent (`signatures`).
 - Time. Cumulative sums of the residual and of its square are Brownian bridges, each in units of its
-  own long-run deviation (Inclan & Tiao 1994; Sanso, Arago & Carrion 2004, their kappa_2). A single
-  burst, that makes this deviation large itself, shows as one stretch whose power no other has.
+  own long-run deviation (Inclan & Tiao 1994; Sanso, Arago & Carrion 2004, their kappa_2).
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ import numpy as np
 from scipy.fft import rfft
 from scipy.special import kolmogorov
 from scipy.stats import gamma, norm
-from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
@@ -166,8 +164,7 @@ def residual_tests(
     p_mean, p_power, p_amplitude = _changes(
         whitened, [criterion.simulated(x, k).y for k in range(len(criterion.data))]
     )
-    blocks = _blocks(whitened, [d.Ts for d in criterion.data])
-    p_time = min(1.0, 4 * min(p_mean, p_power, p_amplitude, loudest_block(blocks[:, 2])))
+    p_time = min(1.0, 3 * min(p_mean, p_power, p_amplitude))
     share = correlated.share if correlated is not None else 0.0
     return ResidualTests(
         verdict=_verdict(p_spectrum, p_dependence, p_time, share, alpha),
@@ -177,7 +174,7 @@ def residual_tests(
         adjusted=min(1.0, 3 * min(p_spectrum, p_dependence, p_time)),
         bands=tuple(bands),
         correlated=correlated,
-        blocks=blocks,
+        blocks=_blocks(whitened, [d.Ts for d in criterion.data]),
         p_mean=p_mean,
         p_power=p_power,
         p_amplitude=p_amplitude,
@@ -281,22 +278,6 @@ def _changes(whitened: Sequence[Array], simulated: Sequence[Array]) -> tuple[flo
     sd = float(np.sqrt(long_run_covariance(product, bartlett_lags(product))[0, 0]))
     p_amplitude = float(2 * norm.sf(abs(float(product.sum())) / max(sd, TINY)))
     return p_mean, p_power, p_amplitude
-
-
-def loudest_block(power: Array) -> float:
-    """p-value of the largest mean square among stretches, by how the others differ.
-
-    Cube roots of sums of squares are nearly normal (Wilson and Hilferty 1931); the one judged has
-    no part in their spread.
-    """
-    size = np.cbrt(power)
-    top, rest = float(size.max()), np.delete(size, int(np.argmax(size)))
-    if len(rest) < 3:
-        return 1.0
-    sd = float(np.std(rest, ddof=1)) * np.sqrt(1 + 1 / len(rest))
-    if sd <= 0:
-        return 1.0
-    return min(1.0, len(size) * float(student.sf((top - rest.mean()) / sd, len(rest) - 1)))
 
 
 def _bridge(values: Array) -> float:

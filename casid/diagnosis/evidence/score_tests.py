@@ -32,11 +32,10 @@ import numpy as np
 from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.banded_likelihood import BandedColumns, BandedLikelihood
 from casid.diagnosis.thresholds import PREWHITENING, SCORES
 from casid.errors import ModelError, SolveError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
-from casid.estimation.noise import GROUP, NoiseModel
+from casid.estimation.noise import GROUP
 from casid.estimation.simulation.minimization import Fit, widened
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect, extend_all
@@ -52,7 +51,7 @@ class Score:
     adjusted: float  # family-wise
     energy: float  # psi' psi of the projected signature: what one unit of the parameter gives
     step: float  # first guess of the parameter
-    unrobust: float  # twice the log-likelihood's gain, the noise estimated again; chi^2(1)
+    unrobust: float  # Lagrange multiplier statistic with unit variance, chi^2(1)
     visible: float  # share of the signature outside the baseline's tangent space
     starts: Mapping[str, float] = field(default_factory=dict)  # first guesses beside `step`
 
@@ -216,40 +215,22 @@ class _Projected:
     visible: Array  # (K,) bool
     lags: int
     n: int  # samples
-    gain: Array  # (K,) twice the log-likelihood, the noise estimated again under each
-    best: Array  # (K,) estimates there, of each parameter
-
-
-def _of_records(
-    columns: _Columns, input_sd: Mapping[str, float], noise: NoiseModel | None, seed: int
-) -> tuple[list[BandedColumns], list[BandedColumns], BandedLikelihood]:
-    """The columns of every record, what a draw of the inputs' noise adds, and their products."""
-    wide = columns.wide
-    sd = np.array([input_sd.get(n, 0.0) for n in wide.model.inputs])
-    rng = np.random.default_rng(seed)
-    parts: list[BandedColumns] = []
-    drawn: list[BandedColumns] = []
-    likelihood = BandedLikelihood(len(wide.outputs))
-    for k in range(len(wide.data)):
-        parts.append(columns.of_record(wide.start, k))
-        if np.any(sd > 0):
-            drawn.append(columns.antithetic(wide.start, k, sd, rng))
-        least = None if noise is None else noise.share_of(noise.quiet(input_sd), k)
-        likelihood.add(parts[k], drawn[k] if drawn else None, least)
-    return parts, drawn, likelihood
 
 
 def _projected(
-    name: str,
-    columns: _Columns,
-    input_sd: Mapping[str, float],
-    noise: NoiseModel | None,
-    seed: int,
+    name: str, columns: _Columns, input_sd: Mapping[str, float], seed: int
 ) -> _Projected:
     """(1) for every signature of a model by name, with the covariance of all."""
-    parts, drawn, likelihood = _of_records(columns, input_sd, noise, seed)
-    ny = len(columns.wide.outputs)
-    gain, best = likelihood.gains(len(columns.tangent))
+    wide = columns.wide
+    x, ny = wide.start, len(wide.outputs)
+    sd = np.array([input_sd.get(n, 0.0) for n in wide.model.inputs])
+    rng = np.random.default_rng(seed)
+    parts: list[tuple[Array, Array, Array]] = []
+    drawn: list[tuple[Array, Array, Array]] = []
+    for k in range(len(wide.data)):
+        parts.append(columns.of_record(x, k))
+        if np.any(sd > 0):
+            drawn.append(columns.antithetic(x, k, sd, rng))
     e, tangent, rest = (_joined([part[i] for part in parts]) for i in range(3))
     parts.clear()
     # Signatures are as long as all records: they are scaled and projected where they are.
@@ -287,8 +268,7 @@ def _projected(
         z -= given.sum(axis=0)
         # One draw is as far from its mean as chance has it: that is uncertainty, too.
         covariance = covariance + long_run_covariance(given, lags)
-    gram = rest.T @ rest
-    return _Projected(z, left, size, gram, covariance, visible, lags, n, gain, best)
+    return _Projected(z, left, size, rest.T @ rest, covariance, visible, lags, n)
 
 
 def score_test(
@@ -296,7 +276,6 @@ def score_test(
     effects: Sequence[Effect],
     *,
     input_sd: Mapping[str, float],
-    noise: NoiseModel | None = None,
     draws: int = SCORES.draws,
     seed: int = 0,
 ) -> ScoreTable:
@@ -306,21 +285,14 @@ def score_test(
     ----------
     fit : whitened simulation error of the model without the effects, near its minimum.
     input_sd : standard deviation of the white noise of each measured input.
-    noise : that the fit is whitened by; default one without disturbances.
     """
     if not effects:
         return ScoreTable((), np.empty((0, 0)), 0, Family(np.empty(0), 0))
     # The order of the columns.
     effects = [e for test in ("score", "clip") for e in effects if e.test == test]
     name = fit.criterion.model.name
-    at = _projected(name, _extended_columns(fit, effects), input_sd, noise, seed)
+    at = _projected(name, _extended_columns(fit, effects), input_sd, seed)
     z, left, size, visible = at.z, at.left, at.size, at.visible
-    # With the noise estimated again under each: what the model lacks passes for a disturbance, and
-    # a score that is whitened by it sees little of its own cause.
-    linear = z**2 / np.maximum(left, TINY)
-    is_more = at.gain > linear
-    gain = np.where(is_more, at.gain, linear)
-    step = np.where(is_more, at.best, z / np.maximum(left, TINY) / size)
     sd_z = np.sqrt(np.maximum(np.diag(at.covariance), TINY))
     possible = _between_samples(fit.criterion, effects, np.abs(at.gram) * size)
     ratio, bias = (np.where(visible, a / sd_z, 0.0) for a in (z, possible))
@@ -341,8 +313,10 @@ def score_test(
             p_value=float(p[j]),
             adjusted=float(adjusted[j]),
             energy=float(left[j] * size[j] ** 2),
-            step=float(step[j]) if visible[j] else 0.0,
-            unrobust=float(gain[j]) if visible[j] and not (one[j] and step[j] < 0) else 0.0,
+            step=float(z[j] / max(left[j], TINY) / size[j]) if visible[j] else 0.0,
+            unrobust=float(z[j] ** 2 / left[j])
+            if visible[j] and not (one[j] and z[j] < 0)
+            else 0.0,
             visible=float(left[j]),
         )
         for j, eff in enumerate(effects)

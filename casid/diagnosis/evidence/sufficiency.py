@@ -213,4 +213,4 @@ def weighted_as_white(fit: Fit) -> Weighted:
         responses=[flat] * len(c.data),
         weights=c.weights,
     )
-    return Weighted(c.model, fit, noise, dict.fromkeys(sources, 0.0))
+    return Weighted(c.model, fit, noise, noise, dict.fromkeys(sources, 0.0), False)

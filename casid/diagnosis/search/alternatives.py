@@ -1,11 +1,10 @@
 """Candidates compared: which is the best, how significant it is, and what it cannot reject.
 
-They are ranked by
+Under a noise that is known they are ranked by
 
     gain - k log N                                                                             (1)
 
-with the gain of `joint_refit` under the noise that the best of them leaves: before it is included,
-what the model lacks passes for noise.
+with the gain of `refitting`; where the noise model absorbs misfit, by the remainder of each.
 """
 
 from __future__ import annotations
@@ -31,16 +30,36 @@ IMITATORS = (*ON_THE_CLOCK, "missing_mode")
 """Kinds with a time or a frequency of their own."""
 
 
-def by_likelihood(
-    refitting: Refitting, at: Weighted, found: Sequence[Candidate]
+def ranked_by_remainder(
+    refitting: Refitting, at: Weighted, found: list[Candidate]
 ) -> list[Candidate]:
-    """Ranked by (1) with Whittle's likelihood, the noise estimated again under each candidate."""
-    before = at.noise.likelihood
+    """Rank by n log(S_model / S_extended), S the sums of squares, n the samples that count.
+
+    The noise's size is then not known, only what each candidate leaves. n is the number of
+    independent samples worth as much as the residual of the best: misfit is no white noise.
+    """
+    r2 = _losses(max(found, key=lambda c: c.gain))
+    spread = float(np.var(r2)) * len(r2)
+    long_run = float(long_run_covariance(r2[:, None], bartlett_lags(r2[:, None]))[0, 0])
+    n = float(np.clip(len(r2) * spread / max(long_run, TINY), COMPARISON.least_samples, len(r2)))
     out = []
+    before = refitting.value(at)
     for c in found:
-        noise = refitting.weighing.noise(c.fit)
-        out.append(replace(c, gain=2 * (noise.likelihood - before)))
-    return sorted(out, key=lambda c: -c.merit)
+        # Less what input noise gives to each: a noise-free channel must not win by that alone.
+        after = max(before - 0.5 * c.gain, 1e-12 * before)
+        k = c.effect.cost
+        gain = n * float(np.log(before / after))
+        out.append(replace(c, gain=gain, cost=k * float(np.log(n)) + k))
+    # In a decay, time and amplitude go together, and what happens in time, or rings on its own,
+    # imitates whatever depends on amplitude: it must explain clearly more than the best that
+    # does, half as much again (a heuristic).
+    lasting = max((c.gain for c in out if c.effect.kind not in IMITATORS), default=0.0)
+    out.sort(
+        key=lambda c: (
+            -(c.merit - (COMPARISON.imitator * lasting if c.effect.kind in IMITATORS else 0.0))
+        )
+    )
+    return out
 
 
 def rejudge(
@@ -59,7 +78,9 @@ def rejudge(
     noise = weighing.noise(best.fit)
     criterion = weighing.criterion(at.model, noise, at.fit.values, at.criterion)
     base_fit = weighing.minimum(criterion)
-    again = replace(at, fit=base_fit, noise=noise, input_sd=weighing.input_sd(noise, criterion))
+    again = replace(
+        at, fit=base_fit, noise=noise, full=noise, input_sd=weighing.input_sd(noise, criterion)
+    )
     out = []
     for c in found[:count]:
         if c is not best and c.gain <= COMPARISON.relative_gain * best.gain:
@@ -106,12 +127,11 @@ def p_value(table: ScoreTable, candidate: Candidate) -> float:
     return float(max(min(score, refit, 1.0), TINY))
 
 
-def rivals_of(best: Candidate, found: Sequence[Candidate]) -> tuple[Rival, ...]:
-    """Candidates that the record cannot reject against the best one.
+def rivals_of(at: Weighted, best: Candidate, found: Sequence[Candidate]) -> tuple[Rival, ...]:
+    """Candidates that the record cannot reject against the best one (Vuong 1989, (5.6)).
 
-    Six units of BIC are Kass and Raftery's (1995) "strong" evidence where the noise is all that is
-    left: the difference D of two candidates then has a variance of D. Where it has more, as misfit
-    of another kind remains, the six units count by as much less (Vuong 1989, (5.6)).
+    Where the noise is known, six units of BIC are Kass and Raftery's (1995) "strong" evidence;
+    where it absorbs misfit, gains are no likelihoods, and Vuong's test counts as well.
     """
     out = []
     mine = _losses(best)
@@ -123,8 +143,9 @@ def rivals_of(best: Candidate, found: Sequence[Candidate]) -> tuple[Rival, ...]:
         sd = float(np.sqrt(long_run_covariance(difference[:, None], lags)[0, 0]))
         total = float(difference.sum()) + 0.5 * (c.cost - best.cost)
         p = float(norm.sf(total / sd)) if sd > 0 else 1.0
-        ahead = best.merit - c.merit
-        if ahead < COMPARISON.strong or ahead**2 < COMPARISON.strong * sd**2:
+        is_near = c.merit > COMPARISON.vuong_share * best.merit
+        is_open = at.noise_absorbs_misfit and p > COMPARISON.vuong_p and is_near
+        if c.merit > best.merit - COMPARISON.strong or is_open:
             out.append(Rival(c, max(p, TINY)))
     return tuple(sorted(out, key=lambda r: -r.p_value))
 

@@ -39,7 +39,7 @@ def is_at_resonance(at: Weighted, frequency: float) -> bool:
 
     Near: its gain to some output is at least `PEAKS.resonance` of the largest, in squares.
     """
-    for d, r in zip(at.criterion.data, at.noise.responses, strict=True):
+    for d, r in zip(at.criterion.data, at.full.responses, strict=True):
         omega = 2 * np.pi * frequency * d.Ts
         for balance in at.model.balances:
             for gain2 in r.gain2[:, :, r.sources.index(balance)].T:

@@ -51,15 +51,7 @@ class Refitting:
         best: Candidate | None = None
         if self.attempts.attempt(name_of(effect), partial(self._runs_away, at, effect)):
             return None
-        begins = _starts(at, effect, step, near=near)
-        if not near and len(begins) == 1 and effect.limit is None and effect.test == "score":
-            # Beside parameters that are still those of the model without it, a large effect may
-            # be more than the simulation bears: nearer to nothing it is not.
-            null, (start, upper) = effect.parameters[0].start, begins[0]
-            begins += [(null + share * (start - null), upper) for share in REFITS.nearer]
-        for start, upper in begins:
-            if best is not None and best.gain > 0.0 and effect.limit is None:
-                break
+        for start, upper in _starts(at, effect, step, near=near):
             first = {**(starts or {}), effect.parameters[0].name: start}
             values = {**at.fit.values, **(best.fit.values if best else {})}
             found = self.attempts.attempt(
@@ -167,7 +159,7 @@ def _starts(
         return [(effect.parameters[0].upper, None)]  # an input does the one or the other
     if effect.limit is not None:
         # A large delay or lag is far from its linearised size, and the fit has local minima.
-        factors = REFITS.factors if abs(step) > tick else (1.0,)
+        factors = REFITS.factors if at.noise_absorbs_misfit or abs(step) > tick else (1.0,)
         factors = (1.0,) if near else factors
         grid = {min(max(k * abs(step), REFITS.least_delay * tick), effect.limit) for k in factors}
         return [

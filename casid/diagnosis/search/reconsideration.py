@@ -31,8 +31,11 @@ def reconsidered(
     """
     out = []
     for a in adopted:
+        judged_under_misfit = len(adopted) > 1 or (
+            a.before is not None and a.before.noise_absorbs_misfit
+        )
         rivals = a.rivals
-        if rivals and len(adopted) > 1:
+        if rivals and judged_under_misfit and not at.noise_absorbs_misfit:
             search.progress(f"judge the rivals of {a.candidate.effect.kind} again")
             others = [b.candidate for b in adopted if b is not a]
             again = search.attempts.attempt(
@@ -57,7 +60,7 @@ def _rivals_beside(
     require_time("the rivals")  # one that was not refitted is no less a rival
     if not found or found[0].effect is not a.candidate.effect:
         return a.rivals
-    return rivals_of(found[0], found)
+    return rivals_of(again, found[0], found)
 
 
 def better_rivals(

@@ -92,7 +92,7 @@ class Refinement:
 
     def exchanged(self, found: Adoption) -> Adoption:
         """With rivals in the place of causes that predict worse."""
-        if not self.start.is_disturbed or found.fit is None:
+        if not self.start.noise_absorbs_misfit or found.fit is None:
             return found
         adopted, fit = list(found.adopted), found.fit
         errors = simulation_errors(fit, self.split, self.units)

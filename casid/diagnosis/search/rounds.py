@@ -20,7 +20,7 @@ from casid.diagnosis.evidence.residual_tests import ResidualTests
 from casid.diagnosis.evidence.score_tests import Score, ScoreTable, score_test
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_candidates
-from casid.diagnosis.search.alternatives import by_likelihood, rejudge
+from casid.diagnosis.search.alternatives import ranked_by_remainder, rejudge
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.friction_speeds import sharpened
 from casid.diagnosis.search.imitations import is_at_resonance, is_further_friction
@@ -85,9 +85,7 @@ class Search:
         # A slope of a cause's own size would be a second effect in the place of a first one.
         effects = [e for e in effects if e.span is None or moved_parameter(e) not in own]
         judged = at.unbiased or at.fit
-        table = score_test(
-            judged, effects, input_sd=at.input_sd, noise=at.noise, seed=self.weighing.seed
-        )
+        table = score_test(judged, effects, input_sd=at.input_sd, seed=self.weighing.seed)
         found: list[PeriodicCandidate | CoggingCandidate] = []
         if "periodic_disturbance" not in self.without:
             lines = periodic_candidates(judged, sizes.window)
@@ -104,10 +102,10 @@ class Search:
             self.references = loop_references(of, model, self.recorded)
         return self.references
 
-    def has_alarm(self, table: ScoreTable) -> bool:
-        """True if a test is significant."""
+    def has_alarm(self, at: Weighted, table: ScoreTable) -> bool:
+        """True if something is wrong: much is unexplained, or a test is significant."""
         best = table.smallest
-        return best is not None and best.adjusted < self.alpha
+        return at.noise_absorbs_misfit or (best is not None and best.adjusted < self.alpha)
 
     def round(
         self, at: Weighted, table: ScoreTable, adopted: Sequence[Candidate]
@@ -115,8 +113,7 @@ class Search:
         """Refit the shortlist of what was not adopted yet; best first."""
         found: list[Candidate] = []
         refitting, attempt = self.refitting, self.attempts.attempt
-        recorded, at = at, self.weighing.without_disturbances(at)
-        scores = shortlist(recorded, table)
+        scores = shortlist(at, table)
         short = attempt(
             "the choice of candidates on a part of the records",
             lambda: preselected(refitting, at, scores, self.progress),
@@ -136,11 +133,10 @@ class Search:
         found = placed(refitting, at, found, events_of(adopted), self.progress)
         if not adopted:  # beside other causes the friction is too small to show how it reverses
             found = sharpened(refitting, at, found, self.progress)
-        compared = attempt(
-            "the comparison of the candidates",
-            lambda: rejudge(refitting, recorded, by_likelihood(refitting, recorded, found)),
-        )
-        return compared or sorted(found, key=lambda c: -c.merit)
+        found.sort(key=lambda c: -c.merit)
+        ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
+        what = "the comparison of the candidates"
+        return attempt(what, lambda: ranked(refitting, at, found)) or found
 
 
 def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
@@ -149,7 +145,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
     Neighbours without a name come beside them, four of each order: they crowd out nobody.
     """
     visible = [s for s in table.tested if s.unrobust > 0.0]
-    if not at.is_disturbed:
+    if not at.noise_absorbs_misfit:
         # Under the right noise the score predicts what a refit of a small effect gains. A line is
         # an estimate at its best frequency already, which a score at a guessed one is far from.
         scored = [s.unrobust for s in visible if s.effect.test != "peak"]

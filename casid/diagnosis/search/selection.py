@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from casid.arrays import Array
-from casid.diagnosis.evidence.disturbances import disturbances_of
 from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
 from casid.diagnosis.search.alternatives import IMITATORS, p_value, rivals_of
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
@@ -87,10 +86,8 @@ class _Selection:
             search.first_table = table
         # A score is robust by what repeats: misfit in one short burst, which no score can see,
         # shows in the residual's kind.
-        is_scored = search.has_alarm(table)
-        # A large effect is far from its linearised score, and its misfit passes for a disturbance:
-        # refits decide, under the noise that they leave.
-        if not (is_scored or disturbances_of(at)) and not attempt(
+        is_scored = search.has_alarm(at, table)
+        if not is_scored and not attempt(
             "the test of the residual", lambda: is_more_than_noise(at, search)
         ):
             return []
@@ -101,12 +98,12 @@ class _Selection:
             search.first_candidates = found
         # The first alarm has the rate that the user set, and is named unless the errors speak
         # against it; a further cause has to earn its place there.
-        is_alarm = is_scored and not self.adopted
+        is_alarm = is_scored and not (self.adopted or at.noise_absorbs_misfit)
         out = []
-        for best in _named_first(found):
+        for best in _named_first(at, found):
             p = p_value(table, best)
             if p < search.alpha and (best.merit > 0 or is_alarm):
-                out.append(Adopted(best, p, rivals_of(best, found), at, is_alarm))
+                out.append(Adopted(best, p, rivals_of(at, best, found), at, is_alarm))
         return out
 
     def _adopt(self, news: Sequence[Adopted], *, note: bool = True) -> bool:
@@ -151,7 +148,7 @@ class _Selection:
         """
         room = self.search.max_causes - len(self.adopted)
         lasting = [a for a in refused if a.candidate.effect.kind not in IMITATORS]
-        if room < 2 or not self.at.is_disturbed:
+        if room < 2 or not self.at.noise_absorbs_misfit:
             return False
         for first in lasting[: ROUNDS.pairs]:
             self.search.progress(
@@ -179,10 +176,11 @@ class _Selection:
     def exchange_last(self) -> None:
         """Take a rival of the last cause instead, where that leaves noise and the cause does not.
 
-        Where misfit passed for noise, one that imitates the cause may have come first.
+        Only where the noise model absorbed misfit before the cause was adopted.
         """
         search, taken = self.search, self.adopted[-1]
-        if not taken.rivals or not is_more_than_noise(self.at, search):
+        is_open = taken.rivals and taken.before is not None and taken.before.noise_absorbs_misfit
+        if not is_open or self.at.noise_absorbs_misfit or not is_more_than_noise(self.at, search):
             return
         search.progress(f"compare the rivals of {taken.candidate.effect.kind} by their residuals")
         for other in better_rivals(search, self.adopted, self.start, self.at):
@@ -203,20 +201,25 @@ class _Selection:
         return True
 
 
-def _named_first(found: list[Candidate]) -> list[Candidate]:
+def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
     """By merit; of those that are the same thing in this model, the one named by convention.
 
     A neighbour without a name goes behind the best named one that the record cannot reject against
     it: catalogued effects have higher prior plausibility.
     """
     order = list(found)
+    likely = COMPARISON.likely
+    if at.noise_absorbs_misfit:
+        likely = max(
+            COMPARISON.likely, COMPARISON.likely_share * max((c.merit for c in order), default=0.0)
+        )
     for i in range(1, len(order)):
         for j in range(i, 0, -1):
-            near = abs(order[j - 1].merit - order[j].merit) < COMPARISON.likely
+            near = abs(order[j - 1].merit - order[j].merit) < likely
             if near and order[j].effect.priority < order[j - 1].effect.priority:
                 order[j - 1], order[j] = order[j], order[j - 1]
     if order and order[0].effect.kind == "unknown" and order[0].effect.priority > 0:
-        open_ = {id(r.candidate) for r in rivals_of(order[0], order)}
+        open_ = {id(r.candidate) for r in rivals_of(at, order[0], order)}
         catalogued = [c for c in order if c.effect.kind not in ("unknown", *IMITATORS)]
         named = [c for c in catalogued if id(c) in open_]
         order = [*named[:1], *[c for c in order if c not in named[:1]]]

@@ -55,7 +55,7 @@ class SimulationErrors:
 
 def units_of(at: Weighted) -> Array:
     """(ny,) one over the rms that the noise model at the baseline leaves of each output."""
-    floors = np.array([at.noise.floor(e) for e in range(len(at.criterion.data))])
+    floors = np.array([at.full.floor(e) for e in range(len(at.criterion.data))])
     return np.asarray(1.0 / np.maximum(np.sqrt(np.mean(floors**2, axis=0)), TINY))
 
 

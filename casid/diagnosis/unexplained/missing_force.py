@@ -179,7 +179,7 @@ def missing_force(
     )
     regression = under(noise=noise)
     terms = _select_terms(
-        regression, lambda: under(noise=at.noise), alpha=alpha, most=largest, seed=seed
+        regression, lambda: under(noise=at.full), alpha=alpha, most=largest, seed=seed
     )
     chosen = terms.chosen
     total = max(regression.misfit, sum(t.gain - t.chance for t in chosen), TINY)
@@ -281,7 +281,7 @@ def _simplest(found: Sequence[Tested], groups: Sequence[Group], charge: float) -
 
 def quiet_fit(at: Weighted) -> tuple[Fit, NoiseModel]:
     """The estimate to test, and the noise of its sensors and measured inputs alone."""
-    return at.unbiased or at.fit, at.noise.quiet(at.input_sd)
+    return at.unbiased or at.fit, at.full.quiet(at.input_sd)
 
 
 def joined_table(

@@ -58,9 +58,9 @@ def noise_floor(at: Weighted, *, with_disturbances: bool = False) -> dict[str, f
     its quantisation over sqrt(12).
     """
     measured = {
-        s: float(at.input_sd.get(s, 0.0)) for s in at.noise.source_sd if s in at.model.inputs
+        s: float(at.input_sd.get(s, 0.0)) for s in at.full.source_sd if s in at.model.inputs
     }
-    noise = at.noise if with_disturbances else at.noise.quiet(measured)
+    noise = at.full if with_disturbances else at.full.quiet(measured)
     floors = np.array([noise.floor(e) for e in range(len(at.criterion.data))])
     weight = np.array([d.N for d in at.criterion.data], dtype=float)
     total = np.sqrt(np.average(floors**2, axis=0, weights=weight))

@@ -166,9 +166,9 @@ def noise_text(at: Weighted) -> dict[str, str]:
 
     out = {
         name: f"white output noise {text_of(name, sd)}"
-        for name, sd in zip(at.criterion.outputs, at.noise.output_sd.tolist(), strict=True)
+        for name, sd in zip(at.criterion.outputs, at.full.output_sd.tolist(), strict=True)
     }
-    for source, sd in at.noise.source_sd.items():
+    for source, sd in at.full.source_sd.items():
         if sd <= 0:
             continue
         if source in at.model.inputs:

@@ -61,15 +61,13 @@ def unnamed_alternatives(
 ) -> tuple[UnnamedAlternative, ...]:
     """Functions that the record cannot reject against the causes together, best first.
 
-    None where the causes explain nearly all of what passed for a disturbance without them:
-    whitened by that, linear gains are no measure of what refits gain.
+    None where the noise model absorbs misfit: (1) is no likelihood there; the remainder decides.
 
     Parameters
     ----------
     start, at : the model as it is and with the causes, under the noise found there.
     """
-    explained = start.is_disturbed and _squares(at) < JUDGING.practical * _squares(start)
-    if not adopted or explained or adopted[0].candidate.effect.kind == "unknown":
+    if not adopted or start.noise_absorbs_misfit or adopted[0].candidate.effect.kind == "unknown":
         return ()
     table = adopted[0].candidate.score
     linear = table.unrobust if table is not None else 0.0
@@ -95,12 +93,3 @@ def unnamed_alternatives(
             if own > JUDGING.expressed:
                 found.append(UnnamedAlternative(place, name, gain, by, own))
     return tuple(sorted(found, key=lambda r: -r.ahead))
-
-
-def _squares(at: Weighted) -> float:
-    """Sum of squares of the residual, in the criterion's weighted output units."""
-    c = at.fit.criterion
-    return sum(
-        float(np.sum((c.simulated(at.fit.x, e).residual * c.weights) ** 2))
-        for e in range(len(c.data))
-    )

@@ -91,6 +91,7 @@ def test_the_noise_of_the_inputs_has_no_part_in_the_estimate_that_is_tested():
     for seed in range(RECORDS):
         at, _ = scored(seed)
         assert at.unbiased is not None
+        assert not at.noise_absorbs_misfit
         errors.append(at.unbiased.values["K_vdot"] / TABLE_8_2["K_vdot"] - 1.0)
         squares.append(at.fit.values["K_vdot"] / TABLE_8_2["K_vdot"] - 1.0)
     spread = np.std(errors, ddof=1) / np.sqrt(RECORDS)

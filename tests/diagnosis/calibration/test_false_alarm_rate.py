@@ -42,7 +42,7 @@ def decay():
     """A roll decay as the model has it, with sensor noise and no disturbance."""
     record = roll_decay.simulate(B_2=0.0, C_3=0.0, duration=12.0, seed=4)
     split, at, fit = pieces(roll_decay.problem, record)
-    return split, replace(at, noise=at.noise.quiet({})), fit
+    return split, replace(at, full=at.full.quiet({})), fit
 
 
 def answer(p: float, alpha: float) -> SimpleNamespace:
@@ -63,7 +63,7 @@ def energy_p(problem, experiments, *, power=1.0, false_alarm_rate, hold_out):
     whole = split_records([replace_record(split.whole[0], y)], hold_out)
     kept = whole.fitted[0].record["phi"]
     clean = at.criterion.simulate((at.unbiased or at.fit).x, 0)[0][:, 0]
-    sd = at.noise.output_sd[0]
+    sd = at.full.output_sd[0]
     p = chi2.sf(np.sum((kept - clean) ** 2) / sd**2, len(kept))
     return answer(float(p) ** power, false_alarm_rate)
 
@@ -227,7 +227,7 @@ def test_null_records_keep_gaps_lengths_and_what_is_held_out():
     record = record.mark_missing("gyro", gap)
     aside = casid.Experiment(pendulum.simulate(duration=5.0, seed=2), {}, "aside")
     split, at, fit = pieces(pendulum.problem, record, [aside])
-    drawn = null_records(fit, split, at.noise, at.input_sd)
+    drawn = null_records(fit, split, at.full, at.input_sd)
     whole, apart = drawn.draw(np.random.default_rng(1))
     assert [e.record.N for e in whole + apart] == [800, 500]
     assert whole[0].record.is_missing("gyro").tolist() == gap.tolist()

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from casid.diagnosis.evidence.disturbances import disturbances_of
 from casid.diagnosis.evidence.residual_tests import (
     DETERMINISTIC,
     DISTURBANCE,
@@ -44,17 +43,11 @@ def test_a_force_of_the_states_is_deterministic(kind: str) -> None:
         assert found.correlated.share > 0.5
 
 
-def test_a_white_disturbance_is_part_of_the_noise_and_not_deterministic():
-    """Pushes of 0.05 N rms in 1 Hz: beyond the binomial's 99.5 % quantile it would be a deficiency.
-
-    Its share is reported by `disturbances_of`.
-    """
+def test_a_white_disturbance_is_a_disturbance_and_not_deterministic():
+    """Pushes of 0.05 N rms in 1 Hz at once: most records tell, none is called deterministic."""
     verdicts = [told("none", seed, 0.05).verdict for seed in range(40, 46)]
-    others = [v for v in verdicts if v not in (NOISE, DISTURBANCE)]
-    assert len(others) <= binom.ppf(0.995, len(verdicts), 0.05)
-    (force,) = disturbances_of(fitted("none", 41, 0.05)[0])
-    assert force.where == "force"
-    assert force.share > 0.8
+    assert DETERMINISTIC not in verdicts
+    assert verdicts.count(DISTURBANCE) >= 5
 
 
 def test_the_band_with_too_much_is_that_of_the_line():

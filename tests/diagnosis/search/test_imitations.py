@@ -44,10 +44,10 @@ def test_a_line_is_at_the_resonance_where_its_gain_is_within_a_twentieth_of_the_
 def test_a_model_without_a_resonance_has_no_line_at_one():
     """Gain that falls from the lowest frequency on: a first-order lag."""
     at = decay()
-    r = at.noise.responses[0]
+    r = at.full.responses[0]
     lag = 1 / (1 + (r.omega / 0.3) ** 2)
     flat = replace(r, gain2=np.repeat(lag[:, None, None], r.gain2.shape[2], axis=2))
-    assert not is_at_resonance(replace(at, noise=replace(at.noise, responses=[flat])), 0.02)
+    assert not is_at_resonance(replace(at, full=replace(at.full, responses=[flat])), 0.02)
 
 
 def test_a_third_law_of_friction_in_one_place_is_no_candidate():

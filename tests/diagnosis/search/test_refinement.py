@@ -47,15 +47,13 @@ def adopted(of: Refinement, *refits: Candidate) -> Adoption:
 
 def beside(of: Refinement, first: Candidate, effect, step: float) -> Candidate:
     at = of.search.weighing.weigh(first.model, first.fit, rounds=1)
-    at = of.search.weighing.without_disturbances(at)
     found = of.search.refitting.refit(at, effect, step)
     assert found is not None
     return found
 
 
 def hardening(of: Refinement) -> Candidate:
-    at = of.search.weighing.without_disturbances(of.start)
-    found = of.search.refitting.refit(at, cubic_stiffness(of.start.model, "torque"), 4.0)
+    found = of.search.refitting.refit(of.start, cubic_stiffness(of.start.model, "torque"), 4.0)
     assert found is not None
     return found
 
@@ -79,12 +77,11 @@ def test_a_cause_that_explains_too_little_is_a_remainder_and_not_in_the_model(dr
 def test_of_two_that_fit_alike_the_one_that_predicts_is_named():
     """Play was named, and hardening not rejected: beside the drag, hardening predicts the end."""
     of = refinement(0.07)
-    assert of.start.is_disturbed
-    at = of.search.weighing.without_disturbances(of.start)
+    of = replace(of, start=replace(of.start, noise_absorbs_misfit=True))
     play = next(
         c
         for e in [deadzone(of.start.model, "torque", 0.05)]
-        if (c := of.search.refitting.refit(at, e, 0.02)) is not None
+        if (c := of.search.refitting.refit(of.start, e, 0.02)) is not None
     )
     drag = beside(of, play, quadratic_damping(play.model, "torque"), 0.07)
     before = adopted(of, play, drag)

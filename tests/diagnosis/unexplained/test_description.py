@@ -69,12 +69,12 @@ def test_a_sine_in_torque_is_told_by_its_frequency():
     assert "a sine in time" in found.sentence
 
 
-def test_a_white_disturbance_has_no_dependence_and_is_noise():
+def test_a_white_disturbance_has_a_place_but_no_dependence():
     found = of("none", 41, 0.05)
     assert found.best is not None
-    assert found.best.place == "force"
     assert not found.best.dependences
-    assert not found.is_something
+    assert found.where == "force"
+    assert "resembles a disturbance" in found.sentence
 
 
 def test_a_record_without_an_effect_yields_nothing():
