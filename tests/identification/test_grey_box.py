@@ -491,6 +491,6 @@ def test_an_input_blended_of_both_holds_is_refused_by_name() -> None:
     blended = hold(model, "u").extend(model)
     noise = [White("w", 0.5), White("y", 0.4)]
     with pytest.raises(
-        ModelError, match=r"input u blends both holds .*declare the hold .*casid.identify"
+        ModelError, match=r"input u blends two holds .*declare the hold .*casid.identify"
     ):
         NoisyModel(blended, noise)

@@ -160,7 +160,7 @@ def test_a_mistyped_parameter_is_answered_with_the_nearest():
 
 
 def test_a_hold_that_is_none_is_refused():
-    with pytest.raises(ModelError, match=r"use 'zoh' or 'foh'"):
+    with pytest.raises(ModelError, match=r"use 'zoh', 'foh' or 'bandlimited'"):
         Model("m").input("F", "N", hold="linear")  # type: ignore[arg-type]
 
 

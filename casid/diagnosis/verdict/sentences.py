@@ -145,7 +145,7 @@ def verdict_sentence(
         )
         said = "; ".join(d.sentence for d in disturbances)
         return f"{text} {said[0].upper()}{said[1:]}." if said else text
-    text = "; ".join(f"one of: {', '.join(c.tied)}" if c.tied else c.sentence for c in causes)
+    text = "; ".join(_says_cause(c) for c in causes)
     gains = []
     for output, before in part.get("baseline_rmse", {}).items():
         after = part.get("extended_rmse", {}).get(output)
@@ -156,6 +156,15 @@ def verdict_sentence(
     what = "it" if len(causes) == 1 else "them"
     gain = f" Including {what} lowers the RMS error of {', '.join(gains)}." if gains else ""
     return f"{text[0].upper()}{text[1:]}.{gain}"
+
+
+def _says_cause(c: Cause) -> str:
+    """A cause in words, or everything that it may be."""
+    if not c.tied:
+        return c.sentence
+    if all(a.kind == c.kind for a in c.alternatives):  # the place alone is open
+        return f"{c.sentence} (or the same in {', '.join(a.where for a in c.alternatives)})"
+    return f"one of: {', '.join(c.tied)}"
 
 
 def noise_text(at: Weighted) -> dict[str, str]:
