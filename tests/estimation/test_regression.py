@@ -334,7 +334,8 @@ def test_the_nist_study_prints_its_targets_and_fails_when_one_is_missed(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setenv("CASID_SHARED", str(shared(NIST).parents[1]))
-    monkeypatch.setattr(nist, "cases", lambda _: [case("Misra1a"), case("DanWood")])
+    chosen = [case("Misra1a"), case("DanWood")]
+    monkeypatch.setattr(nist, "cases", lambda _: chosen)
     monkeypatch.setattr(nist, "SETS_FROM_START_1", 2)
     assert nist.STUDY.main(["--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
