@@ -43,19 +43,15 @@ def _is_reference(experiment: Experiment, channel: str, output: str, name: str) 
     record = experiment.record
     if not same_dimension(record.units[channel], record.units[output]):
         return False
-    r, y, u = (_filled(record[n]) for n in (channel, output, name))
+    names = (channel, output, name)
+    if any(record.is_missing(n).all() for n in names):
+        return False
+    r, y, u = (record.filled(n) for n in names)
     apart = y - r
     if np.var(r) <= TINY or np.var(apart) > REFERENCES.apart * np.var(r):
         return False
     with_it, without = _left(u, [r, y]), _left(u, [y])
     return bool(with_it < REFERENCES.left * min(float(np.var(u)), without))
-
-
-def _filled(values: Array) -> Array:
-    """Values with gaps bridged by lines."""
-    ok = np.isfinite(values)
-    at = np.arange(len(values))
-    return np.interp(at, at[ok], values[ok]) if ok.any() else np.zeros(len(values))
 
 
 def _left(u: Array, signals: Sequence[Array]) -> float:

@@ -191,7 +191,10 @@ def _loaded(path: str) -> Any:
 
 
 def _library(text: str, level: str, folder: Path, *, compile_it: bool) -> Any:
-    """The loop of a C text from the folder, compiled into it where asked for; None without."""
+    """The compiled loop of a C text: from the folder, or compiled into it if `compile_it`.
+
+    None where the folder does not hold it and it is not to be compiled, or cannot be.
+    """
     what = "\n".join((text, level, *_FLAGS, sys.platform, platform.machine(), str(compiler())))
     path = folder / f"{hashlib.sha256(what.encode()).hexdigest()[:40]}.so"
     if path.exists():
