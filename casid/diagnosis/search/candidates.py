@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from casid.arrays import TINY
@@ -68,6 +68,15 @@ def taken_out(model: Model, null: Mapping[str, float]) -> Model:
             p, value=value, lower=min(p.lower, value), upper=max(p.upper, value)
         )
     return new
+
+
+def extended_by(model: Model, candidates: Sequence[Candidate]) -> tuple[Model, list[Candidate]]:
+    """A model with several effects, and the candidates with their names in it."""
+    placed = []
+    for c in candidates:
+        model, names = c.effect.extended(model, starts=found_values(c))
+        placed.append(replace(c, names=names))
+    return model, [replace(c, model=model) for c in placed]
 
 
 def name_of(effect: Effect) -> str:

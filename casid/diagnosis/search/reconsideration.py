@@ -13,10 +13,9 @@ from functools import partial
 
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.alternatives import rivals_of
-from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, found_values, name_of
+from casid.diagnosis.search.candidates import Adopted, Candidate, Rival, extended_by, name_of
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.thresholds import COMPARISON, ROUNDS
-from casid.model.model import Model
 from casid.time_limit import require_time
 
 
@@ -87,11 +86,10 @@ def _without(
     search: Search, others: Sequence[Candidate], start: Weighted, at: Weighted
 ) -> Weighted:
     """The model with all causes but one, fitted under the last noise."""
-    model: Model = start.model
+    model, placed = extended_by(start.model, others)
     values = dict(at.fit.values)
-    for c in others:
-        model, names = c.effect.extended(model, starts=found_values(c))
+    for new, c in zip(placed, others, strict=True):
         values |= {
-            new: at.fit.values.get(old, 0.0) for new, old in zip(names, c.names, strict=True)
+            name: at.fit.values.get(old, 0.0) for name, old in zip(new.names, c.names, strict=True)
         }
     return replace(at, model=model, fit=search.weighing.fitted(model, at, values), unbiased=None)

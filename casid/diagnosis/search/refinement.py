@@ -24,7 +24,7 @@ from casid.diagnosis.search.candidates import (
     Adopted,
     Candidate,
     Rival,
-    found_values,
+    extended_by,
     name_of,
     null_values,
     taken_out,
@@ -105,7 +105,7 @@ class Refinement:
                 )
                 others = [a.candidate for a in adopted]
                 others[i] = rival
-                model, placed = _extended(self.start.model, others)
+                model, placed = extended_by(self.start.model, others)
                 values = {**self.start.fit.values, **fit.values, **_values(placed, others)}
                 other = whole_fit(model, self.split, self.settings, values)
                 after = simulation_errors(other, self.split, self.units)
@@ -197,15 +197,6 @@ def exchanged(taken: Adopted, chosen: Candidate) -> Adopted:
     first = Rival(taken.candidate, 1.0)
     others = (r for r in taken.rivals if r.candidate.effect.key != chosen.effect.key)
     return replace(taken, candidate=chosen, rivals=(first, *others))
-
-
-def _extended(model: Model, candidates: Sequence[Candidate]) -> tuple[Model, list[Candidate]]:
-    """A model with several effects, and the candidates with their names in it."""
-    placed = []
-    for c in candidates:
-        model, names = c.effect.extended(model, starts=found_values(c))
-        placed.append(replace(c, names=names))
-    return model, [replace(c, model=model) for c in placed]
 
 
 def _values(placed: Sequence[Candidate], before: Sequence[Candidate]) -> dict[str, float]:
