@@ -34,6 +34,20 @@ class OutOfTimeError(SolveError):
     """A time limit ended the work before it was done."""
 
 
+def require_texts(where: str, **texts: Iterable[object]) -> None:
+    """Refuse names and units that are no texts.
+
+    Raises
+    ------
+    ModelError
+        With `where`, what it is to be, and what was given.
+    """
+    for what, given in texts.items():
+        for text in given:
+            if not isinstance(text, str):
+                raise ModelError(f"{where}: {what} {text!r} is no text; put it in quotes")
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """``; did you mean 'b1'?`` for the nearest known name, or what there is; for messages."""
     known = sorted(known)

@@ -50,8 +50,8 @@ class Experiment(Viewed, PickledByFields):
             if not np.isfinite(known[str(parameter)]):
                 raise DataError(
                     f"experiment {self.name or self.record.name}: known value {parameter} = "
-                    f"{value!r} is not a finite number. Give it as a number in SI units, "
-                    "unless the model declares another unit."
+                    f"{value!r} is not a finite number. Give it as a number in the "
+                    "unit that the model declares."
                 )
         object.__setattr__(self, "known", MappingProxyType(known))
         object.__setattr__(self, "name", self.name or self.record.name)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
-import importlib.util
 import math
-import sys
-import traceback
+import numbers
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -15,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from casid.data.derived import Derived, derive
 from casid.data.experiment import Experiment
+from casid.data.problem_module import importing
 from casid.data.reading.columns import ColumnSpec, resolve
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.frames import open_frame
@@ -25,7 +23,7 @@ from casid.data.reading.survey import ReadingOptions
 from casid.data.reading.tables import Table
 from casid.data.reading.unused_columns import Unused, unused_columns
 from casid.data.record import Record
-from casid.errors import DataError, ModelError
+from casid.errors import DataError, ModelError, nearest, require_texts
 from casid.model.model import Model
 from casid.model.units import difference_to_si
 from casid.presentation import Viewed
@@ -93,6 +91,11 @@ class Problem(Viewed):
     def __post_init__(self) -> None:
         from casid.model.dimensions import check_units
 
+        require_texts(f"problem {self.name!r}", name=[self.name])
+        for what in ("channels", "recorded", "noise", "truth", "load_cases", "derived"):
+            require_texts(f"problem {self.name}", **{what: list(getattr(self, what))})
+        require_texts(f"problem {self.name}", channels=list(self.channels.values()))
+        require_texts(f"problem {self.name}", recorded=list(self.recorded.values()))
         check_units(self.model)
         self._check_effects()
         signals = [*self.model.inputs, *self.model.outputs]
@@ -101,22 +104,27 @@ class Problem(Viewed):
         for key in (*self.channels, *self.noise):
             if key not in signals and key not in self.recorded and key not in sources:
                 raise ModelError(
-                    f"problem {self.name}: channel {key!r} is no input or output of the model; "
-                    f"it has {', '.join(signals)}{_near(key, signals)}"
+                    f"problem {self.name}: channel {key!r} is no input or output of the "
+                    f"model{nearest(key, signals)}"
                 )
         for case, values in self.load_cases.items():
             for key in values:
                 if key not in self.model.parameters:
                     raise ModelError(
                         f"problem {self.name}: load case {case} sets {key!r}, which is no "
-                        f"parameter{_near(key, list(self.model.parameters))}"
+                        f"parameter{nearest(key, self.model.parameters)}"
                     )
         for key, value in self.truth.items():
             if key not in self.model.parameters or not math.isfinite(value):
                 raise ModelError(
                     f"problem {self.name}: truth of {key!r} = {value} is no finite value of a "
-                    f"parameter{_near(key, list(self.model.parameters))}; it has "
-                    f"{', '.join(self.model.parameters)}"
+                    f"parameter{nearest(key, self.model.parameters)}"
+                )
+        for key, sd in self.noise.items():
+            if not (isinstance(sd, numbers.Real) and 0 <= sd < math.inf):
+                raise ModelError(
+                    f"problem {self.name}: noise of {key!r} = {sd!r} is no standard deviation; "
+                    "give a finite number, 0 or more, in the channel's unit"
                 )
         for name in ("channels", "recorded", "derived", "load_cases", "noise", "truth"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
@@ -140,7 +148,7 @@ class Problem(Viewed):
             if name not in there:
                 raise ModelError(
                     f"problem {self.name}: derived channel {name!r} is no input or output of the "
-                    f"model, nor recorded; name one of {', '.join(there)}{_near(name, there)}"
+                    f"model, nor recorded{nearest(name, there)}"
                 )
             twice = [s for s in entry.sources if s in self.derived]
             if twice:
@@ -179,8 +187,7 @@ class Problem(Viewed):
         for key in merged:
             if key not in units:
                 raise DataError(
-                    f"problem {self.name} has no channel {key!r} to map; it has "
-                    f"{', '.join(units)}{_near(key, list(units))}"
+                    f"problem {self.name} has no channel {key!r} to map{nearest(key, units)}"
                 )
         specs = {}
         for signal, target in units.items():
@@ -364,17 +371,15 @@ class Problem(Viewed):
         values: dict[str, float] = {}
         if case is not None:
             if case not in self.load_cases:
-                cases = ", ".join(self.load_cases) or "none"
                 raise DataError(
-                    f"problem {self.name} has no load case {case!r}; it has {cases}"
-                    f"{_near(case, list(self.load_cases))}"
+                    f"problem {self.name} has no load case {case!r}{nearest(case, self.load_cases)}"
                 )
             values.update(self.load_cases[case])
         for key, value in (known or {}).items():
             if key not in self.model.parameters:
                 raise DataError(
-                    f"problem {self.name} has no parameter {key!r} to set; it has "
-                    f"{', '.join(self.model.parameters)}{_near(key, list(self.model.parameters))}"
+                    f"problem {self.name} has no parameter {key!r} to set"
+                    f"{nearest(key, self.model.parameters)}"
                 )
             values[key] = float(value)
         name = record.name if case is None else f"{case}:{record.name}"
@@ -441,11 +446,6 @@ def _read_again(given: Mapping[str, Any]) -> Problem:
     return Problem(**given, **functions)
 
 
-def _near(name: str, names: Sequence[str]) -> str:
-    near = difflib.get_close_matches(name, list(names), 1)
-    return f"; did you mean {near[0]!r}?" if near else ""
-
-
 def load_problem(path: str | Path) -> Problem:
     """The `problem` that a Python file defines; the file runs as the user who calls this.
 
@@ -459,35 +459,24 @@ def load_problem(path: str | Path) -> Problem:
         If it fails to load (with the line) or defines no problem.
     """
     path = Path(path)
+    if path.exists() and not path.is_file():
+        raise DataError(
+            f"problem file {path} is no file; give a Python file that defines `problem`"
+        )
     if not path.is_file():
         folder = path.parent if path.parent.is_dir() else Path()
         there = [p.name for p in folder.glob("*.py")]
-        raise DataError(f"problem file {path} does not exist{_near(path.name, there)}")
+        hint = nearest(path.name, there) if there else ""
+        raise DataError(f"problem file {path} does not exist{hint}")
     if path.suffix != ".py":
         raise DataError(
             f"{path} is not a problem file: a problem is a Python file that defines `problem`; "
             "give data files after it"
         )
-    name = f"casid_problem_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    folder_text = str(path.resolve().parent)
-    sys.path.insert(0, folder_text)
-    try:
-        spec.loader.exec_module(module)
+    with importing(path) as module:
         found = getattr(module, "problem", None)
         if callable(found) and not isinstance(found, Problem):
             found = found()
-    except Exception as error:
-        raise ModelError(
-            f"problem file {path} fails to load at {_line(error, path)}: "
-            f"{type(error).__name__}: {error}"
-        ) from error
-    finally:
-        sys.path.remove(folder_text)
     if not isinstance(found, Problem):
         names = [k for k, v in vars(module).items() if isinstance(v, Problem)]
         hint = f"; rename {names[0]!r} to 'problem'" if names else ""
@@ -496,14 +485,3 @@ def load_problem(path: str | Path) -> Problem:
             f"one){hint}"
         )
     return replace(found, source=path.resolve())
-
-
-def _line(error: Exception, path: Path) -> str:
-    if isinstance(error, SyntaxError) and error.lineno is not None:
-        return f"line {error.lineno}"
-    lines = [
-        frame.lineno
-        for frame in traceback.extract_tb(error.__traceback__)
-        if Path(frame.filename).resolve() == path.resolve()
-    ]
-    return f"line {lines[-1]}" if lines else "an unknown line"

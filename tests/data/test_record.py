@@ -184,7 +184,7 @@ def test_a_load_case_holds_finite_numbers():
     experiment = Experiment(roll(), {"M": 22})
     assert experiment.name == "roll-03"
     assert "M = 22" in repr(experiment)
-    with pytest.raises(DataError, match="known value M = 'heavy'.*number in SI"):
+    with pytest.raises(DataError, match="known value M = 'heavy'.*number in the unit"):
         Experiment(roll(), {"M": "heavy"})  # type: ignore[dict-item]
     with pytest.raises(DataError, match="needs a Record.*read_record"):
         Experiment({"phi": 1})  # type: ignore[arg-type]

@@ -74,7 +74,7 @@ def numbers_of(
             "text",
             f"{table.path.name}: column {spec.column!r} (channel {channel}) holds "
             f"{int(text.sum())} values that are no numbers, the first at {table.place(first)}: "
-            f"{cells[first]!r}.",
+            f"{cells[first][:60]!r}.",
             "Correct the cells, or leave them empty and mark them missing (--mark-missing, "
             "mark_missing=True); text that stands for no value is named with --missing TEXT.",
             spec.column,

@@ -53,6 +53,11 @@ class FileFormat:
         all_of_them = {f.name: getattr(self, f.name) for f in fields(self)}
         return {name: value for name, value in all_of_them.items() if value not in (None, ())}
 
+    @property
+    def code(self) -> str:
+        """As it is written in a problem file."""
+        return f"casid.FileFormat({', '.join(f'{n}={v!r}' for n, v in self.given.items())})"
+
     def __post_init__(self) -> None:
         if self.dates is not None and self.dates not in ORDERS:
             raise DataError(f"dates = {self.dates!r}. Give dmy, mdy or ymd.")

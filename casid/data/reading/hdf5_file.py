@@ -11,7 +11,6 @@ from casid.data.reading.file_format import FileFormat
 from casid.data.reading.groups import chosen_table
 from casid.data.reading.numeric_variables import groups_of
 from casid.data.reading.tables import Table
-from casid.errors import DataError
 
 
 def open_file(path: Path, form: FileFormat) -> Table:
@@ -22,7 +21,7 @@ def open_file(path: Path, form: FileFormat) -> Table:
     Raises
     ------
     DataError
-        If it cannot be read, or holds none or several tables.
+        If it holds none or several tables.
     """
     import h5py
 
@@ -42,14 +41,8 @@ def open_file(path: Path, form: FileFormat) -> Table:
         if unit is not None:
             units[name] = unit.decode() if isinstance(unit, bytes) else str(unit)
 
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(visit)
-    except (OSError, RuntimeError, KeyError) as error:
-        raise DataError(
-            f"{path.name}: not a readable HDF5 file ({str(error).splitlines()[0]}). Write it "
-            "again, or give the measurement as CSV."
-        ) from None
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
     return chosen_table(path, form, groups_of(arrays, units), "group")
 
 

@@ -52,11 +52,14 @@ class Layout:
 
 
 def cells_of(line: str, separator: str) -> list[str]:
-    """The cells of a line."""
+    """The cells of a line; one with a cell beyond csv's limit, 128 kB, has no quotes."""
     if separator == " ":
         return line.split()
     parts = [f"{part}\n" for part in line.split("\n")]  # more than one where a cell has breaks
-    cells = next(csv.reader(parts, delimiter=separator, skipinitialspace=True))
+    try:
+        cells = next(csv.reader(parts, delimiter=separator, skipinitialspace=True))
+    except csv.Error:
+        cells = line.split(separator)
     return [" ".join(c.split()) if "\n" in c else c.strip() for c in cells]
 
 

@@ -20,19 +20,12 @@ def open_file(path: Path, form: FileFormat) -> Table:
     Raises
     ------
     DataError
-        If it cannot be read, or holds none or several tables.
+        If it holds none or several tables.
     """
     from scipy.io import loadmat
 
-    try:
-        found = loadmat(path, simplify_cells=True)
-    except (ValueError, OSError, TypeError, NotImplementedError) as error:
-        raise DataError(
-            f"{path.name}: not a readable MATLAB file ({error}). Save it again with "
-            "save('run.mat', '-v7'), or export CSV with writetable."
-        ) from None
     arrays: dict[str, Any] = {}
-    for name, value in found.items():
+    for name, value in loadmat(path, simplify_cells=True).items():
         if not name.startswith("__"):
             _flatten(name, value, arrays)
     groups = groups_of(arrays)

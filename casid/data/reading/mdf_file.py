@@ -10,7 +10,6 @@ import numpy as np
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.groups import Group, chosen_table
 from casid.data.reading.tables import Table
-from casid.errors import DataError
 
 
 def open_file(path: Path, form: FileFormat) -> Table:
@@ -19,18 +18,12 @@ def open_file(path: Path, form: FileFormat) -> Table:
     Raises
     ------
     DataError
-        If it cannot be read, or holds none or several groups.
+        If it holds none or several groups.
     """
     from asammdf import MDF
-    from asammdf.blocks.utils import MdfException
 
-    try:
-        with MDF(path) as file:
-            groups = {f"group {k}": g for k in range(len(file.groups)) if (g := _group(file, k))}
-    except (MdfException, ValueError, OSError, KeyError) as error:
-        raise DataError(
-            f"{path.name}: not a readable MDF file ({error}). Export the measurement as CSV."
-        ) from None
+    with MDF(path) as file:
+        groups = {f"group {k}": g for k in range(len(file.groups)) if (g := _group(file, k))}
     return chosen_table(path, form, groups, "channel group")
 
 

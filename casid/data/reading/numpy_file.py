@@ -10,7 +10,6 @@ from casid.data.reading.file_format import FileFormat
 from casid.data.reading.groups import chosen_table
 from casid.data.reading.numeric_variables import groups_of
 from casid.data.reading.tables import Table
-from casid.errors import DataError
 
 
 def open_file(path: Path, form: FileFormat) -> Table:
@@ -19,14 +18,8 @@ def open_file(path: Path, form: FileFormat) -> Table:
     Raises
     ------
     DataError
-        If it holds objects, or none or several tables.
+        If it holds none or several tables.
     """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError) as error:
-        raise DataError(
-            f"{path.name}: not a readable NumPy archive ({error}). Save plain arrays with "
-            "numpy.savez."
-        ) from None
+    with np.load(path, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
     return chosen_table(path, form, groups_of(arrays), "array")

@@ -6,29 +6,52 @@ import difflib
 import importlib
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.parquet_table import ParquetTable
 from casid.data.reading.tables import Table
 from casid.data.reading.text_table import TextTable
-from casid.errors import DataError
+from casid.errors import CasidError, DataError
 
 _SUFFIXES = (
     ".csv .txt .tsv .dat .asc .lvm .parquet .pq .xlsx .xlsm .mat .h5 .hdf5 .tdms .mf4 .mdf .bag "
     ".npz .gz .zip"
 ).split()
 
-# Module and function that read a kind, the extra it belongs to, and what it imports.
+
+class _Reader(NamedTuple):
+    """The module that reads a kind of file, the extra it belongs to, and what it imports.
+
+    `what` the kind is called, and what helps where a file of it is damaged.
+    """
+
+    module: str
+    extra: str
+    package: str
+    what: str
+    remedy: str = "Export the measurement as CSV."
+
+
 _READERS = {
-    "excel": ("casid.data.reading.spreadsheet", "excel", "openpyxl"),
-    "matlab": ("casid.data.reading.matlab_file", "matlab", "scipy"),
-    "hdf5": ("casid.data.reading.hdf5_file", "matlab", "h5py"),
-    "tdms": ("casid.data.reading.tdms_file", "daq", "nptdms"),
-    "mdf": ("casid.data.reading.mdf_file", "daq", "asammdf"),
-    "rosbag": ("casid.data.reading.ros_bag", "daq", "rosbags"),
-    "npz": ("casid.data.reading.numpy_file", "", "numpy"),
-}
+    "excel": _Reader(
+        "spreadsheet", "excel", "openpyxl", "Excel workbook", "Save it again as .xlsx or CSV."
+    ),
+    "matlab": _Reader(
+        "matlab_file", "matlab", "scipy", "MATLAB file",
+        "Save it again with save('run.mat', '-v7'), or export CSV with writetable.",
+    ),
+    "hdf5": _Reader(
+        "hdf5_file", "matlab", "h5py", "HDF5 file",
+        "Write it again, or give the measurement as CSV.",
+    ),
+    "tdms": _Reader("tdms_file", "daq", "nptdms", "TDMS file"),
+    "mdf": _Reader("mdf_file", "daq", "asammdf", "MDF file"),
+    "rosbag": _Reader("ros_bag", "daq", "rosbags", "ROS bag", "Export the topic as CSV."),
+    "npz": _Reader(
+        "numpy_file", "", "numpy", "NumPy archive", "Save plain arrays with numpy.savez."
+    ),
+}  # fmt: skip
 _MAGIC = {
     b"PAR1": "parquet",
     b"\x89HDF": "hdf5",
@@ -65,14 +88,19 @@ def open_table(path: str | Path, form: FileFormat | None = None) -> Table:
         return TextTable(path, form)
     if kind == "parquet":
         return ParquetTable(path, form)
-    module, extra, package = _READERS[kind]
-    if extra:
-        require_package(package, extra, path.name)
-    return _table_of(importlib.import_module(module), path, form)
-
-
-def _table_of(module: Any, path: Path, form: FileFormat) -> Table:
-    table: Table = module.open_file(path, form)
+    reader = _READERS[kind]
+    if reader.extra:
+        require_package(reader.package, reader.extra, path.name)
+    module = importlib.import_module(f"casid.data.reading.{reader.module}")
+    try:
+        table: Table = module.open_file(path, form)
+    except (CasidError, MemoryError, ImportError):
+        raise
+    except Exception as error:  # the packages raise anything where a file is damaged
+        reason = str(error).partition("\n")[0]
+        raise DataError(
+            f"{path.name}: not a readable {reader.what} ({reason}). {reader.remedy}"
+        ) from error
     return table
 
 
@@ -138,8 +166,13 @@ def _refuse_path(path: Path) -> None:
                 else "Give a CSV or Parquet file."
             )
         )
-    if path.exists():
+    if path.is_file():
         return
+    if path.exists():
+        raise DataError(
+            f"{path} is a pipe or a device, which can be read once alone and may never end. Write "
+            "the measurement to a file, and give that."
+        )
     folder = path.parent
     if not folder.is_dir():
         raise DataError(f"{path}: there is no folder {folder}. Check the path.")

@@ -10,6 +10,9 @@ from casid.data.reading.clocks import GAP, UNIFORM
 from casid.data.record import Record
 from casid.errors import DataError
 
+DENSEST = 100
+"""Most samples that one recorded sample becomes: more only make every fit longer."""
+
 
 def resample(times: ArrayLike, values: ArrayLike, Ts: float) -> tuple[FloatArray, FloatArray]:
     """Interpolate samples at irregular times onto a uniform grid.
@@ -48,7 +51,14 @@ def resample(times: ArrayLike, values: ArrayLike, Ts: float) -> tuple[FloatArray
             f"Ts = {Ts!r} s does not fit a record of {t[-1] - t[0]:g} s. "
             f"Give for example the median interval, {np.median(np.diff(t)):.6g} s."
         )
-    grid = t[0] + Ts * np.arange(int((t[-1] - t[0]) / Ts * (1 + 1e-12)) + 1)
+    count = int((t[-1] - t[0]) / Ts * (1 + 1e-12)) + 1
+    if count > DENSEST * t.size:
+        raise DataError(
+            f"Ts = {Ts!r} s would make {count:.3g} samples of {t.size}, which hold nothing new. "
+            f"Give for example the median interval, {np.median(np.diff(t)):.6g} s, or cut long "
+            "gaps away with a window."
+        )
+    grid = t[0] + Ts * np.arange(count)
     grid = np.minimum(grid, t[-1])
     return grid, np.asarray(PchipInterpolator(t, y, axis=0)(grid), dtype=np.float64)
 

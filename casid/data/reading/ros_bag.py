@@ -10,7 +10,6 @@ import numpy as np
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.groups import Group, chosen_table
 from casid.data.reading.tables import Table
-from casid.errors import DataError
 
 
 def open_file(path: Path, form: FileFormat) -> Table:
@@ -21,29 +20,24 @@ def open_file(path: Path, form: FileFormat) -> Table:
     Raises
     ------
     DataError
-        If it cannot be read, or holds none or several topics of numbers.
+        If it holds none or several topics of numbers.
     """
-    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     columns: dict[str, dict[str, list[float]]] = {}
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            wanted = [c for c in reader.connections if form.table in (None, c.topic)]
-            for connection, stamp, raw in reader.messages(connections=wanted):
-                message = reader.deserialize(raw, connection.msgtype)
-                row: dict[str, float] = {}
-                _flatten("", message, row)
-                row["t"] = row.pop("header.stamp", float("nan"))
-                if not row["t"] > 0:
-                    row["t"] = stamp
-                table = columns.setdefault(connection.topic, {})
-                for name, value in row.items():
-                    table.setdefault(name, []).append(value)
-    except (AnyReaderError, OSError, ValueError, KeyError) as error:
-        raise DataError(
-            f"{path.name}: not a readable ROS bag ({error}). Export the topic as CSV."
-        ) from None
+    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        wanted = [c for c in reader.connections if form.table in (None, c.topic)]
+        for connection, stamp, raw in reader.messages(connections=wanted):
+            message = reader.deserialize(raw, connection.msgtype)
+            row: dict[str, float] = {}
+            _flatten("", message, row)
+            row["t"] = row.pop("header.stamp", float("nan"))
+            if not row["t"] > 0:
+                row["t"] = stamp
+            table = columns.setdefault(connection.topic, {})
+            for name, value in row.items():
+                table.setdefault(name, []).append(value)
     groups = {t: g for t, c in columns.items() if (g := _group(c)) is not None}
     return chosen_table(path, form, groups, "topic")
 

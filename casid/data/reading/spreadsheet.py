@@ -12,7 +12,6 @@ from casid.data.reading.groups import Group, chosen_table
 from casid.data.reading.layout import layout_of_rows
 from casid.data.reading.tables import Table
 from casid.data.reading.text_source import HEAD
-from casid.errors import DataError
 
 
 def open_file(path: Path, form: FileFormat) -> Table:
@@ -21,19 +20,11 @@ def open_file(path: Path, form: FileFormat) -> Table:
     Raises
     ------
     DataError
-        If it cannot be read, or none or several of its sheets hold a table.
+        If none or several of its sheets hold a table.
     """
-    import zipfile
-
     import openpyxl
-    from openpyxl.utils.exceptions import InvalidFileException
 
-    try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-    except (InvalidFileException, zipfile.BadZipFile, KeyError, OSError, ValueError) as error:
-        raise DataError(
-            f"{path.name}: not a readable Excel workbook ({error}). Save it again as .xlsx or CSV."
-        ) from None
+    book = openpyxl.load_workbook(path, read_only=True, data_only=True)
     groups = {}
     for sheet in book.worksheets:
         group = _table_of([list(row) for row in sheet.iter_rows(values_only=True)])

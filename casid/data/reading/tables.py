@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from casid.data.reading.number_marks import Mark
 
+_LONGEST_NAME = 1000  # characters of a column's name; a longer one is a row or a damaged file
+
 
 class Table(ABC):
     """A file opened far enough to know its columns.
@@ -48,6 +50,12 @@ class Table(ABC):
 
     def name_columns(self, names: Sequence[str], units: Sequence[str] = ()) -> None:
         """Take the names and units of the columns, each name once."""
+        longest = max(names, key=len, default="")
+        if len(longest) > _LONGEST_NAME:
+            raise DataError(
+                f"{self.path.name}: a column is named by {len(longest)} characters, "
+                f"{longest[:30]!r} and so on. Write its name in the file's header."
+            )
         for number, name in enumerate(names, start=1):
             unique = name or f"column {number}"
             if name and list(names).count(name) > 1:

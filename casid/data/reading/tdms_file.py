@@ -19,19 +19,13 @@ def open_file(path: Path, form: FileFormat) -> Table:
     Raises
     ------
     DataError
-        If it cannot be read, holds none or several groups, or the channels of a group have
-        different sample times.
+        If it holds none or several groups, or the channels of a group have different sample
+        times.
     """
     from nptdms import TdmsFile
 
-    try:
-        file = TdmsFile.read(path)
-    except (ValueError, OSError, KeyError, EOFError) as error:
-        raise DataError(
-            f"{path.name}: not a readable TDMS file ({error}). Export the measurement as CSV."
-        ) from None
     groups = {}
-    for group in file.groups():
+    for group in TdmsFile.read(path).groups():
         channels = {str(c.name): c for c in group.channels() if len(c)}
         if channels:
             groups[str(group.name)] = _group(path, str(group.name), channels)

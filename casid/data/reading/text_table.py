@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
@@ -194,15 +193,8 @@ class TextTable(Table):
 
     def _row_lines(self) -> Iterator[int]:
         """The line number, from 1, of each row; the slow way, for messages only."""
-        separator = self.layout.separator
-        with self.source.open() as text:
-            above = itertools.islice(self.source.lines(), self.layout.first)
-            first = sum(line.count("\n") + 1 for line in above)
-            for _ in range(first):
-                next(text, None)
-            reader = csv.reader(text, delimiter=separator)
-            for cells in reader:
-                if not cells or (len(cells) == 1 and not cells[0].strip()):
-                    continue
-                if not COMMENT.match(cells[0]):
-                    yield first + reader.line_num
+        number = 0
+        for k, line in enumerate(self.source.lines()):
+            number += line.count("\n") + 1
+            if k >= self.layout.first and line.strip() and not COMMENT.match(line):
+                yield number

@@ -193,8 +193,7 @@ class Draft:
         if self.file.time is not None:
             lines.append(f"    time={quoted(self.file.time)},")
         if self.file.form is not None and self.file.form.given:
-            given = ", ".join(f"{n}={v!r}" for n, v in self.file.form.given.items())
-            lines.append(f"    form=casid.FileFormat({given}),")
+            lines.append(f"    form={self.file.form.code},")
         lines.append("    # signal of the model: column of the file, and the unit it is written in")
         lines.append("    channels={")
         for role, channel in used.items():

@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 import casid
-from tests.estimation.fitted.test_fitted_model import TS, oscillator, record
+from tests.estimation.fitted.test_fitted_model import TS, record
+from tests.support.fitted_models import driven_mass
 
 
 def test_a_record_comes_back_from_its_table():
@@ -64,7 +65,7 @@ def test_what_is_no_table_of_one_experiment_is_refused():
 def test_a_table_given_to_identify_is_read_through_the_problems_channels():
     """Columns of other names and units: the estimates are those of the record."""
     channels = {"position": "x_mm:mm", "force": "F"}
-    problem = casid.Problem("oscillator", oscillator(), channels, starts=1)
+    problem = casid.Problem("oscillator", driven_mass(), channels, starts=1)
     run = record()
     frame = pd.DataFrame({"t": run.t, "F": run["force"], "x_mm": 1000 * run["position"]})
     from_table, from_record = casid.identify(problem, frame), casid.identify(problem, run)

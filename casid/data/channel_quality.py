@@ -1,0 +1,335 @@
+"""What one channel of a record is worth: its range, noise, plateaus, spikes and trend."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from casid.arrays import TINY, BoolArray, FloatArray
+from casid.data.record import Record
+from casid.deprecation import renamed
+
+Severity = Literal["error", "warning", "note"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing found: an error keeps the data from being used, a warning may spoil a result."""
+
+    severity: Severity
+    channel: str | None
+    text: str
+    remedy: str
+    mend = renamed("mend", "remedy")
+
+    def __str__(self) -> str:
+        where = f"{self.channel}: " if self.channel else ""
+        return f"{self.severity:<8} {where}{self.text} {self.remedy}".rstrip()
+
+    def to_json(self) -> dict[str, str | None]:
+        """Return the finding as a dict of plain values."""
+        return {
+            "severity": self.severity,
+            "channel": self.channel,
+            "text": self.text,
+            "mend": self.remedy,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelCheck:
+    """Numbers of one channel, SI units; None where they cannot be had.
+
+    Attributes
+    ----------
+    minimum, maximum, mean, rms : float
+    missing : int
+        Samples marked missing.
+    noise : float
+        Standard deviation of white noise with the spectral density found in the highest fifth of
+        the band; an upper limit where the signal reaches that far.
+    step : float
+        Quantisation step.
+    longest_run : int
+        Most equal samples in a row.
+    at_extreme : int
+        Most equal samples in a row at the minimum or maximum, 1 where there is no plateau.
+    spikes : int
+        Single samples far off their neighbours.
+    drift : float
+        Change of the least-squares straight line over the record.
+    bandwidth_hz : float
+        Highest frequency at which the spectrum is four times above the noise; 0 for none.
+    """
+
+    name: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    mean: float | None
+    rms: float | None
+    missing: int
+    noise: float | None = None
+    step: float | None = None
+    longest_run: int = 1
+    at_extreme: int = 1
+    spikes: int = 0
+    drift: float | None = None
+    bandwidth_hz: float | None = None
+
+
+_CONSTANT, _CLIPPED = "constant at", "possibly clipped."
+
+
+def stuck_channels(
+    record: Record, channels: Iterable[str], *, least: float = 0.0
+) -> tuple[Finding, ...]:
+    """What `check` finds of channels that rest, or stand at an extreme as a limit leaves them.
+
+    Parameters
+    ----------
+    least : share of the record that a channel has to stand there for.
+    """
+    found = []
+    for numbers, findings in (channel_quality(record, c) for c in channels if c in record):
+        if numbers.at_extreme >= least * record.N:
+            found += [
+                f for f in findings if f.text.startswith(_CONSTANT) or f.text.endswith(_CLIPPED)
+            ]
+    return tuple(found)
+
+
+def channel_quality(record: Record, name: str) -> tuple[ChannelCheck, list[Finding]]:
+    """The numbers of one channel, and what is noticed of it."""
+    mask, unit = record.is_missing(name), record.units[name]
+    gone = int(mask.sum())
+    if mask.all():
+        text = "every sample is missing."
+        fix = f"Leave it out with record.without({name!r})."
+        finding = Finding("warning", name, text, fix)
+        return ChannelCheck(name, unit, None, None, None, None, gone), [finding]
+    x = record.filled(name)
+    kept = x[~mask]
+    low, high, mean = float(kept.min()), float(kept.max()), float(kept.mean())
+    rms = float(np.sqrt(np.mean(kept**2)))
+    findings: list[Finding] = []
+    if gone:
+        findings.append(_some_missing(name, gone))
+    if low == high:
+        findings.append(
+            Finding(
+                "warning",
+                name,
+                f"{_CONSTANT} {low:.6g} {unit}.",
+                "It excites nothing: check the sensor or the mapping, or leave it out.",
+            )
+        )
+        constant = ChannelCheck(
+            name, unit, low, high, mean, rms, gone, 0.0, None, record.N, record.N, 0, 0.0, 0.0
+        )
+        return constant, findings
+    levels = np.unique(kept)
+    step, few = quantisation_step(levels), levels.size <= 10
+    run, plateau, equal = _equal_samples(record, name, step, few)
+    findings += equal
+    if step is not None and step > (high - low) / 200 and not few:
+        findings.append(_coarse(name, unit, step, high - low))
+    spikes = np.array([], dtype=np.intp) if few else _spikes(x, mask)
+    if spikes.size:
+        findings.append(_spiked(record, name, spikes))
+    if unit == "rad" and high - low < 6.6:
+        findings += _wrapped(record, name)
+    drift, trend = _trend(record, name)
+    findings += trend
+    noise, bandwidth, reaches = _spectrum(x - mean, record.Ts)
+    if reaches and not few:
+        findings.append(_wide_band(name))
+    numbers = ChannelCheck(
+        name, unit, low, high, mean, rms, gone, noise, step, run, plateau, int(spikes.size), drift,
+        bandwidth,
+    )  # fmt: skip
+    return numbers, findings
+
+
+def _equal_samples(
+    record: Record, name: str, step: float | None, few: bool
+) -> tuple[int, int, list[Finding]]:
+    """The longest run of equal samples, the longest at an extreme, and what they point to."""
+    x, mask, unit = record.filled(name), record.is_missing(name), record.units[name]
+    run, run_start, plateau, plateau_start, beside = _runs(x, mask)
+    jump = _jump_into(x, plateau_start, plateau) if plateau >= 4 else 0.0
+    # The top of a rounded parabola is flat too, but the levels below it hold for 0.2 of its width.
+    sudden = beside <= max(1.0, 0.1 * plateau)
+    findings = []
+    if plateau >= 4 and not few and sudden and (step is None or jump > 1.5 * step):
+        value = x[plateau_start]
+        findings.append(
+            Finding(
+                "warning",
+                name,
+                f"{plateau} equal samples at the "
+                f"{'maximum' if value == x[~mask].max() else 'minimum'} "
+                f"{value:.6g} {unit}, first at t = {record.t[plateau_start]:.6g} s: {_CLIPPED}",
+                "Check the sensor's range; mark the plateau missing or cut it off with a window.",
+            )
+        )
+    is_new = run_start != plateau_start or not (findings or mask.any())
+    if run >= max(20, 0.01 * record.N) and is_new:
+        findings.append(
+            Finding(
+                "note",
+                name,
+                f"{run} equal samples in a row from t = {record.t[run_start]:.6g} s.",
+                "Right for a held input; for a sensor it is stuck or updated slower than logged.",
+            )
+        )
+    return run, plateau, findings
+
+
+def _some_missing(name: str, count: int) -> Finding:
+    return Finding(
+        "note",
+        name,
+        f"{count} samples are marked missing.",
+        "They take no part in an estimation; cut them off with a window where they cluster.",
+    )
+
+
+def _wide_band(name: str) -> Finding:
+    return Finding(
+        "note",
+        name,
+        "the spectrum does not fall towards the Nyquist frequency: noise, or a signal that "
+        "is aliased.",
+        "Check the logger's anti-alias filter; what is called noise here may be signal.",
+    )
+
+
+def _coarse(name: str, unit: str, step: float, span: float) -> Finding:
+    return Finding(
+        "warning",
+        name,
+        f"coarsely quantised: steps of {step:.4g} {unit}, {round(span / step)} of them in the "
+        "range.",
+        f"Count with noise of {step / np.sqrt(12):.3g} {unit} (step/sqrt 12), or log finer.",
+    )
+
+
+def _spiked(record: Record, name: str, spikes: NDArray[np.intp]) -> Finding:
+    t = ", ".join(f"{record.t[k]:.6g}" for k in spikes[:3])
+    return Finding(
+        "warning",
+        name,
+        f"{spikes.size} isolated spike{'' if spikes.size == 1 else 's'}, at t = {t} s"
+        f"{' ...' if spikes.size > 3 else ''}.",
+        f"Mark them with record.mark_missing({name!r}, mask), or use a robust loss.",
+    )
+
+
+def _wrapped(record: Record, name: str) -> list[Finding]:
+    wraps = np.flatnonzero(np.abs(np.abs(np.diff(record.filled(name))) - 2 * np.pi) < 0.1)
+    if not wraps.size:
+        return []
+    return [
+        Finding(
+            "warning",
+            name,
+            f"the angle wraps round {wraps.size} times, first at t = {record.t[wraps[0]]:.6g} s.",
+            f"Unwrap it: record.with_channel({name!r}, numpy.unwrap(record[{name!r}]), 'rad').",
+        )
+    ]
+
+
+def _trend(record: Record, name: str) -> tuple[float, list[Finding]]:
+    """The change of a straight line over the record, noticed where it exceeds the scatter."""
+    mask = record.is_missing(name)
+    kept = record.filled(name)[~mask]
+    s = np.linspace(-0.5, 0.5, record.N)[~mask]
+    s0 = s - s.mean()
+    drift = float(s0 @ kept / (s0 @ s0)) if kept.size > 1 else 0.0
+    spread = float(np.std(kept - drift * s))
+    if abs(drift) <= 3 * spread:
+        return drift, []
+    times = abs(drift) / max(spread, TINY)
+    return drift, [
+        Finding(
+            "note",
+            name,
+            f"a trend: {drift:.4g} {record.units[name]} over the record, {times:.3g} times the "
+            "scatter about it.",
+            "Where it is the sensor's drift, use record.detrend(1) or a bias parameter.",
+        )
+    ]
+
+
+def _runs(x: FloatArray, mask: BoolArray) -> tuple[int, int, int, int, int]:
+    """Return length and start of the longest run of equal samples, the same for runs at an
+    extreme, and the longer of the two runs beside that."""
+    y = np.where(mask, np.nan, x)  # NaN equals nothing: missing samples part the runs
+    starts = np.flatnonzero(np.concatenate(([True], y[1:] != y[:-1])))
+    lengths = np.diff(np.concatenate((starts, [x.size])))
+    longest = int(np.argmax(lengths))
+    extreme = (y[starts] == np.nanmin(y)) | (y[starts] == np.nanmax(y))
+    at = int(np.argmax(np.where(extreme, lengths, 0)))
+    beside = max((int(lengths[k]) for k in (at - 1, at + 1) if 0 <= k < lengths.size), default=0)
+    return int(lengths[longest]), int(starts[longest]), int(lengths[at]), int(starts[at]), beside
+
+
+def _jump_into(x: FloatArray, start: int, length: int) -> float:
+    """Return the larger of the changes at the two ends of a run."""
+    ends = [abs(x[start] - x[k]) for k in (start - 1, start + length) if 0 <= k < x.size]
+    return float(max(ends, default=0.0))
+
+
+def quantisation_step(values: FloatArray) -> float | None:
+    """Return the step of which all distances between values are multiples, None for none."""
+    levels = np.unique(values)
+    if levels.size < 3:
+        return None
+    distances = np.diff(levels)
+    scale = float(np.abs(levels).max())
+    distances = distances[distances > 1e-9 * scale]  # rounding of the conversion to SI
+    if distances.size == 0:
+        return None
+    step = float(distances.min())
+    multiples = distances / step
+    small = multiples < 1e3
+    off = np.abs(multiples - np.round(multiples))[small]
+    # A chance hit needs every distance to fit: with noise the smallest is far below the others.
+    if not small.any() or np.median(multiples) > 50 or np.quantile(off, 0.95) > 0.05:
+        return None
+    return float(np.median(distances[small] / np.round(multiples[small])))
+
+
+def _spikes(x: FloatArray, mask: BoolArray) -> NDArray[np.intp]:
+    if x.size < 8:
+        return np.array([], dtype=np.intp)
+    padded = np.pad(x, 2, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 5)
+    off = np.abs(x - np.median(windows, axis=1))
+    bar = max(8 * 1.4826 * float(np.median(off)), 5 * float(np.quantile(off, 0.98)))
+    if bar == 0.0:
+        bar = 0.5 * float(x.std())
+    left, right = np.roll(off, 1), np.roll(off, -1)
+    alone = (left < 0.5 * off) & (right < 0.5 * off)
+    alone[[0, -1]] = False  # the ends have no neighbours on one side
+    return np.flatnonzero((off > bar) & alone & ~mask)
+
+
+def _spectrum(x: FloatArray, Ts: float) -> tuple[float | None, float | None, bool]:
+    """Return noise (white, as dense as the highest fifth), bandwidth [Hz], and whether it falls."""
+    if x.size < 64:
+        return None, None, False
+    from scipy.signal import welch
+
+    nperseg = int(np.clip(2 ** int(np.log2(x.size / 8)), 32, 4096))
+    f, S = welch(x, fs=1 / Ts, nperseg=nperseg, detrend="constant")
+    top = (f >= 0.8 * f[-1]) & (f < f[-1])
+    floor = float(np.median(S[top]))
+    above = np.flatnonzero(S[1:] > 4 * floor) + 1
+    bandwidth = float(f[above[-1]]) if above.size else 0.0
+    return float(np.sqrt(floor * 0.5 / Ts)), bandwidth, bool(floor > 0.1 * S[1:].mean())
