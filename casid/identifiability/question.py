@@ -135,11 +135,14 @@ def _of_problem(subject: Problem | Model, experiments: Any, assuming: Assumption
     return Question(problem.name, read.systems, read.notes, problem, model, chosen)
 
 
+_REPLICAS = 20  # allowed in any case: one signal that all of them share is determined by them too
+
 # -- under the assumptions ------------------------------------------------------------------------
 
 
 def prepared(systems: Sequence[System], assuming: Assumptions) -> tuple[System, ...]:
     """The systems as assumed: known values, points, replicas, shared inputs."""
+    _refuse_idle_replicas(systems, assuming)
     named = dict(assuming.at or {})
     starts = assuming.known_initial
     given = dict(starts) if isinstance(starts, Mapping) else dict.fromkeys(starts)
@@ -163,6 +166,17 @@ def prepared(systems: Sequence[System], assuming: Assumptions) -> tuple[System, 
     if assuming.shared_inputs:
         made = [merge(made, shared=tuple(assuming.shared_inputs), name=systems[0].name)]
     return tuple(made)
+
+
+def _refuse_idle_replicas(systems: Sequence[System], assuming: Assumptions) -> None:
+    """A replica that adds no rank is the last that could: each adds one, or none ever will."""
+    unknown = len({p for s in systems for p in s.parameters})
+    most = max(unknown, _REPLICAS)
+    if assuming.replicas > most:
+        raise ModelError(
+            f"{assuming.replicas} replicas: there are {unknown} unknown parameters, and each "
+            f"replica determines one more at least or none does; ask for at most {most}"
+        )
 
 
 def _check_names(

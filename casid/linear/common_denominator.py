@@ -16,7 +16,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError, nearest
-from casid.model.model import Parameter
+from casid.model.declarations import Parameter
 
 Expr = Any  # a CasADi SX expression
 

@@ -46,7 +46,8 @@ from casid.linear.structural_relations import (
     hold_relations,
     rational_relations,
 )
-from casid.model.model import Model, Parameter
+from casid.model.declarations import Parameter
+from casid.model.model import Model
 
 Expr = Any  # a CasADi SX expression
 

@@ -380,34 +380,6 @@ class ClosedForm:
         return "\n".join(f"{name} = {e}" for name, e in self.expressions.items())
 
 
-def evaluate_form(
-    expressions: Mapping[str, Any], values: Mapping[str, float | Array]
-) -> dict[str, Array]:
-    """Sympy expressions at numbers or arrays, such as 10 000 samples of the coefficients at once.
-
-    Parameters
-    ----------
-    expressions : as `closed_form(...).expressions` or `continuous_form(...)`.
-    values : symbol's name -> number or (N,) array.
-
-    Raises
-    ------
-    ModelError
-        If a symbol has no value.
-    """
-    import sympy
-
-    symbols = sorted({s for e in expressions.values() for s in e.free_symbols}, key=str)
-    lacking = [str(s) for s in symbols if str(s) not in values]
-    if lacking:
-        raise ModelError(
-            f"no value for {', '.join(lacking)}; give a number or an array for each symbol"
-        )
-    function = sympy.lambdify(symbols, list(expressions.values()), "numpy", cse=True)
-    found = function(*[np.asarray(values[str(s)], dtype=float) for s in symbols])
-    return {name: np.asarray(v) for name, v in zip(expressions, found, strict=True)}
-
-
 def continuous_names(transfer: TransferMatrix, row: int = 0) -> dict[str, Any]:
     """The coefficients of one row that are no structural zeros, name -> SX."""
     named = {f"alpha{k}": transfer.denominator[k] for k in range(1, transfer.order + 1)}

@@ -30,7 +30,9 @@ from casid.linear.common_denominator import (
     parameter_vector,
     unpacked,
 )
-from casid.model.model import Explicit, Model, Parameter
+from casid.model.declarations import Parameter
+from casid.model.explicit_form import Explicit
+from casid.model.model import Model
 from casid.presentation import Presented
 
 Expr = Any  # a CasADi SX expression

@@ -21,7 +21,8 @@ from casid.errors import ModelError
 from casid.linear.kalman import SystemTangent
 from casid.linear.linear_model import linearise
 from casid.linear.noisy_system import NoisySystem, sample_noise, sample_system
-from casid.model.model import Input, Model
+from casid.model.declarations import Input
+from casid.model.model import Model
 
 _STEP = 1e-40  # of the complex step: no subtraction, so as small as may be
 

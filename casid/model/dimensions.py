@@ -25,13 +25,7 @@ def check_units(model: Model) -> None:
     ModelError
         Naming the equation, the term, both dimensions, and the remedy.
     """
-    units: dict[str, str] = {s.name: s.unit for s in model.states.values()}
-    units |= {u.name: u.unit for u in model.inputs.values()}
-    units |= {p.name: p.unit for p in model.parameters.values()}
-    for state in model.states.values():
-        units[f"der_{state.name}"] = f"{state.unit}/s" if state.unit != "1" else "1/s"
-    for unknown, _using, _ in model._eliminations:
-        units.setdefault(unknown, model.eliminated_units[unknown])
+    units = model.symbol_units
 
     def dimension(expression: Any, place: str) -> Dimension:
         try:

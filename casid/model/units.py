@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import difflib
-import math
 import re
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from casid.errors import UnitError
+from casid.model.unit_names import ALIASES, AMBIGUOUS, NAMES, SI
 
 Dimension = tuple[Fraction, ...]
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd")
@@ -45,214 +44,6 @@ class Unit:
         """True where a value needs no conversion."""
         return self.factor == 1.0 and self.offset == 0.0
 
-
-class _Name(NamedTuple):
-    factor: float
-    si: tuple[tuple[str, int], ...]  # the same kind of quantity in SI names, for display
-    pint: str  # the same unit as pint writes it
-    offset: float = 0.0
-
-
-# Names that are SI already: exponents of BASE_UNITS.
-_SI: dict[str, tuple[int, int, int, int, int, int, int]] = {
-    "1": (0, 0, 0, 0, 0, 0, 0),
-    "rad": (0, 0, 0, 0, 0, 0, 0),
-    "kg": (1, 0, 0, 0, 0, 0, 0),
-    "m": (0, 1, 0, 0, 0, 0, 0),
-    "s": (0, 0, 1, 0, 0, 0, 0),
-    "A": (0, 0, 0, 1, 0, 0, 0),
-    "K": (0, 0, 0, 0, 1, 0, 0),
-    "mol": (0, 0, 0, 0, 0, 1, 0),
-    "cd": (0, 0, 0, 0, 0, 0, 1),
-    "Hz": (0, 0, -1, 0, 0, 0, 0),
-    "N": (1, 1, -2, 0, 0, 0, 0),
-    "J": (1, 2, -2, 0, 0, 0, 0),
-    "W": (1, 2, -3, 0, 0, 0, 0),
-    "Pa": (1, -1, -2, 0, 0, 0, 0),
-    "V": (1, 2, -3, -1, 0, 0, 0),
-    "ohm": (1, 2, -3, -2, 0, 0, 0),
-    "H": (1, 2, -2, -2, 0, 0, 0),
-}
-_SI_PINT = {"1": "dimensionless", "rad": "radian", "A": "ampere", "K": "kelvin", "H": "henry"}
-
-_DEGREE = math.pi / 180.0
-_KNOT = 1852.0 / 3600.0
-_NAMES: dict[str, _Name] = {
-    name: _Name(1.0, () if name == "1" else ((name, 1),), _SI_PINT.get(name, name)) for name in _SI
-} | {
-    # angle
-    "deg": _Name(_DEGREE, (("rad", 1),), "degree"),
-    "mrad": _Name(1e-3, (("rad", 1),), "milliradian"),
-    "arcmin": _Name(_DEGREE / 60, (("rad", 1),), "arcminute"),
-    "arcsec": _Name(_DEGREE / 3600, (("rad", 1),), "arcsecond"),
-    "rev": _Name(2 * math.pi, (("rad", 1),), "revolution"),
-    "rpm": _Name(2 * math.pi / 60, (("rad", 1), ("s", -1)), "revolution / minute"),
-    # length
-    "mm": _Name(1e-3, (("m", 1),), "millimeter"),
-    "cm": _Name(1e-2, (("m", 1),), "centimeter"),
-    "um": _Name(1e-6, (("m", 1),), "micrometer"),
-    "km": _Name(1e3, (("m", 1),), "kilometer"),
-    "in": _Name(0.0254, (("m", 1),), "inch"),
-    "ft": _Name(0.3048, (("m", 1),), "foot"),
-    "nmi": _Name(1852.0, (("m", 1),), "nautical_mile"),
-    "L": _Name(1e-3, (("m", 3),), "liter"),
-    "mL": _Name(1e-6, (("m", 3),), "milliliter"),
-    # speed, acceleration
-    "kn": _Name(_KNOT, (("m", 1), ("s", -1)), "knot"),
-    "km/h": _Name(1 / 3.6, (("m", 1), ("s", -1)), "kilometer / hour"),
-    "mph": _Name(0.44704, (("m", 1), ("s", -1)), "mile / hour"),
-    "g0": _Name(9.80665, (("m", 1), ("s", -2)), "standard_gravity"),
-    # time, frequency
-    "ms": _Name(1e-3, (("s", 1),), "millisecond"),
-    "us": _Name(1e-6, (("s", 1),), "microsecond"),
-    "min": _Name(60.0, (("s", 1),), "minute"),
-    "h": _Name(3600.0, (("s", 1),), "hour"),
-    "day": _Name(86400.0, (("s", 1),), "day"),
-    "kHz": _Name(1e3, (("Hz", 1),), "kilohertz"),
-    "MHz": _Name(1e6, (("Hz", 1),), "megahertz"),
-    # mass
-    "gram": _Name(1e-3, (("kg", 1),), "gram"),
-    "mg": _Name(1e-6, (("kg", 1),), "milligram"),
-    "t": _Name(1e3, (("kg", 1),), "metric_ton"),
-    "lbm": _Name(0.45359237, (("kg", 1),), "pound"),
-    # force, torque, energy, power
-    "mN": _Name(1e-3, (("N", 1),), "millinewton"),
-    "kN": _Name(1e3, (("N", 1),), "kilonewton"),
-    "MN": _Name(1e6, (("N", 1),), "meganewton"),
-    "lbf": _Name(0.45359237 * 9.80665, (("N", 1),), "force_pound"),
-    "Nm": _Name(1.0, (("N", 1), ("m", 1)), "newton * meter"),
-    "mNm": _Name(1e-3, (("N", 1), ("m", 1)), "millinewton * meter"),
-    "kNm": _Name(1e3, (("N", 1), ("m", 1)), "kilonewton * meter"),
-    "MNm": _Name(1e6, (("N", 1), ("m", 1)), "meganewton * meter"),
-    "kJ": _Name(1e3, (("J", 1),), "kilojoule"),
-    "MJ": _Name(1e6, (("J", 1),), "megajoule"),
-    "Wh": _Name(3600.0, (("J", 1),), "watt_hour"),
-    "kWh": _Name(3.6e6, (("J", 1),), "kilowatt_hour"),
-    "MWh": _Name(3.6e9, (("J", 1),), "megawatt_hour"),
-    "mW": _Name(1e-3, (("W", 1),), "milliwatt"),
-    "kW": _Name(1e3, (("W", 1),), "kilowatt"),
-    "MW": _Name(1e6, (("W", 1),), "megawatt"),
-    # pressure
-    "hPa": _Name(1e2, (("Pa", 1),), "hectopascal"),
-    "kPa": _Name(1e3, (("Pa", 1),), "kilopascal"),
-    "MPa": _Name(1e6, (("Pa", 1),), "megapascal"),
-    "bar": _Name(1e5, (("Pa", 1),), "bar"),
-    "mbar": _Name(1e2, (("Pa", 1),), "millibar"),
-    # electricity
-    "mV": _Name(1e-3, (("V", 1),), "millivolt"),
-    "kV": _Name(1e3, (("V", 1),), "kilovolt"),
-    "uA": _Name(1e-6, (("A", 1),), "microampere"),
-    "mA": _Name(1e-3, (("A", 1),), "milliampere"),
-    "kA": _Name(1e3, (("A", 1),), "kiloampere"),
-    "mH": _Name(1e-3, (("H", 1),), "millihenry"),
-    "mohm": _Name(1e-3, (("ohm", 1),), "milliohm"),
-    "kohm": _Name(1e3, (("ohm", 1),), "kiloohm"),
-    # temperature; the offset holds for the unit alone
-    "degC": _Name(1.0, (("K", 1),), "degree_Celsius", 273.15),
-    "degF": _Name(5 / 9, (("K", 1),), "degree_Fahrenheit", 459.67 * 5 / 9),
-    # share
-    "%": _Name(1e-2, (), "percent"),
-}
-
-_ALIASES: dict[str, str] = {
-    "": "1",
-    "-": "1",
-    "[-]": "1",
-    "none": "1",
-    "dimensionless": "1",
-    "radian": "rad",
-    "radians": "rad",
-    "degree": "deg",
-    "degrees": "deg",
-    "°": "deg",
-    "rad/sec": "rad/s",
-    "radps": "rad/s",
-    "radps2": "rad/s^2",
-    "degps": "deg/s",
-    "dps": "deg/s",
-    "degps2": "deg/s^2",
-    "RPM": "rpm",
-    "rev/min": "rpm",
-    "r/min": "rpm",
-    "meter": "m",
-    "meters": "m",
-    "metre": "m",
-    "metres": "m",
-    "µm": "um",
-    "μm": "um",
-    "inch": "in",
-    "foot": "ft",
-    "feet": "ft",
-    "l": "L",
-    "liter": "L",
-    "litre": "L",
-    "ml": "mL",
-    "lpm": "L/min",
-    "knot": "kn",
-    "knots": "kn",
-    "kts": "kn",
-    "kmh": "km/h",
-    "kph": "km/h",
-    "mps": "m/s",
-    "mps2": "m/s^2",
-    "mpss": "m/s^2",
-    "g_0": "g0",
-    "gee": "g0",
-    "sec": "s",
-    "second": "s",
-    "seconds": "s",
-    "msec": "ms",
-    "µs": "us",
-    "μs": "us",
-    "minute": "min",
-    "minutes": "min",
-    "hr": "h",
-    "hour": "h",
-    "hours": "h",
-    "d": "day",
-    "days": "day",
-    "hertz": "Hz",
-    "grams": "gram",
-    "tonne": "t",
-    "tonnes": "t",
-    "newton": "N",
-    "volt": "V",
-    "volts": "V",
-    "ampere": "A",
-    "amp": "A",
-    "watt": "W",
-    "pascal": "Pa",
-    "Ω": "ohm",
-    "Ohm": "ohm",
-    "°C": "degC",
-    "celsius": "degC",
-    "°F": "degF",
-    "kelvin": "K",
-    "percent": "%",
-    "pct": "%",
-}
-
-_AMBIGUOUS: dict[str, str] = {
-    "KN": "kN (kilonewton) or kn (knot)",
-    "Kn": "kN (kilonewton) or kn (knot)",
-    "KT": "kn (knot) or t (tonne)",
-    "kt": "kn (knot) or 1000 t (kilotonne)",
-    "nm": "nmi (nautical mile), N m (newton metre) or 0.001 um (nanometre)",
-    "NM": "nmi (nautical mile) or N m (newton metre)",
-    "nM": "nmi (nautical mile) or N m (newton metre)",
-    "g": "gram (mass) or g0 (standard gravity, 9.80665 m/s^2)",
-    "G": "g0 (standard gravity, 9.80665 m/s^2); gauss is not in the list",
-    "gs": "g0 (standard gravity, 9.80665 m/s^2) or gram s",
-    "M": "m (metre); mega alone is no unit",
-    "T": "t (tonne) or s (time); tesla is not in the list",
-    "S": "s (second); siemens is 1/ohm",
-    "C": "degC (degree Celsius) or A s (coulomb)",
-    "F": "degF (degree Fahrenheit) or A s/V (farad)",
-    "lb": "lbm (mass) or lbf (force)",
-    "lbs": "lbm (mass) or lbf (force)",
-    "ton": "t (1000 kg); a short ton is 907.18474 kg, a long ton 1016.0469 kg",
-    "tons": "t (1000 kg); a short ton is 907.18474 kg, a long ton 1016.0469 kg",
-}
 
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _TOKEN = re.compile(
@@ -293,13 +84,13 @@ def _parse(text: str) -> Unit:
     factor, offset = 1.0, 0.0
     dimension = [Fraction(0)] * len(BASE_UNITS)
     for name, power in terms:
-        entry = _NAMES[name]
+        entry = NAMES[name]
         if len(terms) == 1 and power == 1:
             offset = entry.offset
         exponent = int(power) if power.denominator == 1 else float(power)
         factor *= entry.factor**exponent
         for si_name, si_power in entry.si:
-            for i, e in enumerate(_SI[si_name]):
+            for i, e in enumerate(SI[si_name]):
                 dimension[i] += e * si_power * power
     return Unit(text, factor, offset, tuple(dimension))
 
@@ -315,11 +106,11 @@ def _clean(text: str) -> str:
 def _terms(text: str) -> _Terms:
     """Return (name of the list, power) of each factor in `text`, in order."""
     cleaned = _clean(text)
-    if cleaned in _AMBIGUOUS:
+    if cleaned in AMBIGUOUS:
         raise _ambiguous(text, cleaned)
-    if cleaned in _ALIASES:
-        cleaned = _ALIASES[cleaned]
-    if cleaned in _NAMES:
+    if cleaned in ALIASES:
+        cleaned = ALIASES[cleaned]
+    if cleaned in NAMES:
         return [(cleaned, Fraction(1))]
 
     terms: _Terms = []
@@ -385,13 +176,13 @@ def _power(text: str | None, unit: str) -> Fraction:
 
 
 def _lookup(name: str, text: str) -> str:
-    if name in _AMBIGUOUS:
+    if name in AMBIGUOUS:
         raise _ambiguous(text, name)
-    if name in _NAMES:
+    if name in NAMES:
         return name
-    if name in _ALIASES:
-        return _ALIASES[name]
-    known = [*_NAMES, *(a for a in _ALIASES if a)]
+    if name in ALIASES:
+        return ALIASES[name]
+    known = [*NAMES, *(a for a in ALIASES if a)]
     folded = {k.casefold(): k for k in known}
     near = difflib.get_close_matches(name.casefold(), list(folded), n=3, cutoff=0.5)
     hint = f"Nearest: {', '.join(folded[n] for n in near)}. " if near else ""
@@ -403,7 +194,7 @@ def _lookup(name: str, text: str) -> str:
 
 def _ambiguous(text: str, name: str) -> UnitError:
     return UnitError(
-        f"unit {text!r} is ambiguous: {name!r} may mean {_AMBIGUOUS[name]}. Write which."
+        f"unit {text!r} is ambiguous: {name!r} may mean {AMBIGUOUS[name]}. Write which."
     )
 
 
@@ -436,7 +227,7 @@ def unit_powers(text: str) -> dict[str, Fraction]:
     parse_unit(text)
     powers: dict[str, Fraction] = {}
     for name, power in _terms(text):
-        for si_name, si_power in _NAMES[name].si:
+        for si_name, si_power in NAMES[name].si:
             powers[si_name] = powers.get(si_name, Fraction(0)) + si_power * power
     return powers
 
@@ -602,7 +393,7 @@ def _is_cyclic(text: str) -> bool:
 
 
 def _is_angular(text: str) -> bool:
-    return any(si == "rad" for name, _ in _terms(text) for si, _ in _NAMES[name].si)
+    return any(si == "rad" for name, _ in _terms(text) for si, _ in NAMES[name].si)
 
 
 def describe_dimension(dimension: Dimension) -> str:
@@ -612,17 +403,17 @@ def describe_dimension(dimension: Dimension) -> str:
 
 def unit_names() -> tuple[str, ...]:
     """Return the names of the list, without aliases."""
-    return tuple(_NAMES)
+    return tuple(NAMES)
 
 
 def unit_aliases() -> dict[str, str]:
     """Return the aliases and their meanings."""
-    return dict(_ALIASES)
+    return dict(ALIASES)
 
 
 def ambiguous_units() -> dict[str, str]:
     """Return the names that are refused, and what each may mean."""
-    return dict(_AMBIGUOUS)
+    return dict(AMBIGUOUS)
 
 
 def pint_expression(text: str) -> str:
@@ -634,9 +425,9 @@ def pint_expression(text: str) -> str:
         As `parse_unit`.
     """
     parse_unit(text)
-    parts = [f"({_NAMES[name].pint}) ** ({power})" for name, power in _terms(text)]
+    parts = [f"({NAMES[name].pint}) ** ({power})" for name, power in _terms(text)]
     if len(parts) == 1 and _terms(text)[0][1] == 1:
-        return _NAMES[_terms(text)[0][0]].pint
+        return NAMES[_terms(text)[0][0]].pint
     return " * ".join(parts) or "dimensionless"
 
 
@@ -648,10 +439,7 @@ def unit_quotient(unit: str, other: str, power: int = 1) -> str:
     UnitError
         As `parse_unit`.
     """
-    powers: dict[str, Fraction] = {}
-    for text, sign in ((unit, 1), (other, -power)):
-        parse_unit(text)
-        for name, exponent in _terms(text):
-            for si_name, si_power in _NAMES[name].si:
-                powers[si_name] = powers.get(si_name, Fraction(0)) + si_power * exponent * sign
+    powers = unit_powers(unit)
+    for name, exponent in unit_powers(other).items():
+        powers[name] = powers.get(name, Fraction(0)) - power * exponent
     return _written(powers)

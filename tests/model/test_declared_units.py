@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from casid.errors import ModelError, UnitError
+from casid.model.declarations import Parameter
 from casid.model.dimensions import check_units
 from casid.model.effects.balance_effects import coulomb_friction, deadzone
 from casid.model.effects.channel_effects import sensor_bias
 from casid.model.effects.user_effects import balance_effect, user_effects
-from casid.model.model import Model, Parameter
+from casid.model.model import Model
 
 
 def test_numbers_are_kept_in_si_and_the_declared_unit_is_remembered():

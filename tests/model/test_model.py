@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from casid.errors import ModelError
+from casid.model.declarations import Parameter
 from casid.model.effects.balance_effects import (
     coulomb_friction,
     cubic_stiffness,
     offset,
     quadratic_damping,
 )
-from casid.model.model import Model, Parameter
+from casid.model.model import Model
 
 
 def oscillator() -> Model:

@@ -19,7 +19,14 @@ MAX_BYTES = 5_000_000  # of a file
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EquationFile:
-    """Content of an equation file: one system for each data set (one where there are none)."""
+    """Content of an equation file: one system for each data set (one where there are none).
+
+    Attributes
+    ----------
+    name, description : as the file has them.
+    systems : the equations, once for each data set, with the values known in it.
+    path : the file.
+    """
 
     name: str
     description: str

@@ -20,7 +20,8 @@ from casid.arrays import Array
 from casid.errors import DataError, ModelError
 from casid.identifiability.equations.formula_scope import is_finite
 from casid.identifiability.equations.system import System
-from casid.model.model import Model, Stage
+from casid.model.declarations import Stage
+from casid.model.model import Model
 
 if TYPE_CHECKING:
     from casid.data.experiment import Experiment

@@ -72,20 +72,29 @@ def experiment(label: str, *systems: System, cost: float = 1.0) -> Candidate:
 
 
 def replica(*experiments: str, cost: float = 1.0) -> Candidate:
-    """A repetition of the named experiments (all), with own initial states and known inputs."""
+    """A repetition of the named experiments (all), with own initial states and known inputs.
+
+    `cost` is in any unit that all candidates share; remedies are sought by their sum.
+    """
     label = "replica" + (f" of {', '.join(experiments)}" if experiments else "")
     return Candidate("experiment", label, cost, experiments=experiments)
 
 
 def known_parameter(name: str, cost: float = 1.0) -> Candidate:
-    """The parameter is measured otherwise: a known constant in all experiments."""
+    """The parameter `name` is measured otherwise: a known constant in all experiments.
+
+    `cost` as in `replica`.
+    """
     return Candidate("known parameter", name, cost)
 
 
 def known_initial_state(
     state: str, cost: float = 1.0, *, experiments: Sequence[str] = ()
 ) -> Candidate:
-    """The state's initial value is known, in every experiment that has it (or in those named)."""
+    """The state's initial value is known, in every experiment that has it (or in those named).
+
+    `cost` as in `replica`.
+    """
     return Candidate("known initial state", state, cost, experiments=tuple(experiments))
 
 

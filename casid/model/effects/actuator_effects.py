@@ -7,10 +7,11 @@ from collections.abc import Iterator, Sequence
 import casadi as ca
 
 from casid.errors import ModelError
+from casid.model.declarations import Parameter, Stage
 from casid.model.effects.channel_effects import carry
 from casid.model.effects.effect import Effect, Sizes, known_while_null, switched_on
 from casid.model.effects.search_ranges import ACTUATORS
-from casid.model.model import Model, Parameter, Stage
+from casid.model.model import Model
 
 
 def actuator_saturation(model: Model, channel: str, limit: float) -> Effect:

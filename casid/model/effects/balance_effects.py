@@ -6,18 +6,19 @@ force there enters every equation of the place. v is the place's velocity, q its
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from casid.errors import UnitError
+from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
-from casid.model.effects.effect import Effect, Sided
+from casid.model.effects.effect import Effect, Sided, Spread, is_one_sided
 from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
-from casid.model.model import Input, Model, Parameter
+from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
 
 Expr = Any  # a CasADi expression
@@ -195,25 +196,51 @@ def offset(model: Model, balance: str) -> Effect:
     return Effect("offset", balance, (Parameter(symbol, b.unit, 0.0),), apply)
 
 
-def extra_input(model: Model, balance: str, channel: str, unit: str) -> Effect:
-    """A recorded channel that acts in a balance although the model does not use it.
+def extra_input(model: Model, balance: str, channel: str, unit: str, about: float = 0.0) -> Effect:
+    """b u: a recorded channel that acts in a balance although the model does not use it.
 
     A channel of the rate's own kind in a balance of no force (a temperature beside a heat balance)
-    exchanges: what acts is its difference to the rate, b (c - x).
+    exchanges: what acts is its difference to the rate, b (c - x). Any other acts from its zero, or
+    with `about` u_0 (SI unit) from an operating point, b (u - u_0): the record's constants, fitted
+    at that point, hold the rest.
     """
     b = model.balances[balance]
     p = Parameter(f"b_{channel}", unit_quotient(b.unit, unit, 1), 0.0)
-    exchanges = not place_named(model, balance).is_mechanical and _is_alike(
-        unit, model.states[b.rate].unit
-    )
+    exchanges = _exchanges(model, balance, unit)
 
     def apply(new: Model, names: Sequence[str]) -> None:
         u = new.add_input(Input(channel, unit, "known", "foh"))
-        acts = u - new.symbol(b.rate) if exchanges else u
+        acts = u - new.symbol(b.rate) if exchanges else _about(u, about)
         new.add_term(balance, new.symbol(names[0]) * acts)
 
+    constants = {"about": about} if about else {}
     # A late sensor acts much as what drives the system does, and is met more often.
-    return Effect("extra_input", channel, (p,), apply, priority=3)
+    return Effect("extra_input", channel, (p,), apply, priority=3, constants=constants)
+
+
+def extra_inputs_of(
+    model: Model, balance: str, channel: str, unit: str, reading: Spread | None
+) -> Iterator[Effect]:
+    """A recorded channel in a balance, from its zero and from the mean of what stays away from it.
+
+    The zero of a temperature scale means nothing to a force: from there it would be a constant.
+    """
+    if (
+        reading is None
+        or not is_one_sided(reading.lowest, reading.highest)
+        or _exchanges(model, balance, unit)
+    ):
+        yield extra_input(model, balance, channel, unit)
+        return
+    if not same_dimension(unit, "K"):
+        yield extra_input(model, balance, channel, unit)
+    yield extra_input(model, balance, channel, unit, reading.mean)
+
+
+def _exchanges(model: Model, balance: str, unit: str) -> bool:
+    """True of a channel of the rate's own kind in a balance of no force."""
+    rate_unit = model.states[model.balances[balance].rate].unit
+    return not place_named(model, balance).is_mechanical and _is_alike(unit, rate_unit)
 
 
 def _about(coordinate: Expr, point: float) -> Expr:

@@ -12,7 +12,7 @@ from casid.model.effects.balance_effects import (
     cubic_damping,
     cubic_stiffness,
     deadzone,
-    extra_input,
+    extra_inputs_of,
     offset,
     quadratic_damping,
     quadratic_stiffness,
@@ -77,7 +77,9 @@ def catalogue(
         effects += _linear_and_power_laws(model, place, sizes)
         if place.where in model.balances:
             effects.append(offset(model, place.where))
-            effects += [extra_input(model, place.where, c, u) for c, u in recorded.items()]
+            for channel, unit in recorded.items():
+                reading = sizes.channels.get(channel)
+                effects += extra_inputs_of(model, place.where, channel, unit, reading)
     for state, ends in sizes.ranges.items():
         law = power_law(model, state, sizes.rates[state]) if is_positive(ends) else None
         effects += [law] if law is not None else []
@@ -105,8 +107,9 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
         motion = sizes.motion_of(place.velocity)
         rms = max(motion.rms, 1e-12)
         speed = SMOOTHING.speed * rms
-        # Drag grows with the speed through the medium; a temperature has no such zero.
-        about = 0.0 if place.is_mechanical else motion.operating_point
+        # Drag grows with the speed through the medium, a flow with the difference of two levels; a
+        # temperature alone has no such zero.
+        about = 0.0 if place.is_mechanical or place.is_relative else motion.operating_point
         effects.append(quadratic_damping(model, place, about))
         effects.append(cubic_damping(model, place, about))
         # Where the rate keeps its sign, dry friction is a constant force.

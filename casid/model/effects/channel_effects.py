@@ -6,10 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from casid.errors import ModelError, UnitError
+from casid.model.declarations import HOLDS, Blend, Hold, Input, Parameter, Stage
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Sizes, switched_on
 from casid.model.effects.search_ranges import RANGES
-from casid.model.model import HOLDS, Blend, Hold, Input, Model, Parameter, Stage
+from casid.model.model import Model
 from casid.model.units import same_dimension, unit_quotient
 
 
@@ -35,7 +36,14 @@ def sensor_bias(model: Model, channel: str) -> Effect:
 
 
 def time_delay(model: Model, channel: str, longest: float) -> Effect:
-    """A channel that arrives late by a constant time, at most `longest` seconds."""
+    """A channel that arrives late by a constant time, at most `longest` seconds.
+
+    Parameters
+    ----------
+    channel : an output of `model`, whose simulation is delayed, or a measured input, which is then
+        moved ahead.
+    longest : upper bound of the delay [s].
+    """
     p = Parameter(f"delay_{channel}", "s", 0.0, lower=0.0, upper=longest)
     if channel in model.outputs:
 
@@ -264,7 +272,14 @@ _BLENDS: Mapping[tuple[Hold, Hold], str] = {
 
 
 def saturation(model: Model, channel: str, limit: float) -> Effect:
-    """An output clipped at plus and minus a limit, near the largest value measured."""
+    """An output clipped at plus and minus a limit, near the largest value measured.
+
+    Parameters
+    ----------
+    channel : an output of the model.
+    limit : where the estimate of the limit starts, in the output's SI unit; its bounds are
+        `RANGES.lowest_limit` and `RANGES.highest_limit` times that.
+    """
     unit = model.outputs[channel][1]
     lower, upper = RANGES.lowest_limit * limit, RANGES.highest_limit * limit
     p = Parameter(f"limit_{channel}", unit, limit, lower=lower, upper=upper)

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
+from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect
 from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import PERIODIC_FORCES
-from casid.model.model import Model, Parameter
+from casid.model.model import Model
 from casid.model.units import same_dimension
 
 

@@ -8,13 +8,14 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import clipped_motion, force_along, stiffness_of
 from casid.model.effects.effect import Effect, known_while_null
 from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import CONTACT_RANGES
-from casid.model.model import Model, Parameter
+from casid.model.model import Model
 from casid.model.units import unit_quotient
 
 Side = Literal["both", "upper", "lower"]

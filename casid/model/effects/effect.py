@@ -15,8 +15,9 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.model.declarations import Parameter
 from casid.model.effects.search_ranges import SMOOTHING
-from casid.model.model import Model, Parameter
+from casid.model.model import Model
 from casid.model.units import is_si, parse_unit, si_unit
 
 Sided = Literal["positive", "both"]
@@ -189,13 +190,18 @@ class Motion:
     @property
     def is_signed(self) -> bool:
         """True if it stays on one side of zero, by a thousandth of its largest value at least."""
-        margin = SMOOTHING.above_zero * self.largest
-        return self.low > margin or self.high < -margin
+        return is_one_sided(self.low, self.high)
 
     @property
     def operating_point(self) -> float:
         """Where nonlinear terms are expanded: zero, or the mean of what stays away from zero."""
         return self.mean if self.is_signed else 0.0
+
+
+def is_one_sided(low: float, high: float) -> bool:
+    """True if a range stays away from zero, by a thousandth of its largest value at least."""
+    margin = SMOOTHING.above_zero * max(abs(low), abs(high))
+    return low > margin or high < -margin
 
 
 def switched_on(model: Model, name: str) -> None:

@@ -218,8 +218,7 @@ class _Elements:
                 return None
             shares.append((other.row, ratio))
         is_spring = velocity is None or (position is not None and set(coordinate) == set(position))
-        units = {n: s.unit for n, s in self.model.states.items()}
-        units |= {n: u.unit for n, u in self.model.inputs.items()}
+        units = self.model.symbol_units
         moving = velocity if velocity is not None else position
         assert moving is not None
         row = first.row

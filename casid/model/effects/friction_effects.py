@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 import casadi as ca
 
+from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import force_along
 from casid.model.effects.effect import Effect, known_while_null
 from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import FRICTION_RANGES
-from casid.model.model import Model, Parameter
+from casid.model.model import Model
 
 
 def asymmetric_damping(model: Model, where: str | Place) -> Effect:

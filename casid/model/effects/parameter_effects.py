@@ -8,11 +8,12 @@ import casadi as ca
 import numpy as np
 
 from casid.model.clock_signals import RampOver, StepAt
+from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.effect import Effect, Sizes, Spread
 from casid.model.effects.place import is_mechanical
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
-from casid.model.model import Input, Model, Parameter
+from casid.model.model import Model
 from casid.model.units import unit_quotient
 
 

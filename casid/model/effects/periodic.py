@@ -8,9 +8,10 @@ import casadi as ca
 import numpy as np
 
 from casid.model.clock_signals import Always, TimeSince
+from casid.model.declarations import Input, Parameter
 from casid.model.effects.effect import Effect
 from casid.model.effects.search_ranges import PERIODIC_FORCES
-from casid.model.model import Input, Model, Parameter
+from casid.model.model import Model
 
 
 def periodic_disturbance(

@@ -7,8 +7,9 @@ from typing import Any
 
 import casadi as ca
 
+from casid.model.declarations import Parameter
 from casid.model.effects.effect import Effect, Sizes, switched_on
-from casid.model.model import Model, Parameter
+from casid.model.model import Model
 from casid.model.units import same_dimension
 
 Expr = Any  # a CasADi expression

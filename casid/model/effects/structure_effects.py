@@ -8,10 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from casid.errors import ModelError
+from casid.model.declarations import Parameter, Stage
 from casid.model.effects.channel_effects import carry, is_lagging
 from casid.model.effects.effect import Effect, Sizes, known_while_null
 from casid.model.effects.search_ranges import MISSING_MODES, RANGES
-from casid.model.model import Model, Parameter, Stage
+from casid.model.model import Model
 from casid.model.units import unit_quotient
 
 

@@ -14,13 +14,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import force_along
 from casid.model.effects.effect import Effect
 from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
-from casid.model.model import Model, Parameter
+from casid.model.model import Model
 from casid.model.units import quantity_of
 
 Expr = Any  # a CasADi expression

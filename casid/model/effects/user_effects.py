@@ -19,9 +19,10 @@ from typing import Any, Required, TypedDict, Unpack
 import numpy as np
 
 from casid.errors import ModelError
+from casid.model.declarations import Input, Parameter
 from casid.model.declared_units import numbers_in_si
 from casid.model.effects.effect import Effect, Sided
-from casid.model.model import Input, Model, Parameter
+from casid.model.model import Model
 from casid.model.units import is_si
 
 Expr = Any  # a CasADi expression
@@ -116,7 +117,13 @@ def parameter_effect(
 ) -> Effect:
     """A parameter of the model replaced by an expression, itself where the effect is null.
 
-    As `balance_effect`; `null` is the value of `parameter` at which the model is as it was.
+    Parameters
+    ----------
+    kind : name of the effect, as it stands in a diagnosis.
+    replaced : the parameter of the model.
+    expression : of the symbols of model and effect, `s["name"]`, in SI units.
+    null : value of the effect's own parameter at which the model is as it was.
+    options : as in `balance_effect`.
     """
 
     def change(new: Model, own: Mapping[str, str]) -> None:
@@ -135,8 +142,11 @@ def channel_effect(
 ) -> Effect:
     """A channel distorted: an output becomes an expression of itself, `s[channel]`, and more.
 
-    For an input the expression says what acts, given what was recorded: the distortion undone. As
-    `parameter_effect` otherwise.
+    Parameters
+    ----------
+    channel : an output, or an input: there the expression says what acts, given what was recorded,
+        so that it undoes the distortion.
+    kind, expression, null, options : as in `parameter_effect`.
     """
 
     def change(new: Model, own: Mapping[str, str]) -> None:

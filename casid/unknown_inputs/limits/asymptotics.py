@@ -72,11 +72,6 @@ class Asymptotics(Presented):
         total = self.variance(name) / N + self.bias(name) ** 2
         return _factored(total) if hasattr(total, "free_symbols") else float(total)
 
-    def amse_matrix(self, N: Any = 1) -> Array:
-        """(n, n) P / N + bias bias', (2.60) for N = 1."""
-        bias = np.array([self.bias(n) for n in self.names], dtype=self.limit.dtype)
-        return np.asarray(self.covariance / N + np.outer(bias, bias))
-
     def samples_for(self, name: str, accuracy: float) -> float:
         """Samples until the root mean square error is `accuracy`; infinite where bias forbids it.
 

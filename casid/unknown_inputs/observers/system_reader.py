@@ -43,18 +43,13 @@ def unknown_input_system(
     chosen = None if unknown is None else (unknown,) if isinstance(unknown, str) else tuple(unknown)
     if isinstance(system, Model):
         holds = {n: i.hold for n, i in system.inputs.items()}
+        units = system.symbol_units | {n: unit for n, (_, unit) in system.outputs.items()}
         if chosen is None:
             chosen = tuple(n for n, i in system.inputs.items() if i.kind == "unknown")
-        return _from_linear(linearise(system), chosen, values, outputs, _units(system), holds)
+        return _from_linear(linearise(system), chosen, values, outputs, units, holds)
     if isinstance(system, LinearModel):
         return _from_linear(system, chosen, values, outputs, {}, {})
     return _from_control(system, chosen, outputs)
-
-
-def _units(model: Model) -> dict[str, str]:
-    units = {n: s.unit for n, s in model.states.items()}
-    units |= {n: i.unit for n, i in model.inputs.items()}
-    return units | {n: unit for n, (_, unit) in model.outputs.items()}
 
 
 def _from_linear(

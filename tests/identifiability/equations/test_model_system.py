@@ -14,6 +14,7 @@ import casid
 from casid.errors import DataError, ModelError
 from casid.identifiability.equations.model_system import left_out, system_of, systems_of, translated
 from casid.identifiability.equations.system import System
+from casid.model.declarations import Input
 from casid.model.effects.channel_effects import (
     hold,
     saturation,
@@ -23,7 +24,6 @@ from casid.model.effects.channel_effects import (
 )
 from casid.model.effects.parameter_effects import parameter_jump
 from casid.model.effects.structure_effects import actuator_lag
-from casid.model.model import Input
 from problems import emps, pendulum, pendulum_rig, roll_decay
 
 MODELS = {

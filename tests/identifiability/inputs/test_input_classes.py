@@ -22,21 +22,8 @@ from casid.identifiability.inputs.input_classes import (
     with_input_class,
 )
 from casid.identifiability.rank.observability import observability
+from tests.support.formula_systems import system_of
 from tests.support.shared import shared
-
-
-def system_of(equations, outputs, *, params=(), unknown=(), known=(), constants=(), name="example"):
-    """A system from formulas."""
-    fields = {
-        "states": list(equations),
-        "params": list(params),
-        "known_inputs": list(known),
-        "unknown_inputs": list(unknown),
-        "known_constants": list(constants),
-        "equations": equations,
-        "outputs": outputs,
-    }
-    return parse_system(fields, name=name)
 
 
 def identifiable(systems):

@@ -19,26 +19,10 @@ from casid.identifiability.inputs.experiments import merge, replicas, systems_by
 from casid.identifiability.inputs.input_derivatives import observability_by_counting
 from casid.identifiability.rank.observability import observability, rank_at
 from problems import pendulum
+from tests.support.formula_systems import system_of
 from tests.support.shared import shared
 
 P = 2_147_483_647
-
-
-def system_of(equations, outputs, *, params=(), unknown=(), known=(), constants=(), **more):
-    """A system from formulas; further fields as in an equation file."""
-    return parse_system(
-        {
-            "states": list(equations),
-            "params": list(params),
-            "known_inputs": list(known),
-            "unknown_inputs": list(unknown),
-            "known_constants": list(constants),
-            "equations": equations,
-            "outputs": outputs,
-            **more,
-        },
-        name="example",
-    )
 
 
 def identifiable(systems):

@@ -144,7 +144,7 @@ def test_a_parameter_of_an_input_at_rest_moves_no_output():
 def test_singular_values_are_one_over_relative_errors_with_initial_states_eliminated():
     """The weakest direction has the largest error, and the others follow in order."""
     m = integrator()
-    m.states["x"] = casid.model.model.State("x", "m")  # its start is unknown now
+    m.states["x"] = casid.model.declarations.State("x", "m")  # its start is unknown now
     record = inputs()
     r = practical_identifiability(m, record, noise={"y": 0.2})
     Phi, one = regressor(record) * [2.0, 3.0] / 0.2, np.ones((record.N, 1))
@@ -160,7 +160,7 @@ def test_singular_values_are_one_over_relative_errors_with_initial_states_elimin
 def test_an_initial_state_is_judged_against_the_motion_and_not_against_its_own_zero():
     """A start at rest is no small number: what counts is how far the state moves later."""
     m = integrator()
-    m.states["x"] = casid.model.model.State("x", "m")
+    m.states["x"] = casid.model.declarations.State("x", "m")
     r = practical_identifiability(m, inputs(), noise={"y": 0.2})["x(0)"]
     motion = np.sqrt(np.mean((regressor(inputs()) @ [2.0, -3.0]) ** 2))
     assert (r.value, r.verdict) == (0.0, "well determined")

@@ -13,6 +13,7 @@ from casid.model.effects.balance_effects import (
     coulomb_friction,
     cubic_stiffness,
     extra_input,
+    extra_inputs_of,
     offset,
     quadratic_damping,
 )
@@ -213,6 +214,28 @@ def test_a_recorded_channel_acts_with_its_gain():
     slope = ca.jacobian(e.f, e.u[e.inputs.index("wind")])
     b = e.p[e.parameters.index("b_wind")]
     assert float(ca.substitute(slope[1], b, 3.0)) == pytest.approx(3.0 / 2.0)
+
+
+@pytest.mark.parametrize(
+    ("unit", "reading", "points"),
+    [
+        ("m/s", Spread(0.5, -2.0, 6.0), [0.0]),
+        ("m/s", Spread(5.0, 3.0, 8.0), [0.0, 5.0]),
+        ("K", Spread(300.0, 295.0, 304.0), [300.0]),
+    ],
+)
+def test_a_recorded_channel_acts_from_its_zero_or_from_an_operating_point(unit, reading, points):
+    """Both where it stays away from zero; the zero of a temperature means nothing to a force."""
+    m = oscillator()
+    found = list(extra_inputs_of(m, "force balance", "beside", unit, reading))
+    assert [e.constants.get("about", 0.0) for e in found] == points
+    for effect, point in zip(found, points, strict=True):
+        import casadi as ca
+
+        e = m.extend(effect).explicit()
+        u = e.u[e.inputs.index("beside")]
+        at_rest = ca.substitute(e.f[1], ca.vertcat(e.x, u, e.u[0]), ca.vertcat(0, 0, point, 0))
+        assert float(ca.substitute(at_rest, e.p, ca.DM.ones(e.p.numel()))) == pytest.approx(0.0)
 
 
 def test_a_parameter_follows_a_channel_about_its_mean():

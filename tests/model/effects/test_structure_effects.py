@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import casid
+from casid.estimation.simulation.first_order_lags import lag_inputs
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.simulator import Simulator
@@ -251,3 +252,36 @@ def test_a_mode_of_an_indirect_model_stays_in_its_direct_one():
     assert {"q_m", "v_m"} < set(direct.states)
     assert "a_y" in direct.inputs
     direct.explicit()
+
+
+def test_an_actuator_without_a_lag_is_none_where_an_output_shows_its_steps() -> None:
+    """A voltage that is held reaches the measured current of a motor at its own sample."""
+    m = casid.Model("motor")
+    voltage = m.input("voltage", "V", hold="zoh", known=True)
+    w = m.state("w", "rad/s", initial=0.0)
+    J, K = m.constant("J", 0.01, "kg m^2"), m.constant("K", 0.1, "N m/A")
+    R = m.parameter("R", "Ohm", start=2.0)
+    current = (voltage - K * w) / R
+    m.balance(w, "torque", inertia=J, terms=[K * current])
+    m.output("current", current, "A")
+    steps = {"voltage": COMMAND, "current": np.zeros(N)}
+    record = casid.Record(steps, {"voltage": "V", "current": "A"}, Ts=TS)
+    plain, lagging = (
+        SimulationError(model, [casid.Experiment(record, {}, "r")])
+        for model in (m, actuator_lag(m, "voltage", 1.0).extend(m))
+    )
+    assert lagging.simulate(lagging.start, 0)[0] == pytest.approx(
+        plain.simulate(plain.start, 0)[0], abs=1e-12
+    )
+
+
+@pytest.mark.parametrize("tau", [0.0, 1e-6, 0.03, 0.0999, 0.1001])
+def test_a_short_lag_of_a_held_input_is_near_no_lag_and_has_its_derivative(tau: float) -> None:
+    """Of the value at the sample on which the input steps, too, which an output may show."""
+    steps = np.repeat([0.0, 1.0, -2.0], 5)
+    step = 1e-7
+    line, change = lag_inputs(steps, tau, "zoh")
+    above = lag_inputs(steps, tau + step, "zoh")[0]
+    assert (above - line) / step == pytest.approx(change, abs=1e-4)
+    if tau == 0.0:
+        assert line == pytest.approx(np.stack([steps] * 3, axis=1), abs=1e-12)

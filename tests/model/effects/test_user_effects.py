@@ -14,6 +14,7 @@ from casid.diagnosis.evidence.divergence import diverging_size
 from casid.errors import ModelError
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulator import Simulator
+from casid.model.declarations import Parameter
 from casid.model.effects.balance_effects import coulomb_friction
 from casid.model.effects.effect import Effect
 from casid.model.effects.user_effects import (
@@ -23,7 +24,6 @@ from casid.model.effects.user_effects import (
     user_effects,
 )
 from casid.model.effects.validity import check_effects
-from casid.model.model import Parameter
 from problems import pendulum
 
 Ts = 0.01

@@ -9,6 +9,7 @@ import pytest
 import scipy.signal
 
 from analysis.static_examples.formulas import variance_boundary
+from analysis.static_examples.study import with_a_slow_input
 from casid.errors import ModelError
 from casid.estimation.prediction_error.polynomial.orders import Orders
 from casid.unknown_inputs.limits.comparison import Comparison
@@ -20,6 +21,7 @@ from casid.unknown_inputs.limits.regression import Regression, Term, lags
 from casid.unknown_inputs.limits.regression_limit import regression_limit
 from casid.unknown_inputs.limits.remedies import Remedy, compare_remedies
 from problems.static_input import VALUES, signals
+from tests.report.golden_results import comparison
 
 BOTH: dict[str, Term] = {"bK": "u_K", "bU": "u_U"}
 TRUTH = {"bK": "bK", "bU": "bU"}
@@ -29,15 +31,7 @@ NUMBERS = {k: v for k, v in VALUES.items() if k != "beta"} | {"a1": 0.5, "a2": 1
 @pytest.fixture(scope="module")
 def benchmark() -> Comparison:
     """The thesis's benchmark in letters, beta = 0."""
-    return compare_remedies(
-        signals().at({"beta": 0}), "y_O", BOTH, "u_U", TRUTH,
-        known=["delta1", "delta2"],
-        approximations={"u_U": "u_hat"},
-        explain=[["delta2"], ["delta1", "delta2"]],
-        measured={"u_U": "y_U"},
-        eliminated={"u_U": "u_I"},
-        accuracy=0.05,
-    )  # fmt: skip
+    return comparison()
 
 
 def test_one_call_has_every_remedy_of_the_thesis_in_letters(benchmark: Comparison) -> None:
@@ -136,24 +130,10 @@ def test_the_table_and_the_figure_hold_the_same_numbers(benchmark: Comparison) -
     assert lines[0].y[-1] == pytest.approx(0.56, rel=1e-3)  # the bias is what remains
 
 
-def dynamic() -> LinearSignals:
-    """A module with an unknown input whose slow part nobody commands; a noisy sensor of it."""
-    return LinearSignals.of(
-        {
-            "u_K": {"r": 1, "w": ([0, 0.6], [1, -0.7])},
-            "u_U": {"r": ([0, 0.5], [1]), "w": ([1], [1, -0.8]), "d": 1},
-            "y": {"u_K": ([0, 1.0, 0.5], [1]), "u_U": ([0, -0.7], [1]), "tau": ([1, 0.4], [1])},
-            "y_U": {"u_U": 1, "e": 1},
-        },
-        {"r": 1.0, "w": 0.3, "d": 0.4, "tau": 0.2, "e": 0.2},
-        Ts=0.1,
-    )
-
-
 def test_remedies_on_a_dynamic_system_are_those_of_a_simulation() -> None:
     """500 runs of N = 1000 in plain numpy; 3.5 Monte Carlo standard errors and O(1/N)."""
     compared = compare_remedies(
-        dynamic(), "y", {"b1": ("u_K", 1), "b2": ("u_K", 2), "c1": ("u_U", 1)}, "u_U",
+        with_a_slow_input(), "y", {"b1": ("u_K", 1), "b2": ("u_K", 2), "c1": ("u_U", 1)}, "u_U",
         {"b1": 1.0, "b2": 0.5, "c1": -0.7},
         known=[*lags("r", 1, 3), ("d", 1)], explain=[], measured={"u_U": "y_U"}, accuracy=0.03,
     )  # fmt: skip

@@ -13,7 +13,7 @@ import sympy
 import casid
 from casid.algebra.rational import Rational
 from casid.errors import ModelError
-from casid.report.figures.network_drawing import network_figure, roles, text_drawing
+from casid.report.figures.network_drawing import network_figure, roles
 from casid.unknown_inputs.networks.algebraic_loops import algebraic_loops
 from casid.unknown_inputs.networks.dynamics import is_stable, network_states, refuse_unstable
 from casid.unknown_inputs.networks.elimination import immerse
@@ -279,5 +279,3 @@ def test_the_drawing_marks_target_observed_unobserved_and_confounding_nodes():
     notes = [a.text for a in figure.layout.annotations if a.text]
     assert set(notes) == {f"G{i}{k}" for i, k in network8.network.modules} | {"delta_6"}
     assert len([a for a in figure.layout.annotations if a.showarrow]) == 13
-    text = text_drawing(network8.network, 2)
-    assert "w5    unobserved      from w2, w8; to w2, w4" in text

@@ -12,7 +12,6 @@ from scipy.stats import binom
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
 from casid.linear.split_dynamics import split_dynamics
-from casid.report.figures.input_estimates import amplification_figure, input_figure
 from casid.unknown_inputs.observers.decoupled_observer import decoupled_observer
 from casid.unknown_inputs.observers.input_smoother import reconstruct_input
 from casid.unknown_inputs.observers.noncausal_inverse import noncausal_inverse
@@ -395,21 +394,3 @@ def test_reconstruction_that_is_asked_wrongly_is_refused_with_its_mend() -> None
     )
     with pytest.raises(ModelError, match="give the record's sample time, Ts="):
         noncausal_inverse(slow)
-
-
-def test_figures_hold_the_estimate_its_band_and_the_truth() -> None:
-    s = oscillator()
-    rng = np.random.default_rng(0)
-    w = smooth_force(400, rng)
-    record = run(s, np.zeros((400, 1)), w, np.zeros(2), 0.01, rng)
-    e = reconstruct_input(s, record, noise={"pos": 0.01}, rate={"force": 2.0})
-    figure = input_figure(e, truth={"force": w[:, 0]})
-    upper, lower, line, true = figure.data
-    np.testing.assert_allclose(line.y, e["force"])
-    np.testing.assert_allclose((np.array(upper.y) - lower.y) / 2, 1.959964 * e.std_error("force"))
-    np.testing.assert_allclose(true.y, w[:, 0])
-    assert figure.layout.yaxis.title.text == "force [N]"
-    assert "Unknown inputs" in figure.layout.meta["caption"]
-    inverse = noncausal_inverse(s)
-    drawn = amplification_figure(inverse, {"pos": 0.01}).data[0]
-    np.testing.assert_allclose(drawn.y, inverse.amplification(drawn.x, {"pos": 0.01})[:, 0])

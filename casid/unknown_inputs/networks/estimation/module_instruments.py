@@ -24,7 +24,7 @@ from casid.estimation.nlp.solution import Solution
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
 from casid.linear.difference_equation import DifferenceEquation
-from casid.model.model import Parameter
+from casid.model.declarations import Parameter
 from casid.unknown_inputs.networks.estimation.module_data import ModuleData
 from casid.unknown_inputs.networks.estimation.module_fit import ModuleFit, without_noise
 from casid.unknown_inputs.networks.estimation.module_regression import module_regression

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from casid.algebra.rational import Rational
-from casid.errors import ModelError
 from casid.estimation.prediction_error.polynomial.orders import Layout, Orders
-from casid.report.figures.module_responses import response_figure
 from casid.unknown_inputs.limits.linear_signals import LinearSignals
 from casid.unknown_inputs.limits.prediction_limit import prediction_error_limit
 from casid.unknown_inputs.limits.regression import Regression, arx
@@ -396,17 +394,3 @@ def test_a_wrong_order_shows_in_the_residual_and_in_the_surplus_moments(confound
     assert wrong.reference_correlation()["delta_1"] > 5
     assert right.reference_correlation()["delta_1"] <= 4
     assert "p = 0 " in wrong.fit.evidence["overidentified"] + " "
-
-
-def test_the_figure_holds_the_true_module_inside_the_band_of_instruments(by_iv, confounded_record):
-    biased = estimate_module(CONFOUNDED, (2, 1), confounded_record, orders=FIRST, accept_bias=True)
-    figure = response_figure([by_iv, biased], CONFOUNDED.module(2, 1), points=40)
-    drawn = {t.name: t for t in figure.data if t.name and t.yaxis in (None, "y")}
-    assert set(drawn) == {"true", "iv 95 %", "iv", "ls 95 %", "ls, not consistent"}
-    high, low = np.split(np.asarray(drawn["iv 95 %"].y), 2)
-    true = np.asarray(drawn["true"].y)
-    assert np.mean((low[::-1] <= true) & (true <= high)) > 0.9
-    assert np.asarray(drawn["iv"].y) == pytest.approx(np.abs(by_iv.response(drawn["iv"].x).value))
-    assert "G21 from confounded" in figure.layout.meta["caption"]
-    with pytest.raises(ModelError, match="no estimate to draw"):
-        response_figure([])

@@ -1,0 +1,152 @@
+"""What a model declares: parameters, states, inputs, balances, and stages of its channels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from casid.errors import ModelError
+
+Expr = Any  # a CasADi SX expression, or a number where one is meant
+Hold = Literal["zoh", "foh", "bandlimited"]
+HOLDS: tuple[Hold, ...] = get_args(Hold)
+"""What a recorded signal may do between its samples."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A physical parameter: unknown with a start and bounds, or known with a value (SI units).
+
+    Attributes
+    ----------
+    start, lower, upper : of an unknown parameter, in `unit`.
+    value : of a known one; None where it is estimated.
+
+    Raises
+    ------
+    ModelError
+        If the bounds are exchanged, or the start of an unknown parameter lies outside them.
+    """
+
+    name: str
+    unit: str
+    start: float = 1.0
+    lower: float = -np.inf
+    upper: float = np.inf
+    value: float | None = None
+    is_constant: bool = False  # of nature or of geometry: no effect ever moves it
+
+    def __post_init__(self) -> None:
+        if self.lower > self.upper:
+            raise ModelError(
+                f"parameter {self.name}: lower bound {self.lower:g} lies above the upper bound "
+                f"{self.upper:g}; exchange them"
+            )
+        if self.value is None and not self.lower <= self.start <= self.upper:
+            raise ModelError(
+                f"parameter {self.name}: start {self.start:g} lies outside its bounds "
+                f"[{self.lower:g}, {self.upper:g}]; move the start inside or widen the bounds"
+            )
+
+    @property
+    def is_known(self) -> bool:
+        """True if the parameter has a value and is not estimated."""
+        return self.value is not None
+
+    @property
+    def nominal(self) -> float:
+        """The value of a known parameter, or where the estimate of an unknown one starts."""
+        return self.start if self.value is None else self.value
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A state: its initial value is estimated from `start`, unless it is known. SI units."""
+
+    name: str
+    unit: str
+    start: float = 0.0
+    lower: float = -np.inf
+    upper: float = np.inf
+    initial: float | None = None
+
+    @property
+    def nominal(self) -> float:
+        """The known initial value, or where the estimate of an unknown one starts."""
+        return self.start if self.initial is None else self.initial
+
+
+@dataclass(frozen=True, slots=True)
+class Blend:
+    """A parameter b in [0, 1] that moves an input towards another hold: all of it at b = 1."""
+
+    parameter: str
+    toward: Hold
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """An input: a recorded channel, an unknown signal, or a generated function of time.
+
+    Between its samples the signal is what `hold` says, u, plus b (w - u) for each of the `blends`,
+    of parameter b towards a hold that gives w.
+    """
+
+    name: str
+    unit: str
+    kind: Literal["measured", "known", "unknown", "generated"] = "measured"
+    hold: Hold = "foh"
+    signal: Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]] | None = None
+    blends: tuple[Blend, ...] = ()
+
+    @property
+    def holds(self) -> frozenset[Hold]:
+        """Every hold that the signal is a part of."""
+        return frozenset({self.hold, *(b.toward for b in self.blends)})
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """A named force or torque balance: inertia * d(rate)/dt = sum of terms."""
+
+    name: str
+    rate: str
+    inertia: Expr
+    terms: tuple[Expr, ...]
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What a sensor or an actuator does to its channel, beyond an expression.
+
+    An output may be late (`delay`), pass a first-order lag (`lag`) or be clipped (`clip`). Of an
+    input what acted is found: the recorded column moved ahead (`delay_input`), rid of its sensor's
+    lag (`lead_input`), or sent through an actuator's lag (`lag_input`) or play (`play_input`). The
+    column is prepared before the simulation; `carrier` is the generated input that brings its
+    change with `parameter` into the sensitivities.
+    """
+
+    kind: Literal["delay", "lag", "clip", "delay_input", "lead_input", "lag_input", "play_input"]
+    channel: str
+    parameter: str
+
+    @property
+    def is_of_input(self) -> bool:
+        """True if the stage prepares an input column."""
+        return self.kind.endswith("_input")
+
+    @property
+    def carrier(self) -> str:
+        """Name of the input that carries the tangent of an input stage."""
+        if self.kind == "delay_input":
+            return f"slope of {self.channel}"
+        return f"change of {self.channel} with {self.parameter}"
+
+    @staticmethod
+    def line_of(channel: str) -> tuple[str, str]:
+        """Names of the inputs that say where a lagged input's line in a sample begins and ends."""
+        return f"start of {channel}", f"end of {channel}"

@@ -1,0 +1,124 @@
+"""The explicit form dx/dt = f(x, u, theta), y = h(x, u, theta), and the elimination behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.errors import ModelError
+
+
+@dataclass(frozen=True, slots=True)
+class Explicit:
+    """SX right-hand sides and outputs, and the symbols they are made of."""
+
+    x: Any
+    u: Any
+    p: Any
+    f: Any
+    h: Any
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    outputs: tuple[str, ...]
+    eliminated: Mapping[str, Any] = field(default_factory=dict)
+
+
+def solved_for(z: Any, residuals: Sequence[Any], model: str, n_first: int) -> Any:
+    """Solve residuals = 0, linear in the symbols z (n,), for z; the first `n_first` are inputs.
+
+    Raises
+    ------
+    ModelError
+        If the equations are not linear in a symbol, or do not determine it.
+    """
+    residual = ca.vertcat(*residuals)
+    matrix = ca.jacobian(residual, z)
+    names = [str(z[j]) for j in range(z.numel())]
+    curved = ca.vec(matrix)
+    nonlinear = [n for j, n in enumerate(names) if any(ca.which_depends(curved, z[j]))]
+    if nonlinear:
+        raise ModelError(
+            f"{model}: the equations are not linear in {', '.join(nonlinear)}, so the "
+            "solution is not unique; give the branch, eliminate(..., solution=expression)"
+        )
+    rhs = -ca.substitute(residual, z, ca.SX.zeros(z.numel()))
+    return _linear_solve(matrix, rhs, model, names, n_first)
+
+
+def check_branch(
+    model: str, expression: Any, measured: Any, unknown: Any, solution: Any, using: str
+) -> None:
+    """Refuse a solution for `unknown` that does not give the output `using` back; ModelError."""
+    back = ca.substitute(expression, unknown, solution) - measured
+    symbols = ca.symvar(ca.veccat(expression, measured, solution))
+    rng = np.random.default_rng(1)
+    error = ca.Function("b", symbols, [back])
+    values = [error(*rng.uniform(0.1, 0.9, len(symbols))) for _ in range(5)]
+    finite = [abs(float(v)) for v in values if np.isfinite(float(v))]
+    if not finite or max(finite) > 1e-8:
+        raise ModelError(
+            f"{model}: the solution given for {unknown} does not satisfy the output "
+            f"{using}; it must give {using} back when it is substituted"
+        )
+
+
+def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: int) -> Any:
+    """Solve matrix @ z = rhs by symbolic Gauss elimination that keeps zeros zero.
+
+    Pivots are judged at random points: structurally non-zero entries may vanish identically.
+    """
+    n = len(names)
+    a = [[matrix[i, j] for j in range(n)] for i in range(n)]
+    b = [rhs[i] for i in range(n)]
+    symbols = ca.symvar(ca.veccat(matrix, rhs))
+    rng = np.random.default_rng(7)
+    points = [rng.uniform(0.2, 1.7, len(symbols)) for _ in range(3)]
+
+    def size(entry: Any) -> float:
+        """0 where the entry vanishes identically; larger where it is a simpler pivot."""
+        if entry.is_zero():
+            return 0.0
+        if entry.is_constant():
+            return 2.0
+        value = ca.Function("v", symbols, [entry])
+        if max(abs(float(value(*p))) for p in points) < 1e-12:
+            return 0.0
+        return 1.0 / (1.0 + ca.n_nodes(entry))
+
+    order: list[int] = []
+    borrowed: list[str] = []  # inputs solved from a balance, which then has to be made up for
+    rows = list(range(n))
+    for j in range(n):
+        # An eliminated input is solved from its own output where that names it outright, and from
+        # its balance where the output feels it through a derivative alone.
+        own = [i for i in rows if i < n_first and size(a[i][j]) > 0.0] if j < n_first else []
+        best = max(own or rows, key=lambda i: size(a[i][j]))
+        if j < n_first and not own:
+            borrowed.append(names[j])
+        if size(a[best][j]) == 0.0:
+            lacking = (borrowed or [names[j]])[0]
+            raise ModelError(
+                f"{model}: the equations do not determine {lacking}; an unknown input can only be "
+                "eliminated with an output that feels it, and an inertia must not be zero"
+            )
+        rows.remove(best)
+        order.append(best)
+        for i in rows:
+            if not a[i][j].is_zero():
+                factor = a[i][j] / a[best][j]
+                a[i] = [ca.SX(0) if c == j else a[i][c] - factor * a[best][c] for c in range(n)]
+                b[i] = b[i] - factor * b[best]
+    z: list[Any] = [ca.SX(0)] * n
+    for j in reversed(range(n)):
+        row = order[j]
+        total = b[row]
+        for c in range(j + 1, n):
+            if not a[row][c].is_zero():
+                total = total - a[row][c] * z[c]
+        z[j] = total / a[row][j]
+    return ca.vertcat(*z)
