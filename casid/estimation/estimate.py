@@ -197,7 +197,19 @@ class Trust:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate(Presented, Saved):
-    """Values, covariance, what it assumes, solver evidence, fit and provenance."""
+    """Values, covariance, what it assumes, solver evidence, fit and provenance.
+
+    Attributes
+    ----------
+    parameters, initial_states : values, standard errors and 95 % intervals, each in the unit that
+        stands in it; `estimate["k"]` is the value of one.
+    uncertainty : covariance (n, n) of the names in it, in their units, and what it assumes.
+    solver : status, iterations and scaled gradient of the solver that found the values.
+    fit, held_out : record -> output -> rms error and normalised fit, in the records that were
+        fitted and in those that were not.
+    identifiability : rank of the sensitivities at the estimate, and of the equations for any data.
+    units : output -> unit that its errors are in.
+    """
 
     problem: str
     method: str
@@ -377,6 +389,7 @@ class Estimate(Presented, Saved):
             "identifiability": self.identifiability.to_json(),
             "warnings": list(self.warnings),
             "suspects": list(self.suspects),
+            **({"evidence": dict(self.evidence)} if self.evidence else {}),
             "provenance": list(self.provenance),
             "versions": dict(self.versions),
         }

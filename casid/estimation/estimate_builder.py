@@ -100,7 +100,12 @@ class EstimateBuilder:
         (self._initial_states if is_state else self._parameters).append(row)
 
     def add_minimum(
-        self, criterion: Scored, solution: Solution, rows: Sequence[Estimated | None], assumes: str
+        self,
+        criterion: Scored,
+        solution: Solution,
+        rows: Sequence[Estimated | None],
+        assumes: str,
+        covariance: Array | None = None,
     ) -> Uncertainty:
         """The unknowns of a minimum with their robust standard errors, its rank and its status.
 
@@ -108,12 +113,15 @@ class EstimateBuilder:
         ----------
         rows : one for each unknown, its error still to be given; None where it is no result.
         assumes : what the errors assume, with a place `{lags}` for the lags of the covariance.
+        covariance : (n, n) where it is not the robust one of a minimum.
         """
         names = tuple(v.name for v in criterion.variables)
         scale = np.array([v.scale for v in criterion.variables])
         free = np.array([not bound_of(solution, n) for n in names])
-        scores = criterion.scores(solution.x)
-        covariance, lags = sandwich(solution.hessian, scores, free, solution.constraint_jacobian)
+        lags = 0
+        if covariance is None:
+            scores, tied = criterion.scores(solution.x), solution.constraint_jacobian
+            covariance, lags = sandwich(solution.hessian, scores, free, tied)
         rank = local_rank(solution.hessian, solution.x, names, scale)
         undetermined = {n for direction in rank.null for n in direction}
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()

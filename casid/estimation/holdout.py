@@ -101,8 +101,13 @@ def whole_simulation(fit: Fit, split: Split, index: int) -> tuple[Signals, Array
     return d, y, x
 
 
-def simulate_apart(fit: Fit, experiment: Experiment) -> tuple[Signals, Array, Array]:
-    """Simulate a record that was not fitted, its initial state estimated and nothing else."""
+def simulate_apart(
+    fit: Fit, experiment: Experiment, *, on_clock: bool = False
+) -> tuple[Signals, Array, Array]:
+    """Simulate a record that was not fitted, its initial state estimated and nothing else.
+
+    `on_clock`: whether it has the clock of the records fitted, as the end of one of them does.
+    """
     old = fit.criterion
     known = {n: fit.values[n] for n in old.free if n in fit.values}
     for n in old.own:
@@ -110,7 +115,7 @@ def simulate_apart(fit: Fit, experiment: Experiment) -> tuple[Signals, Array, Ar
         known.setdefault(n, float(np.mean(values)) if values else fit.values.get(n, 0.0))
     model = old.model.with_known(**known)
     criterion, point = fit_initial_state(
-        model, experiment, weights=old.weights, substeps=old.substeps
+        model, experiment, weights=old.weights, substeps=old.substeps, on_clock=on_clock
     )
     y, x, _ = criterion.simulate(point, 0)
     return criterion.data[0], y, x
@@ -136,14 +141,18 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
     With `anew` the held-out end of a record starts from an initial state of its own, as a record
     held out does: a simulation that runs on gathers the errors of an integrator.
     """
-    if anew:
-        tails = [
-            Experiment(_tail(e.record, mask), e.known, e.name)
-            for e, mask in zip(split.whole, split.held, strict=True)
-            if mask.any()
-        ]
-        split = Split([], [], [], [*tails, *split.apart])
-    parts = [(h.measured - h.simulated) * fit.criterion.weights for h in validation(fit, split)]
+    weights = fit.criterion.weights
+    tails = [
+        Experiment(_tail(e.record, mask), e.known, e.name)
+        for e, mask in zip(split.whole, split.held, strict=True)
+        if anew and mask.any()
+    ]
+    parts = []
+    for tail in tails:
+        d, y, _ = simulate_apart(fit, tail, on_clock=True)
+        parts.append(np.where(d.used, d.y - y, np.nan) * weights)
+    rest = Split([], [], [], split.apart) if anew else split
+    parts += [(h.measured - h.simulated) * weights for h in validation(fit, rest)]
     return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))
 
 

@@ -8,7 +8,7 @@ force that nobody models does the same. With G_j the model's transfer functions 
 for output i. What sensors and actuators do beyond an expression (delays, lags) is part of G: of the
 recorded input's noise on its way in, and of everything that an output's sensor passes on; the
 sensor's own white noise comes after it. The variances minimise Whittle's likelihood of the
-residual; the square root of S whitens residuals and sensitivities alike.
+residual; their whole spectra and cross-spectra whiten residuals and sensitivities alike.
 """
 
 from __future__ import annotations
@@ -16,139 +16,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import casadi as ca
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import rfft
 from scipy.optimize import lsq_linear, nnls
 from scipy.special import gammaincinv
 
 from casid.arrays import TINY, Array, require_finite
-from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.innovations import Innovations, innovations_of
+from casid.estimation.noise_response import Response, noise_response
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.estimation.simulation.simulator import rk4_sample
-from casid.model.model import Model
-
-GROUP = 8
-"""Columns that are whitened at once: their transforms take eight times their own room."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Response:
-    """Frequency responses of the sampled, linearised model to its noise sources."""
-
-    omega: Array  # (F,) rad/sample, 0..pi
-    gain2: Array  # (F, ny, ns) squared magnitudes
-    sources: tuple[str, ...]
-
-
-def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Response:
-    """|G|^2 from every measured input and every balance to the outputs, linearised at the mean.
-
-    The step of the simulation itself is linearised, so the response is that of what is simulated.
-    """
-    model, d = criterion.model, criterion.data[experiment]
-    p, _ = criterion.parameter_vector(x, experiment)
-    states = criterion.simulated(x, experiment).x  # kept: the residual comes from it as well
-    disturbed = _with_disturbances(model)
-    e = disturbed.explicit()
-    nb = len(model.balances)
-    u_next = ca.SX.sym("un", len(e.inputs))
-    xs = rk4_sample(disturbed, e, u_next, d.Ts, criterion.substeps)
-    jac = ca.Function(
-        "lin",
-        [e.x, e.u, u_next, e.p],
-        [
-            ca.jacobian(xs, e.x),
-            ca.jacobian(xs, e.u),
-            ca.jacobian(xs, u_next),
-            ca.jacobian(e.h, e.x),
-            ca.jacobian(e.h, e.u),
-        ],
-    )
-    # Equivalent linearisation: the mean of the derivatives over the record, so that kinks and
-    # amplitude-dependent terms count by how often they are met.
-    pick = np.linspace(0, d.N - 1, min(d.N, 200)).astype(int)
-    u = np.hstack([d.u[pick], np.zeros((len(pick), nb))])
-    at_points = jac.map(len(pick))(states[pick].T, u.T, u.T, np.tile(p[:, None], (1, len(pick))))
-    a, b0, b1, c, dd = (
-        np.array(m).reshape(m.shape[0], len(pick), -1).mean(axis=1) for m in at_points
-    )
-    measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
-    # As fine as the record resolves: a lightly damped resonance is narrower than that already.
-    omega = np.linspace(0, np.pi, min(d.N, 1 << 16) + 1)
-    # An integrator has no finite response at zero frequency: stay within the record's resolution.
-    omega[0] = 0.25 * omega[1]
-    z = np.exp(1j * omega)
-    eye = np.eye(len(a))
-    lhs = z[:, None, None] * eye - a
-    enters = _input_stages(criterion, x, experiment, e.inputs, measured, nb, len(omega) - 1)
-    rhs = (b0 + z[:, None, None] * b1) @ enters
-    g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
-    passed = _sensor_stages(criterion, x, experiment, len(omega) - 1)
-    gain2 = np.abs(g) ** 2 * passed[:, :, None]
-    return Response(omega, gain2, (*measured, *model.balances))
-
-
-def _input_stages(
-    criterion: SimulationError,
-    x: Array,
-    experiment: int,
-    inputs: Sequence[str],
-    measured: Sequence[str],
-    balances: int,
-    n: int,
-) -> Array:
-    """What the noise of each source is in the input columns that are simulated.
-
-    (1, ni, ns) of ones and zeros, or (n + 1, ni, ns) on 0..pi where a stage prepares a column: the
-    transform of what becomes of one noisy sample.
-    """
-    model, Ts = criterion.model, criterion.data[experiment].Ts
-    places = [inputs.index(name) for name in measured]
-    places += range(len(inputs) - balances, len(inputs))
-    direct = np.zeros((1, len(inputs), len(places)))
-    direct[0, places, range(len(places))] = 1.0
-    stages = [s for s in model.stages if s.is_of_input]
-    channels = [name for name in measured if any(s.channel == name for s in stages)]
-    if not channels:
-        return direct
-    out = np.repeat(direct.astype(complex), n + 1, axis=0)
-    values = {s.parameter: criterion.value_of(s.parameter, x, experiment) for s in stages}
-    own = list(model.inputs)
-    for channel in channels:
-        u = np.zeros((2 * n, len(own)))
-        u[n, own.index(channel)] = 1.0
-        # Carriers are among the columns, but enter times a parameter that is zero.
-        prepared = prepared_inputs(model, u, values, Ts)
-        out[:, : len(own), measured.index(channel)] = rfft(prepared, axis=0)
-    return out
-
-
-def _sensor_stages(criterion: SimulationError, x: Array, experiment: int, n: int) -> Array:
-    """|H|^2 (n + 1, ny) of what each output's sensor passes on, on 0..pi; clipping left out."""
-    out = np.ones((n + 1, len(criterion.outputs)))
-    for stage in criterion.model.stages:
-        if stage.is_of_input or stage.kind == "clip":
-            continue
-        y = np.zeros(2 * n)
-        y[n] = 1.0
-        value = criterion.value_of(stage.parameter, x, experiment)
-        through_sensor(stage.kind, y, None, value, criterion.data[experiment].Ts, -1)
-        out[:, criterion.outputs.index(stage.channel)] *= np.abs(rfft(y)) ** 2
-    return out
-
-
-def _with_disturbances(model: Model) -> Model:
-    from casid.model.model import Input
-
-    new = model.copy()
-    # What lags before the simulation moves in lines of its own; sensors come after it.
-    new.stages = tuple(s for s in model.stages if s.is_of_input)
-    for name, balance in model.balances.items():
-        w = new.add_input(Input(f"disturbance of {name}", balance.unit, "unknown"))
-        new.add_term(name, w)
-    return new
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,11 +38,20 @@ class NoiseModel:
     responses: Sequence[Response]  # one an experiment
     weights: Array
     alike: Sequence[tuple[str, ...]] = ()  # sources of one shape; the first carries the variance
-    _gains: dict[tuple[int, int], Array] = field(default_factory=dict, init=False, repr=False)
+    covariance: Mapping[tuple[str, str], float] = field(default_factory=dict)  # of variances found
+    spectra: Mapping[str, DisturbanceSpectrum] = field(default_factory=dict)  # of forces not white
+    misfit: float = float("nan")  # minus Whittle's log-likelihood of the residual it is found from
+    _innovations: dict[tuple[int, int], Innovations] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def quiet(self, input_sd: Mapping[str, float]) -> NoiseModel:
         """The same without disturbances: sensors and measured inputs only."""
         return replace(self, source_sd={name: input_sd.get(name, 0.0) for name in self.source_sd})
+
+    def variance_error(self, name: str) -> float:
+        """Standard error of the variance of a channel or balance; 0 where it was not sought."""
+        return float(np.sqrt(max(self.covariance.get((name, name), 0.0), 0.0)))
 
     def of_inputs(self, largest: Mapping[str, float]) -> dict[str, float]:
         """What part of `source_sd` the measured inputs can account for.
@@ -222,32 +109,39 @@ class NoiseModel:
         return float(total[i]) / floor, float(np.sqrt(square[i])) / floor
 
     def whiten(self, columns: Array, experiment: int) -> Array:
-        """Columns (N, ny, m), times `weights`, filtered by S^(-1/2) to white noise of unit size."""
-        n = len(columns)
+        """Columns (N, ny, m), times `weights`, as white noise of unit size.
+
+        Each sample less what those before it, and the outputs before it, predict of it: as outputs
+        that the same source moves belong together, and no end of a record is an edge.
+        """
         if not any(self.source_sd.values()):
             return np.asarray(columns / (self.output_sd * self.weights)[None, :, None])
-        size = next_fast_len(2 * n, real=True)
-        gains = self._gains_of(experiment, size)
-        out = np.empty(columns.shape)
-        for i, gain in enumerate(gains):
-            for first in range(0, columns.shape[2], GROUP):
-                group = slice(first, first + GROUP)
-                # Along the last axis: each column lies in one piece while it is transformed.
-                spectrum = rfft(np.ascontiguousarray(columns[:, i, group].T), size)
-                spectrum *= gain
-                out[:, i, group] = irfft(spectrum, size, overwrite_x=True)[:, :n].T
-        return out
+        return self._innovations_of(experiment, len(columns)).whiten(columns)
 
-    def _gains_of(self, experiment: int, size: int) -> Array:
-        """S^(-1/2) (ny, size // 2 + 1) of the weighted outputs on the grid of a transform."""
-        if (experiment, size) not in self._gains:
-            s = self.spectrum(experiment) * self.weights[None, :] ** 2
-            grid = np.linspace(0, np.pi, size // 2 + 1)
-            omega = self.responses[experiment].omega
-            self._gains[experiment, size] = np.array(
-                [1 / np.sqrt(np.interp(grid, omega, column)) for column in s.T]
+    def matrix(self, experiment: int) -> Array:
+        """Spectra and cross-spectra (F, ny, ny) per sample, output units squared."""
+        r = self.responses[experiment]
+        if len(self.output_sd) == 1:
+            return self.spectrum(experiment)[:, :, None]
+        assert r.gain is not None
+        g = r.gain * np.array([self.source_sd[s] for s in r.sources])
+        return np.asarray(g @ g.conj().swapaxes(1, 2) + np.diag(self.output_sd**2))
+
+    def log_determinant(self, experiment: int, samples: int) -> float:
+        """log det of the covariance of the outputs of a record, whatever their weights."""
+        if not any(self.source_sd.values()):
+            return 2 * samples * float(np.sum(np.log(self.output_sd)))
+        weighted = self._innovations_of(experiment, samples).log_determinant(samples)
+        return weighted - 2 * samples * float(np.sum(np.log(self.weights)))
+
+    def _innovations_of(self, experiment: int, samples: int) -> Innovations:
+        if (experiment, samples) not in self._innovations:
+            self._innovations[experiment, samples] = innovations_of(
+                self.responses[experiment].omega,
+                self.matrix(experiment) * np.outer(self.weights, self.weights),
+                samples,
             )
-        return self._gains[experiment, size]
+        return self._innovations[experiment, samples]
 
 
 def estimate_noise(
@@ -257,6 +151,8 @@ def estimate_noise(
     known: Mapping[str, float] | None = None,
     residuals: Sequence[Array] | None = None,
     merge: bool = True,
+    responses: Sequence[Response] | None = None,
+    has_disturbances: bool = True,
 ) -> NoiseModel:
     """Estimate (1) from the residuals at `x` by Fisher scoring of Whittle's likelihood.
 
@@ -268,65 +164,103 @@ def estimate_noise(
     ----------
     known : channel -> standard deviation that is known and not estimated.
     residuals : (N, ny) an experiment, default those at `x`.
+    responses : of the experiments, where they are known already.
+    has_disturbances : False: of sensors and measured inputs alone.
     """
     known = dict(known or {})
     ny = len(criterion.outputs)
-    responses = [noise_response(criterion, x, e) for e in range(len(criterion.data))]
+    if responses is None:
+        responses = [noise_response(criterion, x, e) for e in range(len(criterion.data))]
     if residuals is None:
         residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
     every = list(responses[0].sources)
     alike: list[tuple[str, ...]] = [(name,) for name in every if name in known]
-    rest = [name for name in every if name not in known]
+    found_in = every if has_disturbances else list(criterion.model.inputs)
+    rest = [name for name in every if name not in known and name in found_in]
     alike += _alike(responses, every, rest) if merge else [(name,) for name in rest]
     sources = [group[0] for group in alike]
     names = [*criterion.outputs, *sources]
     given = np.array([known[name] ** 2 if name in known else np.nan for name in names])
-    spectra = _spectra(residuals, responses, sources, ny)
+    spectra = spectra_of(residuals, responses, sources, ny)
     require_finite("the residual's spectra", spectra.power, spectra.design)
     floor = 1e-8 * max(float(np.average(spectra.power, weights=spectra.count)), TINY)
-    value = _variances(spectra, given, floor)
+    value = variances(spectra, given, floor)
     output_sd = np.sqrt(np.maximum(value[:ny], floor))
     found = {name: float(np.sqrt(v)) for name, v in zip(sources, value[ny:], strict=True)}
+    sought = np.isnan(given) & ((value > floor) | np.isin(names, list(criterion.model.inputs)))
     return NoiseModel(
         output_sd=output_sd,
         source_sd={name: found.get(name, 0.0) for name in every},
         responses=responses,
         weights=criterion.weights,
         alike=tuple(alike),
+        covariance=_covariance(spectra, value, names, sought),
+        misfit=whittle(spectra, value, floor),
     )
 
 
+def whittle(spectra: Spectra, value: Array, floor: float) -> float:
+    """Minus Whittle's log-likelihood of periodograms under the variances `value`."""
+    s = np.maximum(spectra.design @ value, floor)
+    return float(spectra.count @ (np.log(s) + spectra.power / s))
+
+
+def _covariance(
+    spectra: Spectra, value: Array, names: Sequence[str], sought: Array
+) -> dict[tuple[str, str], float]:
+    """Covariance of the variances that were `sought`: the inverse of Whittle's information."""
+    index = np.flatnonzero(sought)
+    design = spectra.design[:, index] / np.maximum(spectra.design @ value, TINY)[:, None]
+    size = np.sqrt(np.maximum(np.sum(spectra.count[:, None] * design**2, axis=0), TINY))
+    scaled = design / size
+    inverse = np.linalg.pinv((scaled * spectra.count[:, None]).T @ scaled) / np.outer(size, size)
+    return {
+        (names[i], names[j]): float(inverse[a, b])
+        for a, i in enumerate(index.tolist())
+        for b, j in enumerate(index.tolist())
+    }
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class _Spectra:
+class Spectra:
     """Periodograms of all residuals in bands, and what a unit variance of each source adds."""
 
     design: Array  # (B, ny + ns) |G|^2
     power: Array  # (B,)
     count: Array  # (B,) frequencies of each band
+    omega: Array  # (B,) rad/sample, their mean
 
 
-def _spectra(
+def spectra_of(
     residuals: Sequence[Array], responses: Sequence[Response], sources: Sequence[str], ny: int
-) -> _Spectra:
-    rows, powers, counts = [], [], []
+) -> Spectra:
+    """Periodograms of residuals (N, ny) in bands, and the responses to `sources` there."""
+    rows, powers, counts, centres = [], [], [], []
     for r, response in zip(residuals, responses, strict=True):
         places = [response.sources.index(source) for source in sources]
-        for i, (power, gain2, count) in enumerate(_bins(r, response)):
+        for i, (power, gain2, count, omega) in enumerate(_bins(r, response)):
             own = np.zeros((len(power), ny))
             own[:, i] = 1.0
             rows.append(np.hstack([own, gain2[:, places]]))
             powers.append(power)
             counts.append(count)
-    return _Spectra(np.vstack(rows), np.concatenate(powers), np.concatenate(counts))
+            centres.append(omega)
+    joined = (np.concatenate(each) for each in (powers, counts, centres))
+    return Spectra(np.vstack(rows), *joined)
 
 
-def _variances(spectra: _Spectra, given: Array, floor: float) -> Array:
-    """Variances that minimise Whittle's likelihood by scoring; `given` ones (else NaN) are kept."""
+def variances(spectra: Spectra, given: Array, floor: float, *, tolerance: float = 0.0) -> Array:
+    """Variances that minimise Whittle's likelihood by scoring; `given` ones (else NaN) are kept.
+
+    `tolerance` is the relative change of the spectrum at which it ends early.
+    """
     design, power, count = spectra.design, spectra.power, spectra.count
     fixed = np.isfinite(given)
     value = np.where(fixed, given, 0.0)
     offset = design @ value
     free = design[:, ~fixed]
+    if not free.shape[1]:
+        return value
     s = np.maximum(power, 1e-12 * max(float(power.max(initial=0.0)), TINY)) + offset
     solution = new = np.zeros(free.shape[1])
     for k in range(60):
@@ -335,7 +269,9 @@ def _variances(spectra: _Spectra, given: Array, floor: float) -> Array:
         target = np.maximum(power - offset, 0.0) * weight
         new = _least(free * (weight[:, None] / scale), target, new) / scale
         solution = new if k == 0 else 0.5 * (solution + new)
-        s = np.maximum(free @ solution + offset, floor)
+        before, s = s, np.maximum(free @ solution + offset, floor)
+        if np.all(np.abs(s - before) < tolerance * s):
+            break
     value[~fixed] = solution
     return value
 
@@ -378,12 +314,19 @@ def _alike(
     return [tuple(group) for group in groups]
 
 
-def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array]]:
-    """Periodogram and |G|^2 in bands of growing width: (power, gain2, count) for each output."""
+def band_edges(samples: int) -> Array:
+    """Lines of a periodogram at which bands of growing width begin, and its end."""
+    lines = samples // 2 + 1
+    return np.unique(np.round(np.geomspace(1, lines + 1, 160)).astype(int)) - 1
+
+
+def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array, Array]]:
+    """Periodogram and |G|^2 in bands of growing width: (power, gain2, count, omega) an output."""
     n = len(residual)
     omega = 2 * np.pi * np.arange(n // 2 + 1) / n
-    edges = np.unique(np.round(np.geomspace(1, len(omega) + 1, 160)).astype(int)) - 1
+    edges = band_edges(n)
     count = np.diff(edges)
+    centre = np.add.reduceat(omega, edges[:-1]) / count
     out = []
     for i in range(residual.shape[1]):
         spectrum = np.abs(rfft(residual[:, i])) ** 2 / n
@@ -393,7 +336,7 @@ def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array
             g = np.interp(omega, response.omega, response.gain2[:, i, j])
             columns.append(np.add.reduceat(g, edges[:-1]) / count)
         gain2 = np.column_stack(columns) if columns else np.zeros((len(power), 0))
-        out.append((power, gain2, count.astype(float)))
+        out.append((power, gain2, count.astype(float), centre))
     return out
 
 
@@ -402,9 +345,16 @@ def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict
 
     The upper half band of every record is cut into twenty parts. The quietest quarter of all parts
     is averaged, and divided by what that would be, of 1, for white noise alone: the parts of a
-    tapered periodogram are Gamma distributed, and the quietest lie below the mean.
+    tapered periodogram are Gamma distributed, and the quietest lie below the mean. A command that
+    is held has steps up to Nyquist, but no noise: that would not repeat its values.
     """
-    return {name: white_floor([d.u[:, i] for d in signals]) for i, name in enumerate(inputs)}
+    columns = {name: [d.u[:, i] for d in signals] for i, name in enumerate(inputs)}
+    return {name: 0.0 if is_held(c) else white_floor(c) for name, c in columns.items()}
+
+
+def is_held(records: Sequence[Array]) -> bool:
+    """True of a channel that repeats its last value exactly in more than half of its samples."""
+    return bool(np.mean(np.concatenate([np.diff(c) == 0.0 for c in records])) > 0.5)
 
 
 def white_floor(records: Sequence[Array]) -> float:
@@ -423,3 +373,12 @@ def white_floor(records: Sequence[Array]) -> float:
     ranks = (np.arange(1, kept + 1) - 0.375) / (len(parts) + 0.25)  # Blom's
     expected = float(np.mean(gammaincinv(shape, ranks))) / shape
     return float(np.sqrt(np.mean(sorted(parts)[:kept]) / expected))
+
+
+def floor_error(samples: Sequence[int]) -> float:
+    """Standard error of the square of `white_floor` for white noise, relative to it.
+
+    The mean of the quietest quarter of parts scatters 1.5 times as much as that of all.
+    """
+    independent = sum(samples) / 4 / (1 + 2 * (4 / 9 + 1 / 36))
+    return float(1.5 / np.sqrt(max(independent, 1.0)))

@@ -136,10 +136,7 @@ class Unknowns:
 
     def parameters(self, x: Array, experiment: int, places: Iterable[int]) -> dict[str, float]:
         """All parameters of the model at `x` (n,); `places` of the free ones, -1 where known."""
-        values = {
-            p.name: p.value if p.value is not None else p.start
-            for p in self.model.parameters.values()
-        }
+        values = self.model.nominal_values
         values.update(self.experiments[experiment][1])
         values.update({n: float(x[i]) for n, i in zip(self.free, places, strict=False) if i >= 0})
         return values
@@ -148,7 +145,7 @@ class Unknowns:
         """Initial state (nx,) at `x` (n,); `places` of the states, -1 where known."""
         return np.array(
             [
-                x[i] if i >= 0 else (state.start if state.initial is None else state.initial)
+                x[i] if i >= 0 else state.nominal
                 for state, i in zip(self.model.states.values(), places, strict=True)
             ],
             dtype=float,

@@ -52,6 +52,19 @@ def bootstrap(estimate: MomentEstimate, *, runs: int = 500, seed: int = 0) -> Bo
 
     The products zeta_t L(q) error_t are drawn in blocks as long as their memory, the same blocks
     for all parts of a record (Kunsch 1989); instruments and prefilters stay those of the estimate.
+
+    Parameters
+    ----------
+    estimate : by `casid.instrumental_variables`, `least_squares` or `multistage`.
+    runs : how often the noise is drawn; a run that cannot be solved is left out and counted.
+    seed : of the draws.
+
+    Raises
+    ------
+    SolveError
+        If fewer than two runs could be solved.
+
+    Source: H. R. Kunsch, Annals of Statistics 17 (1989) 1217-1241.
     """
     rng = np.random.default_rng(seed)
     scores: dict[tuple[int, int], Array] = {}

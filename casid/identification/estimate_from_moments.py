@@ -113,9 +113,7 @@ def _equations(
 ) -> Iterator[tuple[Part, MomentEquations]]:
     """The equations of each output from the sums of a load case: its name, moments and Ts [s]."""
     case, total, Ts = sums
-    values = {
-        p.name: p.value if p.value is not None else p.start for p in model.parameters.values()
-    }
+    values = model.nominal_values
     for name in known:
         model.parameter_named(name)
     values |= model.in_si(known)

@@ -5,16 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from casid.data.arguments import Recorded, in_si
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.errors import IdentifiabilityError, SolveError
-from casid.estimation.estimate import Estimate
-from casid.estimation.holdout import record_views, split_records, validation
+from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
+from casid.estimation.estimate import Estimate, Trust
+from casid.estimation.holdout import Split, record_views, split_records, validation
+from casid.estimation.residual_spectrum import coloured_covariance
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import (
+    ASSUMES,
+    BIASED,
+    COLOURED,
+    CORRECTED,
+    ErrorBars,
     estimate_of,
+    method_of,
     stuck_channel_notes,
 )
 from casid.identifiability.requirement import require_identifiable
@@ -46,8 +56,9 @@ def identify(
     -------
     Estimate
         Values in the units that the model declares, with standard errors robust to autocorrelated
-        residuals. Where the fit is poor, `suspects` names a channel that was probably recorded with
-        the wrong sign.
+        residuals. Where noise on measured inputs (those not declared `known`) biases least squares,
+        the estimate is without that bias, and `method` and `evidence` say so. Where the fit is
+        poor, `suspects` names a channel that was probably recorded with the wrong sign.
 
     Raises
     ------
@@ -73,15 +84,47 @@ def identify(
         )
     say(f"fit {', '.join(e.name for e in split.fitted)}")
     fit, suspect = _fit(problem, split.fitted, settings, start, say)
-    held_out = validation(fit, split)
-    estimate = estimate_of(problem, fit, held_out, notes=stuck_channel_notes(problem.model, chosen))
+    found = without_input_noise(fit, problem.noise, seed=settings.seed)
+    estimate = _estimate(problem, found, split, stuck_channel_notes(problem.model, chosen))
     estimate = replace(
         estimate,
-        records=record_views(fit, None, split),
-        trust=replace(estimate.trust, suspects=() if suspect is None else (str(suspect),)),
+        records=record_views(found.fit, None, split),
+        trust=Trust(
+            {"noise on inputs": found.text} if found.text else {},
+            suspects=() if suspect is None else (str(suspect),),
+        ),
         identifiability=replace(estimate.identifiability, structural=structural),
     )
     return estimate.in_units(problem.model.declared_units)
+
+
+def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[str]) -> Estimate:
+    """The estimate, with what became of the bias that noise on measured inputs gives."""
+    fit, method, bars = found.fit, method_of(found.fit), ErrorBars(ASSUMES)
+    if found.is_removed:
+        method = f"{method}, without the bias of input noise"
+        bars = ErrorBars(CORRECTED, found.covariance, found.whiten)
+    elif found.why_not:
+        bars = ErrorBars(ASSUMES + BIASED)
+        notes = [*notes, f"noise on measured inputs: {found.text}"]
+    if not found.is_removed and fit.criterion.segments == 1:
+        bars = _coloured(fit, bars)
+    held_out = validation(fit, split)
+    return estimate_of(problem, fit, held_out, method=method, notes=notes, bars=bars)
+
+
+def _coloured(fit: Fit, bars: ErrorBars) -> ErrorBars:
+    """The errors under the spectrum of the residual, where it is coloured."""
+    solution = fit.solution
+    if solution.constraint_jacobian.size:
+        return bars
+    held = {*solution.at_lower, *solution.at_upper}
+    free = np.array([name not in held for name in fit.criterion.names])
+    found = coloured_covariance(fit, free)
+    if found is None:
+        return bars
+    orders = " and ".join(str(order) for order in found[1])
+    return ErrorBars(bars.assumes.replace(ASSUMES, COLOURED.format(orders=orders)), found[0])
 
 
 def _fit(

@@ -102,9 +102,9 @@ class WindowEstimator:
         self.free, self.known = tuple(free), tuple(known.values)
         self._equation = difference_equation(model, next(iter(model.outputs)), Ts, method=method)
         self._instruments = tuple(instruments)
-        self.values = {
-            p.name: p.value if p.value is not None else p.start for p in model.parameters.values()
-        } | {n: float(v) for n, v in {**known.values, **free}.items()}
+        self.values = model.nominal_values | {
+            n: float(v) for n, v in {**known.values, **free}.items()
+        }
         self._known_covariance = known.matrix()
         given = {
             n: (model.in_si({n: value})[n], float(difference_to_si(error, model.unit_of(n))))

@@ -7,22 +7,16 @@ import pytest
 from scipy.signal import cont2discrete
 
 import casid
-from casid.estimation.holdout import split_records, why_no_better
+from casid.estimation.holdout import held_out_error, split_records, why_no_better
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.model.effects.parameter_effects import parameter_jump
+from tests.support.fitted_models import driven_mass
 
 TS = 0.02
 
 
 def problem() -> casid.Problem:
-    m = casid.Model("oscillator")
-    x, v = m.state("x", "m"), m.state("v", "m/s")
-    force = m.input("force", "N", hold="zoh", known=True)
-    d = m.parameter("d", "N s/m", start=1.0, lower=0.0)
-    k = m.parameter("k", "N/m", start=40.0, lower=0.0)
-    mass = m.constant("m", 2.0, "kg")
-    m.derivative(x, v)
-    m.balance(v, "force", inertia=mass, terms=[-k * x, -d * v, force])
-    m.output("position", x, "m")
-    return casid.Problem(name="oscillator", model=m, starts=1)
+    return casid.Problem(name="oscillator", model=driven_mass(), starts=1)
 
 
 def experiment(
@@ -99,3 +93,22 @@ def test_an_improvement_is_accepted_unless_it_may_be_chance():
 def test_nothing_held_out_refuses_nothing():
     assert why_no_better(np.zeros((0, 1)), np.zeros((0, 1))) == ""
     assert split_records([experiment()], 0.0).is_empty
+
+
+def test_a_change_in_time_acts_in_the_end_of_its_record_and_not_in_another():
+    """The stiffness is 2 % softer than it was from the first sample on: a jump before the record.
+
+    At the end of the record, from an initial state of its own, the jump has happened, and noise
+    alone is left; in a record apart, whose clock is another, the stiffness is the one before.
+    """
+    one, other = experiment(noise=1e-3), experiment(noise=1e-3, seed=4, name="other")
+    model = problem().model.with_known(k=51.0)
+    effect = parameter_jump(model, "k", -1.0)
+    model, names = effect.extended(model, starts={effect.parameters[0].name: -0.9})
+    split = split_records([one], 0.3)
+    fit = fit_model(model, split.fitted, FitSettings(starts=1))
+    assert fit.values[names[0]] == pytest.approx(-1.0, abs=0.1)
+    own = held_out_error(fit, split, anew=True) / fit.criterion.weights
+    assert float(np.std(own)) == pytest.approx(1e-3, rel=0.15)
+    apart = held_out_error(fit, split_records([one], [other]), anew=True) / fit.criterion.weights
+    assert float(np.std(apart)) > 2e-3

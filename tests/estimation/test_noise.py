@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 
 import casid
-from casid.estimation.noise import (
-    NoiseModel,
-    Response,
-    estimate_noise,
-    input_noise_floor,
-    noise_response,
-)
+from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor, is_held
+from casid.estimation.noise_response import Response, noise_response
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.signals import signals_of
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -216,3 +211,27 @@ def test_whitening_in_groups_is_whitening_column_by_column():
     each = [noise.whiten(columns[:, :, [j]], 0) for j in range(19)]
     assert any(noise.source_sd.values())
     assert once == pytest.approx(np.concatenate(each, axis=2), abs=1e-12)
+
+
+def test_a_command_that_repeats_its_values_has_no_noise():
+    """Its steps reach up to Nyquist; noise would not give the same number twice."""
+    rng = np.random.default_rng(5)
+    held = np.repeat(rng.choice([-3.0, 0.0, 6.0], 60), 20)
+    assert is_held([held])
+    assert not is_held([held + 0.01 * rng.standard_normal(len(held))])
+
+
+def test_the_likelihood_of_a_record_does_not_depend_on_the_weights_of_its_outputs():
+    """Weighted by w, the residual is w times as large and so is its standard deviation."""
+    experiment = casid.Experiment(record_of(truth.cart_pendulum(seed=43, duration=20.0)), {}, "r")
+    found = []
+    for weight in (1.0, 50.0):
+        criterion = SimulationError(
+            pendulum.problem.model, [experiment], weights=np.array([weight])
+        )
+        x = criterion.start
+        noise = estimate_noise(criterion, x)
+        e = (weight * criterion.simulated(x, 0).residual)[:, :, None]
+        white = noise.whiten(e, 0)
+        found.append(float(np.sum(white**2)) + noise.log_determinant(0, e.shape[0]))
+    assert found[1] == pytest.approx(found[0], rel=1e-9)

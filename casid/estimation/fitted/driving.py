@@ -102,7 +102,9 @@ def _record_of(frame: Any, model: Model, channels: Channels) -> Record:
             )
         if name in units or (column or name) in there:
             specs[name] = ColumnSpec(column or name, given or None, model.unit_of(name) or unit)
-    return record_of_frame(frame, specs, options=ReadingOptions(time=channels.time or None))
+    return record_of_frame(
+        frame, specs, options=ReadingOptions(time=channels.time or None, form=channels.form)
+    )
 
 
 def _of_arrays(model: Model, inputs: Any, Ts: float) -> Driving:

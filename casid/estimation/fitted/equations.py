@@ -11,8 +11,9 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import ModelError
+from casid.model.declarations import Hold, Input
 from casid.model.formula_text import formula_text, summands
-from casid.model.model import Hold, Input, Model
+from casid.model.model import Model
 
 Expr = Any  # a CasADi SX expression
 

@@ -67,7 +67,7 @@ def unsimulated_model(
     unknown = [n for n, entry in model.inputs.items() if entry.kind == "unknown"]
     if lacking or unknown or not model.states or not records:
         return None
-    start = [s.start if s.initial is None else s.initial for s in model.states.values()]
+    start = [s.nominal for s in model.states.values()]
     nodes = np.array([start], dtype=float)
     own = [{n: v for n, v in case.items() if n in model.parameters} for _, _, case in records]
     return FittedModel(
@@ -114,4 +114,6 @@ def channels_of(problem: Problem) -> Channels:
     """Where a problem finds its signals."""
     time = problem.time.column if isinstance(problem.time, ColumnSpec) else problem.time
     derived = {name: entry.how or "computed" for name, entry in problem.derived.items()}
-    return Channels(dict(problem.channels), dict(problem.recorded), derived, time or "")
+    return Channels(
+        dict(problem.channels), dict(problem.recorded), derived, time or "", problem.form
+    )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.reading.file_format import FileFormat
 from casid.data.record import Record
 from casid.model.model import Model
 
@@ -123,12 +124,14 @@ class Channels:
     recorded : channels recorded beside the model's, name -> SI unit.
     derived : signal that no file has -> how it is computed, in words.
     time : the time column; empty where it is found by name.
+    form : how the problem's files are written, where they leave it open.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     recorded: Mapping[str, str] = field(default_factory=dict)
     derived: Mapping[str, str] = field(default_factory=dict)
     time: str = ""
+    form: FileFormat | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

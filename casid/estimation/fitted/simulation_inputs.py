@@ -61,6 +61,7 @@ def problem_of(fitted: FittedModel) -> Problem:
         model,
         channels={n: c for n, c in fitted.channels.columns.items() if n in signals},
         time=fitted.channels.time or None,
+        form=fitted.channels.form,
         load_cases={case: model.in_declared_units(known) for case, known in cases.items()},
     )
 
@@ -83,8 +84,8 @@ def starting_model(
         If the simulation diverges.
     """
     model, record = problem.model, experiment.record
-    values = {n: p.start if p.value is None else p.value for n, p in model.parameters.items()}
-    x0 = [s.start if s.initial is None else s.initial for s in model.states.values()]
+    values = model.nominal_values
+    x0 = [s.nominal for s in model.states.values()]
     made = FittedModel(
         name=problem.name,
         model=model.with_si_values({**values, **(known or {})}),

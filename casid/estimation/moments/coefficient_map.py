@@ -18,7 +18,7 @@ from casid.errors import IdentifiabilityError, ModelError
 from casid.estimation.local_rank import describe_null, local_rank
 from casid.linear.affine_hull import affine_hull
 from casid.linear.difference_equation import DifferenceEquation
-from casid.model.model import Parameter
+from casid.model.declarations import Parameter
 
 
 class CoefficientMap:

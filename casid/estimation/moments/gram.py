@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
-import tempfile
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +15,7 @@ from casid.arrays import Array
 from casid.errors import DataError
 from casid.estimation.moments.lag_products import fast_two_sum, two_sum
 from casid.linear.lagged_columns import Column
+from casid.whole_files import replacing
 
 CONSTANT = "1"  # the channel that is 1 at every sample, for offsets
 
@@ -189,10 +188,8 @@ class Moments:
             If the file cannot be written.
         """
         path = Path(path)
-        name = None
         try:
-            handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-            with os.fdopen(handle, "wb") as file:
+            with replacing(path) as file:
                 np.savez(
                     file,
                     channels=np.array(self.channels),
@@ -201,11 +198,7 @@ class Moments:
                     rest=self.rest,
                     constant=np.array(self.constant),
                 )
-            os.chmod(name, 0o644)
-            os.replace(name, path)
         except OSError as error:
-            if name is not None:
-                Path(name).unlink(missing_ok=True)
             raise DataError(
                 f"cannot write {path}: {error.strerror}. Make room or name another place."
             ) from error

@@ -76,9 +76,7 @@ def parts_of(
             )
         signals = {n: d.u[:, j] for j, n in enumerate(model.inputs)}
         signals |= {n: d.y[:, i] for i, n in enumerate(model.outputs)}
-        values = {
-            p.name: p.value if p.value is not None else p.start for p in model.parameters.values()
-        }
+        values = model.nominal_values
         values.update(d.known)
         for output in chosen:
             key = (output, d.Ts)

@@ -16,7 +16,7 @@ from casid.estimation.moments.moment_settings import MomentSettings
 from casid.estimation.nlp.solution import Solution, not_converged
 from casid.linear.constrained_least_squares import null_space_least_squares
 from casid.linear.difference_equation import DifferenceEquation
-from casid.model.model import Parameter
+from casid.model.declarations import Parameter
 
 
 class StagePrograms:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from casid.arrays import Array
+from casid.arrays import Array, finite_or_none
 from casid.presentation import Presented, present
 
 
@@ -33,10 +33,10 @@ class Row:
         return {
             "solver": self.solver,
             "status": self.status,
-            **{key: _finite(getattr(self, key)) for key in numbers},
+            **{key: finite_or_none(getattr(self, key)) for key in numbers},
             "iterations": self.iterations,
             "evaluations": self.evaluations,
-            "x": None if self.x is None else [_finite(v) for v in self.x],
+            "x": None if self.x is None else [finite_or_none(v) for v in self.x],
             "agrees": self.agrees,
             "reason": self.reason,
         }
@@ -105,7 +105,7 @@ class SolverComparison(Presented):
             "names": list(self.names),
             "reference": None if self.reference is None else [float(v) for v in self.reference],
             "reference_from": self.reference_from,
-            "objective": _finite(self.objective),
+            "objective": finite_or_none(self.objective),
             "tolerance": self.tolerance,
             "rows": [row.to_json() for row in self.rows],
         }
@@ -113,11 +113,6 @@ class SolverComparison(Presented):
     def plot(self) -> Any:
         """Plotly figure: distance to the reference against time, a point for each solver."""
         return present(self, "figure")
-
-
-def _finite(value: float) -> float | None:
-    """The number, None where it is not finite."""
-    return float(value) if math.isfinite(value) else None
 
 
 def _number(value: float, form: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import casadi as ca
@@ -14,7 +15,11 @@ from casid.time_limit import no_time_limit
 
 
 class Criterion(Protocol):
-    """What is minimised when the data are too many for a symbolic objective."""
+    """What is minimised when the data are too many for a symbolic objective.
+
+    One that has a method `value_alone` gives its value at `x` (n,) by it, in less time than with
+    its derivatives; it has no constraints then.
+    """
 
     @property
     def n_constraints(self) -> int:
@@ -87,31 +92,95 @@ def scales_at_start(first: Evaluation, scale: Array) -> tuple[Array, float]:
     return np.clip(natural, 1e-3 * scale, 1e3 * scale), float(first.value)
 
 
+PATIENCE = 60
+"""Shortened steps within which a criterion has to fall: half of a half, a step is rounded off to
+nothing after 53 of them."""
+
+FALL = 1e-6
+"""By this share of its value: over 1e5 samples a twentieth of a unit of the log-likelihood."""
+
+
 class OnePass:
     """A criterion that remembers its last point: value, gradient and Hessian share one pass.
 
-    After `budget` passes, or the time limit, it answers NaN without one, so that a line search
-    that finds no descent (a kink) ends at once.
+    A solver that goes on to another point without having asked for derivatives is shortening a
+    step: from there to where it asks again it gets the `value_alone` of a criterion that has one.
+
+    After `budget` passes, or the time limit, or `patience` shortened steps in which it did not
+    fall, there are no values any more: at a kink a search would go on to steps that round to none.
+
+    Attributes
+    ----------
+    ending : why there are no values any more, by the names of Ipopt's endings, or empty.
+    lowest, best : the lowest value so far, and where it was.
     """
 
-    def __init__(self, criterion: Criterion, budget: int) -> None:
+    def __init__(self, criterion: Criterion, budget: int, *, patience: float = np.inf) -> None:
         self.criterion = criterion
-        self.budget = budget
+        self.budget, self.patience = budget, patience
+        self.ending = ""
+        self.lowest, self.best = np.inf, np.zeros(0)
+        self._alone: Callable[[Array], float] | None = getattr(criterion, "value_alone", None)
+        self._shortened, self._level = 0, np.inf  # steps since it fell, and to where
         self._key: bytes | None = None
+        self._value = np.nan
         self._at: Evaluation | None = None
+        self._is_met = True  # derivatives were asked for at the last point
+
+    def value(self, point: Array) -> float:
+        """The criterion at a point; NaN once it has ended."""
+        key = point.tobytes()
+        if not self._is_met and key != self._key:
+            self._shortened += 1
+        if self._is_met or self._alone is None:
+            value = self._passed(point).value
+            self._is_met = False
+            return value
+        if key != self._key:
+            if self._is_ended():
+                return np.nan
+            try:
+                self._value, self._at, self._key = self._alone(point), None, key
+            except OutOfTimeError:
+                self.ending = "Maximum_WallTime_Exceeded"
+                return np.nan
+            self._count(self._value, point)
+        return self._value
 
     def __call__(self, point: Array) -> Evaluation:
+        """What the criterion is at a point; nothing finite once it has ended."""
+        self._is_met = True
+        return self._passed(point)
+
+    def _passed(self, point: Array) -> Evaluation:
         key = point.tobytes()
-        if self._at is None or key != self._key:
-            self.budget -= 1
-            if self.budget < 0:
+        is_new = key != self._key
+        if self._at is None or is_new:
+            if self.ending or (is_new and self._is_ended()):
                 return self._nothing(len(point))
             try:
-                self._key, self._at = key, self.criterion.evaluate(point)
+                self._at, self._key = self.criterion.evaluate(point), key
             except OutOfTimeError:
-                self._key, self._at = None, None
+                self._at, self.ending = None, "Maximum_WallTime_Exceeded"
                 return self._nothing(len(point))
+            self._value = self._at.value
+            if is_new:
+                self._count(self._value, point)
         return self._at
+
+    def _is_ended(self) -> bool:
+        """Count one pass more; True if it is one too many."""
+        self.budget -= 1
+        if self.budget < 0 or self._shortened > self.patience:
+            self.ending = self.ending or "Search_Direction_Becomes_Too_Small"
+        return bool(self.ending)
+
+    def _count(self, value: float, point: Array) -> None:
+        """Keep the lowest value, and note whether the criterion fell."""
+        if self._level - value > FALL * abs(value):
+            self._level, self._shortened = value, 0
+        if value < self.lowest:
+            self.lowest, self.best = value, point
 
     def _nothing(self, n: int) -> Evaluation:
         m, nan = self.criterion.n_constraints, np.full((n, n), np.nan)
@@ -119,6 +188,9 @@ class OnePass:
 
     def judged(self, point: Array) -> Evaluation:
         """The criterion at `point`, whatever was spent."""
-        self.budget = max(self.budget, 1)
+        self.budget, self._shortened, ending = max(self.budget, 1), 0, self.ending
+        self.ending = ""
         with no_time_limit():
-            return self(point)
+            at = self(point)
+        self.ending = ending
+        return at

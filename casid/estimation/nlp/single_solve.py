@@ -9,6 +9,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.nlp.criterion import (
+    PATIENCE,
     SCALED_IPOPT,
     Callback,
     Criterion,
@@ -30,6 +31,7 @@ class SymbolicProgram:
     """An objective and constraints (m,) as expressions of x (n,), physical units."""
 
     n_own = 0  # constraints that the objective brings along
+    end = None  # it always has values
 
     def __init__(self, x: Any, objective: Any, constraints: Any, scale: Array, solver: Solver):
         self.scale, self.solver = scale, solver
@@ -69,7 +71,10 @@ class CriterionProgram:
         self.solver, self.scale, self._unit = solver, scale, 1.0
         self.constraints = ca.Function("g", [x], [constraints])
         self.n_own, self._n_declared = criterion.n_constraints, constraints.numel()
-        self._one_pass = OnePass(criterion, 5 * solver.max_iterations)
+        # With constraints the criterion may have to grow, for as long as they are not met.
+        self._is_alone = not (self.n_own or self._n_declared)
+        patience = PATIENCE if self._is_alone else np.inf
+        self._one_pass = OnePass(criterion, 5 * solver.max_iterations, patience=patience)
         self.evaluate = self._one_pass.judged
         self.options = solver.nlpsol_options()
         self._keep: list[Any] = []  # callbacks must outlive the solver
@@ -86,8 +91,15 @@ class CriterionProgram:
         n, m, unit, one_pass = len(self.scale), self.n_own, self._unit, self._one_pass
 
         def values(point: Array) -> list[Any]:
-            at = one_pass(point)
-            return [at.value / unit, at.constraints]
+            if m:
+                at = one_pass(point)
+                return [at.value / unit, at.constraints]
+            value = one_pass.value(point)
+            if self.end is not None:
+                # Ipopt takes a NaN for a step that is too long, and halves it a thousand times. A
+                # step that it takes, to a point without derivatives, ends it at once.
+                value = one_pass.lowest - abs(one_pass.lowest) - unit
+            return [value / unit, np.zeros(0)]
 
         def jacobians(point: Array, *_: Array) -> list[Any]:
             at = one_pass(point)
@@ -101,6 +113,12 @@ class CriterionProgram:
         x = ca.DM(self.scale) * z
         f, own = call(x)
         return {"x": z, "f": f, "g": ca.vertcat(own, self.constraints(x))}
+
+    @property
+    def end(self) -> tuple[str, Array] | None:
+        """Why it gave out no more values, as a status, and the best point (n,) until then."""
+        is_ended = self._one_pass.ending and self._is_alone and self.solver.name == "ipopt"
+        return (self._one_pass.ending, self._one_pass.best) if is_ended else None
 
     def _curvature(self) -> Callback:
         """The Hessian of the Lagrangian; the criterion's own constraints count as linear."""
@@ -151,7 +169,10 @@ def solve_once(
         stats = nlpsol.stats()
     except RuntimeError:  # sqpmethod has no statistics after a QP that failed
         stats = {"return_status": "Subproblem_Failed", "iter_count": 0}
-    x = np.clip(np.array(result["x"]).ravel() * scale, lower, upper)
+    x = np.array(result["x"]).ravel() * scale
+    if program.end is not None:
+        stats["return_status"], x = program.end
+    x = np.clip(x, lower, upper)
     symbol = ca.MX.sym("x", len(x))
     g = program.constraints(symbol)
     declared = ca.Function("j", [symbol], [g, ca.densify(ca.jacobian(g, symbol))])

@@ -15,6 +15,10 @@ from casid.deprecation import renamed
 from casid.errors import SolveError
 from casid.presentation import Presented
 
+_FLAT = (
+    "it hardly falls there, or has a kink: fix a parameter that has next to no effect, or try "
+    "other start values (starts=...)"
+)
 _REMEDIES = {
     "Infeasible_Problem_Detected": "the constraints contradict each other near the start: "
     "drop one, or start from values that satisfy them",
@@ -23,8 +27,8 @@ _REMEDIES = {
     "change the start values",
     "Restoration_Failed": "the constraints cannot be met from this start: try several starts",
     "Subproblem_Failed": "its quadratic program has no solution here: use Solver('ipopt')",
-    "Solve_Succeeded": "it hardly falls there, or has a kink: fix a parameter that has next to no "
-    "effect, or try other start values (starts=...)",
+    "Solve_Succeeded": _FLAT,
+    "Search_Direction_Becomes_Too_Small": _FLAT,
     "Maximum_WallTime_Exceeded": "give it more time, or fit a shorter window",
     "Diverging_Iterates": "a parameter runs to infinity: give it bounds, or fix it",
 }

@@ -18,7 +18,10 @@ from scipy.signal import lfilter
 from scipy.special import hyp1f1
 
 from casid.arrays import Array
-from casid.model.model import Hold
+from casid.model.declarations import Hold
+
+COINCIDENT = 0.1
+"""Sample times below which a held input's step and the sample that it falls on are simultaneous."""
 
 
 def lag_columns(y: Array, samples: float) -> tuple[Array, Array]:
@@ -54,11 +57,12 @@ def lag_inputs(u: Array, samples: float, hold: Hold) -> tuple[Array, Array]:
     """An input column (N,) behind a lag as a line in each sample, and its derivative with the lag.
 
     Both are (N, 3): the exact value at the sample, where the line begins, and where it ends. A
-    held input that steps moves nothing at the sample itself, but the line that stands for what
-    follows begins beside it. Mean and first moment over the sample
-    are those of the exact response to the input held or (else) joined by straight lines, so that
-    nothing moves in time; without a lag the line is the input. Before the record the input was what
-    it is at its first sample. After the last sample it is held.
+    held input that steps moves nothing behind a lag at the sample itself, but the line that stands
+    for what follows begins beside it. Without a lag it is the new value that acts there: for lags
+    shorter than `COINCIDENT` samples the value lies between the two. Mean and first moment over the
+    sample are those of the exact response to the input held or (else) joined by straight lines, so
+    that nothing moves in time; without a lag the line is the input. Before the record the input was
+    what it is at its first sample. After the last sample it is held.
     """
     decay, slope = _decay(samples)
     (p, h, f, g), (dp, dh, df, dg) = _line_weights(samples)
@@ -73,9 +77,13 @@ def lag_inputs(u: Array, samples: float, hold: Hold) -> tuple[Array, Array]:
     d_mean = dp * (x - u) + p * dx - dh * rise
     tilt = (1 - f) * rise - g * (x - u)
     d_tilt = -df * rise - dg * (x - u) - g * dx
+    now, d_now = x, dx
+    if hold == "zoh" and samples < COINCIDENT:
+        new, d_new = (1 - samples / COINCIDENT) ** 2, -2 * (1 - samples / COINCIDENT) / COINCIDENT
+        now, d_now = x + new * (u - x), (1 - new) * dx + d_new * (u - x)
     return (
-        np.stack([x, mean - 0.5 * tilt, mean + 0.5 * tilt], axis=1),
-        np.stack([dx, d_mean - 0.5 * d_tilt, d_mean + 0.5 * d_tilt], axis=1),
+        np.stack([now, mean - 0.5 * tilt, mean + 0.5 * tilt], axis=1),
+        np.stack([d_now, d_mean - 0.5 * d_tilt, d_mean + 0.5 * d_tilt], axis=1),
     )
 
 

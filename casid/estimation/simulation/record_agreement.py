@@ -19,12 +19,7 @@ from scipy.stats import chi2
 from casid.estimation.covariance import sandwich
 from casid.estimation.local_rank import local_rank
 from casid.estimation.simulation.minimization import Fit
-
-LEVEL = 1e-3
-"""Of the test, over all parameters: below it the records disagree (a heuristic)."""
-
-RATIO = 4.0
-"""Of chi^2 to its degrees of freedom, at least: errors twice as large as they are given."""
+from casid.estimation.simulation.thresholds import RECORD_AGREEMENT
 
 
 def disagreements(fit: Fit) -> list[str]:
@@ -48,7 +43,9 @@ def disagreements(fit: Fit) -> list[str]:
         weights = errors**-2.0
         mean = float(np.average(steps, weights=weights))
         q, freedom = float(np.sum(weights * (steps - mean) ** 2)), len(rows) - 1
-        if q > RATIO * freedom and chi2.sf(q, freedom) < LEVEL / len(shared):
+        if q > RECORD_AGREEMENT.ratio * freedom and chi2.sf(
+            q, freedom
+        ) < RECORD_AGREEMENT.level / len(shared):
             found.append((q / freedom, c.names[i], rows))
     found.sort(key=lambda f: -f[0])
     return [_sentence(fit, ratio, name, rows) for ratio, name, rows in found]

@@ -13,7 +13,8 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.simulation.first_order_lags import lag_columns, lag_inputs
-from casid.model.model import Model, Stage
+from casid.model.declarations import Stage
+from casid.model.model import Model
 
 MEMORY = {"delay": 1.0, "lag": 5.0}
 """Of an output stage: how long the unknown past is felt, in units of its parameter.
@@ -147,34 +148,41 @@ def _slope(column: Array, ahead: float, Ts: float) -> Array:
     return delay_columns(column, -ahead / Ts, derivative=True) / Ts
 
 
-def delay_columns(y: Array, samples: float, *, derivative: bool = False) -> Array:
-    """Columns (N, ...) delayed by a fractional number of samples, or their slope per sample there.
+def delay_weights(samples: float, *, derivative: bool = False) -> tuple[int, Array]:
+    """A delay by cubic convolution (Keys 1981), or the slope per sample there.
 
-    Cubic convolution (Keys 1981): exact for quadratics, once differentiable in the delay, and
-    centred, so that its slope at zero delay brings no half-sample error. The ends are extended by
-    straight lines.
+    Returns
+    -------
+    whole, weights : sample k of the delayed column is the sum of weights[i] y[k - whole - 2 + i],
+        i = 0..3.
     """
     whole = int(np.floor(samples))
     s = samples - whole  # y(k - whole - s): between k - whole - 1 (s = 1) and k - whole (s = 0)
     v = 1.0 - s  # position between the left and right neighbour
     if derivative:
-        w = np.array(
-            [
-                -0.5 + 2 * v - 1.5 * v**2,
-                -5 * v + 4.5 * v**2,
-                0.5 + 4 * v - 4.5 * v**2,
-                -v + 1.5 * v**2,
-            ]
-        )
+        w = [
+            -0.5 + 2 * v - 1.5 * v**2,
+            -5 * v + 4.5 * v**2,
+            0.5 + 4 * v - 4.5 * v**2,
+            -v + 1.5 * v**2,
+        ]
     else:
-        w = np.array(
-            [
-                -0.5 * v + v**2 - 0.5 * v**3,
-                1 - 2.5 * v**2 + 1.5 * v**3,
-                0.5 * v + 2 * v**2 - 1.5 * v**3,
-                -0.5 * v**2 + 0.5 * v**3,
-            ]
-        )
+        w = [
+            -0.5 * v + v**2 - 0.5 * v**3,
+            1 - 2.5 * v**2 + 1.5 * v**3,
+            0.5 * v + 2 * v**2 - 1.5 * v**3,
+            -0.5 * v**2 + 0.5 * v**3,
+        ]
+    return whole, np.array(w)
+
+
+def delay_columns(y: Array, samples: float, *, derivative: bool = False) -> Array:
+    """Columns (N, ...) delayed by a fractional number of samples, or their slope per sample there.
+
+    Cubic convolution: exact for quadratics, once differentiable in the delay, and centred, so that
+    its slope at zero delay brings no half-sample error. The ends are extended by straight lines.
+    """
+    whole, w = delay_weights(samples, derivative=derivative)
     pad = abs(whole) + 3
     ramp = np.arange(1, pad + 1, dtype=float).reshape(-1, *([1] * (y.ndim - 1)))
     left = y[:1] - ramp[::-1] * (y[1:2] - y[:1])

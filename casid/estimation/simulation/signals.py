@@ -14,6 +14,9 @@ from casid.errors import DataError, ModelError, UnitError
 from casid.model.model import Model
 from casid.model.units import describe_dimension, parse_unit, to_si
 
+SMALLEST = 1e-100
+"""Smallest size of a channel, SI, and 1 over its largest: squares of sums stay numbers."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:
@@ -99,6 +102,24 @@ def input_columns(model: Model, record: Record) -> Array:
     return np.column_stack(columns) if columns else np.zeros((record.N, 0))
 
 
+def require_sizes(record: Record, names: Iterable[str]) -> None:
+    """Refuse channels so large or so small that their squares are no numbers.
+
+    Raises
+    ------
+    DataError
+        With the largest value.
+    """
+    for name in names:
+        size = float(np.max(np.abs(record[name]), initial=0.0))
+        if not (size == 0.0 or SMALLEST <= size <= 1 / SMALLEST):
+            raise DataError(
+                f"{record.name}: the largest value of channel {name} is {size:.3g} "
+                f"{record.units[name]}, of which squares cannot be summed; correct its unit "
+                f"(--map {name}=COLUMN:UNIT), or the file"
+            )
+
+
 def _require_channels(model: Model, record: Record, names: Iterable[str]) -> None:
     """Channels are there, and measure what the model says: another unit is another quantity."""
     units = {n: e.unit for n, e in model.inputs.items()}
@@ -110,6 +131,7 @@ def _require_channels(model: Model, record: Record, names: Iterable[str]) -> Non
                 f"{record.name}: no channel {name!r} for {model.name}; it has "
                 f"{', '.join(record.channels)}. Map one of them: --map {name}=column"
             )
+    require_sizes(record, names)
     for name in names:
         unit = units[name]
         own = record.units[name]

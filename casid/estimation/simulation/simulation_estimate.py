@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.channel_quality import stuck_channels
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.data.quality import stuck_channels
 from casid.estimation.estimate import Agreement, Estimate, Estimated
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver_evidence
 from casid.estimation.fit_statistics import nrmse_fit, rms
@@ -17,6 +18,7 @@ from casid.estimation.fitted.from_fit import fitted_model
 from casid.estimation.holdout import HeldOut
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.record_agreement import disagreements
+from casid.estimation.simulation.simulation_error import Whitener
 from casid.model.model import Model
 
 SOURCES = (
@@ -24,6 +26,7 @@ SOURCES = (
     "L. Ljung, System Identification, 2nd ed., Prentice Hall 1999: simulation error",
     "W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708: robust covariance",
     "D. W. K. Andrews, Econometrica 59 (1991) 817-858: its bandwidth",
+    "R. Pintelon, J. Schoukens, System Identification, 2nd ed., Wiley 2012: errors in variables",
     "A. Waechter, L. T. Biegler, Math. Program. 106 (2006) 25-57: Ipopt",
     "J. A. E. Andersson et al., Math. Program. Comput. 11 (2019) 1-36: CasADi",
 )
@@ -32,9 +35,39 @@ SOURCES = (
 
 ASSUMES = (
     "autocorrelation-robust sandwich (Newey-West, {lags} lags): residuals of zero mean with a "
-    "short correlation time compared with the record; the bias from noise on measured inputs is "
-    "not included"
+    "short correlation time compared with the record"
 )
+COLOURED = (
+    "least squares under the spectrum of the residual, an autoregression of order {orders}: "
+    "residuals of zero mean, stationary"
+)
+BIASED = "; the bias from noise on measured inputs is not included"
+CORRECTED = (
+    "errors in variables: sensors and measured inputs have white noise of the sizes found, whose "
+    "own errors are included; the bias of the inputs' noise is removed"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorBars:
+    """What the standard errors of a fit assume, and where they come from.
+
+    Attributes
+    ----------
+    assumes : with a place `{lags}` for the lags of the robust covariance, where it is used.
+    covariance : (n, n) of a fit that is no minimum of the criterion; None: the robust one.
+    whiten : by the spectrum that the covariance rests on.
+    """
+
+    assumes: str
+    covariance: Array | None = None
+    whiten: Whitener | None = None
+
+    def whitened(self, residual: Array, experiment: int) -> Array:
+        """A weighted residual (N, ny) without the colour that it is to have."""
+        if self.whiten is None:
+            return residual
+        return np.asarray(self.whiten(residual[:, :, None], experiment)[:, :, 0])
 
 
 def stuck_channel_notes(model: Model, experiments: Sequence[Experiment]) -> list[str]:
@@ -54,8 +87,10 @@ def estimate_of(
     *,
     method: str | None = None,
     notes: Sequence[str] = (),
+    bars: ErrorBars | None = None,
 ) -> Estimate:
     """The `Estimate` of a fit: errors, fit, rank, whiteness, provenance."""
+    bars = bars or ErrorBars(ASSUMES + BIASED)
     criterion, solution = fit.criterion, fit.solution
     model = criterion.model
     builder = EstimateBuilder(problem.name, model, notes)
@@ -67,18 +102,19 @@ def estimate_of(
         else Estimated(v.name, value, units[v.source], False, None, v.start)
         for v, value in zip(criterion.variables, fit.x.tolist(), strict=True)
     ]
-    uncertainty = builder.add_minimum(criterion, solution, rows, ASSUMES)
+    uncertainty = builder.add_minimum(criterion, solution, rows, bars.assumes, bars.covariance)
     for e, d in enumerate(criterion.data):
         residual = criterion.simulated(fit.x, e).residual
         error_e = np.where(d.used, residual, np.nan)
         builder.add_fits(d.name, criterion.outputs, np.where(d.used, d.y, np.nan), error_e)
+        left = bars.whitened(residual * criterion.weights, e)
         for i, name in enumerate(criterion.outputs):
             where = f"{d.name}/{name}" if len(criterion.data) > 1 else name
-            builder.add_whiteness(where, residual[d.used[:, i], i])
+            builder.add_whiteness(where, left[d.used[:, i], i])
     builder.warn_of_poor_fits()
     builder.warnings += disagreements(fit)
     return builder.build(
-        method or f"simulation error, {_shooting(criterion.segments)}",
+        method or method_of(fit),
         uncertainty,
         solver_evidence(solution, fit.starts_tried, fit.starts_agreeing),
         origin_of(criterion.experiments, SOURCES),
@@ -87,8 +123,11 @@ def estimate_of(
     )
 
 
-def _shooting(segments: int) -> str:
-    return "single shooting" if segments == 1 else f"multiple shooting ({segments})"
+def method_of(fit: Fit) -> str:
+    """The name of the method."""
+    segments = fit.criterion.segments
+    shooting = "single shooting" if segments == 1 else f"multiple shooting ({segments})"
+    return f"simulation error, {shooting}"
 
 
 def _held_out(outputs: Sequence[str], held: Sequence[HeldOut]) -> Agreement:

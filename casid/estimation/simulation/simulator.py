@@ -21,7 +21,9 @@ import numpy as np
 from casid.arrays import Array
 from casid.estimation.simulation.band_limited import between_samples
 from casid.estimation.simulation.machine_code import MachineCode
-from casid.model.model import Explicit, Model, Stage
+from casid.model.declarations import Stage
+from casid.model.explicit_form import Explicit
+from casid.model.model import Model
 from casid.time_limit import require_time
 
 BLOCK = 200

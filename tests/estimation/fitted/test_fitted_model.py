@@ -14,21 +14,9 @@ from casid.model.effects.balance_effects import quadratic_damping
 from casid.model.effects.channel_effects import hold, sensor_lag, time_delay
 from casid.model.effects.parameter_effects import parameter_jump
 from casid.model.effects.structure_effects import actuator_lag
+from tests.support.fitted_models import driven_mass
 
 TS = 0.02
-
-
-def oscillator() -> casid.Model:
-    m = casid.Model("mass on a spring")
-    x, v = m.state("x", "m"), m.state("v", "m/s")
-    force = m.input("force", "N", hold="zoh", known=True)
-    d = m.parameter("d", "N s/m", start=1.0, lower=0.0)
-    k = m.parameter("k", "N/m", start=40.0, lower=0.0)
-    mass = m.constant("m", 2.0, "kg")
-    m.derivative(x, v)
-    m.balance(v, "force", inertia=mass, terms=[-k * x, -d * v, force])
-    m.output("position", x, "m")
-    return m
 
 
 def record(*, seed: int = 3, N: int = 400, k: float = 50.0, name: str = "run") -> casid.Record:
@@ -48,7 +36,7 @@ def record(*, seed: int = 3, N: int = 400, k: float = 50.0, name: str = "run") -
 
 @pytest.fixture(scope="module")
 def estimate() -> casid.Estimate:
-    problem = casid.Problem("oscillator", oscillator(), {"position": "x_mm:mm"}, starts=1)
+    problem = casid.Problem("oscillator", driven_mass(), {"position": "x_mm:mm"}, starts=1)
     return casid.identify(problem, record())
 
 
@@ -66,7 +54,7 @@ def test_every_parameter_of_the_fitted_model_has_its_estimated_value(estimate):
 def test_a_record_keeps_the_values_that_hold_in_it_alone():
     """Two springs, one mass: each record has its own stiffness, and the model their mean."""
     records = [record(k=50.0, name="soft"), record(k=60.0, name="stiff", seed=4)]
-    problem = casid.Problem("oscillator", oscillator(), starts=1)
+    problem = casid.Problem("oscillator", driven_mass(), starts=1)
     fitted = casid.identify(problem, records, settings=casid.FitSettings(starts=1, own=["k"])).model
     soft, stiff = (r.known["k"] for r in fitted.records)
     assert (soft, stiff) == pytest.approx((50.0, 60.0), rel=0.01)
@@ -86,7 +74,7 @@ EFFECTS = {
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_the_residuals_of_the_fitted_model_are_those_of_the_fit_to_the_last_bit(effect):
     """Stages, holds and generated inputs are part of the model, not of the fit that found them."""
-    plain = oscillator()
+    plain = driven_mass()
     extended = EFFECTS[effect](plain).extend(plain, starts={"delay_position": 0.03})
     problem = casid.Problem("oscillator", extended, starts=1)
     run = record()
@@ -145,7 +133,7 @@ def test_a_record_that_was_not_fitted_starts_from_the_state_that_simulates_it_be
 
 
 def test_a_jump_acts_on_the_clock_of_the_fitted_record_alone():
-    plain = oscillator()
+    plain = driven_mass()
     jump = parameter_jump(plain, "k", 4.0)
     problem = casid.Problem("oscillator", jump.extend(plain, starts={"jump_k": 5.0}), starts=1)
     model = casid.identify(problem, record()).model
@@ -187,7 +175,7 @@ def test_draws_for_arviz_have_the_mean_and_spread_of_the_estimate(estimate):
 
 def test_the_equations_mark_what_was_added():
     """A delay is no term of an equation, and is marked as a whole; the changed ones come twice."""
-    plain = oscillator()
+    plain = driven_mass()
     extended = quadratic_damping(plain, "force").extend(plain, starts={"d_2": 0.1})
     extended = time_delay(extended, "position", 0.2).extend(extended)
     found = equations_of(extended, plain)
@@ -211,7 +199,7 @@ def test_the_equations_mark_what_was_added():
 def test_models_are_compared_on_one_record_by_their_fit_in_per_cent(estimate):
     """A stiffness known 4 N/m too large costs what its simulation shows."""
     run = record(seed=5, name="fresh")
-    wrong = casid.identify(oscillator().with_known(k=54.0), record())
+    wrong = casid.identify(driven_mass().with_known(k=54.0), record())
     found = estimate.model.compare(run, wrong)
     assert list(found.fit) == ["oscillator", "mass on a spring"]
     residual = estimate.model.residuals(run)["position"]
@@ -231,7 +219,7 @@ def test_models_are_compared_on_one_record_by_their_fit_in_per_cent(estimate):
 
 def test_an_estimate_from_moments_leaves_a_model_that_starts_as_declared():
     """A regression estimates no initial state; its model settles at F / k, however biased k is."""
-    found = casid.least_squares(oscillator(), casid.Experiment(record(N=2000))).estimate
+    found = casid.least_squares(driven_mass(), casid.Experiment(record(N=2000))).estimate
     model = found.model
     assert model.values == {"d": found["d"], "k": found["k"], "m": 2.0}
     assert model.initial_states == {"x": 0.0, "v": 0.0}
@@ -244,8 +232,8 @@ def test_an_estimate_from_moments_leaves_a_model_that_starts_as_declared():
 def test_segments_of_multiple_shooting_start_where_the_fit_has_them():
     run = record()
     settings = casid.FitSettings(starts=1, segments=5)
-    fit = fit_model(oscillator(), [casid.Experiment(run)], settings, throw=False)
-    found = estimate_of(casid.Problem("oscillator", oscillator()), fit)
+    fit = fit_model(driven_mass(), [casid.Experiment(run)], settings, throw=False)
+    found = estimate_of(casid.Problem("oscillator", driven_mass()), fit)
     model = found.model
     drawn = found.sample(lambda values: values["k"], draws=2000).values
     assert np.std(drawn) == pytest.approx(found.parameter("k").std_error, rel=0.1)
@@ -260,7 +248,7 @@ def test_a_diagnosis_leaves_the_model_with_its_causes_for_the_record_as_it_is():
     run = record(N=1500)
     turned = run.with_channel("position", -run["position"], "m")
     found = casid.diagnose(
-        casid.Problem("oscillator", oscillator(), starts=1), turned, advise=False
+        casid.Problem("oscillator", driven_mass(), starts=1), turned, advise=False
     )
     assert [(c.kind, c.where) for c in found.model.causes] == [("sensor_scale", "position")]
     assert found.model.values["scale_position"] == -2.0

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from casid.errors import SolveError
+from casid.estimation.nlp.criterion import FALL, PATIENCE
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.nlp.solver import Solver
@@ -139,6 +140,60 @@ def test_the_criterion_is_evaluated_once_a_point():
     repeats = sum(p == q for p, q in zip(points, points[1:], strict=False))
     assert repeats == 0
     assert len(points) < 3 * (solution.iterations + 2)
+
+
+class Kink:
+    """1 + |a| + b^2, whose minimum no gradient shows; `passes` counts the values asked for."""
+
+    n_constraints = 0
+
+    def __init__(self):
+        self.passes = 0
+
+    def evaluate(self, x):
+        self.passes += 1
+        a, b = x
+        slope = np.array([np.sign(a), 2 * b])
+        return Evaluation(1 + abs(a) + b**2, slope, np.diag([1.0, 2.0]))
+
+
+class KinkWithValueAlone(Kink):
+    def __init__(self):
+        super().__init__()
+        self.alone = 0
+
+    def value_alone(self, x):
+        self.alone += 1
+        return 1 + abs(x[0]) + x[1] ** 2
+
+
+def at_kink(criterion: Kink):
+    """From where Newton's steps of one pass over the kink: 0.3 -> -0.7."""
+    nlp = Nlp("kink")
+    nlp.variable("a", 2.3)
+    nlp.variable("b", 1.0)
+    nlp.minimize(criterion)
+    return nlp.solve(throw=False, natural_scales=True)
+
+
+def test_a_search_at_a_kink_ends_at_its_best_point():
+    """Steps of 1, halved until they fall: n times at a distance of 2^-n, up to 2^-20 or FALL."""
+    criterion = Kink()
+    solution = at_kink(criterion)
+    assert solution.value == pytest.approx(1.0, abs=FALL)
+    assert solution.status == "Search_Direction_Becomes_Too_Small"
+    assert "kink" in solution.remedy
+    assert criterion.passes < 20 * 21 / 2 + 2 * PATIENCE
+
+
+def test_shortened_steps_take_the_value_alone():
+    """Derivatives are computed at the start, at points that are taken, and for first steps."""
+    criterion, whole = KinkWithValueAlone(), Kink()
+    solution, same = at_kink(criterion), at_kink(whole)
+    assert solution.value == pytest.approx(same.value, abs=FALL)
+    assert criterion.alone > 0
+    assert criterion.passes < 2 * (solution.iterations + 2) + 1
+    assert criterion.passes < whole.passes
 
 
 @SOLVERS

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from analysis.kvlcc2_zigzag.study import smoothed
 from casid.data.record import Record
 from casid.errors import DataError, ModelError
 from casid.estimation.prediction_error.coordinated_turn import (
@@ -337,22 +338,8 @@ def test_the_surge_speed_of_a_real_zigzag_is_within_a_tenth_of_a_metre_per_secon
     """Positions written with three digits: to 10 m, beyond a kilometre. The speeds recorded are
     earth-fixed; every fourth sample is enough, as the rounding changes but every ninth.
     """
-    path = shared(f"data/kvlcc2_marin_free/{name}.csv")
-    d = np.genfromtxt(path, delimiter=",", names=True)[::4]
+    track, d = smoothed(shared(f"data/kvlcc2_marin_free/{name}.csv").parent, name)
     psi = np.deg2rad(d["psi_deg"])
-    record = Record(
-        {"x": d["x_m"], "y": d["y_m"], "psi": psi},
-        dict(OUTPUTS),
-        Ts=float(np.mean(np.diff(d["t_s"]))),
-        name=name,
-    )
-    known = {
-        "x": rounding_error(d["x_m"]),
-        "y": rounding_error(d["y_m"]),
-        "psi": np.deg2rad(rounding_error(d["psi_deg"])),
-    }
-    # Beside the rounding there is next to no noise: found so if it is left free, and slower.
-    track = smooth_track(record, known=known, levels={"position": 0.01, "heading": 1e-6})
     surge = d["u_mps"] * np.cos(psi) + d["v_mps"] * np.sin(psi)
     error = track.u - surge
     assert np.sqrt(np.mean(error**2)) < 0.1

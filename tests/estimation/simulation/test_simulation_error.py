@@ -134,6 +134,7 @@ def test_the_gradient_is_that_of_the_criterion_as_computed(model, own):
     if own:
         x[criterion.names.index(own[0])] = own[1]
     at = criterion.evaluate(x)
+    assert criterion.value_alone(x) == pytest.approx(at.value, rel=1e-12)
     _, _, jac = criterion.simulate(x, 0, tangent=True)
     for i, v in enumerate(criterion.variables):
         h = 1e-6 * v.scale if v.scale < 1 else 1e-6

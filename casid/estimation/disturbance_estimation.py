@@ -1,0 +1,192 @@
+"""Which forces that nobody recorded are not white, and their spectra.
+
+Estimated from a residual by Whittle's likelihood, beside the white noise of sensors and inputs. A
+force counts as white unless the likelihood gains more by a spectrum of its own than Schwarz's
+criterion charges for its parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from casid.arrays import TINY, Array
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.noise import NoiseModel, Spectra, band_edges, spectra_of, variances, whittle
+from casid.estimation.noise_response import Response
+from casid.estimation.simulation.simulation_error import SimulationError
+
+CORNERS = 12
+"""Frequencies, even in the logarithm, that a search starts from."""
+WIDTHS = (0.05, 0.3)
+"""Values of zeta that a search starts from."""
+LOWEST = 4
+"""Periods that a record holds of the lowest corner, at least."""
+TOLERANCE = 1e-4
+"""Relative change of the spectrum at which its variances are found."""
+EVALUATIONS = 60
+"""Of the likelihood in the search beside the best start, at most."""
+
+
+def with_disturbance_spectra(
+    noise: NoiseModel,
+    criterion: SimulationError,
+    x: Array,
+    known: Mapping[str, float] | None = None,
+) -> NoiseModel:
+    """The noise of the residual at `x` with forces that are not white where it shows such.
+
+    Forces of several balances are taken up one after another, the one that gains most first.
+
+    Parameters
+    ----------
+    noise : as estimated with white sources alone.
+    known : as for `estimate_noise`.
+    """
+    # Without a taper the ends of a slow and large motion leak over the noise of the sensors.
+    residuals = [_tapered(criterion.simulated(x, e).residual) for e in range(len(criterion.data))]
+    sources, outputs = noise.responses[0].sources, tuple(criterion.outputs)
+    search = _Search(
+        noise,
+        spectra_of(residuals, noise.responses, sources, len(outputs)),
+        [(d.N, d.Ts) for d in criterion.data],
+        dict(known or {}),
+        outputs,
+    )
+    found: dict[str, DisturbanceSpectrum] = {}
+    best = search.fitted(found)
+    while True:
+        tried = [search.best_beside(found, name) for name in criterion.model.balances]
+        more = [t for t in tried if t is not None]
+        top = min(more, key=lambda t: t[0], default=None)
+        if top is None or top[0] >= best[0]:
+            break
+        best, found = (top[0], top[1]), top[2]
+    return search.noise_of(found, best[1]) if found else noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """Whittle's likelihood of the residuals, with forces of given spectra."""
+
+    noise: NoiseModel
+    white: Spectra  # with every source white
+    records: Sequence[tuple[int, float]]  # samples and sample time [s] of each
+    known: Mapping[str, float]
+    outputs: tuple[str, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """Of the columns of `white`."""
+        return [*self.outputs, *self.noise.responses[0].sources]
+
+    def fitted(self, found: Mapping[str, DisturbanceSpectrum]) -> tuple[float, Array]:
+        """Minus the log-likelihood and the price of its parameters, and the variances."""
+        names = [*self.outputs, *self._sources(found)]
+        design = self.white.design[:, [self.names.index(n) for n in names]].copy()
+        for name, spectrum in found.items():
+            design[:, names.index(name)] *= self._in_bands(spectrum)
+        spectra = replace(self.white, design=design)
+        given = np.array([self.known.get(n, np.nan) ** 2 for n in names])
+        floor = 1e-8 * max(float(np.average(spectra.power, weights=spectra.count)), TINY)
+        value = variances(spectra, given, floor, tolerance=TOLERANCE)
+        count = sum(1 if s.damping is None else 2 for s in found.values())
+        price = 0.5 * count * float(np.log(max(spectra.count.sum(), 2.0)))
+        return whittle(spectra, value, floor) + price, value
+
+    def best_beside(
+        self, found: Mapping[str, DisturbanceSpectrum], name: str
+    ) -> tuple[float, Array, dict[str, DisturbanceSpectrum]] | None:
+        """The best spectrum of one more force: of a grid, and then beside it."""
+        if name in found or not self._is_felt(name):
+            return None
+        low = min(2 * np.pi * LOWEST / (n * Ts) for n, Ts in self.records)
+        high = 0.5 * np.pi / min(Ts for _, Ts in self.records)
+        if low >= high:
+            return None
+
+        def judged(spectrum: DisturbanceSpectrum) -> float:
+            return self.fitted({**found, name: spectrum})[0]
+
+        shapes = [(None, False), *((zeta, band) for zeta in WIDTHS for band in (False, True))]
+        grid = [
+            DisturbanceSpectrum(float(w), zeta, band)
+            for w in np.geomspace(low, high, CORNERS)
+            for zeta, band in shapes
+        ]
+        first = min(grid, key=judged)
+
+        def spectrum_at(z: Array) -> DisturbanceSpectrum:
+            w = float(np.clip(np.exp(z[0]), low, high))
+            width = float(np.clip(np.exp(z[1]), 0.01, 1.0)) if len(z) > 1 else None
+            return DisturbanceSpectrum(w, width, first.is_band)
+
+        start = np.log([first.frequency, *([first.damping] if first.damping else [])])
+        simplex = start + 0.3 * np.vstack([0 * start, np.eye(len(start))])
+        search: Any = minimize  # its stubs know no initial simplex
+        result = search(
+            lambda z: judged(spectrum_at(z)),
+            start,
+            method="Nelder-Mead",
+            options={"maxfev": EVALUATIONS, "initial_simplex": simplex},
+        )
+        chosen = {**found, name: spectrum_at(result.x)}
+        return (*self.fitted(chosen), chosen)
+
+    def noise_of(self, found: Mapping[str, DisturbanceSpectrum], value: Array) -> NoiseModel:
+        """The noise model with these spectra and variances."""
+        sources, ny = self._sources(found), len(self.outputs)
+        floor = 1e-8 * max(float(np.average(self.white.power, weights=self.white.count)), TINY)
+        sd = dict(zip(sources, np.sqrt(value[ny:]).tolist(), strict=True))
+        groups = [g for g in self.noise.alike if g[0] in sources]
+        return replace(
+            self.noise,
+            output_sd=np.sqrt(np.maximum(value[:ny], floor)),
+            source_sd={name: sd.get(name, 0.0) for name in self.noise.source_sd},
+            responses=self._responses(found),
+            alike=(*groups, *((name,) for name in found if name not in {g[0] for g in groups})),
+            spectra=dict(found),
+        )
+
+    def _sources(self, found: Mapping[str, DisturbanceSpectrum]) -> list[str]:
+        """The first of every group that acts alike, and every force with a spectrum of its own."""
+        own = [g[0] for g in self.noise.alike]
+        return [*own, *(name for name in found if name not in own)]
+
+    def _responses(self, found: Mapping[str, DisturbanceSpectrum]) -> list[Response]:
+        out = []
+        for r, (_, Ts) in zip(self.noise.responses, self.records, strict=True):
+            assert r.gain is not None
+            gain2, gain = r.gain2.copy(), r.gain.copy()
+            for name, spectrum in found.items():
+                shape, j = spectrum.at(r.omega, Ts), r.sources.index(name)
+                gain2[:, :, j] *= shape[:, None]
+                gain[:, :, j] *= np.sqrt(shape)[:, None]
+            out.append(replace(r, gain2=gain2, gain=gain))
+        return out
+
+    def _in_bands(self, spectrum: DisturbanceSpectrum) -> Array:
+        """The spectrum in the bands of `white`, record by record and output by output."""
+        parts, first = [], 0
+        for n, Ts in self.records:
+            grid = np.linspace(0.0, np.pi, n + 1)
+            shape = spectrum.at(grid, Ts)
+            bands = len(band_edges(n)) - 1
+            omega = self.white.omega[first : first + bands]
+            for _ in self.outputs:
+                parts.append(np.interp(omega, grid, shape))
+                first += bands
+        return np.concatenate(parts)
+
+    def _is_felt(self, name: str) -> bool:
+        return any(r.gain2[:, :, r.sources.index(name)].any() for r in self.noise.responses)
+
+
+def _tapered(residual: Array) -> Array:
+    """A residual (N, ny) under Hann's window, of the same power."""
+    window = np.hanning(len(residual) + 2)[1:-1, None]
+    return np.asarray(residual * window / np.sqrt(np.mean(window**2)))

@@ -1,0 +1,45 @@
+"""The spectrum of a force that nobody recorded: waves, wind, a road, the heat of occupants.
+
+    first order    S(w) ~ 1 / (1 + (w / w_0)^2)                                                (1)
+    resonance      S(w) ~ 1 / ((1 - (w / w_0)^2)^2 + (2 zeta w / w_0)^2)                       (2)
+    band           S(w) ~ (w / w_0)^2 / ((1 - (w / w_0)^2)^2 + (2 zeta w / w_0)^2)             (3)
+
+with w_0 the corner or the peak, zeta half the relative width of the peak. (3) is the usual linear
+model of a sea (Fossen 2011, section 8.2.6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from casid.arrays import TINY, Array
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbanceSpectrum:
+    """One of the three.
+
+    Attributes
+    ----------
+    frequency : w_0 [rad/s].
+    damping : zeta; None: (1).
+    is_band : (3), without power at low frequencies.
+    """
+
+    frequency: float
+    damping: float | None = None
+    is_band: bool = False
+
+    def at(self, omega: Array, Ts: float) -> Array:
+        """The spectrum (F,) of unit variance a sample at `omega` [rad/sample], even from 0 to pi.
+
+        Its mean over these frequencies is one, as that of white noise of unit variance is.
+        """
+        r2 = (omega / (Ts * self.frequency)) ** 2
+        if self.damping is None:
+            s = 1 / (1 + r2)
+        else:
+            s = (r2 if self.is_band else 1.0) / ((1 - r2) ** 2 + 4 * self.damping**2 * r2 + TINY)
+        return np.asarray(s / max(float(np.mean(s)), TINY))

@@ -1,0 +1,1 @@
+"""Estimates from which the bias that noise on measured inputs gives is removed."""

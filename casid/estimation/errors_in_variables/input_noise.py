@@ -1,0 +1,178 @@
+"""How noisy the measured inputs are, and whether their noise matters to an estimate.
+
+The variance of an input's white noise is what the residual shows of it (`estimation.noise`), at
+most the floor of the channel's own spectrum; one that is stated is taken as it is. Where a noise as
+large as both allow moves no unknown by a tenth of its standard error, and adds next to nothing to
+its variance, it is left out of account.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import rfft
+from scipy.stats import chi2
+
+from casid.arrays import TINY, Array
+from casid.estimation.errors_in_variables.equations import both_halves, columns_of, equations
+from casid.estimation.errors_in_variables.thresholds import REMOVAL
+from casid.estimation.noise import NoiseModel, estimate_noise, floor_error, input_noise_floor
+from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.simulation_error import SimulationError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InputNoise:
+    """The noise that a residual shows, and how much of it each measured input has.
+
+    The more exact of the two counts: what the residual shows, or the floor where the residual
+    agrees with it. Where the residual shows far more than the floor, the rest is a disturbance, or
+    misfit; where it shows far less, the floor is that of a signal.
+
+    Attributes
+    ----------
+    floors : input -> variance of its white noise, at most: by its own spectrum, or as stated.
+    errors : standard errors of `floors`; 0 where stated.
+    at_floor : inputs whose floor is more exact than what the residual shows, and agrees with it.
+    """
+
+    noise: NoiseModel
+    floors: Mapping[str, float]
+    errors: Mapping[str, float]
+    at_floor: tuple[str, ...] = ()
+
+    @property
+    def sd(self) -> dict[str, float]:
+        """Input -> standard deviation of its noise."""
+        found = self.noise.of_inputs(self._largest)
+        return {
+            name: float(np.sqrt(self.floors[name])) if name in self.bounded else sd
+            for name, sd in found.items()
+        }
+
+    @property
+    def bounded(self) -> tuple[str, ...]:
+        """Inputs whose noise is that of their floor, or as stated."""
+        found = self.noise.of_inputs(self._largest)
+        largest = self._largest
+        return tuple(n for n, sd in found.items() if sd >= largest[n] or n in self.at_floor)
+
+    @property
+    def most(self) -> dict[str, float]:
+        """As `sd`, as much as the errors of the estimated variances allow."""
+        noise, above = self.noise, REMOVAL.above
+        raised = {
+            name: float(np.sqrt(sd**2 + above * noise.variance_error(name)))
+            for name, sd in noise.source_sd.items()
+        }
+        return replace(noise, source_sd=raised).of_inputs(self._largest)
+
+    @property
+    def _largest(self) -> dict[str, float]:
+        """Input -> standard deviation beyond which the residual shows more than its noise."""
+        out = {}
+        for name, floor in self.floors.items():
+            own, shown = self.errors[name], self.noise.variance_error(name)
+            above = REMOVAL.above * np.hypot(own, shown if own > 0 else 0.0)
+            out[name] = float(np.sqrt(floor + above))
+        return out
+
+
+def input_noise(criterion: SimulationError, x: Array, known: Mapping[str, float]) -> InputNoise:
+    """The noise at `x` (n,), with that of the channels `known` (standard deviations) as stated."""
+    noise = _of_few_sources(criterion, x, known)
+    inputs = criterion.model.inputs
+    floors = input_noise_floor(criterion.data, list(inputs))
+    measured = [n for n, u in inputs.items() if u.kind == "measured"]
+    relative = floor_error([d.N for d in criterion.data])
+    errors = {n: 0.0 if n in known else relative * floors[n] ** 2 for n in measured}
+    exact = [n for n in measured if 0 < errors[n] < noise.variance_error(n)]
+    at_floor: tuple[str, ...] = ()
+    if exact:
+        held = estimate_noise(
+            criterion,
+            x,
+            known={**known, **{n: floors[n] for n in exact}},
+            responses=noise.responses,
+            has_disturbances=any(noise.source_sd[b] > 0 for b in criterion.model.balances),
+        )
+        ratio = 2 * (held.misfit - noise.misfit) / len(criterion.outputs)
+        if ratio < chi2.ppf(REMOVAL.agrees, len(exact)):
+            noise, at_floor = held, tuple(exact)
+    return InputNoise(noise, {n: known.get(n, floors[n]) ** 2 for n in measured}, errors, at_floor)
+
+
+def _of_few_sources(criterion: SimulationError, x: Array, known: Mapping[str, float]) -> NoiseModel:
+    """The noise of sensors and measured inputs; with disturbances where the residual shows them.
+
+    What an input and a force somewhere else give to a residual is often much alike. A force gets
+    a part of it only where the likelihood gains more by it than Schwarz's criterion charges. As
+    outputs may all show the same noise, what it counts for each of them is counted once.
+    """
+    whole = estimate_noise(criterion, x, known=known)
+    inputs = criterion.model.inputs
+    forces = [g for g in whole.alike if g[0] not in inputs and whole.source_sd[g[0]] > 0]
+    if not forces:
+        return whole
+    few = estimate_noise(
+        criterion, x, known=known, responses=whole.responses, has_disturbances=False
+    )
+    lines = sum(d.N // 2 + 1 for d in criterion.data) * len(criterion.outputs)
+    price = 0.5 * len(forces) * np.log(max(lines, 2))
+    return few if (few.misfit - whole.misfit) / len(criterion.outputs) < price else whole
+
+
+def added_variance(fit: Fit, noise: NoiseModel, free: Array) -> float:
+    """The largest share that noise on inputs adds to the variance of an unknown of least squares.
+
+    Parameters
+    ----------
+    noise : of sensors, and of inputs as large as it may be.
+    free : (n,) bool, False at active bounds.
+    """
+    criterion, index = fit.criterion, np.flatnonzero(free)
+    matrix, alone, whole = (np.zeros((len(index), len(index))) for _ in range(3))
+    for e, d in enumerate(criterion.data):
+        t = criterion.columns(fit.x, e)[1][:, :, index]
+        spectra = rfft(t, axis=0) / np.sqrt(d.N)
+        omega = np.linspace(0.0, np.pi, len(spectra))
+        for i, weight in enumerate(criterion.weights):
+            power = np.interp(omega, noise.responses[e].omega, noise.spectrum(e)[:, i])
+            part = spectra[:, i]
+            matrix += t[:, i].T @ t[:, i]
+            alone += (weight * noise.output_sd[i]) ** 2 * (t[:, i].T @ t[:, i])
+            rows = (weight**2 * both_halves(d.N) * power)[:, None] * part
+            whole += (part.conj().T @ rows).real
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), TINY))
+    inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-13) * np.outer(scale, scale)
+    least, most = (np.diag(inverse @ part @ inverse) for part in (alone, whole))
+    return float(np.max(most / np.maximum(least, TINY) - 1, initial=0.0))
+
+
+def possible_bias(
+    fit: Fit, input_sd: Mapping[str, float], covariance: Array, free: Array, seed: int = 0
+) -> Array:
+    """(n,) bias of a fit that takes its inputs for exact, in standard errors.
+
+    Parameters
+    ----------
+    input_sd : of the noise that the inputs may have.
+    covariance : (n, n) of the fit.
+    free : (n,) bool, False at active bounds.
+    """
+    at = equations(columns_of(fit.criterion, fit.x, input_sd, seed), unwhitened, input_sd)
+    index = np.flatnonzero(free)
+    slope, bias = at.matrix[np.ix_(index, index)], at.bias[index]
+    d = 1 / np.sqrt(np.maximum(np.diag(slope), np.finfo(float).tiny))
+    moved = d * (np.linalg.pinv(slope * np.outer(d, d), rcond=1e-13) @ (d * bias))
+    out = np.zeros(len(free))
+    sd = np.sqrt(np.maximum(np.diag(covariance)[index], 0.0))
+    out[index] = np.divide(moved, sd, out=np.zeros(len(index)), where=sd > 0)
+    return out
+
+
+def unwhitened(columns: Array, experiment: int) -> Array:
+    """The columns as they are: a whitening that does nothing."""
+    return columns

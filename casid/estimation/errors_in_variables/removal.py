@@ -1,0 +1,252 @@
+"""The estimate without the bias that noise on measured inputs gives to a simulation-error fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.estimation.covariance import sandwich
+from casid.estimation.errors_in_variables.equations import Equations, columns_of, equations, step
+from casid.estimation.errors_in_variables.input_noise import (
+    InputNoise,
+    added_variance,
+    input_noise,
+    possible_bias,
+)
+from casid.estimation.errors_in_variables.thresholds import REMOVAL
+from casid.estimation.noise import NoiseModel
+from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.simulation_error import Whitener
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corrected:
+    """A fit, and what became of the bias that noise on its inputs gives.
+
+    Attributes
+    ----------
+    fit : at the root of the equations without bias, or as it was.
+    covariance : (n, n) of it; None where the fit is as it was.
+    input_sd : measured input -> standard deviation of its noise.
+    bias : unknown -> what noise on the inputs gives to the fit as it was, in standard errors.
+    why_not : why the bias is still in the fit; an empty text where it is not, or is negligible.
+    whiten : what the covariance rests on, by the noise that was found.
+    """
+
+    fit: Fit
+    covariance: Array | None = None
+    input_sd: Mapping[str, float] | None = None
+    bias: Mapping[str, float] | None = None
+    why_not: str = ""
+    whiten: Whitener | None = None
+
+    @property
+    def is_removed(self) -> bool:
+        """True if the fit is one without the bias."""
+        return self.covariance is not None
+
+    @property
+    def text(self) -> str:
+        """What became of the noise on measured inputs; empty where there is none."""
+        if self.bias is None or self.input_sd is None:
+            return f"it is not removed, since {self.why_not}" if self.why_not else ""
+        name, worst = max(self.bias.items(), key=lambda item: abs(item[1]))
+        model = self.fit.criterion.model
+        sizes = ", ".join(
+            f"{n} of {model.shown_size(n, sd):.3g} {model.unit_of(n)}".rstrip()
+            for n, sd in self.input_sd.items()
+            if sd > 0
+        )
+        if self.is_removed and abs(worst) < REMOVAL.negligible:
+            return (
+                f"white noise on {sizes} biases least squares by no more than "
+                f"{REMOVAL.negligible:g} standard errors, but makes it less certain: the estimate "
+                "is weighted by its spectrum"
+            )
+        if self.is_removed:
+            return (
+                f"white noise on {sizes} biases least squares, {name} most, by {abs(worst):.2g} "
+                "standard errors; the estimate is the root of equations without that bias"
+            )
+        if self.why_not:
+            return (
+                f"white noise on {sizes} at most may bias {name} by {abs(worst):.2g} standard "
+                f"errors; it is not removed, since {self.why_not}"
+            )
+        return f"it moves no unknown by more than {REMOVAL.negligible:g} standard errors"
+
+
+def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) -> Corrected:
+    """The estimate at the root of the equations without bias, where noise on inputs matters.
+
+    Parameters
+    ----------
+    fit : minimum of the simulation error, not whitened.
+    known : channel -> standard deviation of its white noise, where stated; 0 for none.
+    """
+    criterion, solution = fit.criterion, fit.solution
+    inputs = criterion.model.inputs
+    noisy = [n for n, u in inputs.items() if u.kind == "measured" and known.get(n, 1.0) > 0]
+    if not noisy:
+        return Corrected(fit)
+    if criterion.segments > 1 or solution.constraint_jacobian.size:
+        return Corrected(fit, why_not="it is fitted in segments, or under constraints")
+    held = {*solution.at_lower, *solution.at_upper}
+    free = np.array([name not in held for name in criterion.names])
+    found = input_noise(criterion, fit.x, known)
+    covariance, _ = sandwich(solution.hessian, criterion.scores(fit.x), free)
+    bias = possible_bias(fit, found.most, covariance, free, seed)
+    named = dict(zip(criterion.names, bias.tolist(), strict=True))
+    at = Corrected(fit, input_sd=found.most, bias=named)
+    if not np.all(np.isfinite(bias)):
+        return replace(at, why_not="the simulation overflows with noise on its inputs")
+    if float(np.abs(bias).max(initial=0.0)) < REMOVAL.negligible:
+        if added_variance(fit, found.noise.quiet(found.most), free) < REMOVAL.adds:
+            return at
+    root = _Root(fit, known, free, seed)
+    if root.why_not:
+        return replace(at, why_not=root.why_not)
+    solution = replace(
+        solution,
+        x=root.x,
+        at_lower=tuple(dict.fromkeys((*solution.at_lower, *root.at_bound(root.lower)))),
+        at_upper=tuple(dict.fromkeys((*solution.at_upper, *root.at_bound(root.upper)))),
+    )
+    return Corrected(
+        replace(fit, solution=solution),
+        root.covariance(),
+        root.found.sd,
+        named,
+        whiten=root.found.noise.whiten,
+    )
+
+
+class _Root:
+    """The root of the equations, sought from a fit, with the noise found anew at every step."""
+
+    def __init__(self, fit: Fit, known: Mapping[str, float], free: Array, seed: int) -> None:
+        self.criterion, self.known, self.seed = fit.criterion, known, seed
+        self.x, self.free = fit.x.copy(), free.copy()
+        self.lower, self.upper = (
+            np.array([getattr(v, side) for v in self.criterion.variables])
+            for side in ("lower", "upper")
+        )
+        self.beside = (1 - REMOVAL.difference, 1 + REMOVAL.difference)
+        self.found: InputNoise
+        self.at: Equations
+        self.why_not = self._sought()
+
+    def _sought(self) -> str:
+        """Go to the root; a reason where there is none."""
+        share = 0.0
+        for _ in range(REMOVAL.steps):
+            self._evaluate()
+            parts = (self.at.matrix, self.at.noise, self.at.score)
+            if not all(np.all(np.isfinite(part)) for part in parts):
+                return "the simulation overflows beside the fit"
+            move, length, share = step(self.at, self.free, REMOVAL.least_information)
+            if length < REMOVAL.converged:
+                break
+            move *= min(1.0, REMOVAL.longest_step / length)
+            new = np.clip(self.x + move, self.lower, self.upper)
+            # What a bound holds back stays there, and the others go on without it.
+            self.free &= new == self.x + move
+            self.x = new
+        else:
+            return "the equations without it have no root near the fit"
+        if share < REMOVAL.least_information:
+            return "it is most of what the inputs say of a combination of the unknowns"
+        return self._misfit()
+
+    def _evaluate(self) -> None:
+        self.found = input_noise(self.criterion, self.x, self.known)
+        sd = self.found.sd
+        self.columns = columns_of(self.criterion, self.x, sd, self.seed)
+        self.at = equations(self.columns, self.found.noise.whiten, sd)
+
+    def _misfit(self) -> str:
+        """What says that the residual is more than noise of sensors and inputs."""
+        noise = self.found.noise
+        samples = [d.N for d in self.criterion.data]
+        ratio, spread = noise.excess(noise.quiet(self.found.sd), samples)
+        if ratio <= max(REMOVAL.absorbs_misfit**2, 1 + REMOVAL.absorbs_spreads * spread):
+            return ""
+        return (
+            f"the residual is {np.sqrt(ratio):.2g} times what sensors and inputs account for: the "
+            "model is incomplete, or there are disturbances (casid diagnose)"
+        )
+
+    def at_bound(self, bound: Array) -> tuple[str, ...]:
+        """Names of the variables at one of their bounds (n,)."""
+        return tuple(self.criterion.names[i] for i in np.flatnonzero(self.x == bound))
+
+    def covariance(self) -> Array:
+        """(n, n) of the root, by the slope and the variance of the equations."""
+        n, index = len(self.x), np.flatnonzero(self.free)
+        both = np.ix_(index, index)
+        slope = self.at.slope[both]
+        d = 1 / np.sqrt(np.diag(self.at.matrix)[index])
+        inverse = np.outer(d, d) * np.linalg.pinv(slope * np.outer(d, d), rcond=1e-13)
+        variance = self.at.variance + self._of_noise()
+        out = np.zeros((n, n))
+        samples, unknowns = self.criterion.n_samples, len(index)
+        factor = samples / max(samples - unknowns, 1)
+        out[both] = factor * inverse @ variance[both] @ inverse
+        return out
+
+    def _of_noise(self) -> Array:
+        """D V D' (n, n): what the errors of the variances of the noise give to the equations."""
+        found, noise = self.found, self.found.noise
+        names = sorted({name for name, _ in noise.covariance})
+        slopes = [self._slope_by_variance(name) for name in names]
+        out = np.zeros((len(self.x), len(self.x)))
+        for a, one in zip(names, slopes, strict=True):
+            for b, other in zip(names, slopes, strict=True):
+                out += noise.covariance[a, b] * np.outer(one, other)
+        for name in found.bounded:
+            if found.errors[name] > 0:
+                slope = self._slope([(noise, self._scaled_inputs((name,), f)) for f in self.beside])
+                out += found.errors[name] ** 2 * np.outer(slope, slope) / found.floors[name] ** 2
+        return out
+
+    def _slope_by_variance(self, name: str) -> Array:
+        """(n,) derivative of the equations by the variance of an output or a source of noise.
+
+        The noise of the inputs that it stands for changes with it, where no bound holds them.
+        """
+        noise, outputs = self.found.noise, self.criterion.outputs
+        if name in outputs:
+            its = np.array([n == name for n in outputs])
+            variance = float(noise.output_sd[its][0] ** 2)
+            changed = [
+                replace(noise, output_sd=noise.output_sd * np.where(its, np.sqrt(f), 1.0))
+                for f in self.beside
+            ]
+            slope = self._slope([(each, self.found.sd) for each in changed])
+        else:
+            variance = noise.source_sd[name] ** 2
+            if variance == 0.0:
+                return np.zeros(len(self.x))
+            alike = next((group for group in noise.alike if name in group), (name,))
+            free = tuple(n for n in alike if n not in self.found.bounded)
+            own = noise.source_sd[name]
+            changed = [
+                replace(noise, source_sd={**noise.source_sd, name: float(own * np.sqrt(f))})
+                for f in self.beside
+            ]
+            inputs = [self._scaled_inputs(free, f) for f in self.beside]
+            slope = self._slope(list(zip(changed, inputs, strict=True)))
+        return slope / variance
+
+    def _scaled_inputs(self, names: Sequence[str], factor: float) -> dict[str, float]:
+        """The noise of the inputs with the variances of some times a factor."""
+        root = float(np.sqrt(factor))
+        return {n: sd * (root if n in names else 1.0) for n, sd in self.found.sd.items()}
+
+    def _slope(self, beside: Sequence[tuple[NoiseModel, Mapping[str, float]]]) -> Array:
+        """(n,) change of the equations between two noises, by the relative change of a variance."""
+        below, above = (equations(self.columns, m.whiten, sd).score for m, sd in beside)
+        return np.asarray((above - below) / (self.beside[1] - self.beside[0]))

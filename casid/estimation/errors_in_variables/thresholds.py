@@ -1,0 +1,55 @@
+"""Every number that decides how noise on measured inputs is treated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from casid.threshold_table import entries
+from casid.threshold_table import threshold as _is
+
+_TEST = "tests/estimation/errors_in_variables/test_input_noise.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Removal:
+    """When the bias of input noise is removed, and how its root is sought."""
+
+    negligible: float = _is(
+        0.1, "standard errors of any unknown, that input noise may move it by at most", _TEST
+    )
+    adds: float = _is(
+        0.1, "share of its variance that input noise may add to any unknown at most", _TEST
+    )
+    above: float = _is(
+        3.0,
+        "standard errors that the variance of an input's noise may lie above an estimate of it",
+        _TEST,
+    )
+    agrees: float = _is(
+        0.95, "level of the likelihood ratio up to which a residual agrees with a floor", _TEST
+    )
+    steps: int = _is(20, "Gauss-Newton steps towards the root", _TEST)
+    longest_step: float = _is(
+        25.0, "standard errors of one step: further away nothing is linear", _TEST
+    )
+    converged: float = _is(0.01, "standard errors: the length of a last step", _TEST)
+    least_information: float = _is(
+        0.2, "share of the information that noise leaves: with less the root is not sought", _TEST
+    )
+    absorbs_misfit: float = _is(
+        1.1,
+        "RMS of the residual over that of sensors and inputs, beyond which it is no noise",
+        _TEST,
+    )
+    absorbs_spreads: float = _is(
+        2.0, "standard deviations of that ratio squared by chance, beyond which the same", _TEST
+    )
+    difference: float = _is(0.1, "of a variance, by which it is changed for a derivative", _TEST)
+
+
+REMOVAL = Removal()
+
+GROUPS = (REMOVAL,)
+
+TABLE = entries(*GROUPS)
+"""All of them."""

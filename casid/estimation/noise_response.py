@@ -1,0 +1,135 @@
+"""Frequency responses of a simulated model to its sources of noise: inputs and forces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from scipy.fft import rfft
+
+from casid.arrays import Array
+from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.simulation.simulator import rk4_sample
+from casid.model.declarations import Input
+from casid.model.model import Model
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """Frequency responses of the sampled, linearised model to its noise sources."""
+
+    omega: Array  # (F,) rad/sample, 0..pi
+    gain2: Array  # (F, ny, ns) squared magnitudes
+    sources: tuple[str, ...]
+    gain: Array | None = None  # (F, ny, ns) complex, where several outputs are whitened together
+
+
+def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Response:
+    """|G|^2 from every measured input and every balance to the outputs, linearised at the mean.
+
+    The step of the simulation itself is linearised, so the response is that of what is simulated.
+    """
+    model, d = criterion.model, criterion.data[experiment]
+    p, _ = criterion.parameter_vector(x, experiment)
+    states = criterion.simulated(x, experiment).x  # kept: the residual comes from it as well
+    disturbed = _with_disturbances(model)
+    e = disturbed.explicit()
+    nb = len(model.balances)
+    u_next = ca.SX.sym("un", len(e.inputs))
+    xs = rk4_sample(disturbed, e, u_next, d.Ts, criterion.substeps)
+    jac = ca.Function(
+        "lin",
+        [e.x, e.u, u_next, e.p],
+        [
+            ca.jacobian(xs, e.x),
+            ca.jacobian(xs, e.u),
+            ca.jacobian(xs, u_next),
+            ca.jacobian(e.h, e.x),
+            ca.jacobian(e.h, e.u),
+        ],
+    )
+    # Equivalent linearisation: the mean of the derivatives over the record, so that kinks and
+    # amplitude-dependent terms count by how often they are met.
+    pick = np.linspace(0, d.N - 1, min(d.N, 200)).astype(int)
+    u = np.hstack([d.u[pick], np.zeros((len(pick), nb))])
+    at_points = jac.map(len(pick))(states[pick].T, u.T, u.T, np.tile(p[:, None], (1, len(pick))))
+    a, b0, b1, c, dd = (
+        np.array(m).reshape(m.shape[0], len(pick), -1).mean(axis=1) for m in at_points
+    )
+    measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
+    # As fine as the record resolves: a lightly damped resonance is narrower than that already.
+    omega = np.linspace(0, np.pi, min(d.N, 1 << 16) + 1)
+    # An integrator has no finite response at zero frequency: stay within the record's resolution.
+    omega[0] = 0.25 * omega[1]
+    z = np.exp(1j * omega)
+    eye = np.eye(len(a))
+    lhs = z[:, None, None] * eye - a
+    enters = _input_stages(criterion, x, experiment, e.inputs, measured, nb, len(omega) - 1)
+    rhs = (b0 + z[:, None, None] * b1) @ enters
+    g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
+    g = g * _sensor_stages(criterion, x, experiment, len(omega) - 1)[:, :, None]
+    return Response(omega, np.abs(g) ** 2, (*measured, *model.balances), g)
+
+
+def _input_stages(
+    criterion: SimulationError,
+    x: Array,
+    experiment: int,
+    inputs: Sequence[str],
+    measured: Sequence[str],
+    balances: int,
+    n: int,
+) -> Array:
+    """What the noise of each source is in the input columns that are simulated.
+
+    (1, ni, ns) of ones and zeros, or (n + 1, ni, ns) on 0..pi where a stage prepares a column: the
+    transform of what becomes of one noisy sample.
+    """
+    model, Ts = criterion.model, criterion.data[experiment].Ts
+    places = [inputs.index(name) for name in measured]
+    places += range(len(inputs) - balances, len(inputs))
+    direct = np.zeros((1, len(inputs), len(places)))
+    direct[0, places, range(len(places))] = 1.0
+    stages = [s for s in model.stages if s.is_of_input]
+    channels = [name for name in measured if any(s.channel == name for s in stages)]
+    if not channels:
+        return direct
+    out = np.repeat(direct.astype(complex), n + 1, axis=0)
+    values = {s.parameter: criterion.value_of(s.parameter, x, experiment) for s in stages}
+    own = list(model.inputs)
+    for channel in channels:
+        u = np.zeros((2 * n, len(own)))
+        u[n, own.index(channel)] = 1.0
+        # Carriers are among the columns, but enter times a parameter that is zero.
+        prepared = prepared_inputs(model, u, values, Ts)
+        out[:, : len(own), measured.index(channel)] = rfft(prepared, axis=0)
+    return out
+
+
+def _sensor_stages(criterion: SimulationError, x: Array, experiment: int, n: int) -> Array:
+    """H (n + 1, ny) of what each output's sensor passes on, on 0..pi; clipping left out."""
+    out = np.ones((n + 1, len(criterion.outputs)), dtype=complex)
+    back = (-1.0) ** np.arange(n + 1)  # the pulse comes in the middle
+    for stage in criterion.model.stages:
+        if stage.is_of_input or stage.kind == "clip":
+            continue
+        y = np.zeros(2 * n)
+        y[n] = 1.0
+        value = criterion.value_of(stage.parameter, x, experiment)
+        through_sensor(stage.kind, y, None, value, criterion.data[experiment].Ts, -1)
+        out[:, criterion.outputs.index(stage.channel)] *= back * rfft(y)
+    return out
+
+
+def _with_disturbances(model: Model) -> Model:
+
+    new = model.copy()
+    # What lags before the simulation moves in lines of its own; sensors come after it.
+    new.stages = tuple(s for s in model.stages if s.is_of_input)
+    for name, balance in model.balances.items():
+        w = new.add_input(Input(f"disturbance of {name}", balance.unit, "unknown"))
+        new.add_term(name, w)
+    return new

@@ -1,0 +1,228 @@
+"""The spectrum of a residual by autoregressions, and the covariance of least squares under it.
+
+Least squares with sensitivities T and a residual of covariance Gamma have the covariance
+
+    (T'T)^-1 T' Gamma T (T'T)^-1.                                                             (1)
+
+Gamma is that of an autoregression of each output's residual, with the correlation of their
+innovations between outputs. Sharp resonances, and noise with a zero in its spectrum, are out of
+reach of a window of lags. Order by Schwarz's criterion after Burg's recursion; coefficients by the
+restricted likelihood (Patterson and Thompson, Biometrika 58 (1971) 545-554),
+
+    log |Gamma| + log |T' Gamma^-1 T| + r' Gamma^-1 (r - T (T' Gamma^-1 T)^-1 T' Gamma^-1 r),   (2)
+
+which knows what the unknowns take out of a residual: where noise has the frequency and damping of a
+decay, that is most of its peak.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import next_fast_len, rfft
+from scipy.optimize import minimize
+from scipy.signal import lfilter
+
+from casid.arrays import TINY, Array
+from casid.estimation.simulation.minimization import Fit
+
+LARGEST = 40
+"""Order of an autoregression, at most; no more than a twentieth of the samples (a heuristic)."""
+RESTRICTED = 12
+"""Orders of all outputs together up to which (2) is minimised: more have sharper peaks than few
+unknowns take away."""
+CONVERGED = 1e-2
+"""Slope of (2) at which its search ends."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Autoregression:
+    """a(q) r = e with e white, by its reflection coefficients.
+
+    Attributes
+    ----------
+    reflections : (p,) within -1..1.
+    variance : of e.
+    """
+
+    reflections: Array
+    variance: float
+
+    @property
+    def order(self) -> int:
+        """p."""
+        return len(self.reflections)
+
+    @property
+    def coefficients(self) -> Array:
+        """(p,) behind the leading 1 of a."""
+        a = np.zeros(0)
+        for k in self.reflections:
+            a = _longer(a, k)
+        return a
+
+    def whiten(self, columns: Array) -> Array:
+        """e (N, m) of unit variance of columns (N, m); the first samples from those before them."""
+        a, p = np.zeros(0), min(self.order, len(columns))
+        shrinks = np.cumprod(1 - self.reflections[::-1] ** 2)[::-1]  # of orders k..p
+        first = np.empty((p, columns.shape[1]))
+        for k in range(p):
+            first[k] = (columns[k] + a @ columns[:k][::-1]) * np.sqrt(shrinks[k])
+            a = _longer(a, self.reflections[k])
+        out = lfilter(np.concatenate([[1.0], self.coefficients]), [1.0], columns, axis=0)
+        out[:p] = first
+        return np.asarray(out / np.sqrt(self.variance))
+
+    def log_determinant(self, samples: int) -> float:
+        """log det of the covariance of so many samples."""
+        shrinks = np.log(np.maximum(1 - self.reflections**2, TINY))
+        return float(samples * np.log(self.variance) - np.arange(1, self.order + 1) @ shrinks)
+
+    def root_spectrum(self, size: int) -> Array:
+        """(size // 2 + 1,) complex: sd / a(e^iw) on the grid of a real transform."""
+        filtered = rfft(np.concatenate([[1.0], self.coefficients]), size)
+        return np.asarray(np.sqrt(self.variance) / filtered)
+
+
+def _longer(a: Array, k: float) -> Array:
+    """Coefficients of one order more, by Levinson's recursion."""
+    return np.concatenate([a + k * a[::-1], [k]])
+
+
+def autoregression(residuals: Sequence[Array]) -> Autoregression:
+    """The autoregression of one output over all records, (N,) each.
+
+    Burg (1975): reflection coefficients that minimise the errors of prediction forwards and
+    backwards, without the taper that blunts sharp resonances.
+    """
+    count = sum(len(r) for r in residuals)
+    forward, backward = [r[1:] for r in residuals], [r[:-1] for r in residuals]
+    reflections: list[float] = []
+    variance = float(sum(r @ r for r in residuals)) / max(count, 1)
+    best, least = Autoregression(np.zeros(0), variance), count * np.log(max(variance, TINY))
+    for p in range(1, min(LARGEST, count // 20) + 1):
+        pairs = list(zip(forward, backward, strict=True))
+        power = sum(float(f @ f + b @ b) for f, b in pairs)
+        k = -2 * sum(float(f @ b) for f, b in pairs) / max(power, TINY)
+        reflections.append(k)
+        variance *= 1 - k**2
+        value = count * np.log(max(variance, TINY)) + p * np.log(max(count, 2))
+        if value < least:
+            best, least = Autoregression(np.array(reflections), variance), value
+        forward = [(f + k * b)[1:] for f, b in pairs]
+        backward = [(b + k * f)[:-1] for f, b in pairs]
+    return best
+
+
+def restricted(
+    models: Sequence[Autoregression], records: Sequence[tuple[Array, Array]]
+) -> list[Autoregression]:
+    """Autoregressions of the same orders at the minimum of (2); of high ones, their variances.
+
+    Parameters
+    ----------
+    models : one an output, where the search starts.
+    records : residual (N, ny) and sensitivities (N, ny, n) of each.
+    """
+    count = sum(r.size for r, _ in records)
+    share = count / max(count - records[0][1].shape[2], 1)
+    models = [replace(m, variance=m.variance * share) for m in models]
+    orders = [m.order for m in models]
+    if not 0 < sum(orders) <= RESTRICTED:
+        return models
+    cuts = np.cumsum(orders)[:-1]
+    scales = np.log([max(m.variance, TINY) for m in models])
+
+    def at(z: Array) -> list[Autoregression]:
+        reflections = np.split(np.tanh(z[len(models) :]), cuts)
+        sizes = np.exp(scales + z[: len(models)]).tolist()
+        return [Autoregression(k, v) for k, v in zip(reflections, sizes, strict=True)]
+
+    def value(z: Array) -> float:
+        return _restricted_likelihood(at(z), records)
+
+    edge = 1 - 1e-9
+    start = [np.arctanh(np.clip(m.reflections, -edge, edge)) for m in models]
+    first = np.concatenate([np.zeros(len(models)), *start])
+    found = minimize(value, first, method="BFGS", options={"gtol": CONVERGED, "maxiter": 50})
+    return at(found.x) if found.fun < value(first) else models
+
+
+def _restricted_likelihood(
+    models: Sequence[Autoregression], records: Sequence[tuple[Array, Array]]
+) -> float:
+    """Half of (2)."""
+    value, parts = 0.0, []
+    for r, t in records:
+        stack = np.concatenate([r[:, :, None], t], axis=2)
+        for i, m in enumerate(models):
+            value += 0.5 * m.log_determinant(len(r))
+            parts.append(m.whiten(stack[:, i]))
+    whole = np.concatenate(parts)
+    e, tangent = whole[:, 0], whole[:, 1:]
+    size = np.sqrt(np.sum(tangent**2, axis=0))
+    seen = size > 0
+    q, triangle = np.linalg.qr(tangent[:, seen] / size[seen])
+    left = e - q @ (q.T @ e)
+    logs = np.log(np.maximum(np.abs(np.diag(triangle)), TINY)) + np.log(size[seen])
+    return value + float(np.sum(logs)) + 0.5 * float(left @ left)
+
+
+def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
+    """(1) of a fit and the orders of its autoregressions.
+
+    None where every residual is white, or samples are missing: Burg's recursion needs neighbours.
+
+    Parameters
+    ----------
+    free : (n,) bool, False at active bounds: those rows and columns are zero.
+    """
+    criterion = fit.criterion
+    weighted = [criterion.columns(fit.x, e) for e in range(len(criterion.data))]
+    if not all(d.used.all() for d in criterion.data):
+        return None
+    outputs = range(len(criterion.outputs))
+    models = [autoregression([r[:, i] for r, _ in weighted]) for i in outputs]
+    if not any(m.order for m in models):
+        return None
+    models = restricted(models, [(r, t[:, :, free]) for r, t in weighted])
+    n, index = len(fit.x), np.flatnonzero(free)
+    together = _innovations([r for r, _ in weighted], models)
+    matrix, meat = np.zeros((n, n)), np.zeros((n, n))
+    for _, t in weighted:
+        flat = t.reshape(-1, n)
+        matrix += flat.T @ flat
+        size = next_fast_len(2 * len(t), real=True)
+        both = np.full(size // 2 + 1, 2.0)
+        both[0] = 1.0
+        if size % 2 == 0:
+            both[-1] = 1.0
+        roots = [m.root_spectrum(size)[:, None].conj() * rfft(t[:, i], size, axis=0)
+                 for i, m in zip(outputs, models, strict=True)]  # fmt: skip
+        for i in outputs:
+            for j in outputs:
+                part = (roots[i].conj().T @ (both[:, None] * roots[j])).real / size
+                meat += together[i, j] * part
+    part = matrix[np.ix_(index, index)]
+    d = 1 / np.sqrt(np.maximum(np.diag(part), TINY))
+    inverse = np.outer(d, d) * np.linalg.pinv(part * np.outer(d, d), rcond=1e-13)
+    out = np.zeros((n, n))
+    out[np.ix_(index, index)] = inverse @ meat[np.ix_(index, index)] @ inverse
+    return out, tuple(m.order for m in models)
+
+
+def _innovations(residuals: Sequence[Array], models: Sequence[Autoregression]) -> Array:
+    """(ny, ny) correlation of the outputs' innovations."""
+    parts = []
+    for r in residuals:
+        columns = [
+            np.convolve(r[:, i], np.concatenate([[1.0], m.coefficients]))[: len(r)]
+            for i, m in enumerate(models)
+        ]
+        parts.append(np.column_stack(columns))
+    e = np.concatenate(parts)
+    product = e.T @ e
+    size = np.sqrt(np.maximum(np.diag(product), TINY))
+    return np.asarray(product / np.outer(size, size))

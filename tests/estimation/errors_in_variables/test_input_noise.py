@@ -1,0 +1,271 @@
+"""Noise on a measured input biases least squares; the equations with its covariances do not.
+
+The truth is a difference equation of its own: v' = -a v + b u, with u a line between samples.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import casid
+from analysis.coverage.systems import rig_model, rig_motion
+from casid.estimation.errors_in_variables.equations import columns_of, equations, flat_noise
+from casid.estimation.errors_in_variables.input_noise import input_noise
+from casid.estimation.errors_in_variables.removal import without_input_noise
+from casid.estimation.noise import estimate_noise
+from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.simulation_error import SimulationError
+
+A, B, TS = 2.0, 3.0, 0.05
+INPUT, OUTPUT = 0.5, 0.02
+ONE_START = FitSettings(starts=1)
+
+
+def slow_input(N: int, rng: np.random.Generator) -> np.ndarray:
+    """Unit variance, hardly any power above a tenth of the band."""
+    u = np.convolve(rng.standard_normal(N + 60), np.hanning(60), "same")[30:-30]
+    return u / np.std(u)
+
+
+def response(u: np.ndarray, a: float = A, b: float = B) -> np.ndarray:
+    """v from rest: exact for straight lines between the samples."""
+    pole = np.exp(-a * TS)
+    whole = (1 - pole) / a
+    later = (TS - whole) / (a * TS)  # weight of the sample at the end
+    v = np.zeros(len(u))
+    for k in range(len(u) - 1):
+        v[k + 1] = pole * v[k] + b * ((whole - later) * u[k] + later * u[k + 1])
+    return v
+
+
+def model(known: bool = False) -> casid.Model:
+    m = casid.Model("first order")
+    v = m.state("v", "m/s")
+    u = m.input("u", "m/s^2", known=known)
+    a, b = m.parameter("a", "1/s", start=1.5, lower=0.0), m.parameter("b", "", start=2.5)
+    m.derivative(v, -a * v + b * u)
+    m.output("v", v, "m/s")
+    return m
+
+
+def record(
+    seed: int, *, N: int = 1500, input_sd: float = INPUT, cubic: float = 0.0
+) -> casid.Record:
+    rng = np.random.default_rng(seed)
+    u = slow_input(N, rng)
+    y = response(u) + OUTPUT * rng.standard_normal(N)
+    y += cubic * y**3
+    measured = u + input_sd * rng.standard_normal(N)
+    return casid.Record({"u": measured, "v": y}, {"u": "m/s^2", "v": "m/s"}, Ts=TS)
+
+
+def fitted(seed: int, **given: float):
+    return fit_model(model(), [casid.Experiment(record(seed, **given), {}, "r")], ONE_START)
+
+
+def test_simulated_noise_has_the_same_power_at_every_frequency() -> None:
+    for n in (100, 101):
+        w = flat_noise(n, np.random.default_rng(1))
+        assert np.abs(np.fft.rfft(w)) ** 2 / n == pytest.approx(1.0)
+
+
+def test_the_equations_are_the_slope_of_the_likelihood_of_errors_in_variables() -> None:
+    """The slope of -1/2 sum |r|^2 / S(theta), S with the theta of the simulation, linear model."""
+    fit = fitted(3)
+    c, x = fit.criterion, fit.x + np.array([0.05, -0.05, 0.0])
+    noise = estimate_noise(c, x)
+    sd = {"u": noise.source_sd["u"]}
+    score = equations(columns_of(c, x, sd), noise.whiten, sd).score
+
+    def value(at: np.ndarray) -> float:
+        same = estimate_noise(c, at, known={"u": sd["u"], "v": float(noise.output_sd[0])})
+        residual = c.simulated(at, 0).residual * c.weights
+        return -0.5 * float(np.sum(same.whiten(residual[:, :, None], 0) ** 2))
+
+    for i, step in ((0, 1e-4), (1, 1e-4)):
+        moved = step * np.eye(len(x))[i]
+        slope = (value(x + moved) - value(x - moved)) / (2 * step)
+        # What differs is leakage at the ends of the record: of order a / (N Ts) of the terms.
+        assert score[i] == pytest.approx(slope, rel=0.03)
+
+
+def test_estimates_with_a_noisy_input_scatter_about_the_truth_as_their_errors_say() -> None:
+    """40 records: least squares is wrong by several standard errors, the estimate by none."""
+    truth, z, plain = np.array([A, B]), [], []
+    for seed in range(40):
+        fit = fitted(seed)
+        found = without_input_noise(fit, {})
+        assert found.covariance is not None
+        z.append((found.fit.x[:2] - truth) / np.sqrt(np.diag(found.covariance)[:2]))
+        plain.append(fit.x[:2] - truth)
+    z, plain = np.array(z), np.array(plain)
+    bias = np.abs(plain.mean(axis=0)) / plain.std(axis=0)
+    assert bias.max() > 1.0
+    # The mean of 40 has a standard deviation of 0.16, the variance of 40 one of 0.22.
+    assert np.all(np.abs(z.mean(axis=0)) < 3 * 0.16)
+    assert np.all(np.abs(z.var(axis=0) - 1.0) < 3 * 0.22)
+    covered = np.mean(np.abs(z) < 1.96)  # of 80: sd of a share of 95 % is 2.4 % at least
+    assert covered > 0.95 - 3 * 0.024
+
+
+def test_a_stated_noise_is_used_and_one_that_is_stated_as_zero_is_not_sought() -> None:
+    fit = fitted(1)
+    found = without_input_noise(fit, {"u": INPUT})
+    assert found.input_sd == {"u": pytest.approx(INPUT)}
+    none = without_input_noise(fit, {"u": 0.0})
+    assert none.fit is fit
+    assert none.covariance is None
+    assert none.text == ""
+
+
+def test_an_input_that_is_declared_known_is_taken_as_it_is() -> None:
+    experiment = casid.Experiment(record(1), {}, "r")
+    estimate = casid.identify(casid.Problem("p", model(known=True)), experiment)
+    least = fit_model(model(known=True), [experiment], FitSettings())
+    assert estimate.method == "simulation error, single shooting"
+    assert estimate["a"] == pytest.approx(least.values["a"], rel=1e-9)
+    assert not estimate.evidence
+
+
+def test_an_input_without_noise_leaves_least_squares_as_it_is() -> None:
+    """The channel's own floor bounds its noise: so little moves nothing."""
+    fit = fitted(1, input_sd=1e-4)
+    found = without_input_noise(fit, {})
+    assert found.fit is fit
+    assert not found.is_removed
+    assert not found.why_not
+    assert found.text == "it moves no unknown by more than 0.1 standard errors"
+
+
+def test_the_noise_is_bounded_by_the_floor_of_the_channel() -> None:
+    """A residual that is misfit shows more than the input can have."""
+    fit = fitted(1, cubic=0.2)
+    found = input_noise(fit.criterion, fit.x, {})
+    assert found.noise.source_sd["u"] > 1.3 * INPUT
+    assert found.bounded == ("u",)
+    # 1500 samples: sd of a floor of 5.5 %.
+    assert found.sd["u"] == pytest.approx(INPUT, rel=3 * 0.055)
+    assert found.most["u"] >= found.sd["u"]
+
+
+def test_what_the_residual_shows_is_used_where_the_floor_does_not_contradict_it() -> None:
+    """It is the more exact: 1.3 % of a standard deviation against 5.5 %."""
+    shown = []
+    for seed in range(12):
+        fit = fitted(seed)
+        found = input_noise(fit.criterion, fit.x, {})
+        assert found.bounded == ()
+        assert found.sd["u"] == pytest.approx(found.noise.source_sd["u"])
+        shown.append(found.sd["u"])
+    assert np.mean(shown) == pytest.approx(INPUT, rel=3 * 0.013 / np.sqrt(12) + 0.01)
+    error = found.noise.variance_error("u") / (2 * INPUT)
+    assert np.std(shown) == pytest.approx(error, rel=3 / np.sqrt(2 * 11))
+
+
+def test_the_floor_is_used_where_the_residual_cannot_tell_and_agrees() -> None:
+    """A tenth of the sensor's noise in the residual: its size is seen by the channel itself."""
+    quiet = INPUT / 30
+    at_floor = []
+    for seed in range(8):
+        fit = fitted(seed, input_sd=quiet)
+        found = input_noise(fit.criterion, fit.x, {})
+        at_floor.append("u" in found.at_floor)
+        if at_floor[-1]:
+            assert found.sd["u"] == pytest.approx(np.sqrt(found.floors["u"]))
+            assert found.sd["u"] == pytest.approx(quiet, rel=3 * 0.055)
+    assert np.mean(at_floor) >= 0.75  # they agree at a level of 95 %
+
+
+def test_noise_that_biases_little_still_counts_in_the_errors() -> None:
+    """An input that moves slow states: noise next to nothing in the residual, all of it slow."""
+    m = casid.Model("slow")
+    T, u = m.state("T", "K"), m.input("u", "K")
+    R = m.parameter("R", "s", start=80.0, lower=1.0)
+    m.derivative(T, (u - T) / R)
+    m.output("T", T, "K")
+    z = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        t = np.arange(2000.0)
+        u = 4 * np.sin(2 * np.pi * t / 144) + 3 * np.sin(2 * np.pi * t / 1000)
+        y = np.zeros(2000)
+        pole = np.exp(-1 / 100.0)
+        later = 1 - 100 * (1 - pole)
+        for k in range(1999):
+            y[k + 1] = pole * y[k] + (1 - pole - later) * u[k] + later * u[k + 1]
+        columns = {"u": u + 0.5 * rng.standard_normal(2000)}
+        columns["T"] = y + 0.05 * rng.standard_normal(2000)
+        record = casid.Record(columns, {"u": "K", "T": "K"}, Ts=1.0)
+        fit = fit_model(m, [casid.Experiment(record, {}, "r")], ONE_START)
+        found = without_input_noise(fit, {})
+        assert found.covariance is not None
+        z.append((found.fit.values["R"] - 100.0) / np.sqrt(found.covariance[0, 0]))
+    assert np.var(z) < 1 + 3 * np.sqrt(2 / 29)
+    assert abs(np.mean(z)) < 3 / np.sqrt(30)
+
+
+def test_a_force_elsewhere_gets_no_part_of_the_noise_without_evidence() -> None:
+    """Two balances, noise on the force in one: both move the same resonance."""
+    system = rig_model()
+    motion = rig_motion()
+    shares = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        columns = {"F": motion.inputs["F"] + 0.3 * rng.standard_normal(3000)}
+        for name, values in motion.outputs.items():
+            columns[name] = values + 0.002 * rng.standard_normal(3000)
+        record = casid.Record(columns, {"F": "N", "x": "m", "X": "m"}, Ts=motion.Ts)
+        fit = fit_model(system, [casid.Experiment(record, {}, "r")], ONE_START)
+        found = input_noise(fit.criterion, fit.x, {})
+        shares.append(found.noise.source_sd["second"])
+        # An error of 4 % at the floor, of 10 % by one resonance in two outputs.
+        assert found.sd["F"] == pytest.approx(0.3, rel=4 * (0.04 if found.at_floor else 0.1))
+    assert shares == [0.0] * 6
+
+
+def test_misfit_is_not_taken_for_noise_of_the_input() -> None:
+    """The residual is more than sensors and inputs: least squares stays, and the result says so."""
+    problem = casid.Problem("p", model())
+    estimate = casid.identify(problem, casid.Experiment(record(2, cubic=0.2), {}, "r"))
+    assert estimate.method == "simulation error, single shooting"
+    assert "not removed" in estimate.evidence["noise on inputs"]
+    assert any("not removed" in w for w in estimate.warnings)
+    assert "is not included" in estimate.assumes
+
+
+def test_the_result_says_that_the_bias_was_removed_and_how_large_it_was() -> None:
+    experiment = casid.Experiment(record(1), {}, "r")
+    estimate = casid.identify(casid.Problem("p", model()), experiment)
+    assert estimate.method.endswith("without the bias of input noise")
+    assert "biases least squares" in estimate.evidence["noise on inputs"]
+    assert "bias of the inputs' noise is removed" in estimate.assumes
+    assert estimate.to_json()["evidence"] == dict(estimate.evidence)
+    assert "of 20 lags" in estimate.whiteness["v"]
+    assert "incomplete" not in estimate.whiteness["v"]  # of the residual without its colour
+
+
+def test_the_errors_contain_those_of_the_sizes_of_the_noise() -> None:
+    """A stated noise is exact: where it is found, the covariance is no smaller."""
+    fit = fitted(4)
+    found = without_input_noise(fit, {})
+    assert found.covariance is not None
+    assert found.input_sd is not None
+    sizes = estimate_noise(fit.criterion, found.fit.x)
+    known = {**found.input_sd, "v": float(sizes.output_sd[0])}
+    stated = without_input_noise(fit, known)
+    assert stated.covariance is not None
+    assert stated.fit.x == pytest.approx(found.fit.x, rel=1e-2)
+    wider = np.diag(found.covariance)[:2] / np.diag(stated.covariance)[:2]
+    # Of 100 records estimates scatter by 0.072 where the sizes are found, by 0.069 where stated.
+    assert np.all(wider > 1.0)
+    assert np.all(wider < 1.3)
+
+
+def test_a_covariance_is_that_of_least_squares_where_nothing_is_noisy() -> None:
+    """Without noise on inputs the slope and the variance of the equations are T'T."""
+    c = SimulationError(model(), [casid.Experiment(record(5, input_sd=0.0), {}, "r")])
+    noise = estimate_noise(c, c.start, known={"u": 0.0})
+    at = equations(columns_of(c, c.start, {"u": 0.0}), noise.whiten, {})
+    assert np.array_equal(at.slope, at.matrix)
+    assert np.array_equal(at.variance, at.matrix)

@@ -1,0 +1,97 @@
+"""The spectrum of a force that nobody recorded, from the residual that it leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+import casid
+from casid.estimation.disturbance_estimation import with_disturbance_spectra
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.noise import estimate_noise
+from casid.estimation.simulation.fit import FitSettings, fit_model
+
+TS, N = 0.1, 4000
+SD = {"position": 0.001, "speed": 0.002}
+OMEGA = np.linspace(0.0, np.pi, 4001)
+
+
+@pytest.mark.parametrize(
+    "spectrum",
+    [
+        DisturbanceSpectrum(2.0),
+        DisturbanceSpectrum(2.0, 0.3),
+        DisturbanceSpectrum(2.0, 0.1, is_band=True),
+    ],
+)
+def test_a_spectrum_has_unit_variance_and_its_peak_where_it_says(spectrum):
+    s = spectrum.at(OMEGA, TS)
+    assert np.mean(s) == pytest.approx(1.0, rel=1e-12)
+    top = OMEGA[np.argmax(s)] / TS
+    if spectrum.damping is None:
+        assert top == 0.0
+    else:
+        peak = 2.0 if spectrum.is_band else 2.0 * np.sqrt(1 - 2 * spectrum.damping**2)
+        assert top == pytest.approx(peak, abs=0.02)
+
+
+def oscillator() -> casid.Model:
+    m = casid.Model("oscillator")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    k, d = m.parameter("k", "1/s^2", start=4.0), m.parameter("d", "1/s", start=0.3)
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=1, terms=[-k * x, -d * v], unit="m/s^2")
+    m.output("position", x, "m")
+    m.output("speed", v, "m/s")
+    return m
+
+
+def noise_under(force: np.ndarray, rng: np.random.Generator):
+    """White and coloured noise of a record whose only cause is `force`, held between samples."""
+    a = np.array([[0.0, 1.0, 0.0], [-4.0, -0.3, 1.0], [0.0, 0.0, 0.0]])
+    step = expm(a * TS)
+    x = np.zeros((N + 1, 2))
+    x[0] = 0.5, 0.0
+    for i in range(N):
+        x[i + 1] = step[:2, :2] @ x[i] + step[:2, 2] * force[i]
+    y = x[:N] + rng.standard_normal((N, 2)) * list(SD.values())
+    channels = dict(zip(SD, y.T, strict=True))
+    record = casid.Record(channels, {"position": "m", "speed": "m/s"}, Ts=TS)
+    fit = fit_model(oscillator(), [casid.Experiment(record, {}, "r")], FitSettings(starts=1))
+    white = estimate_noise(fit.criterion, fit.x)
+    return fit, white, with_disturbance_spectra(white, fit.criterion, fit.x)
+
+
+def test_a_first_order_force_is_found_with_its_corner_and_the_sensors_keep_their_noise():
+    rng = np.random.default_rng(1)
+    a = np.exp(-0.8 * TS)  # corner 0.8 rad/s
+    force = lfilter([1.0], [1.0, -a], 0.05 * np.sqrt(1 - a * a) * rng.standard_normal(N))
+    _, _, noise = noise_under(force, rng)
+    spectrum = noise.spectra["force"]
+    # T / (2 time constants) = 160 independent pieces.
+    assert noise.source_sd["force"] == pytest.approx(0.05, rel=4 / np.sqrt(2 * 160))
+    low = DisturbanceSpectrum(0.8).at(OMEGA, TS)
+    assert np.mean(abs(spectrum.at(OMEGA, TS) - low)) < 4 / np.sqrt(160)
+    for sd, true in zip(noise.output_sd, SD.values(), strict=True):
+        assert sd == pytest.approx(true, rel=4 / np.sqrt(2 * N) + 0.03)
+
+
+def test_white_noise_gets_no_spectrum_of_its_own():
+    rng = np.random.default_rng(2)
+    _, _, noise = noise_under(0.05 * rng.standard_normal(N), rng)
+    assert noise.spectra == {}
+
+
+def test_outputs_that_one_force_moves_are_whitened_together():
+    """To white noise of unit size, and of no correlation from one output to the other."""
+    rng = np.random.default_rng(3)
+    a = np.exp(-0.8 * TS)
+    force = lfilter([1.0], [1.0, -a], 0.05 * np.sqrt(1 - a * a) * rng.standard_normal(N))
+    fit, _, noise = noise_under(force, rng)
+    residual = fit.criterion.simulated(fit.x, 0).residual * fit.criterion.weights
+    e = noise.whiten(residual[:, :, None], 0)[:, :, 0]
+    assert e.T @ e / N == pytest.approx(np.eye(2), abs=5 / np.sqrt(N))
+    marginal = residual / residual.std(axis=0)
+    assert abs(marginal[:-1].T @ marginal[1:] / N).max() > 0.5
