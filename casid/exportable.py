@@ -39,7 +39,9 @@ class Exportable:
         Named inputs: x (nx,), u (nu,), u_next (nu,) the inputs one sample later, t [s] on the
         record's clock, p (np,) the values of `parameters` in their order; all other parameters have
         their estimates. Named outputs: dx = f(x, u), y = h(x, u), and x_next the state one sample
-        later. SI units, in the order of the model's states, inputs and outputs.
+        later. SI units, in the order of the model's states, inputs and outputs. Where sensors are
+        delayed, y is what they give at this sample, and the last input and output are a memory,
+        `past` and `past_next`, zeros in the first step.
         """
         return _of("casadi_function", "casadi_function")(
             self, parameters, without_delays=without_delays
@@ -49,6 +51,7 @@ class Exportable:
         """Write CasADi's generated C (.c) and a header (.h); returns the path of the C file.
 
         `NAME_equations` has the right-hand sides and outputs, `NAME_step` the step of the fit.
+        Where sensors are delayed the step has a memory of past outputs.
         """
         return _written(_of("c_code", "write_c")(self, Path(path), without_delays=without_delays))
 
@@ -57,6 +60,7 @@ class Exportable:
         at: Mapping[str, float] | None = None,
         *,
         time: float | None = None,
+        pade: int | None = None,
         without_delays: bool = False,
     ) -> Any:
         """The model linearised at an operating point, as ``control.StateSpace``.
@@ -65,10 +69,11 @@ class Exportable:
         ----------
         at : state or input -> its value there, in its unit; 0 SI where not named.
         time : on the record's clock [s]; default the beginning of the first fitted record.
-        without_delays : leave out the delays of sensors; otherwise a delayed output is refused.
+        pade : order of the Pade approximation of each delay of a sensor.
+        without_delays : leave out the delays of sensors; one of both is needed where there are any.
         """
         return _of("control_system", "control_system")(
-            self, at, time=time, without_delays=without_delays
+            self, at, time=time, pade=pade, without_delays=without_delays
         )
 
     def to_modelica(self, path: str | Path) -> Path:
@@ -80,7 +85,9 @@ class Exportable:
 
         It is compiled for this machine, and holds its sources. In co-simulation it goes the steps
         of the fit where the communication step is the sample time and the importer gives the
-        derivatives of inputs that are joined by straight lines.
+        derivatives of inputs that are joined by straight lines. A model whose sensors are delayed
+        is a unit for co-simulation alone, by whole samples; where a delay is shorter than a sample,
+        set those derivatives before its output is read.
 
         Raises
         ------

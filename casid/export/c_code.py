@@ -12,19 +12,21 @@ import casadi as ca
 
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.casadi_function import function_of
+from casid.export.delayed_outputs import memory_size
 from casid.export.naming import checked_path, identifier, identifiers, written_by
-from casid.export.plain_model import PlainModel, plain_model
+from casid.export.plain_model import PlainModel, expressions, plain_model
 
 
 def write_c(fitted: FittedModel, path: Path, *, without_delays: bool = False) -> Path:
     """Write `path` (.c) and the header beside it; returns the path of the C file.
 
-    The code needs nothing but a C compiler and libm. All quantities are in SI units.
+    The code needs nothing but a C compiler and libm. All quantities are in SI units. The step of a
+    model whose sensors are delayed takes and gives a memory of past outputs.
 
     Raises
     ------
     ModelError
-        If an output is delayed, or an input is a function of the user's own.
+        If an input is a function of the user's own.
     """
     plain = plain_model(fitted, what="C", without_delays=without_delays)
     path = checked_path(path, "c")
@@ -42,6 +44,9 @@ def header(plain: PlainModel, prefix: str) -> str:
         "NY": len(plain.outputs),
         "NP": len(plain.parameters),
     }
+    memory = memory_size(plain.sampled_delays)
+    if memory:
+        counts["NPAST"] = memory
     guard = f"{prefix.upper()}_H"
     lines = [
         f"/* {_safe(plain.name)}: a fitted model in SI units, written by {written_by()}.",
@@ -51,6 +56,7 @@ def header(plain: PlainModel, prefix: str) -> str:
         f"step{'s' if plain.substeps > 1 else ''},",
         "   as the model was fitted: each input moves along a straight line to u_next, or is held.",
         f"   {prefix}_equations gives the right-hand sides and the outputs for another integrator.",
+        *_of_the_memory(plain, prefix),
         "   t is the time of the fitted record's clock [s]; no pointer may be null.",
         "*/",
         f"#ifndef {guard}",
@@ -73,8 +79,7 @@ def header(plain: PlainModel, prefix: str) -> str:
         "",
         f"void {prefix}_equations(const double *x, const double *u, double t, const double *p,",
         "    double *dx, double *y);",
-        f"void {prefix}_step(const double *x, const double *u, const double *u_next, double t,",
-        "    const double *p, double *x_next, double *y);",
+        *_step_head(prefix, memory, ";"),
         "",
         "#ifdef __cplusplus",
         "}",
@@ -89,9 +94,14 @@ def source(plain: PlainModel, prefix: str, *, header: str) -> str:
     """CasADi's code, and the two functions of the header that call it."""
     whole = function_of(plain, plain.parameters)
     symbols = whole.sx_in()
-    dx, y, x_next = whole.call(symbols)
-    equations = ca.Function(f"{prefix}_casadi_equations", symbols, [dx, y])
-    step = ca.Function(f"{prefix}_casadi_step", symbols, [y, x_next])
+    _, *stepped = whole.call(symbols)
+    found = expressions(plain)
+    s = found.symbols
+    equations = ca.Function(
+        f"{prefix}_casadi_equations", [s.x, s.u, s.t, s.p], [ca.densify(found.dx), found.y]
+    )
+    step = ca.Function(f"{prefix}_casadi_step", symbols, stepped)
+    past, past_next = (["past"], ["past_next"]) if plain.delays else ([], [])
     lines = [
         f'#include "{header}"',
         "",
@@ -100,15 +110,36 @@ def source(plain: PlainModel, prefix: str, *, header: str) -> str:
         "",
         f"void {prefix}_equations(const double *x, const double *u, double t, const double *p,",
         "    double *dx, double *y) {",
-        *_call(equations, ["x", "u", "u", "&t", "p"], ["dx", "y"]),
+        *_call(equations, ["x", "u", "&t", "p"], ["dx", "y"]),
         "}",
         "",
-        f"void {prefix}_step(const double *x, const double *u, const double *u_next, double t,",
-        "    const double *p, double *x_next, double *y) {",
-        *_call(step, ["x", "u", "u_next", "&t", "p"], ["y", "x_next"]),
+        *_step_head(prefix, memory_size(plain.sampled_delays), " {"),
+        *_call(step, ["x", "u", "u_next", "&t", "p", *past], ["y", "x_next", *past_next]),
         "}",
     ]
     return _generated((equations, step)) + "\n" + "\n".join(lines) + "\n"
+
+
+def _step_head(prefix: str, memory: int, end: str) -> list[str]:
+    """The declaration of the step, which has a memory where sensors are delayed."""
+    inside, after = (" const double *past,", ", double *past_next") if memory else ("", "")
+    return [
+        f"void {prefix}_step(const double *x, const double *u, const double *u_next, double t,",
+        f"    const double *p,{inside} double *x_next, double *y{after}){end}",
+    ]
+
+
+def _of_the_memory(plain: PlainModel, prefix: str) -> list[str]:
+    """What the header says of delayed sensors."""
+    if not plain.delays:
+        return []
+    late = ", ".join(f"{n} by {d:.6g} s" for n, d in plain.delays.items())
+    return [
+        *_paragraphs([f"Sensors are delayed ({late})."])[:-1],
+        f"   y of {prefix}_step is what they give, y of {prefix}_equations what arrives at them.",
+        f"   past holds {prefix.upper()}_NPAST numbers, zeros in the first step, past_next those",
+        "   of the next one.",
+    ]
 
 
 def _generated(functions: Iterable[Any]) -> str:

@@ -10,8 +10,9 @@ import casadi as ca
 
 from casid.errors import ModelError, nearest
 from casid.estimation.fitted.fitted_model import FittedModel
+from casid.export.delayed_outputs import delayed, memory_size
 from casid.export.naming import checked_path, identifier
-from casid.export.plain_model import PlainModel, expressions, plain_model
+from casid.export.plain_model import PlainModel, Symbols, expressions, plain_model
 
 
 def casadi_function(
@@ -24,6 +25,9 @@ def casadi_function(
     Outputs: dx = f(x, u), y = h(x, u), x_next the state one sample later. All in SI units, in the
     order of the model's states, inputs and outputs.
 
+    Where sensors are delayed, y is what they give at this sample, the last input is `past`, the
+    memory of earlier outputs, zeros in the first step, and the last output `past_next`.
+
     Parameters
     ----------
     parameters : those that stay free, in the order of p; all others have their estimates.
@@ -32,7 +36,7 @@ def casadi_function(
     Raises
     ------
     ModelError
-        If a name is no parameter, an output is delayed, or an input is a function of the user's.
+        If a name is no parameter of the equations, or an input is a function of the user's.
     """
     return function_of(
         plain_model(fitted, what="a CasADi function", without_delays=without_delays), parameters
@@ -47,6 +51,12 @@ def function_of(plain: PlainModel, parameters: Sequence[str], *, name: str | Non
             f"{plain.name} has no parameter {unknown[0]!r}"
             f"{nearest(unknown[0], plain.model.parameters)}"
         )
+    idle = [n for n in parameters if n not in plain.parameters]
+    if idle:
+        raise ModelError(
+            f"{plain.name}: {idle[0]} is in none of the equations, so it cannot stay free (the "
+            "delay of a sensor is a number of samples, with which the function is built)"
+        )
     found = expressions(plain)
     s = found.symbols
     free = ca.SX.sym("p", len(parameters))
@@ -57,13 +67,23 @@ def function_of(plain: PlainModel, parameters: Sequence[str], *, name: str | Non
     results = [found.dx, found.y, found.x_next]
     if values:
         results = ca.substitute(results, [s.p], [ca.vertcat(*values)])
-    return ca.Function(
-        name or identifier(plain.name),
-        [s.x, s.u, s.u_next, s.t, free],
-        [ca.densify(each) for each in results],
-        ["x", "u", "u_next", "t", "p"],
-        ["dx", "y", "x_next"],
-    )
+    arguments = [s.x, s.u, s.u_next, s.t, free]
+    names = ["x", "u", "u_next", "t", "p"], ["dx", "y", "x_next"]
+    if plain.delays:
+        past = ca.SX.sym("past", memory_size(plain.sampled_delays))
+        results[1:] = _with_delays(plain, s, results[1], results[2], past)
+        arguments.append(past)
+        names[0].append("past")
+        names[1].append("past_next")
+    name = name or identifier(plain.name)
+    return ca.Function(name, arguments, [ca.densify(each) for each in results], *names)
+
+
+def _with_delays(plain: PlainModel, s: Symbols, y: Any, x_next: Any, past: Any) -> list[Any]:
+    """Outputs as the sensors give them, the next state, and the memory of past outputs."""
+    (y_next,) = ca.substitute([y], [s.x, s.u, s.t], [x_next, s.u_next, s.t + plain.Ts])
+    given, past_next = delayed(y, y_next, past, plain.sampled_delays)
+    return [given, x_next, past_next]
 
 
 def write_casadi(

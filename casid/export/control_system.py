@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,15 @@ from casid.export.casadi_function import function_of
 from casid.export.naming import checked_path, written_by
 from casid.export.plain_model import PlainModel, plain_model
 
+_MAX_ORDER = 10  # as MATLAB advises: the coefficients of higher orders spread over too many decades
+
 
 def control_system(
     fitted: FittedModel,
     at: Mapping[str, float] | None = None,
     *,
     time: float | None = None,
+    pade: int | None = None,
     without_delays: bool = False,
 ) -> Any:
     """The model linearised at an operating point, as ``control.StateSpace`` of continuous time.
@@ -37,20 +41,38 @@ def control_system(
     at : state or input -> its value at the operating point, in its unit; 0 SI where not named.
     time : on the record's clock [s], for a model whose parameters depend on it; default the
         beginning of the first fitted record.
+    pade : order of the Pade approximation of every delay of a sensor, which adds as many states.
+        Its gain is 1 at all frequencies; its phase is right up to about `pade` divided by the
+        delay in rad/s (Golub and Van Loan 1996, 11.3).
     without_delays : leave out the delays of sensors.
 
     Raises
     ------
     ModelError
-        If a name is no state or input, an output is delayed, or the model has no slope there.
+        If a name is no state or input, the model has no slope there, or an output is delayed and
+        no order is given.
     """
     plain = plain_model(fitted, what="a state space", without_delays=without_delays)
+    if plain.delays and pade is None:
+        late = ", ".join(f"{n} by {d:.4g} s" for n, d in plain.delays.items())
+        raise ModelError(
+            f"{plain.name}: sensors are delayed ({late}), and no state space has a delay; "
+            "approximate it by pade=3 (--pade 3), or leave it out by without_delays=True "
+            "(--without-delays)"
+        )
+    if pade is not None and not 1 <= pade <= _MAX_ORDER:
+        raise ModelError(f"{plain.name}: pade = {pade!r}; give an order from 1 to {_MAX_ORDER}")
     A, B, C, D = _matrices(
         plain, fitted.model.in_si(at or {}), fitted.records[0].t0 if time is None else time
     )
     inputs = list(plain.inputs)
     if not inputs:
         B, D, inputs = np.zeros((len(A), 1)), np.zeros((len(C), 1)), ["none"]
+    states = list(plain.states)
+    for place, name in enumerate(plain.outputs):
+        if name in plain.delays:
+            A, B, C, D = _delayed(A, B, C, D, place, plain.delays[name], pade or 1)
+            states += [f"{name} delay {i + 1}" for i in range(pade or 1)]
     import control
 
     return control.StateSpace(
@@ -58,10 +80,32 @@ def control_system(
         B,
         C,
         D,
-        states=list(plain.states),
+        states=states,
         inputs=inputs,
         outputs=list(plain.outputs),
         name=plain.name,
+    )
+
+
+def _delayed(
+    A: Array, B: Array, C: Array, D: Array, place: int, delay: float, order: int
+) -> tuple[Array, Array, Array, Array]:
+    """A state space whose output at `place` passes a Pade approximation of a delay [s]."""
+    import control
+
+    # Of a delay of one second, whose coefficients have one size, with its time stretched.
+    unit = control.tf2ss(*control.pade(1.0, order))
+    a, b, c, d = (np.asarray(getattr(unit, letter)) for letter in "ABCD")
+    a, b = a / delay, b / delay
+    late = np.zeros((len(C), order))
+    late[place] = c[0]
+    scale = np.ones((len(C), 1))
+    scale[place] = d[0, 0]
+    return (
+        np.block([[A, np.zeros((len(A), order))], [b @ C[[place]], a]]),
+        np.vstack([B, b @ D[[place]]]),
+        np.hstack([scale * C, late]),
+        scale * D,
     )
 
 
@@ -73,7 +117,7 @@ def _matrices(plain: PlainModel, at: Mapping[str, float], time: float) -> list[A
                 f"{plain.name} has no state or input {name!r} to linearise at; it has "
                 f"{', '.join(names)}{nearest(name, names)}"
             )
-    function = function_of(plain, ())
+    function = function_of(replace(plain, delays={}), ())
     x, u, u_next, t, p = function.sx_in()
     dx, y, _ = function.call([x, u, u_next, t, p])
     slopes = ca.Function(
@@ -97,14 +141,16 @@ def write_control(
     path: Path,
     at: Mapping[str, float] | None = None,
     *,
+    pade: int | None = None,
     without_delays: bool = False,
 ) -> Path:
     """Write a Python file (.py) that makes the state space, `system`."""
-    system = control_system(fitted, at, without_delays=without_delays)
+    system = control_system(fitted, at, pade=pade, without_delays=without_delays)
     path = checked_path(path, "control")
     point = ", ".join(f"{n} = {v:g}" for n, v in (at or {}).items()) or "all states and inputs zero"
+    late = "" if pade is None else f", delays of sensors by Pade approximations of order {pade}"
     lines = [
-        f'"""{fitted.name}, linearised at {point}; SI units. Written by {written_by()}."""',
+        f'"""{fitted.name}, linearised at {point}{late}; SI units. Written by {written_by()}."""',
         "",
         "import control",
         "import numpy as np",

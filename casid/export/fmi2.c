@@ -3,6 +3,9 @@
    config.h defines the sizes, the sample time, what inputs do within a sample, and the GUID;
    model.h declares model_equations, model_step, model_x0 and model_p.
 
+   A model whose sensors are delayed has a memory of NPAST numbers; its steps are whole samples, and
+   there is no model exchange, as it has no time between its samples.
+
    Value references: states, derivatives of states, inputs, outputs, parameters, in this order.
 */
 #include <math.h>
@@ -61,6 +64,9 @@ typedef struct {
 typedef struct {
   double x[SIZE(NX)], u[SIZE(NU)], slope[SIZE(NU)], p[SIZE(NP)];
   double t;
+#if NPAST > 0
+  double past[NPAST];
+#endif
 } Values;
 
 typedef struct {
@@ -89,6 +95,30 @@ static void begin(Instance *c) {
 static void inputs_after(const Values *v, double after, double *u) {
   int i;
   for (i = 0; i < NU; i++) u[i] = v->u[i] + shares[i] * after * v->slope[i];
+}
+
+/* The step of the fit, one sample long. */
+static void sample_step(const Values *v, const double *u, const double *u_next, Values *after,
+                        double *y) {
+#if NPAST > 0
+  model_step(v->x, u, u_next, v->t, v->p, v->past, after->x, y, after->past);
+#else
+  model_step(v->x, u, u_next, v->t, v->p, after->x, y);
+#endif
+}
+
+/* The outputs now. A delay of less than a sample takes the outputs around the next one as well:
+   they are those of a step along the slopes that the inputs have. */
+static void outputs_now(const Values *v, double *y) {
+#if NPAST > 0
+  Values after;
+  double u_next[SIZE(NU)];
+  inputs_after(v, SAMPLE_TIME, u_next);
+  sample_step(v, v->u, u_next, &after, y);
+#else
+  double dx[SIZE(NX)];
+  model_equations(v->x, v->u, v->t, v->p, dx, y);
+#endif
 }
 
 /* One Runge-Kutta step of h seconds, `done` seconds after the inputs were set. */
@@ -162,7 +192,7 @@ static double *settable(Values *v, fmi2ValueReference r) {
 EXPORT fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference r[], size_t n,
                               fmi2Real value[]) {
   Instance *c = (Instance *)component;
-  double dx[SIZE(NX)], y[SIZE(NY)];
+  double dx[SIZE(NX)], y[SIZE(NY)], given[SIZE(NY)];
   int is_evaluated = 0;
   size_t i;
   for (i = 0; i < n; i++) {
@@ -172,9 +202,12 @@ EXPORT fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference 
       continue;
     }
     if (r[i] >= 2 * NX + NU + NY) return refuse(c, "fmi2GetReal: no such value reference");
-    if (!is_evaluated) model_equations(c->now.x, c->now.u, c->now.t, c->now.p, dx, y);
+    if (!is_evaluated) {
+      model_equations(c->now.x, c->now.u, c->now.t, c->now.p, dx, y);
+      outputs_now(&c->now, given);
+    }
     is_evaluated = 1;
-    value[i] = r[i] < 2 * NX ? dx[r[i] - NX] : y[r[i] - 2 * NX - NU];
+    value[i] = r[i] < 2 * NX ? dx[r[i] - NX] : given[r[i] - 2 * NX - NU];
   }
   return fmi2OK;
 }
@@ -341,11 +374,15 @@ EXPORT fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueR
 EXPORT fmi2Status fmi2DoStep(fmi2Component component, fmi2Real t, fmi2Real h, fmi2Boolean no_set) {
   Instance *c = (Instance *)component;
   Values *v = &c->now;
-  double u[SIZE(NU)], u_next[SIZE(NU)], x[SIZE(NX)], y[SIZE(NY)], slope, rest;
+  Values after = *v;
+  double u[SIZE(NU)], u_next[SIZE(NU)], y[SIZE(NY)], slope, rest;
   long k, samples = (long)floor(h / SAMPLE_TIME + 1e-6);
   int i, s, steps;
   (void)no_set;
   if (!(h > 0.0)) return refuse(c, "fmi2DoStep: the step must be positive");
+  rest = h - samples * SAMPLE_TIME;
+  if (NPAST > 0 && fabs(rest) > 1e-6 * SAMPLE_TIME)
+    return refuse(c, "fmi2DoStep: sensors are delayed; step by whole samples of the fit");
   for (k = 0; k < samples; k++) {
     v->t = t + k * SAMPLE_TIME;
     for (i = 0; i < NU; i++) {
@@ -354,10 +391,12 @@ EXPORT fmi2Status fmi2DoStep(fmi2Component component, fmi2Real t, fmi2Real h, fm
       u[i] = v->u[i] + slope * (k * SAMPLE_TIME);
       u_next[i] = v->u[i] + slope * ((k + 1) * SAMPLE_TIME);
     }
-    model_step(v->x, u, u_next, v->t, v->p, x, y);
-    memcpy(v->x, x, NX * sizeof(double));
+    sample_step(v, u, u_next, &after, y);
+    memcpy(v->x, after.x, NX * sizeof(double));
+#if NPAST > 0
+    memcpy(v->past, after.past, sizeof(v->past));
+#endif
   }
-  rest = h - samples * SAMPLE_TIME;
   v->t = t + samples * SAMPLE_TIME;
   if (rest > 1e-6 * SAMPLE_TIME) {
     steps = (int)ceil(rest / SAMPLE_TIME * SUBSTEPS);

@@ -25,6 +25,7 @@ from casid.compiler import compiler, shared_library
 from casid.errors import DataError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.c_code import header, source
+from casid.export.delayed_outputs import memory_size
 from casid.export.naming import checked_path, identifier, written_by
 from casid.export.plain_model import PlainModel, plain_model
 from casid.model.units import unit_quotient
@@ -37,12 +38,13 @@ def write_fmu(fitted: FittedModel, path: Path, *, without_delays: bool = False) 
 
     Variables are named as in the model and in SI units; parameters are tunable, initial states can
     be set. In co-simulation with the sample time as communication step, and with the derivatives of
-    the inputs where those are joined by straight lines, it goes the very steps of the fit.
+    the inputs where those are joined by straight lines, it goes the very steps of the fit. Where
+    sensors are delayed there is co-simulation alone, by whole samples.
 
     Raises
     ------
     ModelError
-        If an output is delayed, or an input is a function of the user's own.
+        If an input is a function of the user's own.
     DataError
         If there is no C compiler, or FMI 2.0 has no name for this machine.
     """
@@ -98,6 +100,7 @@ def _config(plain: PlainModel, t0: float, guid: str) -> str:
             f"#define NU {len(plain.inputs)}",
             f"#define NY {len(plain.outputs)}",
             f"#define NP {len(plain.parameters)}",
+            f"#define NPAST {memory_size(plain.sampled_delays)}",
             f"#define SAMPLE_TIME {plain.Ts!r} /* s */",
             f"#define SUBSTEPS {plain.substeps}",
             f"#define T_START {t0!r} /* s */",
@@ -176,7 +179,9 @@ class _Variables:
         return {
             s
             for s in model.states
-            if s in model.outputs and ca.is_equal(model.outputs[s][0], model.symbol(s), 1)
+            if s in model.outputs
+            and s not in self.plain.delays
+            and ca.is_equal(model.outputs[s][0], model.symbol(s), 1)
         }
 
     def _state_name(self, name: str) -> str:
@@ -196,15 +201,7 @@ class _Variables:
             variableNamingConvention="structured",
             numberOfEventIndicators="0",
         )
-        can = {"modelIdentifier": prefix, "canGetAndSetFMUstate": "true"}
-        can |= {"canSerializeFMUstate": "true", "canNotUseMemoryManagementFunctions": "true"}
-        steps = {"canHandleVariableCommunicationStepSize": "true", "canInterpolateInputs": "true"}
-        for kind, more in (("ModelExchange", {}), ("CoSimulation", steps)):
-            files = ElementTree.SubElement(
-                ElementTree.SubElement(root, kind, {**can, **more}), "SourceFiles"
-            )
-            for name in _SOURCES:
-                ElementTree.SubElement(files, "File", name=name)
+        self._write_kinds(root, prefix)
         units = ElementTree.SubElement(root, "UnitDefinitions")
         for unit in dict.fromkeys(row.unit for row in self.rows):
             ElementTree.SubElement(units, "Unit", name=unit)
@@ -224,6 +221,21 @@ class _Variables:
         return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(
             root, encoding="unicode"
         )
+
+    def _write_kinds(self, root: ElementTree.Element, prefix: str) -> None:
+        """What the unit can be used for: delayed sensors have no time between samples."""
+        is_sampled = bool(self.plain.delays)
+        can = {"modelIdentifier": prefix, "canGetAndSetFMUstate": "true"}
+        can |= {"canSerializeFMUstate": "true", "canNotUseMemoryManagementFunctions": "true"}
+        steps = {
+            "canHandleVariableCommunicationStepSize": "false" if is_sampled else "true",
+            "canInterpolateInputs": "true",
+        }
+        exchange = () if is_sampled else (("ModelExchange", can),)
+        for kind, more in (*exchange, ("CoSimulation", {**can, **steps})):
+            files = ElementTree.SubElement(ElementTree.SubElement(root, kind, more), "SourceFiles")
+            for name in _SOURCES:
+                ElementTree.SubElement(files, "File", name=name)
 
     def _write_structure(self, root: ElementTree.Element) -> None:
         structure = ElementTree.SubElement(root, "ModelStructure")

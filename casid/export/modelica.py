@@ -18,7 +18,7 @@ import casadi as ca
 
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.export.naming import checked_path, identifier, identifiers, written_by
-from casid.export.plain_model import PlainModel, resolved
+from casid.export.plain_model import PlainModel, plain_model
 from casid.export.written_equations import (
     WrittenBalance,
     WrittenEquations,
@@ -59,7 +59,7 @@ def write_modelica(fitted: FittedModel, path: Path) -> Path:
 
 def modelica_text(fitted: FittedModel, name: str) -> str:
     """The text of a Modelica model called `name`."""
-    plain = resolved(fitted, what="Modelica")
+    plain = plain_model(fitted, what="Modelica")
     return _Writer(fitted, plain, name).text()
 
 

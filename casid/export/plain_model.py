@@ -10,17 +10,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, get_args
 
 import casadi as ca
 import numpy as np
 
-from casid.errors import ModelError, nearest
+from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.simulation.simulator import band_limited, rk4_sample
+from casid.export.delayed_outputs import SampledDelay, sampled_delays
 from casid.model.clock_signals import ClockSignal
-from casid.model.model import Model, Stage
+from casid.model.declarations import Stage
+from casid.model.model import Model
 
 _STABLE = 2.0  # longest Runge-Kutta step over a time constant, below the limit of stability, 2.78
 
@@ -77,10 +79,7 @@ class PlainModel:
         model = self.model
         if name in model.outputs:
             return str(model.outputs[name][1])
-        for table in (model.states, model.inputs, model.parameters):
-            if name in table:
-                return str(table[name].unit)
-        raise ModelError(f"{self.name} has no {name!r}{nearest(name, self.states)}")
+        return model.symbol_units[name]
 
     @property
     def x0(self) -> np.ndarray[Any, Any]:
@@ -91,6 +90,11 @@ class PlainModel:
     def p(self) -> np.ndarray[Any, Any]:
         """(np,) values of `parameters`."""
         return np.array([self.values[n] for n in self.parameters])
+
+    @property
+    def sampled_delays(self) -> list[SampledDelay]:
+        """The delays of outputs, in samples."""
+        return sampled_delays(self.outputs, self.delays, self.Ts)
 
     def shares(self) -> list[float]:
         """Of each input's rise within a sample, the part that it makes as a straight line.
@@ -159,35 +163,12 @@ def _rows(column: Any, rows: Sequence[int]) -> Any:
 
 
 def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False) -> PlainModel:
-    """The equations of a fitted model.
+    """The equations of a fitted model, the delays of its outputs apart.
 
     Parameters
     ----------
     what : the export, for messages ("C").
-    without_delays : leave out the delays of sensors; otherwise a delayed output is refused.
-
-    Raises
-    ------
-    ModelError
-        If an input is a function of the user's own, or an output is delayed.
-    """
-    plain = resolved(fitted, what=what)
-    if plain.delays and not without_delays:
-        late = ", ".join(f"{n} by {d:.4g} s" for n, d in plain.delays.items())
-        raise ModelError(
-            f"{fitted.name}: sensors are delayed ({late}), and a delay is no equation that {what} "
-            "can hold. Export it without_delays=True (--without-delays) and delay these outputs "
-            "where you use the model, or export a problem file or Modelica"
-        )
-    notes = [
-        f"The sensor of {n} is delayed by {d:.6g} s, which is not in the equations."
-        for n, d in plain.delays.items()
-    ]
-    return replace(plain, notes=(*plain.notes, *notes))
-
-
-def resolved(fitted: FittedModel, *, what: str) -> PlainModel:
-    """The equations of a fitted model, the delays of its outputs apart.
+    without_delays : leave out the delays of sensors, with a note.
 
     Raises
     ------
@@ -218,6 +199,11 @@ def resolved(fitted: FittedModel, *, what: str) -> PlainModel:
             )
     shortest = min(steps.lags, default=math.inf)
     substeps = max(fitted.settings.substeps, math.ceil(fitted.Ts / (_STABLE * shortest)))
+    left_out = [
+        f"The sensor of {n} is delayed by {d:.6g} s, which is not in the equations."
+        for n, d in steps.delays.items()
+        if without_delays
+    ]
     return PlainModel(
         name=fitted.name,
         model=model,
@@ -225,8 +211,8 @@ def resolved(fitted: FittedModel, *, what: str) -> PlainModel:
         initial=initial,
         Ts=fitted.Ts,
         substeps=substeps,
-        delays=steps.delays,
-        notes=(*notes, *steps.notes),
+        delays={} if without_delays else steps.delays,
+        notes=(*notes, *steps.notes, *left_out),
     )
 
 

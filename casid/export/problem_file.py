@@ -25,9 +25,10 @@ from casid.export.written_equations import (
     written_equations,
 )
 from casid.model.clock_signals import ClockSignal
+from casid.model.declarations import Input, Parameter, Stage, State
 from casid.model.effects.effect import KINDS
 from casid.model.formula_text import PYTHON, formula_text, number_text
-from casid.model.model import Input, Model, Parameter, Stage, State
+from casid.model.model import Model
 from casid.model.units import from_si
 
 _TAKEN = ("ca", "casid", "problem")
@@ -368,6 +369,8 @@ class _Writer:
                 lines += _braced(what, rows)
         if channels.time:
             lines.append(f"    time={_text(channels.time)},")
+        if channels.form is not None and channels.form.given:
+            lines.append(f"    form={channels.form.code},")
         cases = self._load_cases()
         if cases:
             lines += _braced("load_cases", cases)

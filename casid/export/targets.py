@@ -19,6 +19,7 @@ def export(
     path: str | Path,
     *,
     at: Mapping[str, float] | None = None,
+    pade: int | None = None,
     without_delays: bool = False,
 ) -> Path:
     """Write a fitted model for one of `TARGETS`; returns the path.
@@ -26,7 +27,8 @@ def export(
     Parameters
     ----------
     at : operating point of a state space, SI.
-    without_delays : leave out the delays of sensors, where the target holds none.
+    pade : order of the Pade approximation of the delays in a state space.
+    without_delays : leave out the delays of sensors.
 
     Raises
     ------
@@ -38,6 +40,10 @@ def export(
     require_target(target)
     if at and target != "control":
         raise DataError("an operating point belongs to a state space; export it as control")
+    if pade is not None and target != "control":
+        raise DataError(
+            f"--pade is for a state space (--as control); {target} holds delays as such"
+        )
     if without_delays and target in ("problem", "modelica"):
         raise DataError(f"export as {target} keeps the delays; leave --without-delays out")
     path = checked_path(Path(path), target)
@@ -55,7 +61,7 @@ def export(
         return write_casadi(fitted, path, without_delays=without_delays)
     from casid.export.control_system import write_control
 
-    return write_control(fitted, path, at, without_delays=without_delays)
+    return write_control(fitted, path, at, pade=pade, without_delays=without_delays)
 
 
 def require_target(target: str) -> None:

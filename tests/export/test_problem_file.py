@@ -182,7 +182,7 @@ def test_numbers_are_in_the_declared_units(tmp_path: Path) -> None:
     ):
         assert line in text.splitlines()
     again = casid.load_problem(tmp_path / "problem.py").model
-    values = {n: p.start if p.value is None else p.value for n, p in again.parameters.items()}
+    values = again.nominal_values
     values = again.in_declared_units(values)
     assert_allclose(list(values.values()), list(fitted.values.values()), rtol=1e-12)
     assert again.outputs["position"][1] == "m"

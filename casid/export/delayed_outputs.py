@@ -1,0 +1,78 @@
+"""Delays of sensors in the step of a sampled model: past outputs as a memory, interpolated.
+
+A fit delays a simulated column by cubic convolution (`delay_columns`): the delayed output is a sum
+of four samples around the instant at which it was felt. A step keeps as many past samples as that
+takes and gives the same sum. Before its first sample a column goes on along the straight line
+through its first two samples, which the memory learns in the first step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from casid.estimation.simulation.sensor_dynamics import delay_weights
+
+Expr = Any  # a CasADi SX expression
+
+
+@dataclass(frozen=True, slots=True)
+class SampledDelay:
+    """A delay of the output at `place`, in samples.
+
+    Attributes
+    ----------
+    whole, weights : the delayed sample k is the sum of weights[i] y[k - whole - 2 + i], i = 0..3.
+    """
+
+    place: int
+    whole: int
+    weights: tuple[float, ...]
+
+    @property
+    def kept(self) -> int:
+        """Number of past samples that it takes."""
+        return self.whole + 2
+
+
+def sampled_delays(
+    outputs: Sequence[str], delays: Mapping[str, float], Ts: float
+) -> list[SampledDelay]:
+    """The delays [s] of `delays` at the sample time Ts [s], in the order of `outputs`."""
+    found = []
+    for place, name in enumerate(outputs):
+        if name in delays:
+            whole, weights = delay_weights(delays[name] / Ts)
+            found.append(SampledDelay(place, whole, tuple(float(w) for w in weights)))
+    return found
+
+
+def memory_size(delays: Sequence[SampledDelay]) -> int:
+    """How many numbers a step keeps: past outputs, and whether there was a sample before."""
+    return sum(d.kept for d in delays) + 1 if delays else 0
+
+
+def delayed(y: Expr, y_next: Expr, past: Expr, delays: Sequence[SampledDelay]) -> tuple[Expr, Expr]:
+    """Outputs (ny,) as the sensors give them, and the memory after this sample.
+
+    Parameters
+    ----------
+    y, y_next : (ny,) what arrives at the sensors at this sample and the next.
+    past : (memory_size,) zeros before the first sample.
+    """
+    out, kept, first = ca.vertsplit(y), [], 0
+    has_begun = past[memory_size(delays) - 1]
+    for d in delays:
+        now, after = y[d.place], y_next[d.place]
+        before = [
+            ca.if_else(has_begun > 0.5, past[first + j], now - (j + 1) * (after - now))
+            for j in range(d.kept)
+        ]
+        first += d.kept
+        around = [*reversed(before), now, after]  # from y[k - whole - 2] to y[k + 1]
+        out[d.place] = sum(w * around[i] for i, w in enumerate(d.weights))
+        kept += [now, *before[:-1]]
+    return ca.vertcat(*out), ca.vertcat(*kept, 1.0)
