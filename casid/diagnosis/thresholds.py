@@ -327,7 +327,10 @@ class Cogging:
     start: float = _is(
         0.5, "of the linear estimate, the amplitude that a refit begins at", _COGGING
     )
-    at_once: int = _is(64, "periods whose responses are computed at once", _COGGING)
+    at_once: int = _is(8, "periods whose responses are computed at once", _COGGING)
+    kept: int = _is(
+        30_000_000, "numbers of responses that are kept to be looked at a second time", _COGGING
+    )
 
 
 # -- search ---------------------------------------------------------------------------------------
@@ -351,6 +354,12 @@ class Comparison:
         "how far a gain predicted, or found on a part, may be off",
         POWER_STUDY,
         "chi^2(1): P = 0.2 %",
+    )
+    least_left: float = _is(
+        1e-9,
+        "of the misfit that a candidate leaves beyond what noise of the inputs gives, at least: "
+        "less is a difference of two larger numbers",
+        f"{TESTS}/search/test_disturbances.py",
     )
     least_samples: float = _is(8.0, "independent samples of a residual, at least", POWER_STUDY)
     imitator: float = _is(
@@ -460,6 +469,12 @@ class Rounds:
     backward_wald: float = _is(
         2.0, "standard errors below which a cause is eliminated again", POWER_STUDY
     )
+    overfit: float = _is(
+        0.1,
+        "of the squared error that a cause removes a fitted sample, by which that of a held-out "
+        "one may rise: a cause fitted to noise loses all of it there",
+        f"{TESTS}/search/test_simulation_errors.py",
+    )
     record_alpha: float = _is(
         0.01,
         "level below which sizes are called different between records",
@@ -559,6 +574,12 @@ class Smoothing:
 class Judging:
     """What decides the verdict and its sentences."""
 
+    by_disturbance: float = _is(
+        0.1,
+        "by which the held-out error may grow where a disturbance is most of it, with or without "
+        "the cause",
+        f"{TESTS}/search/test_disturbances.py",
+    )
     doubtful: float = _is(
         0.15,
         "share of the excess misfit left, above which the one cause named is not the cause",

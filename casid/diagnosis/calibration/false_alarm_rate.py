@@ -26,7 +26,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -36,15 +35,15 @@ from scipy.stats import binomtest
 from casid.arrays import Array
 from casid.campaigns.campaign import campaign
 from casid.campaigns.manifest import manifest_of
-from casid.campaigns.monte_carlo import digest
 from casid.campaigns.parquet_parts import FAILED, Parts
-from casid.data.problem import Problem, load_problem
+from casid.campaigns.problem_origin import ProblemOrigin
+from casid.data.problem import Problem
 from casid.deprecation import renamed
 from casid.diagnosis.calibration.null_records import NullNoise, NullRecords, null_noise
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import CALIBRATING
 from casid.diagnosis.verdict.cause import Cause, Ranked, Verdict
-from casid.errors import CasidError, DataError, ModelError, SolveError
+from casid.errors import CasidError, DataError, SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.minimization import Fit
 from casid.presentation import Presented, present
@@ -408,42 +407,18 @@ class NullRun:
         return {"verdict": d.verdict, "level": float(level), "smallest": float(smallest)}
 
     def __reduce__(self) -> Any:
-        if self.problem.source is None:
-            raise ModelError(f"problem {self.problem.name} was not loaded from a file")
-        known = {n: p.value for n, p in self.problem.model.parameters.items() if p.is_known}
-        source, given = str(self.problem.source), tuple(known.items())
-        return _run_again, (
-            (source, given, digest(self.problem)),
-            self.recipe,
-            self.diagnose_null,
-            self.alpha,
-        )
+        origin = ProblemOrigin.of(self.problem)
+        return _run_again, (origin, self.recipe, self.diagnose_null, self.alpha)
 
 
-def _run_again(
-    origin: tuple[str, tuple[tuple[str, float], ...], str],
-    recipe: _Recipe,
-    diagnose_null: Diagnose,
-    alpha: float,
-) -> NullRun:
-    return NullRun(_loaded(*origin), recipe, diagnose_null, alpha)
-
-
-@lru_cache(maxsize=4)
-def _loaded(source: str, known: tuple[tuple[str, float], ...], expected: str) -> Problem:
-    problem = load_problem(source).in_si().with_known(dict(known))
-    if digest(problem) != expected:
-        raise ModelError(f"the problem in {source} was changed after it was loaded")
-    return problem
+def _run_again(origin: ProblemOrigin, *rest: Any) -> NullRun:
+    return NullRun(origin.problem(), *rest)
 
 
 def _can_travel(problem: Problem) -> bool:
     """True if another process gets the same problem from its file."""
-    if problem.source is None:
-        return False
-    known = {n: p.value for n, p in problem.model.parameters.items() if p.is_known}
     try:
-        _loaded(str(problem.source), tuple(known.items()), digest(problem))
+        ProblemOrigin.of(problem).problem()
     except CasidError:
         return False
     return True

@@ -24,7 +24,8 @@ from casid.estimation.holdout import Split
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.model import Input, Model
+from casid.model.declarations import Input
+from casid.model.model import Model
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from casid.diagnosis.evidence.sufficiency import (
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.errors import CasidError, OutOfTimeError, SolveError
 from casid.estimation.holdout import Split
-from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
 from casid.identification.signs_from_simulation import (
     WrongSign,
@@ -102,6 +102,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     if corrupted.count:
         say(f"leave out {corrupted.count} clipped samples or outliers and fit again")
         fit = fit_model(problem.model, split.fitted, settings.fit, start=fit.values)
+    fit = weighted_by_errors(fit, settings.fit)
     channels, notes = channels_held_out_too(recorded_beside(problem, split.fitted), split.apart)
     weighing = Weighing(
         split.fitted, known_noise=problem.noise, solver=settings.fit.solver, seed=settings.fit.seed

@@ -85,7 +85,7 @@ def _best(fit: Fit, sizes: Sizes, place: Place, pitches: Array) -> CoggingCandid
         return None
     # What is periodic leaks into all other periods: their level is that of what it leaves.
     left = responses.e - responses.off_the_tangent(pitches[i : i + 1]) @ steps[i]
-    others = responses.gains(np.delete(pitches, i), left)[0]
+    others = np.delete(responses.gains(pitches, left)[0], i)
     level = max(1.0, float(np.median(others)) / (2 * np.log(2.0)))
     chance = min(float(np.exp(-0.5 * gains[i] / level)), 1 - 1e-12)
     p = max(-np.expm1(len(pitches) * np.log1p(-chance)), TINY)
@@ -123,12 +123,18 @@ class _Responses:
         u, s, _ = np.linalg.svd(tangent, full_matrices=False)
         self.basis = u[:, s > 1e-8 * s[0]]
         self.e = whole[:, 0] - self.basis @ (self.basis.T @ whole[:, 0])
+        self._kept: dict[bytes, Array] = {}  # pitches -> what `off_the_tangent` gave
 
     def gains(self, pitches: Array, e: Array) -> tuple[Array, Array]:
         """Sum of squares of `e` (M,) that each pitch explains (K,), and its amplitudes (K, 2)."""
         gains, steps = np.empty(len(pitches)), np.empty((len(pitches), 2))
         for first in range(0, len(pitches), COGGING.at_once):
-            rest = self.off_the_tangent(pitches[first : first + COGGING.at_once])
+            some = pitches[first : first + COGGING.at_once]
+            rest = self._kept.get(some.tobytes())
+            if rest is None:
+                rest = self.off_the_tangent(some)
+                if (len(self._kept) + 1) * rest.size <= COGGING.kept:
+                    self._kept[some.tobytes()] = rest
             for j in range(rest.shape[1] // 2):
                 pair = rest[:, 2 * j : 2 * j + 2]
                 step, *_ = np.linalg.lstsq(pair, e, rcond=1e-10)

@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from casid.arrays import TINY
 from casid.data.files import plain_fields
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import JUDGING
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.model.units import difference_from_si, difference_to_si
 
 
@@ -83,24 +85,49 @@ def disturbances_of(at: Weighted) -> tuple[Disturbance, ...]:
     samples = [d.N for d in at.criterion.data]
     total = sum(n * float(np.mean(noise.spectrum(e) @ weights)) for e, n in enumerate(samples))
 
-    def power(source: str) -> float:
-        """Of the residual, for a unit standard deviation of a source."""
-        return sum(
-            n * float(np.mean(r.gain2[:, :, r.sources.index(source)] @ weights))
-            for r, n in zip(noise.responses, samples, strict=True)
-        )
+    def power(source: str, *, is_white: bool = False) -> float:
+        """Of the residual, for a unit standard deviation of a source; of one that is white."""
+        total = 0.0
+        for r, d in zip(noise.responses, at.criterion.data, strict=True):
+            gain2 = r.gain2[:, :, r.sources.index(source)] @ weights
+            if is_white and source in noise.spectra:
+                gain2 = gain2 / np.maximum(noise.spectra[source].at(r.omega, d.Ts), TINY)
+            total += d.N * float(np.mean(gain2))
+        return total
 
-    found = []
+    found: dict[str, list[tuple[float, float, DisturbanceSpectrum | None]]] = {}
     # Of sources that act alike, the first carries the variance: that of inputs which their sensors
     # account for is noise, and the rest a force in their balance.
     for group in noise.alike:
         carried = noise.source_sd[group[0]] ** 2 * power(group[0])
         measured = sum(at.input_sd.get(name, 0.0) ** 2 * power(name) for name in group)
         where = next((name for name in group if name in at.model.balances), group[0])
-        unit_power = power(where)
+        # A balance with a spectrum of its own is a source of its own, beside its white part here.
+        is_beside = where != group[0] and where in noise.spectra
+        unit_power = power(where, is_white=is_beside)
         share = (carried - measured) / total if total > 0 else 0.0
-        if share >= JUDGING.practical and unit_power > 0:
-            sd = float(np.sqrt((carried - measured) / unit_power))
+        if share > 0 and unit_power > 0:
+            spectrum = None if is_beside else noise.spectra.get(where)
+            part = share, (carried - measured) / unit_power, spectrum
+            found.setdefault(where, []).append(part)
+    out = []
+    for where, parts in found.items():
+        share = sum(p[0] for p in parts)
+        if share >= JUDGING.practical:
+            sd = float(np.sqrt(sum(p[1] for p in parts)))
             place = at.model.balances.get(where) or at.model.inputs[where]
-            found.append(Disturbance(where, sd, place.unit, min(share, 1.0)))
-    return tuple(sorted(found, key=lambda d: -d.share))
+            peak, width = _peak(max(parts, key=lambda p: p[0])[2])
+            out.append(Disturbance(where, sd, place.unit, min(share, 1.0), peak, width))
+    return tuple(sorted(out, key=lambda d: -d.share))
+
+
+def _peak(spectrum: DisturbanceSpectrum | None) -> tuple[float | None, float | None]:
+    """Frequency and width [Hz] of a spectrum; of a low-pass one half its band, and its band."""
+    if spectrum is None:
+        return None, None
+    hertz = spectrum.frequency / (2 * np.pi)
+    if spectrum.damping is None or (spectrum.damping > np.sqrt(0.5) and not spectrum.is_band):
+        return 0.0, 2 * hertz
+    if spectrum.is_band:
+        return hertz, 2 * spectrum.damping * hertz
+    return hertz * np.sqrt(1 - 2 * spectrum.damping**2), 2 * spectrum.damping * hertz

@@ -15,6 +15,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.score_tests import step_without_bias
 from casid.diagnosis.thresholds import PREWHITENING
+from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
@@ -27,7 +28,9 @@ NEAR = Solver(
 )
 """For fits that start next to their minimum: a large barrier would only lead away from it."""
 
-EXACT = Solver(options={**NEAR.options, "ipopt.mu_init": 1e-6, "ipopt.tol": 1e-8})
+EXACT = Solver(
+    max_iterations=100, options={**NEAR.options, "ipopt.mu_init": 1e-6, "ipopt.tol": 1e-8}
+)
 """The same for fits that are reported."""
 
 
@@ -57,12 +60,20 @@ class Weighing:
     ----------
     known_noise : channel -> standard deviation of its white noise, where it is known.
     seed : of the draws that stand for the noise of the inputs.
+    takes_disturbances : whether what neither sensors nor inputs explain is taken for disturbances
+        with spectra of their own, and the fits are made under them. Otherwise misfit that passes
+        for a disturbance is no noise.
     """
 
     experiments: Sequence[Experiment]
     known_noise: Mapping[str, float] = field(default_factory=dict)
     solver: Solver | None = None  # default: `NEAR`
     seed: int = 0
+    takes_disturbances: bool = False
+
+    def with_disturbances(self) -> Weighing:
+        """The same with whatever is not explained taken for disturbances."""
+        return replace(self, takes_disturbances=True)
 
     def weigh(self, model: Model, fit: Fit, *, rounds: int = PREWHITENING.rounds) -> Weighted:
         """Estimate the noise at a fit and fit again under it.
@@ -131,12 +142,15 @@ class Weighing:
         quiet = full.quiet(input_sd)
         ratio, spread = full.excess(quiet, [d.N for d in fit.criterion.data])
         limit = max(PREWHITENING.absorbs_misfit**2, 1 + PREWHITENING.absorbs_spreads * spread)
-        noise_absorbs_misfit = ratio > limit
+        noise_absorbs_misfit = ratio > limit and not self.takes_disturbances
         return Weighted(fit.criterion.model, fit, full, full, input_sd, noise_absorbs_misfit)
 
     def noise(self, fit: Fit) -> NoiseModel:
         """The noise that the residual of a fit shows."""
-        return estimate_noise(fit.criterion, fit.x, known=self.known_noise)
+        found = estimate_noise(fit.criterion, fit.x, known=self.known_noise)
+        if not self.takes_disturbances:
+            return found
+        return with_disturbance_spectra(found, fit.criterion, fit.x, self.known_noise)
 
     def fitted(self, model: Model, like: Weighted, start: Mapping[str, float]) -> Fit:
         """Another model under the noise and the weights of one that was judged."""
@@ -198,6 +212,13 @@ class Weighing:
             white = criterion.whiten(moved[:, :, None], e)
             value -= 0.5 * float(np.sum(white**2))
         return value
+
+
+def minus_log_likelihood(at: Weighted) -> float:
+    """Whittle's, of the residual under the noise that the model is fitted under."""
+    samples = [d.N for d in at.criterion.data]
+    logs = sum(at.noise.log_determinant(e, n) for e, n in enumerate(samples))
+    return at.fit.solution.value + 0.5 * logs
 
 
 def use_samples_of(criterion: SimulationError, other: SimulationError) -> None:

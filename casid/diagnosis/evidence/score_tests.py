@@ -35,7 +35,7 @@ from casid.arrays import TINY, Array
 from casid.diagnosis.thresholds import PREWHITENING, SCORES
 from casid.errors import ModelError, SolveError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
-from casid.estimation.noise import GROUP
+from casid.estimation.innovations import GROUP
 from casid.estimation.simulation.minimization import Fit, widened
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect, extend_all

@@ -21,6 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.linalg.lapack import dtbtrs
 from scipy.stats import f as fisher
 
 from casid.arrays import TINY, Array
@@ -34,7 +35,8 @@ from casid.estimation.simulation.sensor_dynamics import delay_columns
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import Simulated, SimulationError
 from casid.estimation.simulation.simulator import rk4_sample
-from casid.model.model import Input, Model
+from casid.model.declarations import Input
+from casid.model.model import Model
 
 Table = Mapping[str, Array]  # variable -> (N,) of one record
 
@@ -60,15 +62,23 @@ class Path:
     def respond(self, balance: int, force: Array) -> Array:
         """Outputs (N, ny, m) to m forces (N, m) in one balance."""
         n, m = force.shape
+        nx = self.A.shape[1]
         ahead = np.vstack([force[1:], force[-1:]])
-        push = self.B0[:, :, balance, None] * force[:, None, :]
-        push += self.B1[:, :, balance, None] * ahead[:, None, :]
-        states = np.empty((n, self.A.shape[1], m))
-        x = np.zeros((self.A.shape[1], m))
-        for k in range(n):
-            states[k] = x
-            x = self.A[k] @ x + push[k]
-        return np.asarray(self.C @ states + self.D[:, :, balance, None] * force[:, None, :])
+        states = np.zeros((m, n, nx))  # each column's in one piece, as the solver takes them
+        push = states[:, 1:].transpose(1, 2, 0)
+        push += self.B0[:-1, :, balance, None] * force[:-1, None, :]
+        push += self.B1[:-1, :, balance, None] * ahead[:-1, None, :]
+        # x[k+1] - A[k] x[k] = push[k]: a triangular band.
+        bands = np.zeros((2 * nx, n, nx))
+        for i in range(nx):
+            for j in range(nx):
+                bands[nx + i - j, :-1, j] = -self.A[:-1, i, j]
+        if nx:
+            columns = states.reshape(m, -1).T
+            columns, _ = dtbtrs(bands.reshape(2 * nx, -1), columns, uplo="L", diag="U")
+            states = columns.T.reshape(m, n, nx)
+        out = np.einsum("kij,mkj->kim", self.C, states)
+        return np.asarray(out + self.D[:, :, balance, None] * force[:, None, :])
 
 
 class Linearised:
@@ -211,6 +221,7 @@ def knots_of(name: str, values: Array, count: int) -> Array:
             np.linspace(*FUNCTIONS.levels, count), 1.0
         )  # the ends determine the growth best
         half = np.unique(np.quantile(size, levels))
+        half = half[half > 0.0]  # one that rests at zero for long has quantiles there
         return np.concatenate([-half[::-1], [0.0], half])
     return np.asarray(np.unique(np.quantile(values, np.linspace(*FUNCTIONS.ends, count + 2))))
 

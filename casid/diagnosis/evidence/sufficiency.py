@@ -21,8 +21,10 @@ from casid.estimation.covariance import whiteness
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.noise import NoiseModel, Response
+from casid.estimation.noise import NoiseModel
+from casid.estimation.noise_response import Response
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
+from casid.estimation.simulation.signals import require_sizes
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
 
@@ -38,6 +40,8 @@ def why_uninformative(model: Model, split: Split) -> str:
     outputs = _moving(split.fitted, model.outputs)
     if any(n not in e.record for e in split.fitted for n in (*model.outputs, *_measured(model))):
         return ""  # refused with its remedy as it is fitted
+    for e in split.fitted:
+        require_sizes(e.record, [*model.outputs, *_measured(model)])
     inputs = _measured(model)
     if not outputs:
         values = [float(e.record[n][0]) for e in split.fitted for n in model.outputs]

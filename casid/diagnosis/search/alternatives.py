@@ -44,22 +44,42 @@ def ranked_by_remainder(
     n = float(np.clip(len(r2) * spread / max(long_run, TINY), COMPARISON.least_samples, len(r2)))
     out = []
     before = refitting.value(at)
+    # Less what input noise gives to each: a noise-free channel must not win by that alone. Where
+    # that is nearly all, the misfit passes for noise of an input, and it is no measure.
+    is_measure = all(before - 0.5 * c.gain > COMPARISON.least_left * before > 0 for c in found)
+    before = before if is_measure else at.fit.solution.value
     for c in found:
-        # Less what input noise gives to each: a noise-free channel must not win by that alone.
-        after = max(before - 0.5 * c.gain, 1e-12 * before)
+        after = before - 0.5 * c.gain if is_measure else c.fit.solution.value
+        after = max(after, COMPARISON.least_left * before)
         k = c.effect.cost
         gain = n * float(np.log(before / after))
         out.append(replace(c, gain=gain, cost=k * float(np.log(n)) + k))
-    # In a decay, time and amplitude go together, and what happens in time, or rings on its own,
-    # imitates whatever depends on amplitude: it must explain clearly more than the best that
-    # does, half as much again (a heuristic).
-    lasting = max((c.gain for c in out if c.effect.kind not in IMITATORS), default=0.0)
-    out.sort(
-        key=lambda c: (
-            -(c.merit - (COMPARISON.imitator * lasting if c.effect.kind in IMITATORS else 0.0))
-        )
-    )
-    return out
+    return sorted(out, key=lambda c: -_merit_beside(out, c))
+
+
+def without_imitations(
+    found: Sequence[Candidate], significant: Sequence[Candidate]
+) -> list[Candidate]:
+    """Those that may be causes where misfit passes for noise: no imitator of a better law.
+
+    In a decay, time and amplitude go together, and what happens in time, or rings on its own,
+    imitates whatever depends on amplitude. It must explain clearly more than the best significant
+    law that does, and is no cause in the place of one that was refused for its errors.
+    """
+    lasting = max((c.merit for c in significant if c.effect.kind not in IMITATORS), default=0.0)
+    return [
+        c
+        for c in found
+        if c.effect.kind not in IMITATORS or _merit_beside(significant, c) > max(lasting, 0.0)
+    ]
+
+
+def _merit_beside(found: Sequence[Candidate], c: Candidate) -> float:
+    """The merit, of an imitator less half the gain of the best that is none (a heuristic)."""
+    if c.effect.kind not in IMITATORS:
+        return c.merit
+    lasting = max((b.gain for b in found if b.effect.kind not in IMITATORS), default=0.0)
+    return c.merit - COMPARISON.imitator * lasting
 
 
 def rejudge(

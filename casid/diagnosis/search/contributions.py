@@ -36,6 +36,7 @@ def contributions_of(
             weighing.experiments,
             own=[n for n in c.own if n not in null],
             weights=c.weights,
+            whiten=c.whiten,
             substeps=c.substeps,
         )
         bare = less(start={**start, **nothing})

@@ -9,11 +9,13 @@ from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Adopted, name_of
+from casid.diagnosis.search.disturbance_rival import weighed_against_disturbances
 from casid.diagnosis.search.reconsideration import reconsidered
 from casid.diagnosis.search.record_specific import Specific, record_specific
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.settings import DiagnosisSettings
+from casid.estimation.simulation.fit import weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
 
 
@@ -66,12 +68,24 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         return Findings(baseline, search, baseline.start, negated_fit)
     fit, split, start = baseline.fit, baseline.split, baseline.start
     found = adopt_causes(search, start, fit, split, settings.fit)
+    what = "the comparison of what was found with a random disturbance"
+    before = found
+    search, start, found = search.attempts.attempt(
+        what, lambda: weighed_against_disturbances(search, before, baseline, settings)
+    ) or (search, start, found)
+    baseline = replace(baseline, start=start)
     adopted, at, extended = list(found.adopted), found.at, found.fit
+    if extended is not None and extended.criterion.whiten is None:
+        whole = extended
+        reweighted = search.attempts.attempt(
+            "the last fit of the extended model", lambda: weighted_by_errors(whole, settings.fit)
+        )
+        extended = reweighted or extended
     if not adopted:
         baseline = replace(baseline, why_undecided=_why_open(search))
     adopted = reconsidered(search, adopted, start, at)
     specific: tuple[Specific, ...] = ()
-    if extended is not None and len(split.fitted) > 1:
+    if extended is not None and extended.criterion.whiten is None and len(split.fitted) > 1:
         settings.progress("test whether one size of each cause explains every record")
         whole, noise = extended, at
         apart = search.attempts.attempt(

@@ -33,7 +33,7 @@ def sharpened(
     top = max(c.gain for c in found)
     return [
         refitting.attempts.attempt(
-            f"the sharpness of {name_of(c.effect)}", partial(_sharpened, refitting, at, c, progress)
+            f"the sharpness of {name_of(c.effect)}", partial(sharper, refitting, at, c, progress)
         )
         or c
         if c.effect.kind == "coulomb_friction" and c.gain > FRICTION.promising * top
@@ -42,7 +42,7 @@ def sharpened(
     ]
 
 
-def _sharpened(
+def sharper(
     refitting: Refitting, at: Weighted, found: Candidate, progress: Callable[[str], None]
 ) -> Candidate:
     """Ever sharper while the gain rises clearly, then the best speed between the neighbours."""

@@ -50,7 +50,7 @@ def _rivals_beside(
     search: Search, a: Adopted, others: Sequence[Candidate], start: Weighted, at: Weighted
 ) -> tuple[Rival, ...]:
     """The rivals of one cause with the others in the model."""
-    again = _without(search, others, start, at)
+    again = without_cause(search, others, start, at)
     found = [
         c
         for b in (a.candidate, *(r.candidate for r in a.rivals[: ROUNDS.rivals]))
@@ -59,7 +59,12 @@ def _rivals_beside(
     require_time("the rivals")  # one that was not refitted is no less a rival
     if not found or found[0].effect is not a.candidate.effect:
         return a.rivals
-    return rivals_of(again, found[0], found)
+    # Said relative to the cause as it was adopted, among whose gain was the misfit of the others.
+    shift = a.candidate.merit - found[0].merit
+    return tuple(
+        replace(r, candidate=replace(r.candidate, gain=r.candidate.gain + shift))
+        for r in rivals_of(again, found[0], found)
+    )
 
 
 def better_rivals(
@@ -71,7 +76,7 @@ def better_rivals(
     leaves a little, may have come first. Which of these to take is decided by its remainder.
     """
     last = adopted[-1]
-    again = _without(search, [a.candidate for a in adopted[:-1]], start, at)
+    again = without_cause(search, [a.candidate for a in adopted[:-1]], start, at)
     first = search.refitting.again(again, last.candidate, near=False)
     found = [
         c
@@ -82,7 +87,7 @@ def better_rivals(
     return sorted(better, key=lambda c: (c.effect.priority, -c.merit))
 
 
-def _without(
+def without_cause(
     search: Search, others: Sequence[Candidate], start: Weighted, at: Weighted
 ) -> Weighted:
     """The model with all causes but one, fitted under the last noise."""

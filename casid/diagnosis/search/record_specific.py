@@ -87,6 +87,7 @@ def _fit(fit: Fit, own: Sequence[str], weighing: Weighing, settings: FitSettings
         weighing.experiments,
         replace(settings, own=both, substeps=c.substeps),
         start=start,
+        weights=c.weights,
         check_rank=False,
         throw=False,
     )

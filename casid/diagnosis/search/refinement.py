@@ -13,7 +13,7 @@ therefore refined when it is complete, by the errors of all causes together:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from casid.arrays import TINY, Array
@@ -30,6 +30,8 @@ from casid.diagnosis.search.candidates import (
     taken_out,
 )
 from casid.diagnosis.search.contributions import contributions_of
+from casid.diagnosis.search.friction_speeds import sharper
+from casid.diagnosis.search.reconsideration import without_cause
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
@@ -40,7 +42,6 @@ from casid.diagnosis.thresholds import JUDGING, ROUNDS
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
-from casid.model.effects.effect import ON_THE_CLOCK
 from casid.model.model import Model
 
 
@@ -107,7 +108,7 @@ class Refinement:
                 others[i] = rival
                 model, placed = extended_by(self.start.model, others)
                 values = {**self.start.fit.values, **fit.values, **_values(placed, others)}
-                other = whole_fit(model, self.split, self.settings, values)
+                other = whole_fit(model, self.split, self.settings, self.units, values)
                 after = simulation_errors(other, self.split, self.units)
                 if self._is_preferred(adopted[i].candidate, rival, errors, after):
                     adopted = [
@@ -117,6 +118,28 @@ class Refinement:
                     fit, errors, is_new = other, after, True
         return self._refined(found, adopted, fit) if is_new else found
 
+    def sharp(self, found: Adoption) -> Adoption:
+        """With dry friction that reverses as sharply as the other causes let it show."""
+        adopted, is_new = list(found.adopted), False
+        for i, a in enumerate(adopted):
+            if a.candidate.effect.kind != "coulomb_friction" or len(adopted) == 1:
+                continue
+            others = [b.candidate for b in adopted if b is not a]
+            bare = without_cause(self.search, others, self.start, found.at)
+            now = self.search.refitting.again(bare, a.candidate)
+            if now is None:
+                continue
+            best = sharper(self.search.refitting, bare, now, self.search.progress)
+            if best is not now:
+                adopted[i], is_new = replace(a, candidate=best), True
+        if not is_new:
+            return found
+        model, placed = extended_by(self.start.model, [a.candidate for a in adopted])
+        values = {**self.start.fit.values, **_values(placed, [a.candidate for a in adopted])}
+        fit = whole_fit(model, self.split, self.settings, self.units, values)
+        adopted = [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)]
+        return self._refined(found, adopted, fit)
+
     def main(self, found: Adoption) -> Adoption:
         """Without what explains too little, the smallest first.
 
@@ -124,15 +147,19 @@ class Refinement:
         standard error: the errors would be small, and the size be biased.
         """
         kept, fit, small = list(found.adopted), found.fit, list(found.remainders)
-        while fit is not None and len(kept) > 1:
-            losses = contributions_of(self.search.weighing, kept, fit, self.search.attempts)
+        assert fit is not None
+        # Of two that do the same each is small beside the other: what is left is judged without
+        # all that were taken out before, even those that stay in the model.
+        bare = fit
+        while len(kept) > 1:
+            losses = contributions_of(self.search.weighing, kept, bare, self.search.attempts)
             total = max(sum(losses), TINY)
             i = min(range(len(kept)), key=lambda k: losses[k])
             if losses[i] >= JUDGING.practical * total:
                 break
             small.append(replace(kept[i], share=losses[i] / total))
-            less = self._without(fit, kept.pop(i).candidate)
-            fit = fit if _moves(kept, fit, less) else less
+            bare = self._without(bare, kept.pop(i).candidate)
+            fit = fit if _moves(kept, fit, bare) else bare
         if len(kept) == len(found.adopted):
             return found
         return self._refined(replace(found, remainders=tuple(small)), kept, fit)
@@ -162,17 +189,16 @@ class Refinement:
         fits = new.square - old.square < JUDGING.practical * (self.before.square - old.square)
         gained = self.before.held_out_square - old.held_out_square
         lost = new.held_out_square - old.held_out_square
-        is_on_the_clock = rival.effect.kind in ON_THE_CLOCK
         if own.effect.kind == "unknown":
             return fits and lost <= JUDGING.practical * max(gained, 0.0)
         has_held = bool(len(old.continued) or len(old.restarted))
-        return fits and has_held and not why_held_out(old, new, is_on_the_clock=is_on_the_clock)
+        return fits and has_held and not why_held_out(old, new)
 
     def _without(self, fit: Fit, c: Candidate) -> Fit:
         """The model fitted again without one effect."""
         model = taken_out(fit.criterion.model, null_values(c))
         values = {k: v for k, v in fit.values.items() if k not in c.names}
-        return whole_fit(model, self.split, self.settings, values)
+        return whole_fit(model, self.split, self.settings, self.units, values)
 
     def _refined(self, found: Adoption, kept: Sequence[Adopted], fit: Fit | None) -> Adoption:
         assert fit is not None
@@ -180,9 +206,13 @@ class Refinement:
         return replace(found, adopted=tuple(kept), at=at, fit=fit)
 
 
-def whole_fit(model: Model, split: Split, settings: FitSettings, start: dict[str, float]) -> Fit:
-    """The simulation-error fit of an extended model."""
-    return fit_model(model, split.fitted, settings, start=start, check_rank=False, throw=False)
+def whole_fit(
+    model: Model, split: Split, settings: FitSettings, units: Array, start: Mapping[str, float]
+) -> Fit:
+    """The simulation-error fit of an extended model; `units` as in `simulation_errors`."""
+    return fit_model(
+        model, split.fitted, settings, start=start, weights=units, check_rank=False, throw=False
+    )
 
 
 def _moves(kept: Sequence[Adopted], fit: Fit, other: Fit) -> bool:

@@ -102,6 +102,10 @@ class Search:
             self.references = loop_references(of, model, self.recorded)
         return self.references
 
+    def misfit_passes_for_noise(self, at: Weighted) -> bool:
+        """True if gains under the noise of `at` are no likelihoods by which a law is rejected."""
+        return at.noise_absorbs_misfit or self.weighing.takes_disturbances
+
     def has_alarm(self, at: Weighted, table: ScoreTable) -> bool:
         """True if something is wrong: much is unexplained, or a test is significant."""
         best = table.smallest
@@ -131,8 +135,7 @@ class Search:
         if not found:
             return found
         found = placed(refitting, at, found, events_of(adopted), self.progress)
-        if not adopted:  # beside other causes the friction is too small to show how it reverses
-            found = sharpened(refitting, at, found, self.progress)
+        found = sharpened(refitting, at, found, self.progress)
         found.sort(key=lambda c: -c.merit)
         ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
         what = "the comparison of the candidates"

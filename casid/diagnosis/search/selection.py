@@ -8,7 +8,12 @@ from functools import partial
 
 from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
-from casid.diagnosis.search.alternatives import IMITATORS, p_value, rivals_of
+from casid.diagnosis.search.alternatives import (
+    IMITATORS,
+    p_value,
+    rivals_of,
+    without_imitations,
+)
 from casid.diagnosis.search.candidates import Adopted, Candidate, name_of
 from casid.diagnosis.search.reconsideration import better_rivals
 from casid.diagnosis.search.refinement import Adoption, Refinement, exchanged, whole_fit
@@ -17,14 +22,13 @@ from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import (
     SimulationErrors,
     simulation_errors,
-    units_of,
+    why_much_worse,
     why_not_adopted,
 )
 from casid.diagnosis.thresholds import COMPARISON, ROUNDS
-from casid.estimation.holdout import Split
-from casid.estimation.simulation.fit import FitSettings
+from casid.estimation.holdout import Split, why_worse
+from casid.estimation.simulation.fit import FitSettings, weighted_by_errors
 from casid.estimation.simulation.minimization import Fit
-from casid.model.effects.effect import ON_THE_CLOCK
 
 
 def adopt_causes(
@@ -32,19 +36,29 @@ def adopt_causes(
 ) -> Adoption:
     """Adopt effects until nothing significant is left that lowers the errors; keep what matters."""
     once = replace(settings, starts=1, solver=settings.solver or EXACT)
-    units = units_of(at)
-    errors = simulation_errors(base_fit, split, units)
-    state = _Selection(search, split, once, units, start=at, at=at, fit=base_fit, errors=errors)
+    units = base_fit.criterion.weights
+    under = at.noise if search.weighing.takes_disturbances else None
+    errors = simulation_errors(base_fit if under is None else at.fit, split, units, under)
+    state = _Selection(search, split, once, units, at, errors, at, base_fit, errors)
+    refine = Refinement(search, split, once, units, at, errors)
     while len(state.adopted) < search.max_causes and state.adopt_next():
         state.exchange_last()
+        if under is None:
+            state.exchange_for_prediction(refine)
     if not state.adopted:
         return Adoption((), at, None)
-    found = Adoption(tuple(state.adopted), state.at, state.fit)
+    found = state.found
+    if under is not None:
+        return found
+    # A cause matters by what it explains in units of the error that all causes leave.
+    what = "the fit of the extended model in units of its errors"
+    fit = search.attempts.attempt(what, partial(weighted_by_errors, state.fit, once)) or state.fit
+    units = fit.criterion.weights
+    found, errors = replace(found, fit=fit), simulation_errors(base_fit, split, units)
     refine = Refinement(search, split, once, units, at, errors)
     for what, step in (
         ("the test whether later causes make earlier ones superfluous", refine.significant),
-        ("the test whether every cause found matters", refine.main),
-        ("the comparison of the causes with their rivals by what was held out", refine.exchanged),
+        ("the sharpness of dry friction beside the other causes", refine.sharp),
         ("the test whether every cause matters", refine.main),
     ):
         found = search.attempts.attempt(what, partial(step, found)) or found
@@ -60,10 +74,16 @@ class _Selection:
     settings: FitSettings
     units: Array  # of the outputs, see `simulation_errors`
     start: Weighted  # the model as it is
+    before: SimulationErrors  # of it
     at: Weighted
     fit: Fit  # simulation error, whole records
     errors: SimulationErrors
     adopted: list[Adopted] = field(default_factory=list)
+
+    @property
+    def found(self) -> Adoption:
+        """What was adopted until now."""
+        return Adoption(tuple(self.adopted), self.at, self.fit)
 
     def adopt_next(self) -> bool:
         """One round of the search; False where nothing was adopted."""
@@ -99,9 +119,14 @@ class _Selection:
         # The first alarm has the rate that the user set, and is named unless the errors speak
         # against it; a further cause has to earn its place there.
         is_alarm = is_scored and not (self.adopted or at.noise_absorbs_misfit)
+        p_values = {c.effect.key: p_value(table, c) for c in found}
+        significant = [c for c in found if p_values[c.effect.key] < search.alpha]
+        causes = found
+        if search.misfit_passes_for_noise(at):
+            causes = without_imitations(found, significant)
         out = []
-        for best in _named_first(at, found):
-            p = p_value(table, best)
+        for best in _named_first(at, causes):
+            p = p_values[best.effect.key]
             if p < search.alpha and (best.merit > 0 or is_alarm):
                 out.append(Adopted(best, p, rivals_of(at, best, found), at, is_alarm))
         return out
@@ -124,21 +149,31 @@ class _Selection:
 
     def _extend(self, news: Sequence[Adopted]) -> str:
         """Extend the model; why its errors speak against it, or an empty text."""
-        best = news[-1].candidate
-        fit = whole_fit(best.model, self.split, self.settings, best.fit.values)
-        errors = simulation_errors(fit, self.split, self.units)
-        kinds = {a.candidate.effect.kind for a in (*self.adopted, *news)}
-        why = why_not_adopted(
-            self.errors,
-            errors,
-            is_alarm=news[0].is_alarm,
-            is_on_the_clock=bool(kinds & set(ON_THE_CLOCK)),
-        )
+        best, weighing = news[-1].candidate, self.search.weighing
+        fit = whole_fit(best.model, self.split, self.settings, self.units, best.fit.values)
+        errors = self._errors(best, fit)
+        why = why_not_adopted(self.errors, errors, is_alarm=news[0].is_alarm)
+        why = why or why_worse(self.before.continued, errors.continued)
         if not why:
-            at = self.search.weighing.weigh(best.model, fit, rounds=1)
+            at = weighing.weigh(best.model, fit, rounds=1)
+            if weighing.takes_disturbances:
+                # Under the disturbance, unless the simulation by itself then goes astray.
+                why = why_much_worse(self.fit, at.fit, self.split)
+                fit = fit if why else at.fit
+                why = why and why_much_worse(self.fit, fit, self.split)
+        if not why:
             self.errors, self.fit, self.at = errors, fit, at
             self.adopted += news
         return why
+
+    def _errors(self, c: Candidate, fit: Fit) -> SimulationErrors:
+        """The errors of a model; under disturbances those of its fit under their noise."""
+        weighing = self.search.weighing
+        if not weighing.takes_disturbances:
+            return simulation_errors(fit, self.split, self.units)
+        noise = self.start.noise
+        criterion = weighing.criterion(c.model, noise, c.fit.values, self.start.criterion)
+        return simulation_errors(weighing.minimum(criterion), self.split, self.units, noise)
 
     def _adopt_pair(self, refused: Sequence[Adopted]) -> bool:
         """Adopt two effects at once where each alone makes the held-out error no better.
@@ -169,7 +204,7 @@ class _Selection:
     def _with(self, first: Adopted) -> _Selection:
         """The selection as it would be with one more effect, whatever the errors say."""
         best = first.candidate
-        fit = whole_fit(best.model, self.split, self.settings, best.fit.values)
+        fit = whole_fit(best.model, self.split, self.settings, self.units, best.fit.values)
         at = self.search.weighing.weigh(best.model, fit, rounds=1)
         return replace(self, at=at, fit=fit, adopted=[*self.adopted, first])
 
@@ -188,9 +223,21 @@ class _Selection:
             if search.attempts.attempt(what, partial(self._exchange, taken, other)):
                 return
 
+    def exchange_for_prediction(self, refine: Refinement) -> None:
+        """Take rivals that predict better, before a further cause repairs the shape of a wrong one.
+
+        Only where the noise model absorbed misfit at first: see `Refinement.exchanged`.
+        """
+        what = "the comparison of the causes with their rivals by what was held out"
+        found = self.search.attempts.attempt(what, partial(refine.exchanged, self.found))
+        if found is None or found.fit is None or found.fit is self.fit:
+            return
+        self.adopted, self.at, self.fit = list(found.adopted), found.at, found.fit
+        self.errors = simulation_errors(self.fit, self.split, self.units)
+
     def _exchange(self, taken: Adopted, other: Candidate) -> bool:
         """Take another candidate in the place of the last one, if it leaves noise alone."""
-        fit = whole_fit(other.model, self.split, self.settings, other.fit.values)
+        fit = whole_fit(other.model, self.split, self.settings, self.units, other.fit.values)
         instead = self.search.weighing.weigh(other.model, fit, rounds=1)
         errors = simulation_errors(fit, self.split, self.units)
         is_worse = errors.held_out_square > self.errors.held_out_square

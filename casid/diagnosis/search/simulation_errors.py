@@ -3,8 +3,7 @@
 A likelihood can rise because the weights have changed while the errors grow. Extensions are
 therefore judged by their errors as well: of the fitted part, and of what was held out, once with
 the simulation running on and once from an initial state of its own. Every output counts in units of
-what the noise model at the baseline, its disturbances included, leaves of it; the same units for
-all models.
+the error that the baseline leaves of it. All models are fitted and compared in these units.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.prewhitening import Weighted
+from casid.diagnosis.thresholds import JUDGING, ROUNDS
 from casid.estimation.holdout import (
     Split,
     held_out_error,
@@ -23,7 +22,9 @@ from casid.estimation.holdout import (
     why_no_better,
     why_worse,
 )
+from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.signals import Signals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,18 +54,16 @@ class SimulationErrors:
         return float(np.nansum(self.continued**2) + np.nansum(self.restarted**2))
 
 
-def units_of(at: Weighted) -> Array:
-    """(ny,) one over the rms that the noise model at the baseline leaves of each output."""
-    floors = np.array([at.full.floor(e) for e in range(len(at.criterion.data))])
-    return np.asarray(1.0 / np.maximum(np.sqrt(np.mean(floors**2, axis=0)), TINY))
-
-
-def simulation_errors(fit: Fit, split: Split, units: Array) -> SimulationErrors:
+def simulation_errors(
+    fit: Fit, split: Split, units: Array, noise: NoiseModel | None = None
+) -> SimulationErrors:
     """The errors of a fit.
 
     Parameters
     ----------
-    units : (ny,) factors of the outputs, see `units_of`.
+    noise : the errors are whitened by it, each record from end to end: what a disturbance moves is
+        no error of the model. A simulation that starts anew shows nothing more then.
+    units : (ny,) weights of the baseline, one over the RMS error that it leaves of each output.
 
     Raises
     ------
@@ -75,17 +74,24 @@ def simulation_errors(fit: Fit, split: Split, units: Array) -> SimulationErrors:
     ends: list[Array] = []
     for e, held in enumerate(split.held):
         d, y, _ = whole_simulation(fit, split, e)
-        error = np.where(d.used, d.y - y, np.nan) * units
+        error = _errors(d, y, units, noise, e)
         inside.append(error[~held])
         ends.append(error[held])
     for experiment in split.apart:
         d, y, _ = simulate_apart(fit, experiment)
-        ends.append(np.where(d.used, d.y - y, np.nan) * units)
+        ends.append(_errors(d, y, units, noise, 0))
     restarted = np.zeros((0, len(units)))
-    if any(bool(held.any()) for held in split.held):
+    if noise is None and any(bool(held.any()) for held in split.held):
         again = held_out_error(fit, replace(split, apart=[]), anew=True)
         restarted = again / fit.criterion.weights * units
     return SimulationErrors(np.concatenate(inside), np.concatenate(ends), restarted)
+
+
+def _errors(d: Signals, y: Array, units: Array, noise: NoiseModel | None, experiment: int) -> Array:
+    error = np.where(d.used, d.y - y, 0.0) * units
+    if noise is not None:
+        error = noise.whiten(error[:, :, None], experiment)[:, :, 0]
+    return np.where(d.used, error, np.nan)
 
 
 def why_not_adopted(
@@ -93,16 +99,21 @@ def why_not_adopted(
     after: SimulationErrors,
     *,
     is_alarm: bool = False,
-    is_on_the_clock: bool = False,
 ) -> str:
-    """Why an extension is refused by its errors, or an empty text: every error has to fall.
+    """Why an extension is refused by its errors, or an empty text.
+
+    The error of the fitted part has to fall, and so have those of what was held out together: one
+    that grows is made up for by the other, should that fall by the larger factor. A simulation that
+    runs on gathers the errors of an integrator, which a right cause may change for the worse.
+
+    An effect that is fitted to noise loses on every sample held out what it gained on one fitted.
+    A held-out error that rises by less than `ROUNDS.overfit` of that gain counts as the same: in a
+    motion that has all but died away it is next to nothing, whatever its ratio.
 
     Parameters
     ----------
     is_alarm : significant by itself at the rate that the user set; one of the held-out errors may
         then fall by chance. Any other has to show that its gain there is more.
-    is_on_the_clock : of the extension; a time or phase of its own means nothing to a simulation
-        that starts anew.
     """
     shared = np.isfinite(before.fitted) & ~np.isnan(after.fitted)
     old, new = (float(np.sum(e.fitted[shared] ** 2)) for e in (before, after))
@@ -110,7 +121,24 @@ def why_not_adopted(
         return "its simulation diverges on the fitted data"
     if new >= old:
         return "it does not lower the error of the fitted part"
-    return why_held_out(before, after, is_alarm=is_alarm, is_on_the_clock=is_on_the_clock)
+    room = ROUNDS.overfit * (old - new) / max(int(shared.sum()), 1)
+    return why_held_out(before, after, is_alarm=is_alarm, room=room)
+
+
+def why_much_worse(before: Fit, after: Fit, split: Split) -> str:
+    """Why an extension that was found under a disturbance is refused, or an empty text.
+
+    The disturbance is most of the error of a simulation, with the effect or without: it may grow by
+    chance, but not by more than `JUDGING.by_disturbance`.
+    """
+    units = before.criterion.weights
+    old, new = (
+        float(np.nansum((held_out_error(f, split) / f.criterion.weights * units) ** 2))
+        for f in (before, after)
+    )
+    if not new <= (1 + JUDGING.by_disturbance) ** 2 * old:
+        return "it makes the held-out error much worse"
+    return ""
 
 
 def why_held_out(
@@ -118,16 +146,29 @@ def why_held_out(
     after: SimulationErrors,
     *,
     is_alarm: bool = False,
-    is_on_the_clock: bool = False,
+    room: float = 0.0,
 ) -> str:
-    """The same by what was held out alone."""
-    ways = [(before.continued, after.continued, "")]
-    if not is_on_the_clock:
-        ways.append((before.restarted, after.restarted, " from an initial state of its own"))
+    """The same by what was held out alone.
+
+    Parameters
+    ----------
+    room : by which the square of a sample's error may rise and count as the same.
+    """
+    ways = [
+        (before.continued, after.continued, ""),
+        (before.restarted, after.restarted, " from an initial state of its own"),
+    ]
+    factor, grown = 1.0, ""
     for old, new, how in ways:
         worse = why_worse(old, new)
-        if worse:
+        first, last = float(np.nansum(old**2)), float(np.nansum(new**2))
+        if not np.isfinite(last):
             return worse + how
+        if not 0.0 < last - first <= room * np.isfinite(old).sum():
+            factor *= last / max(first, TINY) if len(old) else 1.0
+            grown = grown or (worse + how if worse else "")
+    if grown and factor >= 1.0:
+        return grown
     # One of the two ways must show a gain that is not chance: the errors that an integrator has
     # gathered hide it in the one, an initial state that absorbs it in the other.
     whys = [why_no_better(old, new) for old, new, _ in ways]

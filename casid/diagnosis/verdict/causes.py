@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from casid.arrays import TINY
 from casid.diagnosis.evidence.plateaus import Plateaus
 from casid.diagnosis.evidence.spikes import Spikes
@@ -170,8 +172,8 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
 
 def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fit) -> list[Cause]:
     """The causes with the wrong sign first: the others were found with the sign corrected."""
-    lost = max(before.solution.value - after.solution.value, 0.0)
-    share = lost / max(before.solution.value, TINY)
+    old, new = (_square_over_spread(fit) for fit in (before, after))
+    share = max(old - new, 0.0) / max(old, TINY)
     alternatives = tuple(
         Alternative("sensor_scale", c, p, "negated, it fits as well: look at both sensors' axes")
         for c, p in turned.rivals.items()
@@ -186,6 +188,13 @@ def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fi
         sentence=f"the channel {turned.channel} probably has the wrong sign, a scale of -1",
     )
     return [first, *(replace(c, share=(1 - share) * c.share) for c in causes)]
+
+
+def _square_over_spread(fit: Fit) -> float:
+    """Sum of squared errors, every output in units of its spread."""
+    c = fit.criterion
+    parts = (c.simulated(fit.x, e).residual / c.spread for e in range(len(c.data)))
+    return float(sum(np.sum(part**2) for part in parts))
 
 
 def _unit(search: Search, channel: str) -> str:

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.channel_quality import quantisation_step
 from casid.data.problem import Problem
-from casid.data.quality import quantisation_step
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import FUNCTIONS, JUDGING

@@ -55,27 +55,21 @@ def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -
     level = (2 if adopted else 1) * ROUNDS.residual_share * search.alpha
     tests = tested_residual(at, search, level)
     p_value = tests.adjusted
-    if tests.verdict in _RANDOM:
-        if not at.noise_absorbs_misfit:
-            return Remainder(p_value, level, disturbances=disturbances_of(at))
+    if not at.noise_absorbs_misfit and tests.verdict in _RANDOM:
+        return Remainder(p_value, level, disturbances=disturbances_of(at))
+    if at.noise_absorbs_misfit:
         # The residual was tested under the noise of sensors and inputs alone, of which it is much
-        # more. With a random force in the noise it must be nothing else either.
-        with_force = _under_its_disturbance(at, search)
+        # more. With random forces in the noise, of spectra of their own, it may be nothing else.
+        with_force = search.weighing.with_disturbances().weigh(at.model, at.fit)
         again = _tests(with_force, search, level)
         if again.verdict in _RANDOM and not _has_burst(again, with_force, level):
             return Remainder(again.adjusted, level, disturbances=disturbances_of(with_force))
         p_value = min(p_value, again.adjusted)
-        if adopted:
+        if adopted and tests.verdict in _RANDOM:
             return Remainder(p_value, level)
     search.progress("describe the unexplained remainder")
     description = _description(at, search, level)
     return Remainder(p_value, level, description)
-
-
-def _under_its_disturbance(at: Weighted, search: Search) -> Weighted:
-    """The model fitted again under the noise that its residual shows, random forces included."""
-    disturbed = replace(at, noise=at.full, unbiased=None)
-    return replace(disturbed, fit=search.weighing.fitted(at.model, disturbed, at.fit.values))
 
 
 def _has_burst(tests: ResidualTests, at: Weighted, level: float) -> bool:
@@ -168,7 +162,10 @@ def with_the_unknown(
             f"the nearest effect of the catalogue: it explains {100 * (1 - share):.0f} % of the "
             "excess misfit, and the remainder is not noise"
         )
-        alternatives = (Alternative(nearest.kind, nearest.where, nearest.p_value, why),)
+        alternatives = (
+            Alternative(nearest.kind, nearest.where, nearest.p_value, why),
+            *(a for a in nearest.alternatives if a.kind != "unknown"),  # as near as the nearest
+        )
         unknown = _unknown(where, remainder, alternatives, share=nearest.share)
         return [unknown, *others]
     if not named:

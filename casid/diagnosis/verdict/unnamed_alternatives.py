@@ -61,13 +61,15 @@ def unnamed_alternatives(
 ) -> tuple[UnnamedAlternative, ...]:
     """Functions that the record cannot reject against the causes together, best first.
 
-    None where the noise model absorbs misfit: (1) is no likelihood there; the remainder decides.
+    None where misfit passes for noise: (1) is no likelihood there; the remainder decides.
 
     Parameters
     ----------
     start, at : the model as it is and with the causes, under the noise found there.
     """
-    if not adopted or start.noise_absorbs_misfit or adopted[0].candidate.effect.kind == "unknown":
+    if not adopted or search.misfit_passes_for_noise(start):
+        return ()
+    if adopted[0].candidate.effect.kind == "unknown":
         return ()
     table = adopted[0].candidate.score
     linear = table.unrobust if table is not None else 0.0

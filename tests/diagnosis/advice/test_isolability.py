@@ -22,8 +22,8 @@ from casid.diagnosis.advice.isolability import (
 )
 from casid.diagnosis.thresholds import PLANNING
 from casid.errors import DataError
+from casid.model.declarations import Parameter
 from casid.model.effects.effect import Effect
-from casid.model.model import Parameter
 
 
 def effect(kind: str, *, sided: str = "both", cost: int = 1) -> Effect:

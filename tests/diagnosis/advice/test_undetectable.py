@@ -17,10 +17,11 @@ from casid.diagnosis.advice.undetectable import Undetectable, undetectable_effec
 from casid.diagnosis.evidence.score_tests import score_test
 from casid.diagnosis.thresholds import PLANNING
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.model.declarations import Parameter
 from casid.model.effects.balance_effects import extra_input, offset, quadratic_damping
 from casid.model.effects.channel_effects import sensor_bias, time_delay
 from casid.model.effects.effect import Effect
-from casid.model.model import Model, Parameter
+from casid.model.model import Model
 from problems import pendulum
 from tests.support import truth
 

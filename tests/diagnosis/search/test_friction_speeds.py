@@ -24,8 +24,8 @@ def slider() -> casid.Problem:
     return casid.Problem("slider", m, noise={"position": 2e-4})
 
 
-def record() -> casid.Record:
-    """By SciPy: slow and fast motion, friction that reverses within 15 mm/s."""
+def record(lag: float = 0.0) -> casid.Record:
+    """By SciPy: slow and fast motion, friction that reverses within 15 mm/s, a drive with a lag."""
     rng = np.random.default_rng(1)
     t = TS * np.arange(2400)
     F = 4.0 * np.sin(2 * np.pi * 0.41 * t) + 3.0 * np.sin(2 * np.pi * 0.13 * t)
@@ -33,11 +33,17 @@ def record() -> casid.Record:
     def slope(_: float, s: np.ndarray, force: float) -> list[float]:
         return [s[1], force - 0.6 * s[1] - 12.0 * s[0] - FRICTION * np.tanh(s[1] / SHARP)]
 
-    state, x = np.zeros(2), np.empty(t.size)
+    def lagging(t: float, s: np.ndarray, force: float) -> list[float]:
+        behind = s[2] * np.exp(-t / lag) if lag else 0.0
+        return [*slope(t, s, force - behind), 0.0]
+
+    state, x = np.zeros(3), np.empty(t.size)
     for i, force in enumerate(F):
         x[i] = state[0]
-        found = solve_ivp(slope, (0.0, TS), state, "LSODA", args=(force,), rtol=1e-7, atol=1e-9)
-        state = found.y[:, -1]
+        found = solve_ivp(lagging, (0.0, TS), state, "LSODA", args=(force,), rtol=1e-7, atol=1e-9)
+        following = F[min(i + 1, t.size - 1)]
+        behind = state[2] * np.exp(-TS / lag) + following - force if lag else 0.0
+        state = np.array([*found.y[:2, -1], behind])
     x += 2e-4 * rng.standard_normal(t.size)
     return casid.Record({"position": x, "F": F}, {"position": "m", "F": "N"}, TS)
 
@@ -53,3 +59,13 @@ def test_the_size_of_dry_friction_is_within_its_error_and_nothing_is_invented():
     assert any("reverses" in line for line in lines)
     assert found.model is not None
     assert found.model.causes[0].constants["speed"] == pytest.approx(SHARP, rel=0.1)
+
+
+@pytest.mark.parametrize("lag", [0.06, 0.2])
+def test_friction_beside_a_lag_is_as_sharp_as_alone(lag: float):
+    """Whichever of the two is found first."""
+    found = casid.diagnose(slider(), record(lag), advise=False)
+    assert {c.kind for c in found.causes} == {"actuator_lag", "coulomb_friction"}
+    assert found.model is not None
+    (friction,) = (c for c in found.model.causes if c.kind == "coulomb_friction")
+    assert friction.constants["speed"] == pytest.approx(SHARP, rel=0.1)

@@ -12,11 +12,12 @@ from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search.candidates import Adopted, Candidate, Rival
 from casid.diagnosis.search.refinement import Adoption, Refinement, whole_fit
 from casid.diagnosis.search.rounds import Search
-from casid.diagnosis.search.simulation_errors import simulation_errors, units_of
+from casid.diagnosis.search.simulation_errors import simulation_errors
 from casid.diagnosis.thresholds import JUDGING
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balance_effects import cubic_stiffness, deadzone, quadratic_damping
+from casid.model.effects.parameter_effects import parameter_drift
 from problems import roll_decay
 
 ONCE = casid.FitSettings(starts=1)
@@ -31,7 +32,7 @@ def refinement(drag: float) -> Refinement:
     weighing = Weighing(split.fitted)
     fit = fit_model(linear, split.fitted, ONCE)
     at = weighing.weigh(linear, fit)
-    units = units_of(at)
+    units = fit.criterion.weights
     return Refinement(
         Search(weighing, {}), split, ONCE, units, at, simulation_errors(fit, split, units)
     )
@@ -40,7 +41,7 @@ def refinement(drag: float) -> Refinement:
 def adopted(of: Refinement, *refits: Candidate) -> Adoption:
     """Candidates, each found beside those before it."""
     last = refits[-1]
-    fit = whole_fit(last.model, of.split, of.settings, last.fit.values)
+    fit = whole_fit(last.model, of.split, of.settings, of.units, last.fit.values)
     at = of.search.weighing.weigh(last.model, fit, rounds=1)
     return Adoption(tuple(Adopted(c, 1e-9, (), of.start) for c in refits), at, fit)
 
@@ -72,6 +73,19 @@ def test_a_cause_that_explains_too_little_is_a_remainder_and_not_in_the_model(dr
     )
     assert all(0 < a.share < JUDGING.practical for a in found.remainders)
     assert found.fit.criterion.model.parameters["d_2"].is_known is not is_cause
+
+
+def test_of_two_that_do_the_same_one_stays_though_each_is_small_beside_the_other():
+    """A decay that hardens: play and a drift of the stiffness imitate it, and each other."""
+    of = refinement(0.07)
+    play = of.search.refitting.refit(of.start, deadzone(of.start.model, "torque", 0.05), 0.02)
+    assert play is not None
+    drag = beside(of, play, quadratic_damping(play.model, "torque"), 0.07)
+    drift = beside(of, drag, parameter_drift(drag.model, "C_1", (0.0, 42.0)), -0.01)
+    found = of.main(adopted(of, play, drag, drift))
+    kinds = {a.candidate.effect.kind for a in found.adopted}
+    assert "quadratic_damping" in kinds
+    assert len(kinds & {"deadzone", "parameter_drift"}) == 1
 
 
 def test_of_two_that_fit_alike_the_one_that_predicts_is_named():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.signatures import Linearised, hats, knots_of
+from casid.diagnosis.evidence.signatures import Linearised, Path, hats, knots_of
 from casid.diagnosis.unexplained.missing_force import MissingForce, missing_force
 from tests.support.hidden_forces import RECORDED, fitted
 
@@ -91,6 +91,21 @@ def test_the_linearised_simulation_gives_the_sensitivity_of_a_constant_force():
     path = Linearised(criterion, x).path(0, sim.x[: d.N], d)
     response = path.respond(0, np.ones((d.N, 1)))[:, :, 0]
     np.testing.assert_allclose(response, moved - sim.y, atol=1e-10)
+
+
+@pytest.mark.parametrize("columns", [1, 5])
+def test_the_response_along_a_path_is_its_recursion(columns):
+    rng = np.random.default_rng(4)
+    n, nx, ny = 40, 3, 2
+    a, b0, b1 = (rng.standard_normal((n, nx, k)) for k in (nx, 2, 2))
+    c, d = rng.standard_normal((n, ny, nx)), rng.standard_normal((n, ny, 2))
+    path = Path(0.5 * a, b0, b1, c, d, b0, d)
+    f = rng.standard_normal((n, columns))
+    x, expected = np.zeros((nx, columns)), np.empty((n, ny, columns))
+    for k in range(n):
+        expected[k] = c[k] @ x + d[k, :, 1:] * f[k]
+        x = path.A[k] @ x + b0[k, :, 1:] * f[k] + b1[k, :, 1:] * f[min(k + 1, n - 1)]
+    np.testing.assert_allclose(path.respond(1, f), expected, rtol=1e-9, atol=1e-9)
 
 
 def test_hats_are_a_partition_of_unity_and_reproduce_lines():

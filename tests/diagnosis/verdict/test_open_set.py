@@ -6,12 +6,14 @@ The strange effects are those of `tests/support/truth.py` that the catalogue doe
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import pytest
 
 import casid
 from casid.diagnosis.diagnosis import Cause
 from casid.diagnosis.thresholds import JUDGING
+from casid.diagnosis.verdict.cause import Alternative
 from casid.diagnosis.verdict.open_set import Remainder, with_the_unknown
 from casid.diagnosis.verdict.remainder import Remaining
 from problems import pendulum
@@ -52,6 +54,13 @@ def test_one_name_that_leaves_much_is_the_nearest_of_the_catalogue_and_no_cause(
     assert [(a.kind, a.where) for a in only.alternatives] == [("quadratic_damping", "torque")]
     assert "it explains 75 % of the excess misfit" in only.alternatives[0].why
     assert only.share == 0.6  # of the misfit, as far as the nearest takes it away
+
+
+def test_what_the_record_cannot_reject_against_the_nearest_is_as_near():
+    rival = Alternative("cubic_damping", "torque", 0.4, "explains the misfit as well")
+    named = replace(cause("quadratic_damping"), alternatives=(rival,))
+    (only,) = after(JUDGING.doubtful + 0.1, named)
+    assert [a.kind for a in only.alternatives] == ["quadratic_damping", "cubic_damping"]
 
 
 def test_names_that_leave_little_stand_alone():

@@ -1,0 +1,78 @@
+"""Effects beside a force that nobody records: waves on a hull, simulated without casid."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import casid
+
+TS, N, SD = 0.1, 3000, 0.002
+B, C, K = 0.05, 0.8, 0.25
+WAVES, DECAY, HEIGHT = 1.1, 0.3, 0.02  # rad/s, 1/s and rad/s^2
+
+
+def hull() -> casid.Problem:
+    m = casid.Model("hull")
+    fin = m.input("fin", "rad", hold="zoh", known=True)
+    phi, w = m.state("phi", "rad"), m.state("w", "rad/s")
+    b = m.parameter("B", "1/s", start=0.1, lower=0.0, upper=2.0)
+    c = m.parameter("C", "1/s^2", start=1.0, lower=0.05, upper=10.0)
+    k = m.parameter("K", "1/s^2", start=0.2, lower=0.0, upper=10.0)
+    m.derivative(phi, w)
+    m.balance(w, "moment", inertia=1, terms=[-b * w, -c * phi, k * fin], unit="rad/s^2")
+    m.output("roll", phi, "rad")
+    m.output("rate", w, "rad/s")
+    return casid.Problem("hull", m)
+
+
+def record(seed: int, drag: float = 0.0) -> casid.Record:
+    """Rolling under random fins in waves of order two, held over each tenth of a sample."""
+    rng, parts = np.random.default_rng(seed), 10
+    step = TS / parts
+    fin = np.repeat(rng.choice([-0.3, 0.0, 0.3], N // 25), 25)
+    r = np.exp(-DECAY * step)
+    a1, a2 = 2 * r * np.cos(WAVES * step), -r * r
+    share = (1 + a2) * ((1 - a2) ** 2 - a1**2) / (1 - a2)
+    e = HEIGHT * np.sqrt(share) * rng.standard_normal(parts * N + 2000)
+    waves = lfilter([1.0], [1.0, -a1, -a2], e)[2000:]
+    x, y = np.array([0.05, 0.0]), np.empty((N, 2))
+
+    def rate(x, force):
+        return np.array([x[1], -B * x[1] - C * x[0] - drag * abs(x[1]) * x[1] + force])
+
+    for k in range(N):
+        y[k] = x
+        for i in range(parts):
+            force = K * fin[k] + waves[parts * k + i]
+            half = x + 0.5 * step * rate(x, force)
+            x = x + step * rate(half, force)
+    y += SD * rng.standard_normal(y.shape)
+    units = {"fin": "rad", "roll": "rad", "rate": "rad/s"}
+    return casid.Record({"fin": fin, "roll": y[:, 0], "rate": y[:, 1]}, units, Ts=TS)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_sea_is_a_disturbance_with_its_place_size_and_peak_and_no_cause(seed: int) -> None:
+    found = casid.diagnose(hull(), record(seed), advise=False)
+    assert (found.verdict, found.causes) == ("adequate", ())
+    (sea,) = found.disturbances
+    assert sea.where == "moment"
+    # Some 2 DECAY T / pi = 40 independent samples of a process: its deviation to 1/sqrt(2 40).
+    assert sea.std == pytest.approx(HEIGHT, rel=3 * 0.11)
+    # The peak of order two lies at sqrt(w^2 - DECAY^2) / 2 pi; it is DECAY / pi wide, and seen in
+    # some 20 lines of the spectrum, to sqrt(2 / 20) of half that: three such deviations.
+    half = DECAY / 2 / np.pi
+    assert sea.peak == pytest.approx(
+        np.sqrt(WAVES**2 - DECAY**2) / 2 / np.pi, abs=3 * half * np.sqrt(2 / 20)
+    )
+
+
+def test_a_drag_is_named_in_a_sea() -> None:
+    found = casid.diagnose(hull(), record(3, drag=1.5), advise=False)
+    assert found.verdict == "deficient"
+    named = {(c.kind, c.where) for c in found.causes[:1]}
+    named |= {(a.kind, a.where) for c in found.causes[:1] for a in c.alternatives}
+    assert ("quadratic_damping", "moment") in named
+    assert [x.where for x in found.disturbances] == ["moment"]
