@@ -1,0 +1,245 @@
+"""What the options of `casid design` request: the aim, the limits, the shape of the input."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from casid.cli.request import parse_setting
+from casid.errors import DataError
+
+if TYPE_CHECKING:
+    from casid.experiment_design.aim import Aim
+
+
+def _values(flag: str, what: str, metavar: str) -> Any:
+    return click.option(flag, multiple=True, metavar=metavar, help=f"{what} Repeatable.")
+
+
+AIM_OPTIONS = (
+    click.option("--separate", metavar="A,B[,C]", help="Name the right one of these causes."),
+    click.option("--detect", metavar="KIND", help="Detect this cause; KIND@WHERE names its place."),
+    click.option(
+        "--estimate",
+        metavar="NAME[,NAME]",
+        help="Estimate these parameters; the others are nuisance. 'all' for every unknown one.",
+    ),
+    click.option(
+        "--optimality",
+        type=click.Choice(["D", "A", "E"]),
+        default="D",
+        show_default=True,
+        help="Of --estimate: determinant of the information, mean or largest relative variance.",
+    ),
+    click.option(
+        "--variance-of", metavar="FORMULA", help='Minimise the variance of it, as in "m*z_m".'
+    ),
+    click.option(
+        "--identifiable",
+        is_flag=True,
+        help="The cheapest input with which every parameter is determined.",
+    ),
+    click.option(
+        "--false-alarm-rate",
+        type=float,
+        default=0.05,
+        show_default=True,
+        metavar="P",
+        help="Of --detect.",
+    ),
+    click.option(
+        "--relative-error",
+        type=float,
+        metavar="R",
+        help="Of --identifiable: standard error over value, at most. Default 0.1.",
+    ),
+)
+
+INPUT_OPTIONS = (
+    click.option("--duration", type=float, required=True, metavar="S", help="Of the record."),
+    _values(
+        "--limit",
+        "Range of an input, output or state, in its declared unit or the one given, as in "
+        "phi=-15:15:deg; an empty end is open. Inputs with a limit are designed.",
+        "NAME=LOWER:UPPER[:UNIT]",
+    ),
+    _values("--release", "Range of an initial displacement to choose.", "STATE=LOWER:UPPER[:UNIT]"),
+    _values("--slew", "Largest rate of change of an input, its unit per second.", "INPUT=RATE"),
+    _values(
+        "--max-energy",
+        "Largest integral of an input's squared deviation from rest, its unit squared times s.",
+        "INPUT=VALUE",
+    ),
+    _values("--hold", "Value of an input that is not designed, or of rest.", "INPUT=VALUE"),
+    _values("--x0", "An initial state, in its declared unit.", "STATE=VALUE"),
+    _values("--noise", "Standard deviation of an output, in its unit.", "OUTPUT=SD"),
+    _values("--size", "Value of a cause's first parameter, SI.", "KIND[@WHERE]=VALUE"),
+    click.option(
+        "--shape",
+        type=click.Choice(["constant", "linear", "multisine"]),
+        help="Of the input. Default constant; linear where the slew rate is limited.",
+    ),
+    click.option(
+        "--intervals",
+        type=click.IntRange(min=1),
+        default=100,
+        show_default=True,
+        metavar="N",
+        help="Of the input.",
+    ),
+    click.option("--interval", type=float, metavar="S", help="Length of an interval instead."),
+    click.option("--band", metavar="FROM:TO", help="Frequencies of a multisine [Hz]."),
+    click.option("--sample-time", "Ts", type=float, metavar="TS", help="Of the record [s]."),
+    click.option(
+        "--candidates",
+        type=click.IntRange(min=1),
+        default=60,
+        show_default=True,
+        metavar="N",
+        help="Standard inputs drawn under the same limits, to begin from and compare with.",
+    ),
+    click.option(
+        "--starts",
+        type=click.IntRange(min=1),
+        default=2,
+        show_default=True,
+        metavar="N",
+        help="Of the best of them, from which the program is solved.",
+    ),
+    click.option(
+        "--seconds",
+        type=click.FloatRange(min=0, min_open=True),
+        default=60.0,
+        show_default=True,
+        metavar="S",
+        help="Of the processor, for solving.",
+    ),
+    click.option(
+        "--verify",
+        type=click.IntRange(min=0),
+        default=0,
+        metavar="N",
+        help="Check the predicted power: fit truth and rival to N simulated records of each truth.",
+    ),
+)
+
+DESIGN_OPTIONS = (*AIM_OPTIONS, *INPUT_OPTIONS)
+
+
+@dataclass(frozen=True, slots=True)
+class AimOptions:
+    """The values of `AIM_OPTIONS`."""
+
+    separate: str | None
+    detect: str | None
+    estimate: str | None
+    optimality: str
+    variance_of: str | None
+    identifiable: bool
+    false_alarm_rate: float
+    relative_error: float | None
+
+    def aim(self) -> Aim:
+        """The one aim that is given.
+
+        Raises
+        ------
+        DataError
+            If there is none, or several.
+        """
+        from casid.experiment_design.aim import Aim
+        from casid.experiment_design.thresholds import DESIGN
+
+        given = [
+            name
+            for name in ("separate", "detect", "estimate", "variance_of", "identifiable")
+            if getattr(self, name)
+        ]
+        if len(given) != 1:
+            raise DataError(
+                f"{'no aim' if not given else ' and '.join(given)} given: one experiment has one "
+                "aim, --separate A,B or --detect KIND or --estimate m,z_m or --variance-of "
+                "FORMULA or --identifiable"
+            )
+        if self.separate:
+            return Aim.separate(*_names(self.separate))
+        if self.detect:
+            return Aim.detect(self.detect, false_alarm_rate=self.false_alarm_rate)
+        if self.estimate:
+            names = [] if self.estimate == "all" else _names(self.estimate)
+            return Aim.estimate(*names, optimality=self.optimality)
+        if self.variance_of:
+            return Aim.variance_of(self.variance_of)
+        relative = self.relative_error
+        return Aim.identifiable(
+            relative_error=DESIGN.relative_error if relative is None else relative
+        )
+
+
+_NUMBERS = ("slew", "max_energy", "hold", "x0", "noise")
+_PLAIN = (
+    *("duration", "shape", "intervals", "interval", "Ts"),
+    *("candidates", "starts", "seconds", "verify"),
+)
+
+
+def design_arguments(given: dict[str, Any]) -> dict[str, Any]:
+    """The values of `INPUT_OPTIONS`, taken out of `given`, as `casid.design_experiment` takes them.
+
+    Raises
+    ------
+    DataError
+        For what cannot be read.
+    """
+    out = {name: given.pop(name) for name in _PLAIN}
+    for name in _NUMBERS:
+        option = f"--{name.replace('_', '-')}"
+        values = dict(parse_setting(text, option) for text in given.pop(name))
+        out[name] = values or None
+    out["sizes"] = dict(parse_setting(text, "--size") for text in given.pop("size"))
+    out["limits"] = _ranges("--limit", given.pop("limit"))
+    out["release"] = _ranges("--release", given.pop("release"))
+    out["band"] = _band(given.pop("band"))
+    return out
+
+
+def _names(text: str) -> Sequence[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _ranges(option: str, texts: Sequence[str]) -> dict[str, tuple[Any, ...]]:
+    """Ranges written as name=lower:upper or name=lower:upper:unit."""
+    out: dict[str, tuple[Any, ...]] = {}
+    for text in texts:
+        name, equals, rest = text.partition("=")
+        low, colon, others = rest.partition(":")
+        high, _, unit = others.partition(":")
+        try:
+            ends = tuple(float(end) if end.strip() else None for end in (low, high))
+        except ValueError:
+            ends = ()
+        if not (equals and colon and name.strip() and ends):
+            raise DataError(
+                f"{option} {text}: write it as name=lower:upper or name=lower:upper:unit, for "
+                f"example {option} phi=-15:15:deg"
+            )
+        name = name.strip()
+        if name in out:
+            raise DataError(f"{option} names {name!r} twice; keep one of them")
+        out[name] = (*ends, unit.strip()) if unit.strip() else ends
+    return out
+
+
+def _band(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise DataError(
+            f"--band {text}: write it as two frequencies in Hz, for example --band 0.1:2"
+        ) from None
+    return low, high

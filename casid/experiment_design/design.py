@@ -1,0 +1,239 @@
+"""The next experiment, designed: an input under limits that answers a question soonest."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Unpack
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import DataError, SolveError, nearest
+from casid.experiment_design.aim import Aim
+from casid.experiment_design.designed_experiment import (
+    DesignedExperiment,
+    LimitUse,
+    SolverEvidence,
+)
+from casid.experiment_design.excitation import Excitation, excitation_of
+from casid.experiment_design.limits import Limits, Range, limits_of
+from casid.experiment_design.options import DesignOptions, filled
+from casid.experiment_design.outcome import learned, outcomes, predicted_records, ranked_standards
+from casid.experiment_design.question import question_of
+from casid.experiment_design.search import Found, Search
+from casid.experiment_design.setup import Nominal, Setup, Source, noise_of, nominal_of, start_of
+from casid.experiment_design.thresholds import KEEPING
+from casid.experiment_design.verification import verified
+from casid.versions import versions
+
+
+def design_experiment(
+    source: Source,
+    aim: Aim,
+    limits: Mapping[str, Range] | None = None,
+    duration: float = 0.0,
+    *,
+    progress: Callable[[str], None] | None = None,
+    **options: Unpack[DesignOptions],
+) -> DesignedExperiment:
+    """Design the input of the next experiment under limits on inputs, outputs and states.
+
+    Parameters
+    ----------
+    source : a problem, designed for at its starts and known values; or an estimate, a diagnosis or
+        a fitted model, at its estimates.
+    aim : `Aim.estimate("m")`, `Aim.separate("quadratic_damping", "coulomb_friction")`,
+        `Aim.detect("coulomb_friction")`, `Aim.identifiable()`.
+    limits : input, output or state -> (lower, upper) in its declared unit, or (lower, upper, unit);
+        None for an end that is open. Inputs with a limit are designed.
+    duration : of the record [s].
+    progress : called with a line of text before what may take seconds.
+    options : by name, those of `casid.DesignOptions`: shape of the input, slew rates, energies,
+        initial state, noise, sizes of the causes, scenarios, effort.
+
+    Raises
+    ------
+    DataError, ModelError, UnitError
+        For limits that contradict each other, a start outside them, unknown names, a duration
+        shorter than two samples, noise or sizes that are not known.
+    IdentifiabilityError
+        If no input identifies a parameter or separates two causes; found before the search.
+    SolveError
+        If no input keeps all limits (which to relax, by how much), or what is wanted is not
+        reached within them.
+
+    Source: Goodwin and Payne (1977), ch. 6; Atkinson and Fedorov (1975); Bock and Plitt (1984).
+    """
+    began = time.process_time()
+    o = filled(options)
+    nominal = nominal_of(source)
+    own = limits_of(
+        nominal.model, limits, slew=o["slew"], max_energy=o["max_energy"], release=o["release"]
+    )
+    setup = _setup(nominal, own, duration, o)
+    in_si = [nominal.model.in_si(s) for s in o["scenarios"]]
+    question = question_of(aim, setup, o["sizes"], in_si, o["seed"])
+    effort = o["candidates"], o["starts"], o["seconds"], o["seed"]
+    search = Search(setup, question, *effort, progress or (lambda _: None))
+    best, standard = search.run()
+    if aim.kind == "identifiable":
+        best = _cheapest(search, aim, best)
+    found = _result(aim, search, best, standard, time.process_time() - began)
+    if not (o["verify"] and found.outcomes):
+        return found
+    checked = verified(
+        aim, question, best, found.outcomes, o["seed"], runs=o["verify"], progress=search.progress
+    )
+    return replace(found, outcomes=checked)
+
+
+def _setup(nominal: Nominal, limits: Limits, duration: float, o: DesignOptions) -> Setup:
+    """What is done in the experiment, but for the values that are sought."""
+    model = nominal.model
+    excitation = _excitation(nominal, limits, duration, o)
+    designed = tuple(n for n in model.inputs if n in limits.inputs)
+    if not designed and not limits.release:
+        raise DataError(
+            "nothing to choose: give a limit of an input (--limit u=-5:5) or an initial "
+            "displacement (--release phi=-0.2:0.2)"
+        )
+    constants, rest = _held(nominal, limits, designed, o["hold"])
+    start = start_of(model, o["x0"], limits)
+    noise, length = noise_of(nominal, o["noise"]), excitation.N * excitation.Ts
+    return Setup(nominal, excitation, limits, designed, constants, rest, start, noise, length)
+
+
+def _excitation(nominal: Nominal, limits: Limits, duration: float, o: DesignOptions) -> Excitation:
+    """The shape of the input over the record."""
+    if not (np.isfinite(duration) and duration > 0):
+        raise DataError(f"a duration of {duration:g} s: give a positive number of seconds")
+    intervals, interval = o["intervals"], o["interval"]
+    if interval is not None:
+        if not 0 < interval <= duration:
+            raise DataError(
+                f"intervals of {interval:g} s in a record of {duration:g} s: give a length "
+                "above 0 and up to the duration"
+            )
+        intervals = max(1, round(duration / interval))
+    Ts = o["Ts"] or nominal.Ts or duration / max(intervals, 1) / 4
+    if not 0 < Ts <= duration / 2:
+        raise DataError(
+            f"a duration of {duration:g} s at a sample time of {Ts:g} s holds less than two "
+            "samples; give a longer duration or a shorter sample time (Ts, --sample-time)"
+        )
+    shape = o["shape"] or ("linear" if limits.slew else "constant")
+    if limits.slew and shape == "constant":
+        raise DataError(
+            f"a piecewise constant input jumps, and the slew rate of {next(iter(limits.slew))} is "
+            "limited; take shape='linear' or 'multisine' (--shape), or leave the slew limit out"
+        )
+    return excitation_of(shape, round(duration / Ts), Ts, intervals=intervals, band=o["band"])
+
+
+def _held(
+    nominal: Nominal, limits: Limits, designed: Sequence[str], hold: Mapping[str, float]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Values of the inputs that are not designed, and of the designed ones at rest; SI."""
+    model = nominal.model
+    for name in hold:
+        if name not in model.inputs:
+            raise DataError(
+                f"hold of {name!r}: {model.name} has no such input{nearest(name, model.inputs)}"
+            )
+    given = model.in_si(hold)
+    constants, rest = {}, {}
+    for name, entry in model.inputs.items():
+        if name in designed:
+            low, high = limits.inputs[name]
+            rest[name] = given.get(name, float(np.clip(0.0, low, high)))
+            if not low <= rest[name] <= high:
+                raise DataError(
+                    f"hold of {name}: {hold[name]:g} {model.unit_of(name)} lies outside the limit "
+                    "of this input; widen the limit, or hold it inside"
+                )
+        elif entry.kind != "generated":
+            if name not in given:
+                raise DataError(
+                    f"input {name} has neither a limit nor a value: give --limit "
+                    f"{name}=LOWER:UPPER to design it, or --hold {name}=VALUE to keep it there"
+                )
+            constants[name] = given[name]
+    return constants, rest
+
+
+def _cheapest(search: Search, aim: Aim, best: Found) -> Found:
+    """The input of least energy that still determines every parameter well enough."""
+    floor = -2 * np.log(aim.relative_error)
+    if best.least < floor:
+        worst = int(np.argmin(best.scores))
+        h = best.prediction.hypotheses[0]
+        names = list(aim.names or h.free)
+        reached = float(np.exp(-0.5 * best.scores[worst]))
+        raise SolveError(
+            f"{search.setup.nominal.name}: within these limits {names[worst % len(names)]} is "
+            f"determined to {100 * reached:.3g} % at best, not to {100 * aim.relative_error:.3g} "
+            f"%; record {np.exp(floor - best.least):.3g} times as long, widen the limits, or "
+            "allow a larger relative error"
+        )
+    search.progress("find the cheapest input that is enough")
+    cheaper = search.cheapest(best, floor)
+    return best if cheaper is None else cheaper
+
+
+def _result(
+    aim: Aim, search: Search, best: Found, standard: Found, seconds: float
+) -> DesignedExperiment:
+    setup = search.setup
+    model = setup.nominal.model
+    records = predicted_records(setup, best)
+    initial = dict(zip(model.states, setup.initial(model, best.release).tolist(), strict=True))
+    return DesignedExperiment(
+        problem=setup.nominal.name,
+        aim=aim,
+        duration=setup.duration,
+        records=records,
+        inputs=setup.designed,
+        initial=model.in_declared_units(initial),
+        noise=dict(zip(model.outputs, setup.noise.tolist(), strict=True)),
+        outcomes=outcomes(aim, search.question, best, standard),
+        parameters=learned(setup, best, standard),
+        standards=ranked_standards(setup, search.judged_standards, best),
+        gain=float(np.exp(best.least - standard.least)),
+        limits=_used(setup, best.prediction, best.u, best.release),
+        solver=SolverEvidence(
+            best.what, len(search.standards), best.iterations, search.steps, seconds, search.seed
+        ),
+        units={n: model.unit_of(n) for n in (*model.inputs, *model.outputs)},
+        details={"notes": _notes(search, best), "versions": dict(versions())},
+    )
+
+
+def _used(setup: Setup, prediction: Any, u: Array, release: Array) -> tuple[LimitUse, ...]:
+    """Every limit with what the experiment takes of it, at ten times the sampling rate."""
+    model, out = setup.nominal.model, []
+    for k, name in enumerate(setup.designed):
+        taken = (*setup.limits.inputs[name], float(u[:, k].min()), float(u[:, k].max()))
+        out.append(LimitUse(name, model.unit_of(name), *(model.shown(name, v) for v in taken)))
+    reached = prediction.ranges(u, release, finer=KEEPING.finer)
+    for (name, ends), found in zip(setup.limits.signals.items(), reached, strict=True):
+        shown = [model.shown(name, float(v)) for v in (*ends, *found)]
+        out.append(LimitUse(name, model.unit_of(name), *shown))
+    return tuple(out)
+
+
+def _notes(search: Search, best: Found) -> list[str]:
+    notes = []
+    for effect, size in zip(search.question.effects, search.question.sizes, strict=True):
+        values = ", ".join(f"{n} = {v:.4g}" for n, v in size.items())
+        notes.append(f"{effect.kind} in {effect.key[1]} is taken with {values} (SI).")
+    if not best.iterations:
+        notes.append(
+            "The program found nothing better than the best standard input, which this is."
+        )
+    notes.append(
+        "The noise of the outputs is taken as white and independent; noise of inputs and "
+        "disturbances are not in the prediction."
+    )
+    return notes

@@ -1,0 +1,273 @@
+"""A designed experiment: the input, what it is predicted to show, and what it gains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import isfinite, sqrt
+from pathlib import Path
+from typing import Any
+
+from scipy.stats import chi2, ncx2, norm
+
+from casid.data.files import plain, plain_fields
+from casid.data.reading.columns import ColumnSpec
+from casid.data.record import Record
+from casid.data.record_files import write_record
+from casid.experiment_design.aim import Aim
+from casid.experiment_design.thresholds import DESIGN
+from casid.presentation import Presented, present, write
+from casid.saving.saved import Saved
+
+SOURCES = (
+    "A. C. Atkinson and V. V. Fedorov, The design of experiments for discriminating between two "
+    "rival models, Biometrika 62 (1975) 57-70",
+    "G. C. Goodwin and R. L. Payne, Dynamic System Identification: Experiment Design and Data "
+    "Analysis, Academic Press 1977",
+    "J. Kiefer, General equivalence theory for optimum designs, Ann. Statist. 2 (1974) 849-879",
+    "H. G. Bock and K. J. Plitt, A multiple shooting algorithm for direct solution of optimal "
+    "control problems, IFAC World Congress 1984",
+    "Q. H. Vuong, Likelihood ratio tests for model selection and non-nested hypotheses, "
+    "Econometrica 57 (1989) 307-333",
+)
+
+
+def probability_of_right_name(energy: float) -> float:
+    """Probability that the truth fits better than a rival whose best fit misses by this energy.
+
+    With white noise of unit variance the difference of the sums of squares is normal with mean
+    lambda and variance 4 lambda (Vuong 1989), so that P = Phi(sqrt(lambda) / 2).
+    """
+    return float(norm.cdf(0.5 * sqrt(max(energy, 0.0))))
+
+
+def probability_of_detection(energy: float, false_alarm_rate: float) -> float:
+    """Power of the likelihood-ratio test of one parameter, noncentral chi^2 with one degree."""
+    limit = chi2.isf(false_alarm_rate, 1)
+    return float(ncx2.sf(limit, 1, max(energy, 0.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A cause as the truth, and the rival that would be fitted to its record.
+
+    Attributes
+    ----------
+    energy : sum of squares, in units of the noise, that the rival's best fit leaves.
+    power : probability that the record names the truth (of a detection: an alarm).
+    standard : the same probability in the best standard input.
+    right, runs : of so many simulated records, those with the right answer; 0 of 0 where none were
+        simulated.
+    """
+
+    truth: str
+    rival: str
+    energy: float
+    power: float
+    standard: float
+    right: int = 0
+    runs: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return plain_fields(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What the experiment says of one parameter, in `unit`.
+
+    Attributes
+    ----------
+    std_error, standard : expected in the designed and in the best standard input; None where the
+        record does not determine it.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std_error: float | None
+    standard: float | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return plain_fields(self)
+
+
+@dataclass(frozen=True, slots=True)
+class LimitUse:
+    """A limit and what is taken of it at ten times the sampling rate, in `unit`."""
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    lowest: float
+    highest: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return plain_fields(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Standard:
+    """The best of one kind of standard inputs under the same limits.
+
+    Attributes
+    ----------
+    information : relative to the designed input's; of misfits, the ratio of energies, rivals fitted
+        to what each would show.
+    seconds : of it that decide as much as the designed record.
+    """
+
+    kind: str
+    description: str
+    information: float
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return plain_fields(self)
+
+
+@dataclass(frozen=True, slots=True)
+class SolverEvidence:
+    """How the design was found.
+
+    Attributes
+    ----------
+    seconds : of the processor, for all of it.
+    steps : Runge-Kutta steps an interval of the program.
+    """
+
+    begun_from: str
+    candidates: int
+    iterations: int
+    steps: int
+    seconds: float
+    seed: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers."""
+        return plain_fields(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DesignedExperiment(Presented, Saved):
+    """An input under limits, with the outputs and the power that are predicted of it.
+
+    Attributes
+    ----------
+    records : name of a hypothesis -> what it would record without noise: inputs, outputs, SI. The
+        first is what is written to CSV.
+    inputs : names of the designed inputs.
+    initial : state -> initial value, in its declared unit; those released are chosen.
+    noise : output -> standard deviation, SI.
+    outcomes : of causes; `parameters` : of what is estimated.
+    gain : information over that of the best standard input: the same decision takes that one
+        `gain` times as long.
+    units : channel -> declared unit.
+    """
+
+    problem: str
+    aim: Aim
+    duration: float
+    records: Mapping[str, Record]
+    inputs: tuple[str, ...]
+    initial: Mapping[str, float]
+    noise: Mapping[str, float]
+    outcomes: tuple[Outcome, ...]
+    parameters: tuple[Learned, ...]
+    standards: tuple[Standard, ...]
+    gain: float
+    limits: tuple[LimitUse, ...]
+    solver: SolverEvidence
+    units: Mapping[str, str] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)  # notes, versions
+
+    @property
+    def record(self) -> Record:
+        """Inputs and predicted outputs of the first hypothesis, SI."""
+        return next(iter(self.records.values()))
+
+    @property
+    def power(self) -> float:
+        """Smallest probability of the right answer; 1 where parameters are estimated."""
+        return min((o.power for o in self.outcomes), default=1.0)
+
+    @property
+    def is_enough(self) -> bool:
+        """True where the right answer is as probable as a design is to make it."""
+        return self.power >= DESIGN.power
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What bears on the trust in it."""
+        return tuple(self.details.get("notes", ()))
+
+    @property
+    def sentence(self) -> str:
+        """The answer in words."""
+        text = f"{self.duration:.4g} s"
+        if self.outcomes:
+            what = "detects the cause" if self.aim.kind == "detect" else "names the right cause"
+            text = f"A record of {text} {what} with a probability of {100 * self.power:.3g} %"
+        elif self.aim.kind == "identifiable":
+            text = (
+                f"A record of {text} determines every parameter to "
+                f"{100 * self.aim.relative_error:.3g} %"
+            )
+        else:
+            text = f"A record of {text} carries {self.gain:.3g} times the information"
+            return f"{text} of the best standard input under the same limits."
+        if self.aim.kind == "identifiable":
+            return text + "."
+        longer = self.gain * self.duration
+        if not isfinite(longer) or self.gain <= 1.0:
+            return text + "; no standard input is worse."
+        return f"{text}; the best standard input needs {longer:.4g} s for the same."
+
+    def write_csv(self, path: str | Path, *, force: bool = False) -> Path:
+        """Write time, designed inputs and predicted outputs in declared units; returns the path.
+
+        Raises
+        ------
+        DataError
+            If the file exists, or its ending is neither .csv nor .parquet.
+        """
+        columns = {n: ColumnSpec(n, self.units.get(n)) for n in self.record}
+        time = "t" if "t" not in columns else "time"
+        return write_record(self.record, path, columns, time=time, force=force)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of `design.json` (schema casid.design/1)."""
+        left_out = ["records", "details", "aim"]
+        first = {n: self.record[n] for n in self.inputs}
+        return {
+            "schema": "casid.design/1",
+            "sentence": self.sentence,
+            "aim": plain_fields(self.aim),
+            "power": self.power,
+            **plain_fields(self, leave_out=left_out),
+            "sample_time": self.record.Ts,
+            "samples": plain(first),  # SI
+            **plain(dict(self.details)),
+        }
+
+    def __repr__(self) -> str:
+        return f"<DesignedExperiment {self.problem}: {self.aim}, {self.duration:g} s>"
+
+    def plot(self) -> Any:
+        """The input, and the predicted outputs of every hypothesis, as a Plotly figure."""
+        return present(self, "figure")
+
+    def references(self) -> tuple[str, ...]:
+        """The papers behind the methods used."""
+        return SOURCES
+
+    def write(self, folder: str | Path) -> Path:
+        """Write `design.json`, `report.html` and `input.csv` into `folder`; the page's path."""
+        page = write(self, folder)
+        self.write_csv(Path(folder) / "input.csv", force=True)
+        return page

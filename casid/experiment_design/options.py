@@ -1,0 +1,90 @@
+"""The options of a design by name, with their defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypedDict, cast
+
+from casid.errors import DataError, nearest
+from casid.experiment_design.excitation import Shape
+from casid.experiment_design.limits import Range
+from casid.experiment_design.question import SizeOf
+from casid.experiment_design.thresholds import DESIGN
+
+
+class DesignOptions(TypedDict, total=False):
+    """The options of `casid.design_experiment`, given by name.
+
+    Attributes
+    ----------
+    Ts : sample time [s]; default that of the fitted records, or a quarter of an interval.
+    shape : "constant" in each interval, "linear" (default where the slew rate is limited) or
+        "multisine".
+    intervals, interval : their number, or their length [s], which goes before.
+    band : frequencies of a multisine (from, to) [Hz].
+    slew : input -> largest rate of change, its unit per second; the input begins at rest.
+    max_energy : input -> largest integral of (u - rest)^2, its unit squared times s.
+    release : state -> (lower, upper) of an initial displacement that is chosen as well.
+    hold : input -> value: of a designed input at rest (default 0, or the end next to it), of any
+        other input throughout.
+    x0 : state -> initial value; default the known one or the declared start.
+    noise : output -> standard deviation of its white noise, in its unit; default the problem's, or
+        the RMS error that the fit left.
+    sizes : cause -> value of its first parameter, or of several by name, SI; default what a
+        diagnosis found. One is enough: the other causes are taken as visible as that one.
+    scenarios : parameter -> value in its unit, over the nominal ones: the design is the best for
+        the worst of them, and the limits hold in all.
+    candidates : standard inputs drawn under the same limits, to begin from and compare with.
+    starts : of the best of them from which the program is solved.
+    seconds : of the processor, that may be spent on solving.
+    seed : of everything random.
+    verify : simulated records of each truth, to which truth and rival are fitted, as a check of the
+        predicted power; default none.
+    """
+
+    Ts: float | None
+    shape: Shape | None
+    intervals: int
+    interval: float | None
+    band: tuple[float, float] | None
+    slew: Mapping[str, float] | None
+    max_energy: Mapping[str, float] | None
+    release: Mapping[str, Range] | None
+    hold: Mapping[str, float]
+    x0: Mapping[str, float] | None
+    noise: Mapping[str, float] | None
+    sizes: SizeOf
+    scenarios: Sequence[Mapping[str, float]]
+    candidates: int
+    starts: int
+    seconds: float
+    seed: int
+    verify: int
+
+
+_DEFAULTS: Mapping[str, Any] = {
+    **dict.fromkeys(("Ts", "shape", "interval", "band", "slew", "max_energy", "release")),
+    **dict.fromkeys(("x0", "noise")),
+    **dict.fromkeys(("hold", "sizes"), {}),
+    "scenarios": (),
+    "intervals": DESIGN.intervals,
+    "candidates": DESIGN.candidates,
+    "starts": DESIGN.starts,
+    "seconds": DESIGN.seconds,
+    **dict.fromkeys(("seed", "verify"), 0),
+}
+
+
+def filled(given: DesignOptions) -> DesignOptions:
+    """The options with defaults for what is not given, or given as None.
+
+    Raises
+    ------
+    DataError
+        For an option that there is not.
+    """
+    for name in given:
+        if name not in _DEFAULTS:
+            raise DataError(f"a design has no option {name!r}{nearest(name, _DEFAULTS)}")
+    chosen = {name: value for name, value in given.items() if value is not None}
+    return cast(DesignOptions, {**_DEFAULTS, **chosen})

@@ -1,0 +1,91 @@
+"""What a found input is predicted to give: powers, standard errors, records, standard inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from casid.data.record import Record
+from casid.experiment_design.aim import Aim
+from casid.experiment_design.designed_experiment import (
+    Learned,
+    Outcome,
+    Standard,
+    probability_of_detection,
+    probability_of_right_name,
+)
+from casid.experiment_design.hypotheses import Comparison
+from casid.experiment_design.information import covariance
+from casid.experiment_design.prediction import Prediction
+from casid.experiment_design.question import Question
+from casid.experiment_design.rival_fits import record_of
+from casid.experiment_design.search import Found
+from casid.experiment_design.setup import Setup
+
+
+def outcomes(aim: Aim, question: Question, best: Found, standard: Found) -> tuple[Outcome, ...]:
+    """Energies and powers of every comparison of causes."""
+    if not question.effects:
+        return ()
+
+    def power(energy: float) -> float:
+        if aim.kind == "detect":
+            return probability_of_detection(energy, aim.false_alarm_rate)
+        return probability_of_right_name(energy)
+
+    found = []
+    for c, score, other in zip(question.comparisons, best.scores, standard.scores, strict=True):
+        assert c.truth is not None
+        truth, rival = (question.hypotheses[i].name for i in (c.truth, c.rival))
+        energy = float(np.exp(score))
+        found.append(Outcome(truth, rival, energy, power(energy), power(float(np.exp(other)))))
+    return tuple(found)
+
+
+def learned(setup: Setup, best: Found, standard: Found) -> tuple[Learned, ...]:
+    """Expected standard errors of the free parameters of the first hypothesis."""
+    h, model = best.prediction.hypotheses[0], best.prediction.hypotheses[0].model
+    errors = []
+    for found in (best, standard):
+        alone = Prediction(setup, [h], [Comparison(None, 0)], best.prediction.substeps)
+        grams = alone.grams(found.u, found.release)
+        n = len(h.free_states)
+        variances = np.full(len(h.free), np.inf)
+        if grams is not None:
+            variances = np.diag(covariance(grams[0]))[n:]
+        errors.append([float(np.sqrt(v)) if np.isfinite(v) else None for v in variances])
+    out = []
+    for name, error, other in zip(h.free, *errors, strict=True):
+        shown = [None if e is None else model.shown_size(name, e) for e in (error, other)]
+        value = model.shown(name, h.values[name])
+        out.append(Learned(name, model.unit_of(name), value, *shown))
+    return tuple(out)
+
+
+def predicted_records(setup: Setup, best: Found) -> dict[str, Record]:
+    """Name of a hypothesis -> what it would record without noise, rivals as they fit best."""
+    prediction, records = best.prediction, {}
+    for i, h in enumerate(prediction.hypotheses):
+        name = h.name
+        if i not in prediction.possible:
+            c = next(c for c in prediction.comparisons if c.rival == i and c.truth is not None)
+            name = f"{h.name}, fitted to {prediction.hypotheses[c.truth or 0].name}"
+        course = prediction.course(i, best.u, best.release)
+        if name not in records:
+            model = setup.nominal.model if i in prediction.possible else h.model
+            record = record_of(prediction, best.u, course.y, model, name)
+            records[name] = record
+    return records
+
+
+def ranked_standards(
+    setup: Setup, judged: Sequence[tuple[str, Found]], best: Found
+) -> tuple[Standard, ...]:
+    """The best of each kind, with its information relative to the designed input's."""
+    kinds: dict[str, Standard] = {}
+    for kind, found in sorted(judged, key=lambda entry: -entry[1].least):
+        share = float(np.exp(found.least - best.least))
+        seconds = setup.duration / share if share > 0 else float("inf")
+        kinds.setdefault(kind, Standard(kind, found.what, share, seconds))
+    return tuple(kinds.values())

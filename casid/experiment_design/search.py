@@ -1,0 +1,328 @@
+"""The search for an input: the usual ones first, then the program from the best of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from casid.arrays import TINY, Array
+from casid.errors import IdentifiabilityError, SolveError
+from casid.experiment_design.information import scores
+from casid.experiment_design.prediction import Prediction
+from casid.experiment_design.program import Program, Solved
+from casid.experiment_design.question import Question
+from casid.experiment_design.rival_fits import imitation
+from casid.experiment_design.setup import Setup
+from casid.experiment_design.standard_inputs import StandardInput, drawn, shrunk
+from casid.experiment_design.thresholds import DESIGN, KEEPING
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """An input with what it gives: the scores of every comparison (see `information`)."""
+
+    u: Array
+    release: Array
+    scores: Array
+    prediction: Prediction  # rivals where they imitate the truth best under this input
+    what: str
+    iterations: int = 0
+
+    @property
+    def least(self) -> float:
+        """The smallest score."""
+        return float(np.min(self.scores))
+
+
+@dataclass(slots=True, eq=False)
+class Search:
+    """Looks for the best input of a question.
+
+    Parameters
+    ----------
+    candidates : standard inputs drawn; `starts` of them are improved.
+    seconds : of the processor, that may be spent on solving.
+    """
+
+    setup: Setup
+    question: Question
+    candidates: int = DESIGN.candidates
+    starts: int = DESIGN.starts
+    seconds: float = DESIGN.seconds
+    seed: int = 0
+    progress: Callable[[str], None] = lambda _: None
+    standards: list[StandardInput] = field(init=False, default_factory=list)
+    judged_standards: list[tuple[str, Found]] = field(init=False, default_factory=list)
+    steps: int = field(init=False, default=1)
+
+    def run(self) -> tuple[Found, Found]:
+        """The designed input and the best standard one."""
+        prediction = self._first_prediction()
+        ranked = self._standards(prediction)
+        first = ranked[: self.starts]
+        best_of_kind = {s.kind: s for s in reversed(ranked)}
+        chosen = [*first, *(s for s in best_of_kind.values() if s not in first)]
+        # Rivals linearised at one input say little of another: they are fitted anew to each.
+        judged = [self.judged(prediction, s.u, s.release, s.description) for s in chosen]
+        self.judged_standards = list(zip([s.kind for s in chosen], judged, strict=True))
+        judged.sort(key=lambda f: -f.least)
+        best_standard, begun, improved = judged[0], judged[: self.starts], []
+        ends = time.process_time() + self.seconds
+        for k, start in enumerate(begun):
+            left = (ends - time.process_time()) / (len(begun) - k)
+            if left <= 0:
+                break
+            self.progress(f"solve from: {start.what}")
+            improved.append(self.improved(start, time.process_time() + left))
+        best = max([best_standard, *improved], key=lambda f: f.least)
+        return best, best_standard
+
+    # -- standard inputs ---------------------------------------------------------------------
+
+    def _first_prediction(self) -> Prediction:
+        q = self.question
+        prediction = Prediction(self.setup, q.hypotheses, q.comparisons)
+        return replace_substeps(prediction, self._middling(prediction))
+
+    def _middling(self, prediction: Prediction) -> tuple[Array, Array]:
+        """Some input that keeps the limits, for what needs any motion."""
+        rng = np.random.default_rng((self.seed, 1))
+        for _ in range(8):
+            _, _, u, release = drawn(self.setup, rng)
+            found = shrunk(prediction, u, release)
+            if found is not None:
+                return found
+        return self._feasible(prediction)
+
+    def _standards(self, prediction: Prediction) -> list[StandardInput]:
+        """The standard inputs, best first."""
+        rng = np.random.default_rng((self.seed, 0))
+        found = []
+        most = 0.0
+        self.progress(f"compare {self.candidates} standard inputs")
+        for _ in range(self.candidates):
+            kind, words, u, release = drawn(self.setup, rng)
+            allowed = shrunk(prediction, u, release)
+            if allowed is None:
+                allowed = self._feasible(prediction)
+                kind, words = "feasible", "an input that keeps the limits"
+            grams = prediction.grams(*allowed)
+            if grams is None:
+                continue
+            values, share = self._scores(grams)
+            most = max(most, share)
+            found.append(StandardInput(kind, words, *allowed, float(np.min(values))))
+            if kind == "feasible":
+                break
+        if not any(np.isfinite(s.score) for s in found) or most < DESIGN.nothing:
+            raise IdentifiabilityError(self._nothing())
+        found.sort(key=lambda s: -s.score)
+        self.standards = found
+        return found
+
+    def _scores(self, grams: Sequence[Array]) -> tuple[Array, float]:
+        """Scores of all comparisons whose truth has its size, and the largest share of a misfit."""
+        values, share = [], 1.0
+        for gram, target in zip(grams, self.question.targets, strict=True):
+            if target.kind != "misfit":
+                values.append(scores(gram, target))
+            else:
+                values.append(scores(gram, target))
+                share = min(share, float(np.exp(values[-1][0])) / max(float(gram[-1, -1]), TINY))
+        return np.concatenate(values) if values else np.array([-np.inf]), share
+
+    def _nothing(self) -> str:
+        q, name = self.question, self.setup.nominal.name
+        if q.effects:
+            pairs = " and ".join(q.hypotheses[i].name for i in q.comparisons[0] if i is not None)
+            return (
+                f"{name}: no standard input within the limits separates {pairs}: what one does "
+                "the other imitates, or nothing moves. Give a wider limit, another sensor "
+                "(an output of the model) or other causes"
+            )
+        return (
+            f"{name}: no standard input within the limits identifies every parameter; widen the "
+            "limits, record longer, or give some parameters known values"
+        )
+
+    def _feasible(self, prediction: Prediction) -> tuple[Array, Array]:
+        """Some input that keeps the limits, where rest does not.
+
+        Raises
+        ------
+        SolveError
+            If there is none: which limit to relax, by how much.
+        """
+        setup = self.setup
+        margins = np.zeros(len(setup.limits.signals))
+        release = np.array([setup.start[n] for n in setup.released])
+        program = Program(prediction, self.question.targets, KEEPING.feasible, margins)
+        w = np.zeros((setup.excitation.n, len(setup.designed)))
+        solved = program.solve(w, release, elastic=True)
+        if prediction.is_allowed(solved.u, solved.release):
+            return solved.u, solved.release
+        over = np.maximum(prediction.excess(solved.u, solved.release), 0.0)
+        if not np.all(np.isfinite(over)):
+            raise SolveError(
+                f"{setup.nominal.name}: every simulation within the limits diverges; check the "
+                "parameters' values and the limits of the inputs"
+            )
+        model = setup.nominal.model
+        relaxed = [
+            f"{n} by {model.shown_size(n, 1.01 * v):.3g} {model.unit_of(n)}"
+            for n, v in zip(setup.limits.signals, over.tolist(), strict=True)
+            if v > 0
+        ]
+        raise SolveError(
+            f"{setup.nominal.name}: no input keeps every limit; relax the limit of "
+            f"{', and of '.join(relaxed)}, or start elsewhere (--x0)"
+        )
+
+    # -- improvement -------------------------------------------------------------------------
+
+    def judged(
+        self, prediction: Prediction, u: Array, release: Array, what: str, iterations: int = 0
+    ) -> Found:
+        """An input with its scores, rivals fitted anew to what the truths would show."""
+        hypotheses, exact = list(prediction.hypotheses), {}
+        for k, c in enumerate(self.question.comparisons):
+            if c.truth is None:
+                continue
+            now = replace(prediction, hypotheses=tuple(hypotheses))
+            exact[k], hypotheses[c.rival] = imitation(now, c.truth, hypotheses[c.rival], u, release)
+        new = replace(prediction, hypotheses=tuple(hypotheses))
+        grams = new.grams(u, release)
+        found = []
+        for k, target in enumerate(self.question.targets):
+            linear = scores(grams[k], target) if grams is not None else np.array([-np.inf])
+            if k in exact and np.isfinite(exact[k]):
+                linear = np.array([np.log(max(exact[k], TINY))])
+            found.append(linear)
+        return Found(u, release, np.concatenate(found), new, what, iterations)
+
+    def improved(self, start: Found, ends: float) -> Found:
+        """The program solved from an input, rivals and margins renewed as long as they matter."""
+        best, prediction = start, start.prediction
+        u, release, iterations = start.u, start.release, 0
+        for _ in range(KEEPING.rounds):
+            if time.process_time() >= ends:
+                break
+            solved = self._solved(prediction, u, release, ends)
+            iterations += solved.iterations
+            new = self.judged(
+                prediction, solved.u, solved.release, f"designed from: {start.what}", iterations
+            )
+            promised = self._promised(prediction, solved)
+            best = new if new.least > best.least else best
+            u, release, prediction = solved.u, solved.release, new.prediction
+            self.progress(f"information times {np.exp(best.least - start.least):.3g}")
+            if new.least >= promised + np.log(DESIGN.refitted):
+                break
+        return best
+
+    def _promised(self, prediction: Prediction, solved: Solved) -> float:
+        """The smallest score of a solution, its rivals linearised as the program had them."""
+        grams = prediction.grams(solved.u, solved.release)
+        return -np.inf if grams is None else float(np.min(self._scores(grams)[0]))
+
+    def cheapest(self, start: Found, floor: float) -> Found | None:
+        """The input of least energy whose scores reach a floor; None where none is found."""
+        floors = np.full(len(start.scores), floor + np.log1p(2 * DESIGN.accuracy))
+        ends = time.process_time() + self.seconds
+        solved = self._solved(start.prediction, start.u, start.release, ends, floors)
+        found = self.judged(
+            start.prediction,
+            solved.u,
+            solved.release,
+            f"designed from: {start.what}",
+            start.iterations + solved.iterations,
+        )
+        return found if found.least >= floor else None
+
+    def _solved(
+        self,
+        prediction: Prediction,
+        u: Array,
+        release: Array,
+        ends: float,
+        floors: Array | None = None,
+    ) -> Solved:
+        """The program solved, with margins as wide as ten times the sampling rate needs."""
+        setup, excitation = self.setup, self.setup.excitation
+        w = excitation.nearest(u - setup.at_rest)
+        w, release = self._inside(prediction, w, release)
+        self.steps = self._enough_steps(prediction, w, release)
+        margins = KEEPING.inset * setup.limits.widths
+        iterations = 0
+        for _ in range(KEEPING.rounds):
+            program = Program(prediction, self.question.targets, self.steps, margins, floors)
+            solved = program.solve(w, release, seconds=ends - time.process_time())
+            iterations += solved.iterations
+            kept = shrunk(prediction, solved.u, solved.release, finer=KEEPING.finer)
+            if kept is not None and self._moved(*kept) >= KEEPING.shrunk * self._moved(
+                solved.u, solved.release
+            ):
+                return solved._replace(u=kept[0], release=kept[1], iterations=iterations)
+            over = prediction.excess(solved.u, solved.release, finer=KEEPING.finer)
+            if not np.all(np.isfinite(over)) or time.process_time() >= ends:
+                break
+            margins = margins + KEEPING.wider * over
+            w, release = excitation.nearest(solved.u - setup.at_rest), solved.release
+        kept = shrunk(prediction, solved.u, solved.release, finer=KEEPING.finer) or (u, release)
+        return solved._replace(u=kept[0], release=kept[1], iterations=iterations)
+
+    def _moved(self, u: Array, release: Array) -> float:
+        """Size of what is done, measured from rest."""
+        start = np.array([self.setup.start[n] for n in self.setup.released])
+        return float(
+            np.hypot(np.linalg.norm(u - self.setup.at_rest), np.linalg.norm(release - start))
+        )
+
+    def _inside(self, prediction: Prediction, w: Array, release: Array) -> tuple[Array, Array]:
+        """Decision variables (n, nu) whose input keeps the limits."""
+        setup = self.setup
+        for k, name in enumerate(setup.designed):
+            if setup.excitation.shape != "multisine":
+                low, high = setup.limits.inputs[name]
+                w[:, k] = np.clip(w[:, k], low - setup.rest[name], high - setup.rest[name])
+        samples = setup.excitation.samples
+        found = shrunk(prediction, setup.at_rest + samples @ w, release)
+        if found is None:
+            return w, release
+        return setup.excitation.nearest(found[0] - setup.at_rest), found[1]
+
+    def _enough_steps(self, prediction: Prediction, w: Array, release: Array) -> int:
+        """Runge-Kutta steps an interval with which the scores are right."""
+        u = self.setup.at_rest + self.setup.excitation.samples @ w
+        grams = prediction.grams(u, release)
+        wanted = None if grams is None else self._scores(grams)[0]
+        steps = self.steps
+        while wanted is not None and steps < DESIGN.finest:
+            program = Program(prediction, self.question.targets, steps, np.zeros(0))
+            with np.errstate(all="ignore"):
+                information = program.rollout(w, release)[1]
+            if np.all(np.isfinite(information)):
+                there = self._scores(program.grams(information))[0]
+                if np.all(np.abs(there - wanted) < DESIGN.accuracy):
+                    break
+            steps *= 2
+        return steps
+
+
+def replace_substeps(prediction: Prediction, at: tuple[Array, Array]) -> Prediction:
+    """As many Runge-Kutta steps a sample as the simulation needs."""
+    before = [prediction.course(i, *at).y for i in range(len(prediction.hypotheses))]
+    for substeps in (2, 4, 8, 16):
+        finer = replace(prediction, substeps=substeps)
+        after = [finer.course(i, *at).y for i in range(len(prediction.hypotheses))]
+        noise = prediction.setup.noise
+        if all(
+            np.all(np.abs(a - b) <= DESIGN.rounding * noise)
+            for a, b in zip(before, after, strict=True)
+        ):
+            return prediction
+        prediction, before = finer, after
+    return prediction

@@ -1,0 +1,261 @@
+"""The set-up of an experiment: model, nominal values, noise, what acts and how it starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.data.problem import Problem
+from casid.errors import DataError, ModelError, nearest
+from casid.estimation.fitted.fitted_model import FittedModel, HasModel
+from casid.experiment_design.excitation import Excitation
+from casid.experiment_design.limits import Limits
+from casid.model.model import Model
+
+Source: TypeAlias = "Problem | Model | FittedModel | HasModel"
+"""What an experiment can be designed for: a problem, or the result of a fit or a diagnosis."""
+
+
+class _HasFit(Protocol):
+    """An estimate, as far as its errors go."""
+
+    @property
+    def fit(self) -> Any:
+        """With `rmse`, output -> RMS error in its declared unit."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nominal:
+    """A model about which an experiment is designed; numbers in SI.
+
+    Attributes
+    ----------
+    values : of every parameter; `free` are those that are estimated from the new record.
+    sizes : cause -> values of its parameters that a diagnosis found.
+    noise : output -> standard deviation of its white noise, as far as it is known.
+    Ts : sample time of the records at hand [s]; None without any.
+    """
+
+    name: str
+    model: Model
+    values: Mapping[str, float]
+    free: tuple[str, ...]
+    sizes: Mapping[tuple[str, str], Mapping[str, float]] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    Ts: float | None = None
+    effects: Sequence[Any] = ()
+
+
+def nominal_of(source: Source) -> Nominal:
+    """The model to design for, from a problem at its starts or from a result at its estimates.
+
+    Raises
+    ------
+    ModelError
+        If it is none of them, or has unknown inputs.
+    """
+    if isinstance(source, Model):
+        source = Problem(source.name, source)
+    found = _of_problem(source) if isinstance(source, Problem) else _of_result(source)
+    model = found.model
+    unknown = [n for n, u in model.inputs.items() if u.kind == "unknown"]
+    if unknown or model.eliminated_units:
+        what = ", ".join(unknown or model.eliminated_units)
+        raise ModelError(
+            f"{found.name}: {what} is an input that nobody measures, so nobody can choose it. "
+            "Design for the model in which what acts is a known input, with the actuator's "
+            "dynamics among its states"
+        )
+    if model.stages:
+        kinds = ", ".join(f"{s.kind} of {s.channel}" for s in model.stages)
+        raise ModelError(
+            f"{found.name}: {kinds} is computed beside the equations, which a design cannot "
+            "differentiate; state it as a state of the model (a lag, a Pade approximation)"
+        )
+    return found
+
+
+def _of_problem(problem: Problem) -> Nominal:
+    model, given = problem.model, problem.in_si()
+    parameters = model.parameters.values()
+    values = {p.name: float(p.start if p.value is None else p.value) for p in parameters}
+    free = tuple(p.name for p in parameters if not p.is_known)
+    return Nominal(
+        problem.name, model, values, free, noise=dict(given.noise), effects=problem.effects
+    )
+
+
+def _of_result(result: Any) -> Nominal:
+    fitted = result if isinstance(result, FittedModel) else getattr(result, "model", None)
+    if not isinstance(fitted, FittedModel):
+        raise ModelError(
+            f"{result!r} is nothing to design an experiment for; give a Problem, a Model, or the "
+            "result of casid.identify or casid.diagnose"
+        )
+    base = fitted if fitted.baseline is None else fitted.baseline
+    values = {n: v for n, v in fitted.si_values.items() if n in base.model.parameters}
+    estimated = set(base.covariance_names)
+    sizes = {
+        (c.kind, c.where): {n: fitted.si_values[n] for n in c.parameters} for c in fitted.causes
+    }
+    return Nominal(
+        fitted.name,
+        base.model,
+        values,
+        tuple(n for n in base.model.parameters if n in estimated),
+        sizes,
+        _errors(result, fitted.model),
+        fitted.Ts,
+    )
+
+
+def _errors(result: _HasFit | Any, model: Model) -> dict[str, float]:
+    """RMS errors that the fit of a result left, SI: an upper bound on the sensors' noise."""
+    estimate = getattr(result, "extended", None) or getattr(result, "baseline", None) or result
+    rmse = getattr(getattr(estimate, "fit", None), "rmse", {})
+    known = {n: model.shown_size(n, 1.0) for n in rmse if n in model.outputs}
+    return {n: float(rmse[n]) / known[n] for n in known}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setup:
+    """What is done in the experiment, but for the values that are sought; SI units.
+
+    Attributes
+    ----------
+    designed : inputs that are chosen; the others are held at `constants`.
+    rest : designed input -> its value where nothing is done.
+    start : state -> initial value; those in `limits.release` are chosen.
+    noise : (ny,) standard deviation of each output.
+    """
+
+    nominal: Nominal
+    excitation: Excitation
+    limits: Limits
+    designed: tuple[str, ...]
+    constants: Mapping[str, float]
+    rest: Mapping[str, float]
+    start: Mapping[str, float]
+    noise: Array
+    duration: float
+
+    @property
+    def Ts(self) -> float:
+        """Sample time [s]."""
+        return self.excitation.Ts
+
+    @property
+    def N(self) -> int:
+        """Samples."""
+        return self.excitation.N
+
+    @property
+    def released(self) -> tuple[str, ...]:
+        """States whose initial value is chosen."""
+        return tuple(self.limits.release)
+
+    @property
+    def at_rest(self) -> Array:
+        """(nu,) the designed inputs where nothing is done."""
+        return np.array([self.rest[n] for n in self.designed])
+
+    def initial(self, model: Model, release: Array) -> Array:
+        """(nx,) initial state of a model under the chosen displacements (nr,)."""
+        chosen = dict(zip(self.released, np.ravel(release).tolist(), strict=True))
+        return np.array(
+            [chosen.get(n, self.start.get(n, s.start)) for n, s in model.states.items()]
+        )
+
+    def others(self, model: Model, t: Array) -> dict[str, Array]:
+        """Input -> (len(t),) of every input that is not designed."""
+        out = {}
+        for name, entry in model.inputs.items():
+            if name in self.designed:
+                continue
+            if entry.kind == "generated":
+                out[name] = np.zeros(len(t)) if entry.signal is None else entry.signal(t)
+            else:
+                out[name] = np.full(len(t), self.constants[name])
+        return out
+
+    def columns(self, model: Model, u: Array, Ts: float) -> Array:
+        """(N, inputs) of a model under the designed inputs `u` (N, nu)."""
+        others = self.others(model, Ts * np.arange(len(u)))
+        place = {n: i for i, n in enumerate(self.designed)}
+        found = [u[:, place[n]] if n in place else others[n] for n in model.inputs]
+        return np.column_stack(found) if found else np.zeros((len(u), 0))
+
+    def finer(self, u: Array, times: int) -> Array:
+        """(N times, nu) the same inputs at a multiple of the sampling rate."""
+        if self.excitation.hold == "zoh":
+            return np.repeat(u, times, axis=0)
+        fine = np.arange(len(u) * times) / times
+        return np.column_stack([np.interp(fine, np.arange(len(u)), c) for c in u.T]).reshape(
+            len(fine), u.shape[1]
+        )
+
+
+def held(model: Model, designed: Sequence[str], hold: Any) -> Model:
+    """A copy whose designed inputs are exactly known, and between samples what the shape says."""
+    new = model.copy()
+    for name in designed:
+        new.inputs[name] = replace(new.inputs[name], kind="known", hold=hold, blends=())
+    return new
+
+
+def noise_of(nominal: Nominal, given: Mapping[str, float] | None) -> Array:
+    """(ny,) standard deviation of every output, SI.
+
+    Raises
+    ------
+    DataError
+        If one is not known, not positive, or named wrongly.
+    """
+    model, known = nominal.model, dict(nominal.noise)
+    for name, sd in (given or {}).items():
+        if name not in model.outputs:
+            raise DataError(
+                f"noise of {name!r}: {model.name} has no such output{nearest(name, model.outputs)}"
+            )
+        unit = 1.0 if model.takes_si else 1 / model.shown_size(name, 1.0)
+        known[name] = float(sd) * unit
+    for name in model.outputs:
+        if not known.get(name, 0.0) > 0:
+            raise DataError(
+                f"the noise of output {name} is not known, and with it no experiment can be "
+                f"judged; give its standard deviation in {model.unit_of(name)}, noise="
+                f"{{{name!r}: ...}} (--noise {name}=...), or in the problem file"
+            )
+    return np.array([known[n] for n in model.outputs])
+
+
+def start_of(model: Model, given: Mapping[str, float] | None, limits: Limits) -> dict[str, float]:
+    """State -> initial value, SI: as given, else known, else the declared start.
+
+    Raises
+    ------
+    DataError
+        For a state that the model does not have, or a start outside its limit.
+    """
+    for name in given or {}:
+        if name not in model.states:
+            raise DataError(
+                f"initial value of {name!r}: {model.name} has no such state"
+                f"{nearest(name, model.states)}"
+            )
+    own = {n: s.start if s.initial is None else s.initial for n, s in model.states.items()}
+    start = {**own, **model.in_si(dict(given or {}))}
+    for name, (low, high) in limits.signals.items():
+        if name in start and name not in limits.release and not low <= start[name] <= high:
+            low, high, value = (model.shown(name, v) for v in (low, high, start[name]))
+            raise DataError(
+                f"the experiment starts at {name} = {value:g}, outside its limit {low:g} to "
+                f"{high:g} {model.unit_of(name)}; give another start, x0={{{name!r}: ...}} "
+                f"(--x0 {name}=...), or widen the limit"
+            )
+    return start

@@ -1,0 +1,86 @@
+"""Numbers that decide something about the design of experiments.
+
+Each entry has its value, what it means, where it comes from and the test that pins it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from casid.threshold_table import entries
+from casid.threshold_table import threshold as _is
+
+_TESTS = "tests/experiment_design"
+_LIMITS = f"{_TESTS}/test_limits.py"
+_DESIGN = f"{_TESTS}/test_design.py"
+_INFORMATION = f"{_TESTS}/test_information.py"
+_PUBLISHED = f"{_TESTS}/test_published_designs.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Designing:
+    """How an input is searched, and what counts as enough."""
+
+    intervals: int = _is(100, "intervals of an input where no number is given", _DESIGN)
+    candidates: int = _is(60, "standard inputs that are drawn to begin from", _DESIGN)
+    usual: int = _is(8, "standard inputs that say how large signals are", _DESIGN)
+    starts: int = _is(2, "of them, the best, from which the program is solved", _DESIGN)
+    seconds: float = _is(45.0, "of the processor, for solving, where no time is given", _DESIGN)
+    iterations: int = _is(100, "of the solver from one start, at most", _DESIGN)
+    accuracy: float = _is(
+        0.02, "relative error of the criterion on the grid of the program, at most", _DESIGN
+    )
+    finest: int = _is(32, "Runge-Kutta steps an interval of the program, at most", _DESIGN)
+    refitted: float = _is(
+        0.9, "of the energy predicted, below which a rival's fit is the new point", _DESIGN
+    )
+    eigenvalue: int = _is(
+        8,
+        "power of the covariance whose trace stands for its largest eigenvalue",
+        _PUBLISHED,
+        "Kiefer 1974, phi_p",
+    )
+    power: float = _is(0.95, "probability of the right answer that is enough", _DESIGN)
+    relative_error: float = _is(
+        0.1,
+        "standard error over value, up to which a parameter is identifiable in practice",
+        _DESIGN,
+    )
+    nothing: float = _is(
+        1e-9, "of a misfit, that is left where a rival imitates a cause in every input", _DESIGN
+    )
+    ridge: float = _is(
+        1e-12, "of each column's own information, which keeps a factor regular", _INFORMATION
+    )
+    rounding: float = _is(
+        0.01, "of the noise, by which finer integration may still move an output", _DESIGN
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Keeping:
+    """How limits are kept between samples."""
+
+    finer: int = _is(10, "times the sampling rate, at which limits are checked", _LIMITS)
+    rounds: int = _is(3, "times that margins are widened, or rivals fitted anew", _LIMITS)
+    inset: float = _is(1e-3, "of the width of a limit, kept off it from the beginning", _LIMITS)
+    shrunk: float = _is(
+        0.97,
+        "of an input, to which it may be scaled down to keep the limits between samples",
+        _LIMITS,
+    )
+    wider: float = _is(1.5, "times a violation, by which a margin is widened", _LIMITS)
+
+    halvings: int = _is(8, "of the interval in which the largest amplitude lies", _LIMITS)
+    feasible: int = _is(
+        4, "Runge-Kutta steps an interval, where only the limits are in question", _LIMITS
+    )
+
+
+DESIGN = Designing()
+KEEPING = Keeping()
+
+GROUPS = (DESIGN, KEEPING)
+
+TABLE = entries(*GROUPS)
+"""All of them."""

@@ -1,0 +1,68 @@
+"""The page of a designed experiment."""
+
+from __future__ import annotations
+
+from casid.experiment_design.designed_experiment import DesignedExperiment
+from casid.report.document import (
+    Banner,
+    Bullets,
+    Card,
+    Cards,
+    Code,
+    Document,
+    Figure,
+    Section,
+    Table,
+)
+from casid.report.figures.designed_input import designed_input_figure
+from casid.report.numbers import value_text
+from casid.report.pages.estimate_parts import provenance
+from casid.report.texts.designed_experiments import (
+    learned_table,
+    limit_table,
+    outcome_table,
+    standard_table,
+)
+
+
+def design_report(found: DesignedExperiment) -> Document:
+    """The input, what it is predicted to show, what it gains, and how it was found."""
+    banner = Banner(
+        f"{found.duration:.4g} s",
+        f"to {found.aim}",
+        found.sentence,
+        "adequate" if found.is_enough else "undecided",
+    )
+    cards = [Card("over the best standard input", f"{found.gain:.3g}", "times", "information")]
+    if found.outcomes:
+        cards.append(Card("power", f"{100 * found.power:.3g}", "%", "for the hardest truth"))
+    s = found.solver
+    settings = {
+        "aim": str(found.aim),
+        "found": f"{s.begun_from}; {s.iterations} iterations of the solver",
+        "compared with": f"{s.candidates} standard inputs",
+        "grid": f"{s.steps} Runge-Kutta steps an interval",
+        "time": f"{s.seconds:.3g} s of the processor",
+        "seed": str(s.seed),
+    }
+    start = [(Code(n), value_text(v)) for n, v in found.initial.items()]
+    return Document(
+        found.problem,
+        [
+            banner,
+            Cards(cards),
+            Section("Input and outputs", [Figure("input", designed_input_figure(found))], "", True),
+            Section("Power", [outcome_table(found)] if found.outcomes else [], is_open=True),
+            Section("Parameters", [learned_table(found)], is_open=True),
+            Section("Standard inputs", [standard_table(found)], is_open=True),
+            Section(
+                "Limits",
+                [limit_table(found), Table(("state", "initial value"), start, numbers=(1,))],
+                is_open=True,
+            ),
+            Section("Notes", [Bullets(found.notes)]),
+            provenance((), settings, found.details.get("versions", {})),
+            Section("References", [Bullets(found.references())]),
+        ],
+        kind="Designed experiment",
+    )

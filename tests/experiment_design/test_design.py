@@ -1,0 +1,151 @@
+"""Designs that separate, detect and determine: what is predicted is what records then show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import casid
+from casid import Aim
+from casid.experiment_design.designed_experiment import (
+    probability_of_detection,
+    probability_of_right_name,
+)
+
+
+def spring(**noise: float) -> casid.Problem:
+    """A first-order lag with a known start: two parameters."""
+    m = casid.Model("lag")
+    x, u = m.state("x", "m", initial=0.0), m.input("u", "N")
+    c, k = m.parameter("c", "N s/m", start=1.0), m.parameter("k", "N/m", start=2.0)
+    m.balance(x, "force", inertia=c, terms=[-k * x, u])
+    m.output("y", x, "m")
+    return casid.Problem("lag", m, noise=noise or {"y": 0.01})
+
+
+SMALL: dict[str, Any] = {"Ts": 0.1, "intervals": 15, "candidates": 5, "starts": 1}
+
+
+@pytest.fixture(scope="module")
+def separated() -> casid.DesignedExperiment:
+    return casid.design_experiment(
+        spring(),
+        Aim.separate("quadratic_damping", "cubic_damping"),
+        {"u": (-2, 2), "y": (-0.8, 0.8)},
+        6.0,
+        sizes={"cubic_damping": 0.2},
+        **SMALL,
+    )
+
+
+def test_a_design_separates_better_than_every_standard_input(
+    separated: casid.DesignedExperiment,
+) -> None:
+    assert separated.gain > 1.5
+    assert all(s.information <= 1.0 for s in separated.standards)
+    assert {o.truth for o in separated.outcomes} == {
+        "quadratic_damping in force",
+        "cubic_damping in force",
+    }
+    for use in separated.limits:
+        assert use.lower <= use.lowest <= use.highest <= use.upper
+
+
+def test_the_energy_predicted_is_what_a_fit_of_the_rival_leaves(
+    separated: casid.DesignedExperiment,
+) -> None:
+    """Least squares of the rival, by a solver and an integration of its own."""
+    from scipy.optimize import least_squares
+
+    o = next(o for o in separated.outcomes if o.truth.startswith("cubic"))
+    u, h = separated.record["u"], 0.1
+
+    def course(c: float, k: float, k2: float, k3: float) -> np.ndarray:
+        x, out = 0.0, []
+        for now in u:
+            out.append(x)
+            for _ in range(10):
+
+                def rate(x: float, now: float = now) -> float:
+                    return (now - k * x - k2 * abs(x) * x - k3 * x**3) / c
+
+                k_1 = rate(x)
+                k_2 = rate(x + h / 20 * k_1)
+                k_3 = rate(x + h / 20 * k_2)
+                x += h / 60 * (k_1 + 2 * k_2 + 2 * k_3 + rate(x + h / 10 * k_3))
+        return np.array(out)
+
+    truth = course(1.0, 2.0, 0.0, 0.2)
+    best = least_squares(lambda v: (truth - course(*v, 0.0)) / 0.01, [1.0, 2.0, 0.0])
+    assert o.energy == pytest.approx(2 * best.cost, rel=0.02)
+    assert o.power == pytest.approx(norm.cdf(np.sqrt(o.energy) / 2))
+
+
+def test_the_power_predicted_is_the_share_of_right_names_in_simulated_records() -> None:
+    """Within four binomial standard errors, for causes that noise often hides."""
+    runs = 40
+    found = casid.design_experiment(
+        spring(y=0.09),
+        Aim.separate("quadratic_damping", "cubic_damping"),
+        {"u": (-2, 2), "y": (-0.8, 0.8)},
+        6.0,
+        sizes={"quadratic_damping": 1.0, "cubic_damping": 1.0},
+        verify=runs,
+        **SMALL,
+    )
+    for o in found.outcomes:
+        assert 0.5 < o.power < 0.999
+        assert o.runs == runs
+        spread = np.sqrt(o.power * (1 - o.power) / runs)
+        assert abs(o.right / runs - o.power) < 4 * spread + 0.5 / runs
+
+
+def test_a_designed_experiment_is_written_saved_and_read(
+    separated: casid.DesignedExperiment, tmp_path: Path
+) -> None:
+    page = separated.write(tmp_path)
+    assert "Designed experiment" in page.read_text(encoding="utf-8")
+    played = casid.read_record(tmp_path / "input.csv")
+    assert played["u"] == pytest.approx(separated.record["u"])
+    again = casid.load(separated.save(tmp_path / "design.casid"))
+    assert again.to_json() == separated.to_json()
+    assert str(again) == str(separated)
+    assert "names the right cause" in str(again)
+
+
+def test_the_cheapest_identifying_input_is_as_small_as_its_errors_allow() -> None:
+    found = casid.design_experiment(
+        spring(), Aim.identifiable(relative_error=0.02), {"u": (-2, 2)}, 6.0, **SMALL
+    )
+    relative = [p.std_error / p.value for p in found.parameters]
+    assert max(relative) == pytest.approx(0.02, rel=0.05)
+    assert max(relative) <= 0.02
+    assert np.max(np.abs(found.record["u"])) < 2.0
+
+
+def test_a_parameter_that_stays_uncertain_ends_the_search_with_what_it_takes() -> None:
+    with pytest.raises(casid.SolveError, match="record .* times as long, widen the limits"):
+        casid.design_experiment(
+            spring(y=0.5), Aim.identifiable(relative_error=0.01), {"u": (-1, 1)}, 3.0, **SMALL
+        )
+
+
+def test_the_design_for_the_worst_scenario_is_no_better_for_the_nominal_one() -> None:
+    arguments = (spring(), Aim.estimate("k"), {"u": (-2, 2)}, 4.0)
+    alone = casid.design_experiment(*arguments, **SMALL)
+    robust = casid.design_experiment(*arguments, scenarios=[{"c": 6.0}], **SMALL)
+    errors = [found.parameters[-1].std_error for found in (alone, robust)]
+    assert errors[0] <= errors[1] * 1.01
+
+
+def test_probabilities_are_those_of_their_tests() -> None:
+    """Without a misfit: a coin for two names, the false-alarm rate for a detection."""
+    assert probability_of_right_name(0.0) == 0.5
+    assert probability_of_right_name(4 * 1.6449**2) == pytest.approx(0.95, abs=1e-4)
+    assert probability_of_detection(0.0, 0.05) == pytest.approx(0.05)
+    # (1.96 + 1.2816)^2 for a power of 90 %, the other side of the test left out.
+    assert probability_of_detection(10.507, 0.05) == pytest.approx(0.9, abs=1e-3)

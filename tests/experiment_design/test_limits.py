@@ -1,0 +1,128 @@
+"""Limits hold between the samples as well, and what cannot be kept or done is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import casid
+from casid import Aim
+
+SMALL: dict[str, Any] = {"Ts": 0.1, "intervals": 20, "candidates": 4, "starts": 1}
+
+
+def rig(**known: float) -> casid.Problem:
+    """A torque on an inertia with spring and damper, angles in degrees."""
+    m = casid.Model("roll rig")
+    phi, p = m.state("phi", "deg"), m.state("p", "deg/s")
+    u = m.input("u", "N m")
+    d = m.parameter("d", "N m s/rad", start=0.2, lower=0.0)
+    k = m.parameter("k", "N m/rad", start=6.0, lower=0.0)
+    J = m.parameter("J", "kg m^2", start=1.0, lower=0.01)
+    m.derivative(phi, p)
+    m.balance(p, "torque", inertia=J, terms=[-d * p, -k * phi, u])
+    m.output("phi", phi, "deg")
+    return casid.Problem("rig", m.with_known(**known), noise={"phi": 0.1})
+
+
+def test_a_limit_holds_in_a_simulation_of_its_own() -> None:
+    """The angle limit is what the design meets, and an independent integrator finds it kept."""
+    found = casid.design_experiment(
+        rig(), Aim.estimate(), {"phi": (-6, 6), "u": (-1, 1)}, 6.0, slew={"u": 4.0}, **SMALL
+    )
+    u, t = found.record["u"], found.record.t
+    run = solve_ivp(
+        lambda s, x: [x[1], float(np.interp(s, t, u)) - 0.2 * x[1] - 6.0 * x[0]],
+        (0, t[-1]),
+        [0.0, 0.0],
+        max_step=0.01,
+        rtol=1e-9,
+        atol=1e-12,
+    )
+    highest = np.degrees(np.max(np.abs(run.y[0])))
+    assert 5.0 < highest <= 6.0
+    assert np.max(np.abs(u)) <= 1.0
+    assert np.max(np.abs(np.diff(u))) <= 4.0 * 0.1 * (1 + 1e-6)
+    assert u[0] == pytest.approx(0.0, abs=1e-9)  # begins at rest
+    assert found.gain > 1.0
+
+
+def refusal(*arguments: Any, **settings: Any) -> str:
+    with pytest.raises(casid.CasidError) as caught:
+        casid.design_experiment(*arguments, **{**SMALL, **settings})
+    return str(caught.value)
+
+
+U = {"u": (-1, 1)}
+
+
+@pytest.mark.parametrize(
+    ("aim", "limits", "duration", "settings", "words"),
+    [
+        (Aim.estimate(), {"u": (1, -1)}, 6.0, {}, ["leaves no room", "lower end"]),
+        (Aim.estimate(), {"w": (-1, 1)}, 6.0, {}, ["no such input, output or state"]),
+        (Aim.estimate(), {"u": (-1, None)}, 6.0, {}, ["both ends"]),
+        (Aim.estimate(), {"u": (-1, 1, "kg")}, 6.0, {}, ["no unit of it"]),
+        (Aim.estimate("q"), U, 6.0, {}, ["no parameter 'q'"]),
+        (Aim.estimate(), U, 0.1, {}, ["less than two samples"]),
+        (Aim.estimate(), U, -1.0, {}, ["positive number of seconds"]),
+        (Aim.estimate(), None, 6.0, {}, ["nothing to choose"]),
+        (Aim.estimate(), None, 6.0, {"release": {"phi": (-5, 5)}}, ["--hold u=VALUE"]),
+        (Aim.estimate(), {**U, "phi": (-5, 5)}, 6.0, {"x0": {"phi": 8}}, ["starts at phi = 8"]),
+        (Aim.estimate(), U, 6.0, {"hold": {"u": 3}}, ["outside the limit"]),
+        (Aim.estimate(), U, 6.0, {"slew": {"u": 2}, "shape": "constant"}, ["shape='linear'"]),
+        (Aim.estimate(), U, 6.0, {"noise": {"y": 1}}, ["no such output"]),
+        (Aim.detect("coulomb"), U, 6.0, {}, ["no effect 'coulomb'", "coulomb_friction"]),
+        (Aim.detect("coulomb_friction"), U, 6.0, {}, ["--size coulomb_friction="]),
+        (
+            Aim.separate("offset", "sensor_bias@phi"),
+            U,
+            6.0,
+            {"sizes": {"offset": 0.1}},
+            ["no input separates offset in torque from sensor_bias in phi"],
+        ),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_its_remedy(
+    aim: Aim, limits: Any, duration: float, settings: dict[str, Any], words: list[str]
+) -> None:
+    text = refusal(rig(), aim, limits, duration, **settings)
+    assert all(w in text for w in words), text
+
+
+def test_a_limit_that_no_input_keeps_is_named_with_how_much_it_is_exceeded() -> None:
+    """Released at 8 degrees with 0.05 N m, the angle swings back beyond -3 degrees."""
+    text = refusal(
+        rig(),
+        Aim.estimate(),
+        {"u": (-0.05, 0.05), "phi": (-3, 9)},
+        6.0,
+        x0={"phi": 8},
+    )
+    assert "relax the limit of phi by" in text
+    by = float(text.split("phi by ")[1].split()[0])
+    # -8 exp(-pi zeta / sqrt(1 - zeta^2)), zeta = 0.2 / (2 sqrt(6)), less what the torque adds.
+    swing = 8 * np.exp(-np.pi * 0.2 / (2 * np.sqrt(6)))
+    torque = np.degrees(2 * 0.05 / 6)
+    assert swing - 3 - torque - 0.3 < by < swing - 3 + 0.3
+
+
+def test_parameters_that_no_input_identifies_are_refused_beforehand() -> None:
+    m = casid.Model("push")
+    v, u = m.state("v", "m/s"), m.input("u", "1")
+    F, mass = m.parameter("F", "N", start=1.0), m.parameter("M", "kg", start=2.0, lower=0.1)
+    m.balance(v, "force", inertia=mass, terms=[F * u])
+    m.output("v", v, "m/s")
+    problem = casid.Problem("push", m, noise={"v": 0.1})
+    text = refusal(problem, Aim.estimate("F"), {"u": (-1, 1)}, 2.0)
+    assert "F and M are not separately identifiable, but M/F is" in text
+
+
+def test_a_sensor_of_which_the_noise_is_not_known_is_refused() -> None:
+    model = rig().model
+    text = refusal(casid.Problem("rig", model), Aim.estimate(), U, 6.0)
+    assert "noise of output phi is not known" in text
+    assert "--noise phi=" in text
