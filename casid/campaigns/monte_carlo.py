@@ -8,9 +8,6 @@ runs are finite; they stand beside the numbers.
 from __future__ import annotations
 
 import contextlib
-import functools
-import hashlib
-import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -21,8 +18,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.campaigns.accuracy import STD_ERROR, Accuracy, accuracy
 from casid.campaigns.campaign import Campaign, campaign
 from casid.campaigns.manifest import manifest_of, name_of
+from casid.campaigns.problem_origin import ProblemOrigin, digest
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem, load_problem
 from casid.errors import DataError, ModelError, SolveError
@@ -40,9 +39,6 @@ if TYPE_CHECKING:
 Method = Callable[[Problem, Sequence[Experiment], FitSettings], Any]
 """Returns a `casid.Estimate`, or what carries one as `.estimate` (`casid.MomentEstimate`, ...)."""
 
-STD_ERROR = ".std_error"
-"""Behind a parameter's name: the column of its standard errors."""
-
 
 def simulation_error(
     problem: Problem, experiments: Sequence[Experiment], settings: FitSettings
@@ -55,107 +51,17 @@ METHODS: dict[str, Method] = {"identify": simulation_error}
 """What a study may estimate with, by name."""
 
 
-@dataclass(frozen=True, slots=True)
-class Accuracy:
-    """How well one parameter is estimated, in its unit.
+@dataclass(frozen=True, slots=True, eq=False)
+class MonteCarlo(Presented, Saved):
+    """The result of a study: every estimate, and how well each parameter is estimated.
 
     Attributes
     ----------
-    truth : the simulator's value, None where it is not given.
-    n : runs with an estimate.
-    mean, spread : mean and standard deviation (divisor n - 1) of the estimates.
-    mean_std_error : mean of the standard errors that the estimates report.
-    intervals, covered : runs with an interval, and those whose 95 % interval holds the truth.
+    campaign : the runs, each with its estimates and standard errors, or why it failed.
+    parameters : bias, spread, RMS error and coverage of the intervals, each in its unit;
+        `study["k"]` is that of one.
+    settings, versions : what the runs were made with.
     """
-
-    name: str
-    unit: str
-    truth: float | None
-    n: int
-    mean: float
-    spread: float
-    mean_std_error: float
-    intervals: int
-    covered: int
-
-    @property
-    def bias(self) -> float | None:
-        """Mean minus truth."""
-        return None if self.truth is None else self.mean - self.truth
-
-    @property
-    def bias_std_error(self) -> float:
-        """Of the mean, and so of the bias: the spread over the root of the runs."""
-        return self.spread / math.sqrt(self.n) if self.n > 1 else math.nan
-
-    @property
-    def spread_std_error(self) -> float:
-        """Of the spread, were the estimates normal: spread / sqrt(2 (n - 1))."""
-        return self.spread / math.sqrt(2 * (self.n - 1)) if self.n > 1 else math.nan
-
-    @property
-    def coverage(self) -> float | None:
-        """Share of the intervals that hold the truth; 0.95 were everything as assumed."""
-        if self.truth is None or not self.intervals:
-            return None
-        return self.covered / self.intervals
-
-    @property
-    def coverage_interval(self) -> tuple[float, float] | None:
-        """95 % interval of the coverage (Wilson, JASA 22 (1927) 209-212), binomial."""
-        if self.coverage is None:
-            return None
-        z2, n, share = 1.96**2, self.intervals, self.coverage
-        middle = (share + z2 / (2 * n)) / (1 + z2 / n)
-        half = math.sqrt(z2 * (share * (1 - share) / n + z2 / (4 * n**2))) / (1 + z2 / n)
-        return max(0.0, middle - half), min(1.0, middle + half)
-
-    @property
-    def mean_text(self) -> str:
-        """The mean with the digits that the finite number of runs leaves meaningful."""
-        error = self.bias_std_error
-        if not (math.isfinite(error) and error > 0):
-            return f"{self.mean:.6g}"
-        places = 1 - math.floor(math.log10(error))
-        return f"{self.mean:.{max(places, 0)}f}" if -2 <= places <= 8 else f"{self.mean:.6g}"
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What differs from what the standard errors promise by more than chance would explain."""
-        from scipy.special import stdtrit
-
-        out = []
-        if self.bias is not None and self.n > 1:
-            # As rare as three standard errors of a normal mean, 0.27 %: t(n - 1) for few runs.
-            limit = float(stdtrit(self.n - 1, 1 - 0.00135)) * self.bias_std_error
-            if abs(self.bias) > limit:
-                spreads = (
-                    f"{abs(self.bias) / self.spread:.2g}" if self.spread else "infinitely many"
-                )
-                out.append(f"biased by {spreads} spreads")
-        between = self.coverage_interval
-        if between is not None and not between[0] <= 0.95 <= between[1]:
-            out.append(f"intervals cover too {'rarely' if between[1] < 0.95 else 'often'}")
-        if self.intervals < self.n:
-            out.append(f"{self.n - self.intervals} runs without interval")
-        return tuple(out)
-
-    def to_json(self) -> dict[str, Any]:
-        """As `montecarlo.json` has it."""
-        return {
-            **asdict(self),
-            "bias": self.bias,
-            "bias_std_error": self.bias_std_error,
-            "spread_std_error": self.spread_std_error,
-            "coverage": self.coverage,
-            "coverage_interval": self.coverage_interval,
-            "remarks": list(self.remarks),
-        }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MonteCarlo(Presented, Saved):
-    """The result of a study: every estimate, and how well each parameter is estimated."""
 
     problem: str
     method: str
@@ -283,21 +189,8 @@ class Study:
         return row
 
     def __reduce__(self) -> Any:
-        if self.problem.source is None:
-            raise ModelError(
-                f"problem {self.problem.name} was not loaded from a file, so worker processes "
-                "cannot have it; write it to a file and give casid.load_problem(path), or run in "
-                "one process with joblib.parallel_config(n_jobs=1)"
-            )
-        known = {n: p.value for n, p in self.problem.model.parameters.items() if p.is_known}
-        return _study_again, (
-            str(self.problem.source),
-            tuple(known.items()),
-            digest(self.problem),
-            self.method,
-            self.settings,
-            self.duration,
-        )
+        origin = ProblemOrigin.of(self.problem)
+        return _study_again, (origin, self.method, self.settings, self.duration)
 
     @property
     def fit_settings(self) -> FitSettings:
@@ -433,73 +326,6 @@ def _estimate_in(result: Any) -> Estimate:
     return estimate
 
 
-def accuracy(problem: Problem, done: Campaign) -> list[Accuracy]:
-    """The columns of a study, compared with the problem's truth."""
-    out = []
-    for column in done.table.columns:
-        if column + STD_ERROR not in done.table.columns:
-            continue
-        value = done.column(column).astype(float)
-        error = done.column(column + STD_ERROR).astype(float)
-        is_there = np.isfinite(value)
-        has_interval = is_there & np.isfinite(error)
-        n = int(is_there.sum())
-        truth = problem.truth.get(column)
-        inside = has_interval & (np.abs(value - (truth or 0.0)) <= 1.96 * error)
-        parameter = problem.model.parameters.get(column)
-        out.append(
-            Accuracy(
-                name=column,
-                unit="" if parameter is None else problem.model.unit_of(column),
-                truth=truth,
-                n=n,
-                mean=float(value[is_there].mean()) if n else math.nan,
-                spread=float(value[is_there].std(ddof=1)) if n > 1 else math.nan,
-                mean_std_error=float(error[has_interval].mean())
-                if has_interval.any()
-                else math.nan,
-                intervals=int(has_interval.sum()),
-                covered=0 if truth is None else int(inside.sum()),
-            )
-        )
-    return out
-
-
-def digest(problem: Problem) -> str:
-    """SHA-256 of the model, what is known of it, and the file that it comes from."""
-    parts = [
-        str(problem.model),
-        *(repr(p) for p in problem.model.parameters.values()),
-        repr(sorted(problem.noise.items())),
-        repr(sorted(problem.truth.items())),
-        repr(problem.starts),
-        name_of(problem.simulate),
-    ]
-    if problem.source is not None:
-        with contextlib.suppress(OSError):
-            parts.append(problem.source.read_text(encoding="utf-8"))
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
-
-
-def _study_again(
-    source: str,
-    known: tuple[tuple[str, float], ...],
-    expected: str,
-    method: str | Method,
-    settings: FitSettings | None,
-    duration: float | None,
-) -> Study:
+def _study_again(origin: ProblemOrigin, *rest: Any) -> Study:
     """A study in another process, from the problem's file."""
-    return Study(_loaded(source, known, expected), method, settings, duration)
-
-
-@functools.lru_cache(maxsize=8)
-def _loaded(source: str, known: tuple[tuple[str, float], ...], expected: str) -> Problem:
-    problem = load_problem(source).with_si_values(dict(known))
-    if digest(problem) != expected:
-        raise ModelError(
-            f"the problem in {source} is not the one to be studied: it was changed after it was "
-            "loaded; make the change in the file, or run in one process with "
-            "joblib.parallel_config(n_jobs=1)"
-        )
-    return problem
+    return Study(origin.problem(), *rest)

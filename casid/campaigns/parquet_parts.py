@@ -11,14 +11,13 @@ import contextlib
 import errno
 import io
 import json
-import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from casid.campaigns.manifest import MANIFEST, difference, read_manifest
 from casid.errors import DataError
+from casid.whole_files import replacing
 
 RUN, FAILED = "run", "failed"
 """The columns of every table: number of the run, and why it has no results (null: it has)."""
@@ -275,18 +274,8 @@ def _read(path: Path) -> Any:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write beside `path`, wait for the disk, and move there in one step."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    with replacing(path, is_synced=True) as file:
+        file.write(content)
 
 
 @contextlib.contextmanager

@@ -27,7 +27,14 @@ from casid.saving.symbolic_trees import is_symbolic, symbolic_of, tree_of
 LARGE = 64
 """Entries from which on an array is kept in a table."""
 
-MOVED: Mapping[str, str] = {"data.record.Experiment": "data.experiment.Experiment"}
+MOVED: Mapping[str, str] = {
+    "campaigns.monte_carlo.Accuracy": "campaigns.accuracy.Accuracy",
+    "data.record.Experiment": "data.experiment.Experiment",
+    **{
+        f"model.model.{name}": f"model.declarations.{name}"
+        for name in ("Balance", "Blend", "Input", "Parameter", "Stage", "State")
+    },
+}
 """Place of a class when files were saved -> where it is now."""
 
 
@@ -35,7 +42,9 @@ def _blends_of_ramp(held: dict[str, Any]) -> dict[str, Any]:
     """An input was once blended with one other hold, by the parameter `ramp`."""
     if "ramp" in held:
         ramp, toward = held.pop("ramp"), "foh" if held["hold"] == "zoh" else "zoh"
-        held["blends"] = () if ramp is None else (class_at("model.model.Blend")(ramp, toward),)
+        held["blends"] = (
+            () if ramp is None else (class_at("model.declarations.Blend")(ramp, toward),)
+        )
     return held
 
 

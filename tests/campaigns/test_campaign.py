@@ -11,6 +11,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from dataclasses import dataclass
@@ -284,7 +285,7 @@ def test_a_part_that_cannot_be_read_is_named_with_the_mend(
 def test_a_full_disk_says_what_is_kept_and_how_to_continue(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    make, left = parts.tempfile.mkstemp, [3]  # the manifest and two parts
+    make, left = tempfile.mkstemp, [3]  # the manifest and two parts
 
     def opened(**where: Any) -> tuple[int, str]:
         handle, name = make(**where)
@@ -294,7 +295,7 @@ def test_a_full_disk_says_what_is_kept_and_how_to_continue(
         return handle, name
 
     with monkeypatch.context() as patch:
-        patch.setattr(parts.tempfile, "mkstemp", opened)
+        patch.setattr(tempfile, "mkstemp", opened)
         with pytest.raises(DataError, match="the disk is full; 6 runs are kept") as refusal:
             campaign(noisy, 12, out=tmp_path, batch=3)
     assert "make room and repeat the same call" in str(refusal.value)

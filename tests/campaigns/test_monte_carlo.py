@@ -19,8 +19,9 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner, Result
 
+from casid.campaigns.accuracy import Accuracy, accuracy
 from casid.campaigns.campaign import Campaign
-from casid.campaigns.monte_carlo import Accuracy, accuracy, montecarlo, simulation_error
+from casid.campaigns.monte_carlo import montecarlo, simulation_error
 from casid.cli.main import main
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem, load_problem

@@ -14,20 +14,21 @@ import pytest
 
 import casid
 from casid.model.clock_signals import StepAt
+from casid.model.declarations import Input
 from casid.model.effects.channel_effects import time_delay
-from casid.model.model import Input
 from casid.saving.archive import VERSION
 from problems import pendulum
-from tests.estimation.fitted.test_fitted_model import oscillator, record
+from tests.estimation.fitted.test_fitted_model import record
 from tests.report.golden_results import assessment
 from tests.support import samples
+from tests.support.fitted_models import driven_mass
 
 GOLDEN = Path(__file__).parent / "golden"
 
 
 @pytest.fixture(scope="module")
 def estimate() -> casid.Estimate:
-    plain = oscillator()
+    plain = driven_mass()
     extended = time_delay(plain, "position", 0.2).extend(plain, starts={"delay_position": 0.03})
     return casid.identify(casid.Problem("oscillator", extended, starts=1), record())
 

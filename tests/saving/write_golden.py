@@ -11,14 +11,15 @@ import casid
 from casid.model.effects.channel_effects import time_delay
 from casid.model.effects.parameter_effects import parameter_jump
 from casid.saving.archive import VERSION
-from tests.estimation.fitted.test_fitted_model import oscillator, record
+from tests.estimation.fitted.test_fitted_model import record
+from tests.support.fitted_models import driven_mass
 
 FOLDER = Path(__file__).parent / "golden"
 
 
 def estimate() -> casid.Estimate:
     """An oscillator whose sensor is late and whose stiffness jumps."""
-    model = oscillator()
+    model = driven_mass()
     model = time_delay(model, "position", 0.2).extend(model, starts={"delay_position": 0.03})
     model = parameter_jump(model, "k", 1.0).extend(model)
     return casid.identify(casid.Problem("oscillator", model, starts=1), record(N=100))

@@ -1,0 +1,149 @@
+"""How well a study estimates each parameter: bias, spread and coverage over its runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.campaigns.campaign import Campaign
+from casid.data.problem import Problem
+
+STD_ERROR = ".std_error"
+"""Behind a parameter's name: the column of its standard errors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """How well one parameter is estimated, in its unit.
+
+    Attributes
+    ----------
+    truth : the simulator's value, None where it is not given.
+    n : runs with an estimate.
+    mean, spread : mean and standard deviation (divisor n - 1) of the estimates.
+    mean_std_error : mean of the standard errors that the estimates report.
+    intervals, covered : runs with an interval, and those whose 95 % interval holds the truth.
+    """
+
+    name: str
+    unit: str
+    truth: float | None
+    n: int
+    mean: float
+    spread: float
+    mean_std_error: float
+    intervals: int
+    covered: int
+
+    @property
+    def bias(self) -> float | None:
+        """Mean minus truth."""
+        return None if self.truth is None else self.mean - self.truth
+
+    @property
+    def bias_std_error(self) -> float:
+        """Of the mean, and so of the bias: the spread over the root of the runs."""
+        return self.spread / math.sqrt(self.n) if self.n > 1 else math.nan
+
+    @property
+    def spread_std_error(self) -> float:
+        """Of the spread, were the estimates normal: spread / sqrt(2 (n - 1))."""
+        return self.spread / math.sqrt(2 * (self.n - 1)) if self.n > 1 else math.nan
+
+    @property
+    def coverage(self) -> float | None:
+        """Share of the intervals that hold the truth; 0.95 were everything as assumed."""
+        if self.truth is None or not self.intervals:
+            return None
+        return self.covered / self.intervals
+
+    @property
+    def coverage_interval(self) -> tuple[float, float] | None:
+        """95 % interval of the coverage (Wilson, JASA 22 (1927) 209-212), binomial."""
+        if self.coverage is None:
+            return None
+        z2, n, share = 1.96**2, self.intervals, self.coverage
+        middle = (share + z2 / (2 * n)) / (1 + z2 / n)
+        half = math.sqrt(z2 * (share * (1 - share) / n + z2 / (4 * n**2))) / (1 + z2 / n)
+        return max(0.0, middle - half), min(1.0, middle + half)
+
+    @property
+    def mean_text(self) -> str:
+        """The mean with the digits that the finite number of runs leaves meaningful."""
+        error = self.bias_std_error
+        if not (math.isfinite(error) and error > 0):
+            return f"{self.mean:.6g}"
+        places = 1 - math.floor(math.log10(error))
+        return f"{self.mean:.{max(places, 0)}f}" if -2 <= places <= 8 else f"{self.mean:.6g}"
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What differs from what the standard errors promise by more than chance would explain."""
+        from scipy.special import stdtrit
+
+        out = []
+        if self.bias is not None and self.n > 1:
+            # As rare as three standard errors of a normal mean, 0.27 %: t(n - 1) for few runs.
+            limit = float(stdtrit(self.n - 1, 1 - 0.00135)) * self.bias_std_error
+            if abs(self.bias) > limit:
+                spreads = (
+                    f"{abs(self.bias) / self.spread:.2g}" if self.spread else "infinitely many"
+                )
+                out.append(f"biased by {spreads} spreads")
+        between = self.coverage_interval
+        if between is not None and not between[0] <= 0.95 <= between[1]:
+            out.append(f"intervals cover too {'rarely' if between[1] < 0.95 else 'often'}")
+        if self.intervals < self.n:
+            out.append(f"{self.n - self.intervals} runs without interval")
+        return tuple(out)
+
+    def to_json(self) -> dict[str, Any]:
+        """As `montecarlo.json` has it."""
+        return {
+            **asdict(self),
+            "bias": self.bias,
+            "bias_std_error": self.bias_std_error,
+            "spread_std_error": self.spread_std_error,
+            "coverage": self.coverage,
+            "coverage_interval": self.coverage_interval,
+            "remarks": list(self.remarks),
+        }
+
+
+def accuracy(problem: Problem, done: Campaign) -> list[Accuracy]:
+    """The columns of a study, compared with the problem's truth."""
+    model, columns = problem.model, done.table.columns
+    return [
+        accuracy_of(
+            column,
+            model.unit_of(column) if column in model.parameters else "",
+            problem.truth.get(column),
+            done.column(column).astype(float),
+            done.column(column + STD_ERROR).astype(float),
+        )
+        for column in columns
+        if column + STD_ERROR in columns
+    ]
+
+
+def accuracy_of(name: str, unit: str, truth: float | None, value: Array, error: Array) -> Accuracy:
+    """Of estimates (n,) in `unit` and their standard errors (n,), NaN where there is none."""
+    is_there = np.isfinite(value)
+    has_interval = is_there & np.isfinite(error)
+    n = int(is_there.sum())
+    inside = has_interval & (np.abs(value - (truth or 0.0)) <= 1.96 * error)
+    return Accuracy(
+        name=name,
+        unit=unit,
+        truth=truth,
+        n=n,
+        mean=float(value[is_there].mean()) if n else math.nan,
+        spread=float(value[is_there].std(ddof=1)) if n > 1 else math.nan,
+        mean_std_error=float(error[has_interval].mean()) if has_interval.any() else math.nan,
+        intervals=int(has_interval.sum()),
+        covered=0 if truth is None else int(inside.sum()),
+    )
