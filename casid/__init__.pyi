@@ -37,6 +37,10 @@ from .estimation.prediction_error.polynomial.orders import Orders
 from .estimation.reconciliation import Reconciliation
 from .estimation.regression import regress
 from .estimation.simulation.fit import FitSettings
+from .experiment_design.aim import Aim
+from .experiment_design.design import design_experiment
+from .experiment_design.designed_experiment import DesignedExperiment
+from .experiment_design.options import DesignOptions
 from .identifiability.assessment import Assessment
 from .identifiability.equations.equation_file import EquationFile, parse_system, read_equations
 from .identifiability.equations.system import System
@@ -70,12 +74,13 @@ from .linear.closed_loop import closed_loop_view
 from .linear.discretisation_bias import bias_table
 from .linear.linear_model import linearise
 from .model.clock_signals import Always, RampOver, StepAt, TimeSince
+from .model.declarations import Parameter
 from .model.effects.actuator_effects import input_backlash
 from .model.effects.channel_effects import hold, saturation, sensor_lag, time_delay
 from .model.effects.effect import Effect
 from .model.effects.structure_effects import actuator_lag
 from .model.effects.user_effects import balance_effect, channel_effect, parameter_effect
-from .model.model import Model, Parameter
+from .model.model import Model
 from .report.figures.network_drawing import network_figure
 from .saving.archive import load
 from .unknown_inputs.indirect.direct_model import direct_model
@@ -117,6 +122,7 @@ from .unknown_inputs.options import compare_unknown_input_options
 __version__: str
 
 __all__ = [
+    "Aim",
     "Alignment",
     "Always",
     "Assessment",
@@ -127,6 +133,8 @@ __all__ = [
     "CheckReport",
     "DataError",
     "Derived",
+    "DesignOptions",
+    "DesignedExperiment",
     "Diagnosis",
     "Effect",
     "EquationFile",
@@ -191,6 +199,7 @@ __all__ = [
     "decimate",
     "decision_map",
     "decoupled_observer",
+    "design_experiment",
     "detrend",
     "diagnose",
     "direct_model",

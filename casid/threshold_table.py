@@ -1,7 +1,8 @@
 """Tables of numbers that decide something: each with its meaning, source and the test that pins it.
 
-A table is a few frozen groups, one a question: `casid/diagnosis/thresholds.py` and
-`casid/model/effects/search_ranges.py`.
+A table is a few frozen groups, one a question: `casid/diagnosis/thresholds.py`,
+`casid/model/effects/search_ranges.py`, `casid/estimation/simulation/thresholds.py`,
+`casid/estimation/errors_in_variables/thresholds.py` and `casid/experiment_design/thresholds.py`.
 """
 
 from __future__ import annotations

@@ -84,6 +84,5 @@ def diagnose(problem: str, **given: Any) -> None:
                 progress=progress,
             )
         progress("write the report")
-        result.write(folder)
-        output.keep(result, folder)
+        output.keep(result, folder, result.write)
     output.finish(result, folder, "diagnosis.json")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -36,13 +37,24 @@ from casid.errors import DataError
     "given. Repeatable.",
 )
 @click.option(
+    "--pade",
+    type=int,
+    metavar="ORDER",
+    help="Pade approximation of the delays of sensors in a state space, which has none.",
+)
+@click.option(
     "--without-delays",
     is_flag=True,
-    help="Leave out the delays of sensors, which C, CasADi, a state space and an FMU cannot hold.",
+    help="Leave out the delays of sensors.",
 )
 @click.option("--force", is_flag=True, help="Write over a file that exists.")
 def export(
-    result: str, target: str, out: Path, at: tuple[str, ...], without_delays: bool, force: bool
+    result: str,
+    target: str,
+    out: Path,
+    at: tuple[str, ...],
+    force: bool,
+    **delays: Any,
 ) -> None:
     """Take a fitted model away, its causes in it and its parameters at the estimates.
 
@@ -60,4 +72,4 @@ def export(
         raise DataError(f"{path} exists; name another file with --out, or add --force")
     model = fitted_model(result)
     point = dict(parse_setting(text, "--at") for text in at)
-    say(f"wrote {run(model, target, path, at=point, without_delays=without_delays)}")
+    say(f"wrote {run(model, target, path, at=point, **delays)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -50,8 +51,8 @@ ASSUMPTION_OPTIONS = (
         "--at",
         multiple=True,
         metavar="NAME=VALUE",
-        help="Answer for this value of a parameter (SI units), which may be special, instead of "
-        "almost every value. Repeatable.",
+        help="Answer for this value of a parameter, in its declared unit, which may be special, "
+        "instead of almost every value. Repeatable.",
     ),
     click.option(
         "--generic",
@@ -107,6 +108,10 @@ class Question:
     structural: bool
     time_limit: float | None
 
+    def __post_init__(self) -> None:
+        if self.time_limit is not None and math.isnan(self.time_limit):
+            raise DataError("--time-limit nan: give a number of seconds")
+
     def assumptions(self) -> Assumptions:
         """What is assumed.
 
@@ -122,7 +127,7 @@ class Question:
             shared_inputs=_names(self.shared_inputs),
             known_initial=self._initial(),
             known=_names(self.known),
-            at=dict(_setting(text, "--at") for text in self.at),
+            at=dict(parse_setting(text, "--at") for text in self.at),
             generic=self.generic,
         )
 
@@ -130,7 +135,7 @@ class Question:
         found: dict[str, float | None] = {}
         for name in _names(self.known_initial):
             if "=" in name:
-                key, value = _setting(name, "--known-initial")
+                key, value = parse_setting(name, "--known-initial")
                 found[key] = value
             else:
                 found[name] = None
@@ -230,13 +235,4 @@ def _cost(text: str, sensor: str) -> float:
         raise DataError(
             f"--sensor {sensor}: the cost {text!r} is no finite number; write name=formula@cost, "
             "for example --sensor angle=x1@2"
-        ) from None
-
-
-def _setting(text: str, option: str) -> tuple[str, float]:
-    try:
-        return parse_setting(text)
-    except DataError:
-        raise DataError(
-            f"{option} {text}: write it as name=value with a finite number in SI units"
         ) from None

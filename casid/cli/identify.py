@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,6 +13,10 @@ from casid.cli.options import FitOptions, hold_out_option, options, record_optio
 from casid.cli.output import Output, taken
 from casid.cli.problem_file import known_problem
 from casid.cli.request import request_of
+from casid.errors import DataError
+
+if TYPE_CHECKING:
+    from casid.data.problem import Problem
 
 
 @click.command()
@@ -25,9 +30,14 @@ from casid.cli.request import request_of
     show_default=True,
     help="Multiple shooting with so many segments a record, for unstable models.",
 )
+@click.option(
+    "--own",
+    metavar="NAME,...",
+    help="Parameters that every record has for itself; the others are shared.",
+)
 @options(*INSTRUMENT_OPTIONS)
 @record_options
-def identify(problem: str, segments: int, **given: Any) -> None:
+def identify(problem: str, segments: int, own: str | None, **given: Any) -> None:
     """Estimate the unknown parameters from these records.
 
     Least squares of the simulation error, with standard errors that allow for autocorrelated
@@ -45,8 +55,9 @@ def identify(problem: str, segments: int, **given: Any) -> None:
     model = known_problem(problem, request)
     by_instruments = instruments.method == "instruments"
     if by_instruments:
-        instruments.refuse(request, fit.starts, segments)
+        instruments.refuse(request, fit.starts, segments, own)
         instruments.freed(model)  # refused before anything is read
+    owned = own_parameters(model, own)
     with output.work(model.name) as (folder, progress):
         fitted, hold_out = request.experiments(model)
         output.say_what_was_read([*fitted, *(hold_out if isinstance(hold_out, list) else ())])
@@ -61,14 +72,35 @@ def identify(problem: str, segments: int, **given: Any) -> None:
                 result = instruments.estimate(model, fitted, fit.solver)
                 estimate = result.estimate
             else:
-                settings = fit.settings(model, segments=segments)
+                settings = fit.settings(model, segments=segments, own=owned)
                 result = estimate = run(
                     model, fitted, hold_out=hold_out, settings=settings, progress=progress
                 )
         progress("write the report")
-        # Before anything is written: both files or none.
         page = present(estimate, "page")
-        result.write(folder)
-        write_text(folder / "report.html", page)
-        output.keep(estimate, folder)
+
+        def write(place: Path) -> None:
+            result.write(place)
+            write_text(place / "report.html", page)
+
+        output.keep(estimate, folder, write)
     output.finish(result, folder, "estimate.json")
+
+
+def own_parameters(problem: Problem, own: str | None) -> tuple[str, ...]:
+    """The parameters that --own names.
+
+    Raises
+    ------
+    DataError
+        If the problem has no such parameter, or knows its value.
+    """
+    names = tuple(name.strip() for name in own.split(",")) if own is not None else ()
+    for name in names:
+        parameter = problem.model.parameter_named(name)
+        if parameter.is_known:
+            raise DataError(
+                f"--own {name}: its known value is {parameter.value:g} {parameter.unit}; leave it "
+                "out, or make it unknown in the problem"
+            )
+    return names

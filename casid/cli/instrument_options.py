@@ -34,18 +34,23 @@ class InstrumentRequest:
                         f"--{option} belongs to instruments; add --method instruments, or leave "
                         f"--{option} out"
                     )
+        elif self.lag is not None and not math.isfinite(self.lag):
+            raise DataError(f"--lag {self.lag}: give a finite number of seconds, 0 or more")
         elif self.reference is None:
             raise DataError(
                 "--method instruments needs a signal that no disturbance reaches: name the "
                 "recorded channel with --reference, for example --reference ref"
             )
 
-    def refuse(self, request: Request, starts: int | None, segments: int) -> None:
+    def refuse(
+        self, request: Request, starts: int | None, segments: int, own: str | None = None
+    ) -> None:
         """Refuse what moment equations have no use for."""
         for option, is_given in (
             ("--hold-out", request.hold_out_files or request.share != 0),
             ("--starts", starts is not None),
             ("--segments", segments != 1),
+            ("--own", own is not None),
         ):
             if is_given:
                 raise DataError(

@@ -7,6 +7,7 @@ that casid does not raise on purpose is a fault of casid, and keeps its tracebac
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -15,6 +16,7 @@ import click
 
 from casid import __version__
 from casid.cli.check import check
+from casid.cli.design import design
 from casid.cli.diagnose import diagnose
 from casid.cli.example import example
 from casid.cli.export import export
@@ -62,7 +64,10 @@ class _Casid(click.Group):
             what = error.strerror or str(error)
             if error.filename is None:
                 return _refuse(f"{what}; correct that and run the command again")
-            return _refuse(f"{error.filename}: {what}; check the path and its permissions")
+            remedy = "check the path and its permissions"
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+                remedy = "free some space there, or name another place; nothing was replaced"
+            return _refuse(f"{error.filename}: {what}; {remedy}")
         return status if isinstance(status, int) else DONE
 
     def resolve_command(
@@ -101,7 +106,7 @@ def main(context: click.Context) -> None:
 
 COMMANDS = (
     *(new, check, diagnose, identify, identifiability, montecarlo),
-    *(simulate, export, example),
+    *(simulate, design, export, example),
 )
 for command in COMMANDS:
     main.add_command(command)

@@ -67,7 +67,7 @@ SET_OPTION = click.option(
     "settings",
     multiple=True,
     metavar="NAME=VALUE",
-    help="A parameter that is known, SI units. Repeatable.",
+    help="A parameter that is known, in its declared unit. Repeatable.",
 )
 
 DEFAULT_SOLVER = "ipopt"
@@ -106,7 +106,12 @@ class FitOptions:
         return None if self.solver == DEFAULT_SOLVER else Solver(self.solver)
 
     def settings(
-        self, problem: Problem, *, segments: int = 1, seed: int | None = None
+        self,
+        problem: Problem,
+        *,
+        segments: int = 1,
+        seed: int | None = None,
+        own: tuple[str, ...] = (),
     ) -> FitSettings:
         """Settings of a fit, the number of starts by default the problem's."""
         from casid.estimation.nlp.solver import Solver
@@ -115,6 +120,7 @@ class FitOptions:
         return FitSettings(
             starts=problem.starts if self.starts is None else self.starts,
             segments=segments,
+            own=own,
             solver=Solver(self.solver),
             seed=self.seed if seed is None else seed,
         )

@@ -68,14 +68,23 @@ class Output:
             if steps and steps[0].startswith("read "):
                 say("\n  ".join(_DIGEST.sub("", step) for step in steps))
 
-    def keep(self, result: Any, folder: Path) -> None:
-        """Save the result beside its page, for `casid export` and `casid simulate`."""
+    def keep(self, result: Any, folder: Path, write: Callable[[Path], Any]) -> None:
+        """Write the result's page and numbers, and save it for `casid export` and `casid simulate`.
+
+        All of them replace those of an earlier run together, or none does.
+        """
+        from casid.data.files import staged
         from casid.saving.archive import RESULT_FILE
 
-        try:
-            result.save(folder / RESULT_FILE)
-        except DataError as error:
-            say(f"{RESULT_FILE} was not written: {error}")
+        with staged(folder) as temporary:
+            write(temporary)
+            try:
+                result.save(temporary / RESULT_FILE)
+            except DataError as error:
+                if isinstance(error.__cause__, OSError):
+                    raise
+                say(f"{RESULT_FILE} was not written: {error}")
+                (folder / RESULT_FILE).unlink(missing_ok=True)  # that of another run
 
     def finish(self, result: Any, folder: Path, file: str) -> None:
         """Report where `file` and the page were written, and print the result."""

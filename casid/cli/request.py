@@ -71,8 +71,8 @@ def parse_setting(text: str, option: str = "--set") -> tuple[str, float]:
         number = math.nan
     if not equals or not name.strip() or not math.isfinite(number):
         raise DataError(
-            f"{option} {text}: write it as name=value with a finite number in SI units, unless "
-            f"the model declares another, for example {option} M=22.04"
+            f"{option} {text}: write it as name=value with a finite number in the unit that "
+            f"the model declares, for example {option} M=22.04"
         )
     return name.strip(), number
 

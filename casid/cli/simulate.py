@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from casid.cli.options import map_option
+from casid.cli.options import map_option, options
+from casid.cli.output import taken
+from casid.cli.reading_options import FORMAT_OPTIONS, ReadingRequest
 from casid.cli.request import Request, parse_setting
 from casid.cli.terminal import say
 from casid.errors import DataError
@@ -54,6 +56,7 @@ if TYPE_CHECKING:
     metavar="SECONDS",
     help="Of a model without inputs; default that of the fitted record, or of the example.",
 )
+@options(*FORMAT_OPTIONS)
 @click.option("--force", is_flag=True, help="Write over a file that exists.")
 def simulate(
     model: str,
@@ -75,7 +78,8 @@ def simulate(
     from casid.data.record_files import require_new
 
     require_new(out, force=force)
-    request = Request(data=(inputs,) if inputs else (), **given)
+    reading = taken(ReadingRequest, given)
+    request = Request(data=(inputs,) if inputs else (), reading=reading, **given)
     if duration is not None and inputs:
         raise DataError("--duration is for a model without inputs; cut a file with --window")
     is_problem = Path(model).suffix == ".py"

@@ -14,9 +14,17 @@ from typing import Any
 
 from casid.errors import DataError
 
+_UNSEEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+def visible(text: str) -> str:
+    """Text whose control characters, as names in a file may hold them, are shown and not obeyed."""
+    return _UNSEEN.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
 
 def say(text: str) -> None:
     """Write to standard error, where there is one."""
+    text = visible(text)
     # Not click.echo: it writes UTF-8 to an ASCII stream all the same.
     with contextlib.suppress(OSError):
         if sys.stderr is not None:
@@ -24,6 +32,11 @@ def say(text: str) -> None:
 
 
 def print_text(text: str) -> None:
+    """Write to standard output."""
+    _print(visible(text))
+
+
+def _print(text: str) -> None:
     """Write to standard output; a reader that has gone away (`| head`) is no error."""
     try:
         print(text, flush=True)
@@ -36,7 +49,7 @@ def print_json(content: Any) -> None:
     """Write a result to standard output as JSON."""
     from casid.data.files import plain
 
-    print_text(json.dumps(plain(content), indent=1, allow_nan=False))
+    _print(json.dumps(plain(content), indent=1, allow_nan=False))
 
 
 @contextlib.contextmanager
@@ -63,7 +76,7 @@ def progress_lines(quiet: bool) -> Iterator[Callable[[str], None]]:
 def _plain(line: str) -> Any:
     from rich.text import Text
 
-    return Text(line)  # a record's name in brackets is no markup
+    return Text(visible(line))  # a record's name in brackets is no markup
 
 
 def _folder_name(name: str) -> str:
@@ -111,13 +124,20 @@ def study_folder(
         yield folder
 
 
+_JOBS_A_CORE = 4  # more processes than that only wait for each other, and hold memory
+
+
 @contextlib.contextmanager
 def workers(jobs: int | None, dask: str | None) -> Iterator[None]:
-    """Run campaigns on so many processes, or on a Dask cluster."""
+    """Run campaigns on so many processes, which end with the command, or on a Dask cluster."""
     import joblib
 
     if dask is None:
-        with joblib.parallel_config(n_jobs=jobs or joblib.cpu_count()):
+        cores = joblib.cpu_count()
+        used = min(jobs or cores, _JOBS_A_CORE * cores)
+        if jobs is not None and used < jobs:
+            say(f"--jobs {jobs}: {used} processes work, {_JOBS_A_CORE} for every core")
+        with joblib.parallel_config(n_jobs=used), _ended_together():
             yield
         return
     if jobs is not None:
@@ -137,3 +157,26 @@ def workers(jobs: int | None, dask: str | None) -> Iterator[None]:
         ) from error
     with client, joblib.parallel_config(backend="dask"):
         yield
+
+
+@contextlib.contextmanager
+def _ended_together() -> Iterator[None]:
+    """End the worker processes where the work is ended, by Ctrl-C or by SIGTERM alike."""
+    import signal
+    import threading
+
+    def interrupt(number: int, frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    is_main = threading.current_thread() is threading.main_thread()
+    before: Any = signal.signal(signal.SIGTERM, interrupt) if is_main else None
+    try:
+        yield
+    except KeyboardInterrupt:
+        executor = importlib.import_module("joblib.externals.loky.reusable_executor")
+        if (pool := executor._executor) is not None:
+            pool.shutdown(wait=True, kill_workers=True)
+        raise
+    finally:
+        if is_main:
+            signal.signal(signal.SIGTERM, before)

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from casid.data.files import write_json, write_text
+from casid.data.files import staged, write_json, write_text
 from casid.report.document import Document, Figure
 from casid.report.terminal import terminal_text
 
@@ -39,6 +39,11 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
     },
     "Convergence": {"document": "texts.moments.convergence_document"},
     "DecisionMap": {"figure": "figures.decision_map.decision_map_figure"},
+    "DesignedExperiment": {
+        "document": "texts.designed_experiments.design_document",
+        "figure": "figures.designed_input.designed_input_figure",
+        "report": "pages.design_page.design_report",
+    },
     "Diagnosis": {
         "document": "texts.diagnosis.diagnosis_document",
         "figure": "figures.simulated.diagnosis_figure",
@@ -106,6 +111,7 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
 
 JSON_FILES = {
     "Assessment": "identifiability.json",
+    "DesignedExperiment": "design.json",
     "Diagnosis": "diagnosis.json",
     "MonteCarlo": "montecarlo.json",
 }
@@ -172,9 +178,11 @@ def _page(result: object, *arguments: Any) -> str:
 
 
 def _files(result: Any, folder: Path) -> Path:
-    page = _page(result)  # before anything is written: both files or none
-    write_json(folder / JSON_FILES[type(result).__name__], result.to_json())
-    return write_text(folder / "report.html", page)
+    page = _page(result)
+    with staged(folder) as temporary:
+        write_json(temporary / JSON_FILES[type(result).__name__], result.to_json())
+        write_text(temporary / "report.html", page)
+    return folder / "report.html"
 
 
 _DERIVED: Mapping[str, tuple[tuple[str, ...], Callable[..., Any]]] = {

@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose
 import casid
 from casid.cli.main import main
 from casid.compiler import compiler
-from problems import pendulum, roll_decay
-from tests.support.fitted_models import extended_emps, extended_pendulum, fitted_model
+from problems import roll_decay
+from tests.support.fitted_models import delayed_pendulum, extended_emps, extended_pendulum
 
 
 def run(*arguments: str | Path) -> Result:
@@ -91,6 +91,7 @@ def test_a_state_space_has_its_operating_point(tmp_path: Path) -> None:
         (["--as", "c", "--out", "x", "--at", "p=1"], "export it as control"),
         (["--as", "control", "--out", "x", "--at", "psi=1"], "no state or input 'psi'"),
         (["--as", "problem", "--out", "x", "--without-delays"], "keeps the delays"),
+        (["--as", "c", "--out", "x", "--pade", "3"], "--pade is for a state space"),
     ],
 )
 def test_what_cannot_be_is_refused(
@@ -121,20 +122,18 @@ def test_a_file_that_exists_is_kept_without_force(saved: Path, tmp_path: Path) -
     assert there.read_text() != "mine"
 
 
-def test_a_delayed_sensor_is_refused_where_the_target_has_no_memory(tmp_path: Path) -> None:
-    fitted = fitted_model(
-        pendulum.problem,
-        [lambda m: casid.time_delay(m, "gyro", 0.1)],
-        {"k": 10.4, "d": 0.1, "I_x": 0.14, "delay_gyro": 0.023},
-        x0=(0.0, 0.0),
-        Ts=0.01,
-        N=100,
-    )
-    path = fitted.save(tmp_path / "late.casid")
-    refused = run(path, "--as", "c", "--out", tmp_path / "late")
-    assert refused.exit_code == 2
-    assert "gyro by 0.023 s" in refused.output
-    assert run(path, "--as", "c", "--out", tmp_path / "late", "--without-delays").exit_code == 0
-    assert "sensor of gyro is delayed by 0.023 s" in (tmp_path / "late.h").read_text()
+def test_the_delay_of_a_sensor_is_kept_approximated_or_left_out(tmp_path: Path) -> None:
+    path = delayed_pendulum(2.3).save(tmp_path / "late.casid")
+    assert run(path, "--as", "c", "--out", tmp_path / "late").exit_code == 0
+    assert "Sensors are delayed (gyro by 0.023 s)" in (tmp_path / "late.h").read_text()
+    without = ["--as", "c", "--out", tmp_path / "prompt", "--without-delays"]
+    assert run(path, *without).exit_code == 0
+    assert "sensor of gyro is delayed by 0.023 s" in (tmp_path / "prompt.h").read_text()
     assert run(path, "--as", "modelica", "--out", tmp_path / "late").exit_code == 0
     assert "gyro = delay(p, 0.023);" in (tmp_path / "late.mo").read_text()
+    refused = run(path, "--as", "control", "--out", tmp_path / "late")
+    assert refused.exit_code == 2
+    assert "gyro by 0.023 s" in refused.output
+    assert "--pade 3" in refused.output
+    assert run(path, "--as", "control", "--out", tmp_path / "late", "--pade", "3").exit_code == 0
+    assert "Pade approximations of order 3" in (tmp_path / "late.py").read_text()

@@ -327,7 +327,7 @@ BAD_OPTIONS: dict[str, tuple[list[str], list[str]]] = {
         ["'force' twice", "keep one"],
     ),
     "no such parameter": (["--set", "mm=2"], ["'mm'", "did you mean 'm'?"]),
-    "not a number": (["--set", "m=two"], ["name=value", "SI units"]),
+    "not a number": (["--set", "m=two"], ["name=value", "in the unit"]),
     "not finite": (["--set", "m=nan"], ["finite"]),
     "outside the bounds": (["--set", "k=-50"], ["bounds of k", "1 to 500 N/m", "widen"]),
     "set twice": (["--set", "m=2", "--set", "m=3"], ["twice", "keep one"]),
@@ -484,6 +484,17 @@ def test_a_reader_that_goes_away_is_no_error(here: Path) -> None:
     assert done.stderr == ""
 
 
+def started(here: Path, *arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "casid", *arguments],
+        cwd=here,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_an_interrupted_command_says_so_and_leaves_nothing(here: Path) -> None:
     Path("slow.py").write_text(
@@ -491,14 +502,7 @@ def test_an_interrupted_command_says_so_and_leaves_nothing(here: Path) -> None:
         "def example():\n    import sys\n    print('waiting', flush=True)\n    time.sleep(60)\n"
         "import dataclasses\nproblem = dataclasses.replace(problem, example=example)\n"
     )
-    running = subprocess.Popen(
-        [sys.executable, "-m", "casid", "identify", "slow.py"],
-        cwd=here,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    running = started(here, "identify", "slow.py")
     assert running.stderr is not None
     assert running.stderr.readline().strip() == "waiting"
     running.send_signal(signal.SIGINT)
@@ -515,14 +519,7 @@ def test_an_interrupted_command_says_so_and_leaves_nothing(here: Path) -> None:
 @pytest.mark.parametrize("after", [0.0, 0.13, 0.29, 0.61])
 def test_a_fit_ends_at_ctrl_c_wherever_it_is(here: Path, command: str, after: float) -> None:
     """CasADi's solvers take it for a failed evaluation, and a million starts would go on."""
-    running = subprocess.Popen(
-        [sys.executable, "-m", "casid", command, "mass.py", "run.csv", "--starts", "1000000"],
-        cwd=here,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    running = started(here, command, "mass.py", "run.csv", "--starts", "1000000")
     assert running.stderr is not None
     while not (line := running.stderr.readline()).startswith("fit "):
         assert line, "the command ended before its fit"
@@ -606,6 +603,7 @@ def test_instruments_that_cannot_be_meant_are_refused_with_the_mend(pendulum: li
         (*iv, "--starts", "3"): ("--starts has no meaning", "leave --starts out"),
         (*iv, "--hold-out", "0.2"): ("leave --hold-out out",),
         (*iv, "--segments", "2"): ("leave --segments out",),
+        (*iv, "--own", "d"): ("leave --own out",),
         (*iv, "--free", "mass"): ("no parameter 'mass'", "known are: I_x"),
         (*iv, "--free", "d=x"): ("NAME=START",),
         (*iv, "--free", "m"): ("its known value is 0", "--free m=0.1"),
@@ -614,6 +612,17 @@ def test_instruments_that_cannot_be_meant_are_refused_with_the_mend(pendulum: li
         (*iv, "loaded=loaded.csv", "--free", "k,d,I_x,m=0.1"): ("without its load case", "b.csv"),
     }.items():
         refused(casid(*arguments), *words)
+
+
+def test_every_record_has_its_own_of_what_the_command_line_says(here: Path) -> None:
+    halves = ("identify", "mass.py", "run.csv@0:6", "run.csv@6:12", "--json", "--quiet")
+    refused(casid(*halves, "--own", "e"), "'e'")
+    refused(casid(*halves, "--own", "d", "--set", "d=1"), "its known value is 1", "leave it out")
+    found = json.loads(casid(*halves, "--own", "d").stdout)["parameters"]
+    owned = [name for name in found if name.startswith("d@")]
+    assert len(owned) == 2
+    assert "d" not in found
+    assert "k" in found
 
 
 # ---------------------------------------------------------------------- the parts

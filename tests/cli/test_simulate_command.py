@@ -152,3 +152,34 @@ def test_the_problem_is_read_from_its_own_file(tmp_path: Path) -> None:
     t = found["t"].to_numpy()
     wanted = 0.2 * np.exp(-0.01 * t) * (np.cos(w * t) + 0.01 / w * np.sin(w * t))
     assert_allclose(found["phi"], wanted, rtol=0, atol=2e-7)
+
+
+def test_how_the_files_are_written_stays_with_the_model(tmp_path: Path) -> None:
+    """Hours of local time, over the beginning of summer time, from the fit to the exported file."""
+    t = pd.date_range("2025-03-29 12:00", periods=48, freq="h", tz="Europe/Berlin")
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.normal(size=12), 4)
+    y = np.zeros(48)
+    for i in range(47):
+        y[i + 1] = np.exp(-1 / 3) * y[i] + (1 - np.exp(-1 / 3)) * u[i]
+    y = y + 1e-3 * rng.normal(size=48)
+    frame = pd.DataFrame({"Zeit": t.strftime("%d.%m.%Y %H:%M"), "u [V]": u, "y [V]": y})
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    (tmp_path / "lag.py").write_text(
+        "import casid\n"
+        "m = casid.Model('lag')\n"
+        "x, u = m.state('x', 'V'), m.input('u', 'V', hold='zoh')\n"
+        "T = m.parameter('T', 'h', start=2, lower=0.1, upper=100)\n"
+        "m.derivative(x, (u - x) / T)\n"
+        "m.output('y', x, 'V')\n"
+        "problem = casid.Problem('lag', m, channels={'u': 'u [V]', 'y': 'y [V]'},\n"
+        "    form=casid.FileFormat(time_zone='Europe/Berlin'), starts=1)\n"
+    )
+    problem = casid.load_problem(tmp_path / "lag.py")
+    estimate = casid.identify(problem, [problem.read(tmp_path / "run.csv")])
+    saved = estimate.save(tmp_path / "lag.casid")
+    result = run(saved, tmp_path / "run.csv", "--out", tmp_path / "out.csv")
+    assert result.exit_code == 0, result.output
+    assert len(table(tmp_path / "out.csv")) == 48
+    written = casid.load(saved).model.to_problem_file(tmp_path / "again.py")
+    assert casid.load_problem(written).form == problem.form

@@ -19,8 +19,9 @@ import numpy as np
 import pandas as pd
 
 from casid.algebra.rational import Rational
+from casid.campaigns.accuracy import Accuracy
 from casid.campaigns.campaign import Campaign
-from casid.campaigns.monte_carlo import Accuracy, MonteCarlo
+from casid.campaigns.monte_carlo import MonteCarlo
 from casid.data.files import plain
 from casid.data.fir_filter import FirFilter
 from casid.diagnosis.advice.next_experiment import Advice

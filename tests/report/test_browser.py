@@ -16,17 +16,6 @@ from tests.report.golden_results import assessment
 from tests.support import samples
 from tests.support.samples import page_of
 
-
-@pytest.fixture(scope="module")
-def rich() -> str:
-    return page_of(samples.rich())
-
-
-@pytest.fixture(scope="module")
-def hostile() -> str:
-    return page_of(samples.hostile())
-
-
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 BROWSER = os.environ.get("CASID_CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), None)
 in_browser = pytest.mark.skipif(

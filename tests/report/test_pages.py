@@ -53,16 +53,6 @@ def page() -> str:
     return page_of(samples.deficient())
 
 
-@pytest.fixture(scope="module")
-def rich() -> str:
-    return page_of(samples.rich())
-
-
-@pytest.fixture(scope="module")
-def hostile() -> str:
-    return page_of(samples.hostile())
-
-
 def test_the_verdict_stands_first_in_words(page):
     d = samples.deficient(N=100)
     text = Seen(page).text
@@ -116,17 +106,20 @@ def test_warnings_of_both_fits_are_printed_beside_the_key_numbers():
     assert text.index("Warning: only 1 of 4 starts agrees") < text.index(d.causes[0].sentence)
 
 
-def test_the_page_loads_nothing_and_carries_plotly_once(page):
-    seen = Seen(page)
-    for tag, attributes in seen.tags:
+def assert_loads_nothing(page):
+    for tag, attributes in Seen(page).tags:
         assert tag not in ("link", "img", "iframe", "object", "embed", "base"), tag
         for name in ("src", "href", "action", "srcset", "data"):
             value = attributes.get(name)
             assert value is None or value.startswith("#"), (tag, name, value)
         assert not [a for a in attributes if a.startswith("on")], (tag, attributes)
     assert "@import" not in page
+
+
+def test_the_page_loads_nothing_and_carries_plotly_once(page):
+    assert_loads_nothing(page)
     assert page.count("* plotly.js v") == 1
-    kinds = [a.get("type", "") for t, a in seen.tags if t == "script"]
+    kinds = [a.get("type", "") for t, a in Seen(page).tags if t == "script"]
     assert kinds == ["application/json"] * FIGURES["page"] + ["", ""]
 
 

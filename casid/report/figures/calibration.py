@@ -32,30 +32,16 @@ def calibration_figure(result: Calibration) -> Any:
         marker={"color": MEASURED, "line": {"color": "#ffffff", "width": 1}},
         hovertemplate="p about %{x:.3g}: %{y} records<extra></extra>",
     )
-    figure.add(
-        0,
-        x=[0.0, 1.0],
-        y=[expected, expected],
-        name="uniform",
-        mode="lines",
-        line={"color": AFTER, "width": 2},
-        hovertemplate="uniform: %{y:.3g} records<extra></extra>",
-    )
+    hover = "uniform: %{y:.3g} records<extra></extra>"
+    figure.line(0, [0.0, 1.0], [expected, expected], "uniform", AFTER, hovertemplate=hover)
     for name, at, dash in (
         ("requested level", result.alpha, "dash"),
         ("corrected threshold", result.threshold, "dot"),
     ):
         if name == "corrected threshold" and not result.is_corrected:
             continue
-        figure.add(
-            0,
-            x=[at, at],
-            y=[0.0, 1.05 * top],
-            name=name,
-            mode="lines",
-            line={"color": BEFORE, "width": 2, "dash": dash},
-            hovertemplate=f"{name} {at:.3g}<extra></extra>",
-        )
+        hover, ends = f"{name} {at:.3g}<extra></extra>", [0.0, 1.05 * top]
+        figure.line(0, [at, at], ends, name, BEFORE, dash=dash, hovertemplate=hover)
     figure.x_range(0, [0.0, 1.0])
     figure.y_range(0, [0.0, 1.1 * top])
     figure.label(0, x="smallest adjusted p of the first round", y="null records")

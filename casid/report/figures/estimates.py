@@ -101,18 +101,13 @@ def _add_estimate(
         y.append(i + shift)
         half.append(50 * (interval[1] - interval[0]) / scale if interval else 0.0)
         text.append(figure_text(_with_interval(q), 90))
-    figure.add(
+    outline = {"width": 2, "color": colour}
+    figure.points(
         0,
-        x=x,
-        y=y,
-        name=figure_text(label),
-        mode="markers",
-        marker={
-            "color": colour,
-            "size": 10,
-            "symbol": symbol,
-            "line": {"width": 2, "color": colour},
-        },
+        x,
+        y,
+        figure_text(label),
+        {"color": colour, "size": 10, "symbol": symbol, "line": outline},
         error_x={
             "type": "data",
             "array": [h if math.isfinite(h) else None for h in half],

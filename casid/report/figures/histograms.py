@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.campaigns.monte_carlo import Accuracy, MonteCarlo
+from casid.campaigns.accuracy import Accuracy
+from casid.campaigns.monte_carlo import MonteCarlo
 from casid.report.figures.panels import Panels
 from casid.report.figures.style import AFTER, BEFORE, MEASURED, axis_text, hover_text, visible_text
 
@@ -52,6 +53,7 @@ class _Histogram:
 
     @classmethod
     def of(cls, result: MonteCarlo, p: Accuracy) -> _Histogram:
+        """The estimates of one parameter in bars of Scott's width."""
         values = result.estimates(p.name).astype(float)
         values = values[np.isfinite(values)]
         # Scott (Biometrika 66 (1979) 605-610): 3.49 sigma n^(-1/3); at least 5 bars, at most 60.
@@ -102,15 +104,8 @@ def _histogram_panel(figure: Panels, k: int, bars: _Histogram) -> None:
         peak = float(y.max())
         if peak < 4 * top:  # far narrower than the bars, it would flatten them
             top = max(top, peak)
-        figure.add(
-            k,
-            x=x,
-            y=y,
-            name="as the standard errors have it",
-            mode="lines",
-            line={"color": AFTER, "width": 2},
-            hovertemplate=hover_text(p.unit, "runs"),
-        )
+        name, hover = "as the standard errors have it", hover_text(p.unit, "runs")
+        figure.line(k, x, y, name, AFTER, hovertemplate=hover)
         span = [min(span[0], x[0]), max(span[1], x[-1])]
     for label, at, colour, dash in (
         ("mean", p.mean, "#222222", "dot"),
@@ -119,15 +114,9 @@ def _histogram_panel(figure: Panels, k: int, bars: _Histogram) -> None:
         if at is None or not math.isfinite(at):
             continue
         span = [min(span[0], at), max(span[1], at)]
-        figure.add(
-            k,
-            x=[at, at],
-            y=[0.0, 1.08 * top],
-            name=label,
-            mode="lines",
-            line={"color": colour, "width": 2, "dash": dash},
-            hovertemplate=f"{label} %{{x:.6g}}<extra></extra>",
-        )
+        hover = f"{label} %{{x:.6g}}<extra></extra>"
+        ends = [0.0, 1.08 * top]
+        figure.line(k, [at, at], ends, label, colour, dash=dash, hovertemplate=hover)
     margin = 0.04 * (span[1] - span[0]) or 1.0
     figure.x_range(k, [span[0] - margin, span[1] + margin])
     figure.y_range(k, [0, 1.1 * top])

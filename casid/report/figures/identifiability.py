@@ -15,8 +15,8 @@ from casid.identifiability.records.practical_result import (
     WELL,
     Practical,
 )
-from casid.identifiability.records.profile_likelihood import Profiles
 from casid.report.figures.panels import Panels
+from casid.report.figures.profiles import profiles_figure
 from casid.report.figures.style import AFTER, BEFORE, FLOOR, MEASURED, figure_text, visible_text
 
 _COLOURS = {WELL: FLOOR, POOR: BEFORE, UNDETERMINED: "#5f6073", UNJUDGED: MEASURED}
@@ -31,7 +31,7 @@ def figures(assessment: Assessment) -> dict[str, Any]:
     if p is not None and sum(math.isfinite(r.std_error) for r in p.parameters) > 1:
         out["correlations"] = correlation_figure(p)
     if assessment.profiles is not None and len(assessment.profiles.profiles):
-        out["profiles"] = profile_figure(assessment.profiles)
+        out["profiles"] = profiles_figure(assessment.profiles)
     return out
 
 
@@ -110,37 +110,5 @@ def correlation_figure(practical: Practical) -> Any:
     return panel.done(
         "Correlation of the expected errors: a pair near +1 or -1 is found in combination, not "
         "one by one. Parameters that are not seen are left out.",
-        (),
-    )
-
-
-def profile_figure(profiles: Profiles) -> Any:
-    """Deviance against each parameter, all else estimated again, and the interval's threshold."""
-    columns = min(2, len(profiles.profiles))
-    panel = Panels(panels=len(profiles.profiles), columns=columns, row_height=250, gap=80)
-    for k, p in enumerate(profiles.profiles):
-        panel.add(
-            k,
-            x=p.grid,
-            y=p.deviance,
-            name="deviance",
-            mode="lines+markers",
-            line={"color": AFTER, "width": 2},
-            hovertemplate="%{x:.5g}: %{y:.3g}<extra></extra>",
-        )
-        panel.add(
-            k,
-            x=[float(p.grid[0]), float(p.grid[-1])],
-            y=[p.threshold, p.threshold],
-            name="threshold of the interval",
-            mode="lines",
-            line={"color": BEFORE, "width": 1.5, "dash": "dash"},
-        )
-        panel.label(k, x=figure_text(f"{p.name} [{p.unit}]" if p.unit else p.name), y="deviance")
-        panel.y_range(k, [0.0, 2.5 * p.threshold])
-    kinds = "; ".join(f"{visible_text(p.name)} {p.kind}" for p in profiles.profiles)
-    return panel.done(
-        f"Profile likelihood, all other parameters estimated again at every point; the "
-        f"{100 * profiles.confidence:g} % interval lies below the dashed line. {kinds}.",
         (),
     )

@@ -44,16 +44,8 @@ def moved_figure(moved: Sequence[Moved], problem: str) -> Any:
 
 def _move(figure: Panels, k: int, m: Moved) -> None:
     """Draw one parameter's move in panel `k`: a line between two points with intervals."""
-    figure.add(
-        k,
-        in_legend=False,
-        x=[m.before, m.after],
-        y=[0.0, 0.0],
-        name="moved",
-        mode="lines",
-        line={"color": MEASURED, "width": 3},
-        hoverinfo="skip",
-    )
+    plain: dict[str, Any] = {"in_legend": False, "hoverinfo": "skip"}
+    figure.line(k, [m.before, m.after], [0.0, 0.0], "moved", MEASURED, width=3, **plain)
     ends = (
         ("before", m.before, m.std_error_before, BEFORE, "circle-open"),
         ("after", m.after, m.std_error_after, AFTER, "circle"),
@@ -63,18 +55,13 @@ def _move(figure: Panels, k: int, m: Moved) -> None:
         half = 1.96 * error if error is not None and math.isfinite(error) else None
         # An interval far wider than the move would hide the move.
         reach += [value + s * min(half, 3 * abs(m.bias)) for s in (-1, 1)] if half else []
-        figure.add(
+        outline = {"width": 2, "color": colour}
+        figure.points(
             k,
-            x=[value],
-            y=[0.0],
-            name=label,
-            mode="markers",
-            marker={
-                "color": colour,
-                "size": 11,
-                "symbol": symbol,
-                "line": {"width": 2, "color": colour},
-            },
+            [value],
+            [0.0],
+            label,
+            {"color": colour, "size": 11, "symbol": symbol, "line": outline},
             error_x={"type": "data", "array": [half], "color": colour, "thickness": 2},
             hovertemplate=f"%{{x:.5g}} {figure_text(m.unit)}",
         )

@@ -112,22 +112,6 @@ def network_figure(
     return figure
 
 
-def text_drawing(
-    network: Network, target: Node | None = None, inputs: Iterable[Node] | None = None
-) -> str:
-    """The same as text: every node with its role, and the modules into and out of it."""
-    sorted_nodes = roles(network, target, inputs)
-    lines = [repr(network), str(sorted_nodes)]
-    for n in network.nodes:
-        out = labels(to for to, source in network.modules if source == n)
-        known = ", delta" * (n in network.excitations)
-        lines.append(
-            f"  {node_label(n):<6}{sorted_nodes.role[n]:<16}from {labels(network.sources(n))}; "
-            f"to {out}{known}"
-        )
-    return "\n".join(lines)
-
-
 def _layout(network: Network) -> dict[Node, Place]:
     import networkx as nx
 

@@ -8,6 +8,7 @@ from textwrap import wrap
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casid.arrays import Array
 from casid.estimation.estimate import RecordView
@@ -114,6 +115,30 @@ class Panels:
         trace |= {"legendgroup": name, "showlegend": first, "visible": owner == 0}
         self.figure.add_trace(getattr(go, kind)(**trace), **self._at(k))
 
+    def line(
+        self,
+        k: int,
+        x: ArrayLike,
+        y: ArrayLike,
+        name: str,
+        colour: str,
+        *,
+        width: float = 2,
+        dash: str | None = None,
+        **trace: Any,
+    ) -> None:
+        """Draw a line in panel k, with points where the mode says so; `trace` as for `add`."""
+        look: dict[str, Any] = {"color": colour, "width": width}
+        if dash is not None:
+            look["dash"] = dash
+        self.add(k, **{"x": x, "y": y, "name": name, "mode": "lines", "line": look, **trace})
+
+    def points(
+        self, k: int, x: ArrayLike, y: ArrayLike, name: str, marker: dict[str, Any], **trace: Any
+    ) -> None:
+        """Draw points in panel k; `trace` as for `add`."""
+        self.add(k, x=x, y=y, name=name, mode="markers", marker=marker, **trace)
+
     def band(self, k: int, x: Array, centre: Array, half: Array) -> None:
         """Shade the 95 % band centre -+ half (n,) over x in panel k."""
         self.add(
@@ -127,6 +152,13 @@ class Panels:
             fillcolor=translucent(AFTER, 0.3),
             hoverinfo="skip",
         )
+
+    def mark(self, k: int, *, x: float | None = None, y: float | None = None, **line: Any) -> None:
+        """Draw a straight line across panel k, upright at `x` or level at `y`."""
+        if x is not None:
+            self.figure.add_vline(x=x, **line, **self._at(k))
+        if y is not None:
+            self.figure.add_hline(y=y, **line, **self._at(k))
 
     def label(self, k: int, *, x: str | None = None, y: str | None = None) -> None:
         """Name the axes of panel k."""

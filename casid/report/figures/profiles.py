@@ -2,49 +2,40 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from casid.identifiability.records.profile_result import Profiles
 from casid.identification.profile_interval import Profile
-from casid.report.figures.style import AFTER, BEFORE, figure_text, visible_text
+from casid.report.figures.panels import Panels
+from casid.report.figures.style import AFTER, BEFORE, axis_text, visible_text
 
 
 def profiles_figure(profiles: Profiles) -> Any:
-    """Plotly figure: deviance against each parameter, with the threshold of the interval."""
-    from plotly.subplots import make_subplots
-
-    columns = min(2, len(profiles.profiles))
-    rows = math.ceil(len(profiles.profiles) / columns)
-    figure = make_subplots(rows=rows, cols=columns, vertical_spacing=0.35 / rows)
+    """Deviance against each parameter, all else estimated again, and the interval's threshold."""
+    count = len(profiles.profiles)
+    panel = Panels(panels=count, columns=min(2, count), row_height=250, gap=80)
     for k, p in enumerate(profiles.profiles):
-        at = {"row": k // columns + 1, "col": k % columns + 1}
-        figure.add_scatter(
-            x=p.grid,
-            y=p.deviance,
+        panel.line(
+            k,
+            p.grid,
+            p.deviance,
+            "deviance",
+            AFTER,
             mode="lines+markers",
-            line={"color": AFTER, "width": 2},
-            name=figure_text(p.name),
-            showlegend=False,
-            **at,
+            in_legend=False,
+            hovertemplate="%{x:.5g}: %{y:.3g}<extra></extra>",
         )
-        figure.add_hline(y=p.threshold, line_dash="dash", line_color=BEFORE, **at)
-        figure.add_vline(x=p.best, line_dash="dot", line_width=1, **at)
-        figure.update_xaxes(title_text=figure_text(f"{p.name} [{p.unit}]"), **at)
-        figure.update_yaxes(title_text="deviance", range=[0, 2.5 * p.threshold], **at)
-    caption = (
-        f"Profile likelihood of {visible_text(profiles.problem)}: deviance with all else estimated "
-        f"again; below the dashed line lies the {100 * profiles.confidence:g} % interval. "
-        + "; ".join(f"{visible_text(p.name)} {p.kind}" for p in profiles.profiles)
-        + "."
+        panel.mark(k, y=p.threshold, line_dash="dash", line_color=BEFORE)
+        panel.mark(k, x=p.best, line_dash="dot", line_width=1)
+        panel.label(k, x=axis_text(p.name, p.unit), y="deviance")
+        panel.y_range(k, [0.0, 2.5 * p.threshold])
+    kinds = "; ".join(f"{visible_text(p.name)} {p.kind}" for p in profiles.profiles)
+    return panel.done(
+        f"Profile likelihood of {visible_text(profiles.problem)}, all other parameters estimated "
+        f"again at every point; the {100 * profiles.confidence:g} % interval lies below the dashed "
+        f"line. {kinds}.",
+        (),
     )
-    figure.update_layout(
-        template="plotly_white",
-        title={"text": figure_text(caption, 200), "font": {"size": 13}},
-        meta={"caption": caption},
-        height=60 + 300 * rows,
-    )
-    return figure
 
 
 def moment_profile_figure(profile: Profile) -> Any:

@@ -19,16 +19,9 @@ def record_figure(record: Record) -> Any:
     limit = points_a_trace(len(shown))
     for k, (name, values) in enumerate(shown.items()):
         unit, kept = record.units[name], thinned(values, limit)
-        figure.add(
-            k,
-            x=record.t[kept],
-            y=values[kept],
-            name=figure_text(name),
-            in_legend=False,
-            mode="lines",
-            line={"color": MEASURED, "width": 1.2},
-            hovertemplate=hover_text("s", unit),
-        )
+        own: dict[str, Any] = {"in_legend": False, "hovertemplate": hover_text("s", unit)}
+        t, y = record.t[kept], values[kept]
+        figure.line(k, t, y, figure_text(name), MEASURED, width=1.2, **own)
         figure.label(k, x="time [s]" if k == len(shown) - 1 else None, y=axis_text(name, unit))
     more = len(record.channels) - len(shown)
     caption = f"Channels of {visible_text(record.name)}" + (f"; {more} more" if more else "")

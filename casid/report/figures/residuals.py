@@ -129,6 +129,7 @@ def residual_spectrum_figure(
         ts = float(np.median(np.diff(v.t))) if v.t.size > 1 else 1.0
         for row, (output, unit) in enumerate(zip(v.outputs, v.output_units, strict=True)):
             density_unit = f"({unit})/\u221aHz"
+            own: dict[str, Any] = {"view": v, "hovertemplate": hover_text("Hz", density_unit)}
             frequency = np.empty(0)
             for label, colour, dash, simulated in simulations(v):
                 e = residual(v, simulated, row)
@@ -141,28 +142,13 @@ def residual_spectrum_figure(
                 with np.errstate(invalid="ignore"):
                     density = np.sqrt(np.where(power > 0, power / seen.mean(), np.nan))
                 i = 1 + thinned(density[1:], POINTS)  # the mean is taken off: no density at zero
-                figure.add(
-                    row,
-                    view=v,
-                    x=frequency[i],
-                    y=density[i],
-                    name=label,
-                    mode="lines",
-                    line={"color": colour, "width": 1.6, "dash": dash},
-                    hovertemplate=hover_text("Hz", density_unit),
+                figure.line(
+                    row, frequency[i], density[i], label, colour, width=1.6, dash=dash, **own
                 )
             floor = (noise_floor or {}).get(output)
             if floor is not None and math.isfinite(floor) and floor > 0 and frequency.size > 1:
-                figure.add(
-                    row,
-                    view=v,
-                    x=frequency[[1, -1]],
-                    y=np.full(2, floor * math.sqrt(2 * ts)),
-                    name="noise floor, were it white",
-                    mode="lines",
-                    line={"color": FLOOR, "width": 2, "dash": "dash"},
-                    hovertemplate=hover_text("Hz", density_unit),
-                )
+                level, label = np.full(2, floor * math.sqrt(2 * ts)), "noise floor, were it white"
+                figure.line(row, frequency[[1, -1]], level, label, FLOOR, dash="dash", **own)
             if v is views[0]:
                 figure.label(row, y=axis_text(output, density_unit, "error of "))
         figure.parts(v, {"xaxis.autorange": True}, shaded=False)

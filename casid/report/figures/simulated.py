@@ -77,47 +77,21 @@ def _add_output(figure: Panels, v: RecordView, row: int, limit: int) -> Array:
 
     Returns the measured samples that count, (N,), NaN elsewhere.
     """
-    hover = hover_text("s", v.output_units[row])
     measured, used = finite(v.measured[:, row]), v.used[:, row]
     kept = np.where(used, measured, np.nan)
     i = thinned(kept, limit)
-    figure.add(
-        row,
-        view=v,
-        x=v.t[i],
-        y=kept[i],
-        name="measured",
-        mode="markers",
-        marker={"color": MEASURED, "size": 4.5},
-        hovertemplate=hover,
-    )
+    own: dict[str, Any] = {"view": v, "hovertemplate": hover_text("s", v.output_units[row])}
+    figure.points(row, v.t[i], kept[i], "measured", {"color": MEASURED, "size": 4.5}, **own)
     left_out = ~used & np.isfinite(measured)
     if left_out.any():
         i = np.flatnonzero(left_out)
         i = i[thinned(measured[i], limit)]
-        figure.add(
-            row,
-            view=v,
-            x=v.t[i],
-            y=measured[i],
-            name="measured, left out",
-            mode="markers",
-            marker={"color": _LEFT_OUT, "size": 7, "symbol": "x-thin-open"},
-            hovertemplate=hover,
-        )
+        marker = {"color": _LEFT_OUT, "size": 7, "symbol": "x-thin-open"}
+        figure.points(row, v.t[i], measured[i], "measured, left out", marker, **own)
     for label, colour, dash, simulated in simulations(v):
         y = finite(simulated[:, row])
         i = thinned(y, limit)
-        figure.add(
-            row,
-            view=v,
-            x=v.t[i],
-            y=y[i],
-            name=label,
-            mode="lines",
-            line={"color": colour, "width": 1.3, "dash": dash},
-            hovertemplate=hover,
-        )
+        figure.line(row, v.t[i], y[i], label, colour, width=1.3, dash=dash, **own)
     return kept
 
 
@@ -132,16 +106,8 @@ def residual_time_figure(records: Sequence[RecordView]) -> Any:
             for label, colour, _, simulated in simulations(v):
                 e = residual(v, simulated, row)
                 i = thinned(e, limit)
-                figure.add(
-                    row,
-                    view=v,
-                    x=v.t[i],
-                    y=e[i],
-                    name=label,
-                    mode="lines",
-                    line={"color": colour, "width": 1.0},
-                    hovertemplate=hover_text("s", unit),
-                )
+                own: dict[str, Any] = {"view": v, "hovertemplate": hover_text("s", unit)}
+                figure.line(row, v.t[i], e[i], label, colour, width=1.0, **own)
             if v is views[0]:
                 figure.label(row, y=axis_text(output, unit, "error of "))
         figure.parts(v, time_range(v))

@@ -58,24 +58,18 @@ def _parameter_panel(figure: Panels, k: int, name: str, cause: Cause) -> None:
     rows = [i for i, r in enumerate(records) if name in cause.by_record[r]]
     found = [cause.by_record[records[i]][name] for i in rows]
     halves = [1.96 * p.std_error if p.std_error is not None else None for p in found]
-    figure.add(
+    figure.points(
         k,
-        x=[p.value for p in found],
-        y=rows,
-        name="value in this record",
-        mode="markers",
-        marker={"color": AFTER, "size": 10},
+        [p.value for p in found],
+        rows,
+        "value in this record",
+        {"color": AFTER, "size": 10},
         error_x={"type": "data", "array": halves, "color": AFTER, "thickness": 2, "width": 5},
         hovertemplate=f"%{{x:.5g}} {figure_text(found[0].unit)}<extra></extra>",
     )
     if name in common:
-        figure.add(
-            k,
-            x=[common[name]] * 2,
-            y=[-0.5, len(records) - 0.5],
-            name="one value for all",
-            mode="lines",
-            line={"color": MEASURED, "width": 2, "dash": "dash"},
-            hovertemplate="one value for all %{x:.5g}<extra></extra>",
-        )
+        label, ends = "one value for all", [-0.5, len(records) - 0.5]
+        hover = f"{label} %{{x:.5g}}<extra></extra>"
+        x = [common[name]] * 2
+        figure.line(k, x, ends, label, MEASURED, dash="dash", hovertemplate=hover)
     figure.label(k, x=axis_text(name, found[0].unit))

@@ -41,15 +41,8 @@ def dependence_figure(result: Unexplained) -> Any:
     figure = Panels(panels=len(drawn), columns=columns, row_height=280, gap=70)
     for k, d in enumerate(drawn):
         figure.band(k, d.at, d.value, 1.96 * d.sd)
-        figure.add(
-            k,
-            x=d.at,
-            y=d.value,
-            name="missing part",
-            mode="lines+markers",
-            line={"color": AFTER, "width": 2},
-            marker={"size": 5},
-        )
+        dots: dict[str, Any] = {"mode": "lines+markers", "marker": {"size": 5}}
+        figure.line(k, d.at, d.value, "missing part", AFTER, **dots)
         last, unit = d.variables[-1], best.unit
         label = f"missing {best.place}" if best.is_balance else f"error of {best.place}"
         if len(d.variables) > 1:
@@ -79,23 +72,10 @@ def missing_spectrum_figure(result: Unexplained) -> Any:
     unit = f"({best.unit})/\u221aHz"
     figure = Panels(rows=1, row_height=320, gap=30)
     above = s.density > 0  # below zero by chance: nothing is seen there
-    figure.add(
-        0,
-        x=s.frequency[above],
-        y=np.sqrt(s.density[above]),
-        name=figure_text(f"missing {best.place}"),
-        mode="lines+markers",
-        line={"color": AFTER, "width": 1.6},
-        marker={"size": 4},
-    )
-    figure.add(
-        0,
-        x=s.frequency,
-        y=np.sqrt(s.floor),
-        name="noise alone",
-        mode="lines",
-        line={"color": FLOOR, "width": 2, "dash": "dash"},
-    )
+    name, density = figure_text(f"missing {best.place}"), np.sqrt(s.density[above])
+    dots: dict[str, Any] = {"mode": "lines+markers", "marker": {"size": 4}}
+    figure.line(0, s.frequency[above], density, name, AFTER, width=1.6, **dots)
+    figure.line(0, s.frequency, np.sqrt(s.floor), "noise alone", FLOOR, dash="dash")
     figure.label(0, x="frequency [Hz]", y=axis_text("density", unit))
     figure.log()
     line = f" A line stands out at {s.line:.3g} Hz." if s.line is not None else ""
@@ -121,26 +101,12 @@ def missing_time_figure(result: Unexplained, record: int = 0) -> Any:
     every = slice(None, None, max(1, len(s.t) // _POINTS))
     figure.band(0, s.t[every], s.force[every], 1.96 * s.sd[every])
     i = thinned(s.force, _POINTS)
-    figure.add(
-        0,
-        x=s.t[i],
-        y=s.force[i],
-        name=figure_text(f"missing {best.place}"),
-        mode="lines",
-        line={"color": AFTER, "width": 1.3},
-    )
+    figure.line(0, s.t[i], s.force[i], figure_text(f"missing {best.place}"), AFTER, width=1.3)
     figure.label(0, y=axis_text(best.place, best.unit))
     for row, name in enumerate(names, start=1):
         i = thinned(signals[name], _POINTS)
-        figure.add(
-            row,
-            x=s.t[i],
-            y=signals[name][i],
-            name=figure_text(name),
-            mode="lines",
-            line={"color": MEASURED if row % 2 else BEFORE, "width": 1.1},
-            in_legend=False,
-        )
+        colour, label = MEASURED if row % 2 else BEFORE, figure_text(name)
+        figure.line(row, s.t[i], signals[name][i], label, colour, width=1.1, in_legend=False)
         figure.label(row, y=axis_text(name, best.units.get(name, "")))
     figure.label(len(names), x="time [s]")
     honest = "" if force.is_seen else " It is not estimated better than its noise."

@@ -30,13 +30,12 @@ def _model_sections(model: Model) -> list[Part]:
 def _parameters(model: Model) -> Table:
     rows = []
     for p in model.parameters.values():
-        number = p.start if p.value is None else p.value
         ends = [model.shown(p.name, x) for x in (p.lower, p.upper)]
         rows.append(
             (
                 Code(p.name),
                 model.unit_of(p.name),
-                value_text(model.shown(p.name, number)),
+                value_text(model.shown(p.name, p.nominal)),
                 "known" if p.is_known else "start",
                 "" if p.is_known else _between(*ends),
             )
@@ -59,7 +58,7 @@ def _states(model: Model) -> Table:
         (
             Code(x.name),
             model.unit_of(x.name),
-            value_text(model.shown(x.name, x.start if x.initial is None else x.initial)),
+            value_text(model.shown(x.name, x.nominal)),
             "start" if x.initial is None else "known",
         )
         for x in model.states.values()

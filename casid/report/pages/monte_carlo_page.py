@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from casid.campaigns.monte_carlo import Accuracy, MonteCarlo
+from casid.campaigns.accuracy import Accuracy
+from casid.campaigns.monte_carlo import MonteCarlo
 from casid.report.document import Bullets, Document, Section, Table, figure_parts, mapping_table
 from casid.report.figures.histograms import histogram_figure
 from casid.report.numbers import number_text, value_text
