@@ -446,3 +446,14 @@ problem = casid.Problem(
         "J. Linder, Indirect System Identification for Unknown Input Problems, 2017, section 7.5.2",
     ),
 )
+
+
+def aligned(run: Recording) -> casid.Alignment:
+    """The clock of the cart's logger against that of the pendulum, from the knocks at its start."""
+    return casid.align(
+        run.pendulum.between(*HELD),
+        run.cart.between(*HELD),
+        using="accel",
+        other_using="cart_accel",
+        max_offset=STARTED_WITHIN,
+    )

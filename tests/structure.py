@@ -17,6 +17,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 LONG, TOO_LONG = 60, 100  # lines of a function
+LONG_FILE = 500
 MANY_PARAMETERS = 8
 MANY_FIELDS = 15
 
@@ -59,6 +60,28 @@ def definitions(path: Path) -> tuple[tuple[str, str, ast.AST], ...]:
 def lines(folder: str) -> int:
     """Lines of Python below a folder, blank ones included."""
     return sum(len(p.read_text(encoding="utf-8").splitlines()) for p in sources(folder))
+
+
+def composition(folder: str) -> dict[str, int]:
+    """Lines of code, docstrings, comments and blank lines below a folder."""
+    total = dict.fromkeys(("code", "docstring", "comment", "blank"), 0)
+    for path in sources(folder):
+        documented: set[int] = set()
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+                documented.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+            kind = (
+                "comment" if line.lstrip().startswith("#") else "code" if line.strip() else "blank"
+            )
+            total["docstring" if number in documented else kind] += 1
+    return total
+
+
+def long_files(folder: str, limit: int = LONG_FILE) -> list[str]:
+    """Files of more than `limit` lines."""
+    sizes = [(len(p.read_text(encoding="utf-8").splitlines()), p) for p in sources(folder)]
+    return [f"{n:4d} {p.relative_to(ROOT)}" for n, p in sorted(sizes, reverse=True) if n > limit]
 
 
 def long_functions(folder: str, limit: int = LONG) -> list[str]:
@@ -180,6 +203,7 @@ def floors(graph: dict[str, set[str]]) -> int:
 
 
 MEASURES = {
+    f"files over {LONG_FILE} lines": lambda: long_files("casid"),
     f"functions over {LONG} lines": lambda: long_functions("casid"),
     f"functions over {TOO_LONG} lines": lambda: long_functions("casid", TOO_LONG),
     f"functions with more than {MANY_PARAMETERS} parameters": lambda: many_parameters("casid"),
@@ -198,6 +222,8 @@ def main(words: list[str]) -> None:
         return
     for folder in ("casid", "problems", "analysis", "tests", "benchmarks", "docs"):
         print(f"{lines(folder):8d}  lines of {folder}")
+    for kind, count in composition("casid").items():
+        print(f"{count:8d}  lines of casid that are {kind}")
     rooms = between_packages()
     packages = [room for room in rooms if (ROOT / "casid" / room).is_dir()]
     print(f"{len(packages):8d}  packages right below casid")

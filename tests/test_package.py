@@ -40,19 +40,20 @@ identifiability: model algebra data saving linear estimation
 identification: model algebra data saving linear estimation identifiability
 unknown_inputs: model algebra data linear estimation identifiability identification
 campaigns: model data saving estimation identification
+experiment_design: model data saving linear estimation identifiability
 diagnosis: model algebra data saving linear estimation identifiability identification campaigns
 export: model data linear estimation
 report: model algebra data linear estimation identifiability identification unknown_inputs
-  campaigns diagnosis
+  campaigns experiment_design diagnosis
 cli: model algebra data linear estimation identifiability identification unknown_inputs campaigns
-  diagnosis export report saving
+  experiment_design diagnosis export report saving
 __main__: cli
 """
 
 # Modules right below casid, of the standard library and NumPy alone, that every package may use.
 GROUND = set(
     "arrays compiler deprecation errors exportable pickling presentation versions grouping"
-    " threshold_table time_limit".split()
+    " threshold_table time_limit whole_files".split()
 )
 
 

@@ -8,6 +8,8 @@ from tests import structure
 
 # What was reached on 2026-11-22. A change that needs more is a change that wants another structure.
 CEILINGS = {
+    # Of the diagnosis: its table of thresholds, and two more.
+    f"files over {structure.LONG_FILE} lines": 3,
     f"functions over {structure.LONG} lines": 39,
     f"functions over {structure.TOO_LONG} lines": 0,
     f"functions with more than {structure.MANY_PARAMETERS} parameters": 0,

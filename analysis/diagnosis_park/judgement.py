@@ -8,11 +8,12 @@ Wrong: a first cause that is named, the hidden one not in the set with it, and n
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
+from analysis.diagnosis_power.judgement import UNKNOWN, is_flagged, reported
+
 Row = Mapping[str, Any]
-UNKNOWN = "unknown"
 
 
 def names_of(row: Row) -> set[tuple[str, str]]:
@@ -26,36 +27,18 @@ def first(row: Row) -> tuple[str, str] | None:
     return (causes[0]["kind"], causes[0]["where"]) if causes else None
 
 
-def reported(row: Row) -> Iterator[tuple[str, str]]:
-    """The first cause and its alternatives."""
-    for cause in row.get("causes", ())[:1]:
-        yield cause["kind"], cause["where"]
-        yield from ((kind, where) for kind, where in cause["alternatives"])
-
-
 def is_right(row: Row) -> bool:
+    """True if the first cause is the hidden one."""
     return first(row) in names_of(row)
 
 
 def has_truth(row: Row) -> bool:
-    return any(pair in names_of(row) for pair in reported(row))
-
-
-def is_alarm(row: Row) -> bool:
-    return bool(row.get("verdict") == "deficient")
-
-
-def is_flagged(row: Row) -> bool:
-    """Something is said to be there that is not known."""
-    pairs = [
-        kind
-        for cause in row.get("causes", ())
-        for kind in (cause["kind"], *(kind for kind, _ in cause["alternatives"]))
-    ]
-    return row.get("unexplained") is not None or UNKNOWN in pairs
+    """True if the hidden effect is the first cause or one of its alternatives."""
+    return any(pair in names_of(row) for c in row.get("causes", ())[:1] for pair in reported(c))
 
 
 def is_named(row: Row) -> bool:
+    """True if the first cause has a name."""
     pair = first(row)
     return pair is not None and pair[0] != UNKNOWN
 
@@ -71,4 +54,5 @@ def oracle_is_right(row: Row, which: str = "oracle_2") -> bool:
 
 
 def oracle_has_truth(row: Row, which: str = "oracle_2") -> bool:
+    """As `oracle_is_right`, of the set that the oracle reports."""
     return which not in row or any(tuple(p) in names_of(row) for p in row[f"{which}_set"])

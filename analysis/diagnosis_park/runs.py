@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import casid
+from analysis.common.case_file import Row, of_diagnosis
 from analysis.diagnosis_park.cases import Case, Hidden, make
-from analysis.diagnosis_park.networks import KINDS, network
 from analysis.diagnosis_park.oracle import judged, signatures_of
+from tests.support.park.networks import KINDS, network
 from tests.support.park.simulator import System
 from tests.support.park.systems import SYSTEMS
 
-Row = dict[str, Any]
 FILES = Path(__file__).with_name("problem_files")
 NAMES = (*SYSTEMS, *KINDS)
 
@@ -61,31 +59,6 @@ def row_of(case: Case, *, oracles: bool = True) -> Row:
         row["error"] = f"{type(error).__name__}: {error}"
     row["seconds"], row["cpu"] = time.perf_counter() - began, time.process_time() - cpu
     return row
-
-
-def of_diagnosis(d: casid.Diagnosis) -> Row:
-    """Verdict, causes with alternatives, and what it calls unexplained."""
-    return {
-        "verdict": d.verdict,
-        "causes": [
-            {
-                "kind": c.kind,
-                "where": c.where,
-                "p": c.p_value,
-                "alternatives": [[a.kind, a.where] for a in c.alternatives],
-                "values": {p.name: p.value for p in c.parameters},
-            }
-            for c in d.causes
-        ],
-        "unexplained": None if d.unexplained is None else " ".join(d.unexplained.sentences),
-        "disturbances": [x.where for x in d.disturbances],
-        "fitted": _plain(d.fitted),
-        "held_out": _plain(d.held_out),
-    }
-
-
-def _plain(errors: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    return {name: {k: float(v) for k, v in values.items()} for name, values in errors.items()}
 
 
 def _of_oracles(hidden: Hidden) -> Row:

@@ -14,22 +14,19 @@ stopped goes on.
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-import joblib
-
+from analysis.common.case_file import Row, finished, last_rows
+from analysis.common.output import aligned
 from analysis.common.runner import Run, Study, jobs
 from analysis.common.targets import Target
 from analysis.diagnosis_park.cases import Case
 from analysis.diagnosis_park.judgement import (
     first,
     has_truth,
-    is_alarm,
-    is_flagged,
     is_right,
     is_wrong,
 )
@@ -40,38 +37,30 @@ from analysis.diagnosis_park.tables import (
     by_range,
     by_system,
     confusions,
-    printed,
     targets_of,
 )
+from analysis.diagnosis_power.judgement import is_alarm, is_flagged
 
-Row = dict[str, Any]
 RECORDS, QUICK_RECORDS = 80, 2
 QUICK_SYSTEMS = ("motor", "rooms")
 
 
+def key_of(row: Row) -> tuple[str, int, int]:
+    """What identifies a row."""
+    return row["system"], row["seed"], row["number"]
+
+
 def rows_of(file: Path) -> list[Row]:
-    """The last row of every case; a line that was cut off is left out."""
-    rows: dict[tuple[str, int, int], Row] = {}
-    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
-        try:
-            row = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        rows[row["system"], row["seed"], row["number"]] = row
-    return list(rows.values())
+    """The last row of every case."""
+    return last_rows(file, key_of)
 
 
 def run_cases(
     file: Path, cases: Sequence[Case], n_jobs: int = 1, *, oracles: bool = True
 ) -> Iterator[Row]:
     """Do what the file lacks or what failed; yields each row once it is written."""
-    done = {(r["system"], r["seed"], r["number"]) for r in rows_of(file) if "error" not in r}
-    todo = [c for c in cases if (c.system, c.seed, c.number) not in done]
-    parallel = joblib.Parallel(n_jobs=n_jobs, return_as="generator_unordered")
-    for row in parallel(joblib.delayed(row_of)(case, oracles=oracles) for case in todo):
-        with file.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(row) + "\n")
-        yield row
+    tasks = {(c.system, c.seed, c.number): c for c in cases}
+    return finished(file, key_of, tasks, partial(row_of, oracles=oracles), n_jobs)
 
 
 def line_of(row: Row) -> str:
@@ -111,7 +100,7 @@ def study(run: Run) -> Iterator[Target]:
     }
     for name, table in tables.items():
         if table:
-            print(f"\n{printed(table)}")
+            print(f"\n{aligned(list(table[0]), [list(line.values()) for line in table])}")
             run.output.table(name, table)
     print("\nwent wrong:", *confusions(rows), sep="\n")
     yield from targets_of(rows, quick=run.quick or o.records is not None)

@@ -1,9 +1,6 @@
 """The park's numbers: by system, by lambda, by nearest rival, and beside their targets.
 
-R is the ratio of right names, casid's to the oracle's, of the same records. Its interval is
-McNemar's: with n records, b that the oracle alone has right and c that casid alone has, the
-difference of the shares is (c - b) / n with variance (b + c - (b - c)^2 / n) / n^2 (Agresti 2013,
-section 11.1), divided by the oracle's share.
+R is the ratio of right names, casid's to the oracle's, of the same records.
 """
 
 from __future__ import annotations
@@ -12,25 +9,22 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta, binom
+from scipy.stats import binom
 
+from analysis.common.rates import rate, ratio, reaches, stays_within
 from analysis.common.targets import Target
 from analysis.diagnosis_park.judgement import (
     first,
     has_truth,
-    is_alarm,
-    is_flagged,
     is_named,
     is_right,
     is_wrong,
     oracle_has_truth,
     oracle_is_right,
 )
+from analysis.diagnosis_power.judgement import is_alarm, is_flagged
 
 Row = Mapping[str, Any]
-CHANCE = 0.01
-"""Of a target being missed by chance alone, where a quick study is judged at its limit."""
-
 NOMINAL = 0.05
 BUDGET = 600.0
 """Processor seconds after which a run counts as failed."""
@@ -45,17 +39,11 @@ def ratio_of(
     theirs: Callable[[Row], bool] = oracle_is_right,
 ) -> tuple[float, float, float, float]:
     """R with its 95 % interval, and the share of avoidable errors."""
-    casid = np.array([ours(r) for r in rows])
-    oracle = np.array([theirs(r) for r in rows])
-    n = len(rows)
-    b, c = int(np.sum(oracle & ~casid)), int(np.sum(casid & ~oracle))
-    share = max(float(oracle.mean()), 1.0 / n)
-    half = 1.96 * float(np.sqrt(b + c - (b - c) ** 2 / n)) / n / share
-    R = float(casid.mean()) / share
-    return R, R - half, R + half, b / n
+    return ratio([ours(r) for r in rows], [theirs(r) for r in rows])
 
 
 def share(rows: Sequence[Row], claim: Callable[[Row], bool]) -> tuple[int, int]:
+    """Rows of which the claim is true, and all of them."""
     return sum(claim(r) for r in rows), len(rows)
 
 
@@ -63,12 +51,12 @@ def text_of(hits: int, of: int) -> str:
     """A share with its Clopper-Pearson interval."""
     if not of:
         return "-"
-    low = float(beta.ppf(0.025, hits, of - hits + 1)) if hits else 0.0
-    high = float(beta.ppf(0.975, hits + 1, of - hits)) if hits < of else 1.0
-    return f"{hits}/{of} ({100 * hits / of:.0f} %, {100 * low:.0f} to {100 * high:.0f})"
+    percent = (f"{100 * rate(hits, of)[key]:.0f}" for key in ("rate", "low", "high"))
+    return "{}/{} ({} %, {} to {})".format(hits, of, *percent)
 
 
 def is_failed(row: Row) -> bool:
+    """True if a run ended in an error or beyond the time."""
     return "error" in row or row["cpu"] > BUDGET
 
 
@@ -123,19 +111,6 @@ def by_range(rows: Sequence[Row], key: str, edges: Sequence[float]) -> list[dict
     return out
 
 
-def printed(rows: Iterable[Mapping[str, str]]) -> str:
-    """Aligned columns."""
-    lines = list(rows)
-    if not lines:
-        return ""
-    head = list(lines[0])
-    widths = [max(len(h), *(len(line[h]) for line in lines)) for h in head]
-    cells = [head, *([line[h] for h in head] for line in lines)]
-    return "\n".join(
-        "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in cells
-    )
-
-
 def confusions(rows: Iterable[Row]) -> list[str]:
     """Records that went wrong, a line each."""
     out = []
@@ -163,14 +138,14 @@ def targets_of(rows: Sequence[Row], *, quick: bool) -> list[Target]:
     def least(what: str, among: Sequence[Row], claim: Callable[[Row], bool], wanted: float) -> None:
         hits, of = share(among, claim)
         if of:
-            met = binom.cdf(hits, of, wanted) > CHANCE if quick else hits >= wanted * of
-            out.append(Target(what, text_of(hits, of), f">= {100 * wanted:g} %", bool(met)))
+            met = reaches(hits, of, wanted, quick=quick)
+            out.append(Target(what, text_of(hits, of), f">= {100 * wanted:g} %", met))
 
     def most(what: str, among: Sequence[Row], claim: Callable[[Row], bool], wanted: float) -> None:
         hits, of = share(among, claim)
         if of:
-            met = binom.sf(hits - 1, of, wanted) > CHANCE if quick else hits <= wanted * of
-            out.append(Target(what, text_of(hits, of), f"<= {100 * wanted:g} %", bool(met)))
+            met = stays_within(hits, of, wanted, quick=quick)
+            out.append(Target(what, text_of(hits, of), f"<= {100 * wanted:g} %", met))
 
     least("right name", single, is_right, 0.92)
     least("truth in the reported set", single, has_truth, 0.97)

@@ -5,9 +5,10 @@ Shares stand as "hits of cases, per cent (95 % interval)".
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+from analysis.common.output import aligned
 from analysis.diagnosis_power.peers import PEERS
 
 Summary = Mapping[str, Any]
@@ -30,24 +31,9 @@ def share(found: Summary | None) -> str:
     return f"{found['hits']} of {found['of']}, {rate:.1f} % ({low:.0f} to {high:.0f})"
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Lines of aligned columns, the first to the left and all others to the right."""
-    lines = [tuple(head), *(tuple(row) for row in rows)]
-    if len(lines) == 1:
-        return ""
-    widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if i == 0 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
-
-
 def _cases(s: Summary) -> str:
     rows = [(part, str(n), str(s["failed"][part])) for part, n in s["cases"].items()]
-    return table(("part", "cases", "failed"), rows)
+    return aligned(("part", "cases", "failed"), rows)
 
 
 def _targets(s: Summary) -> str:
@@ -55,7 +41,7 @@ def _targets(s: Summary) -> str:
         (t["what"], t["found"], t["wanted"], "met" if t["is_met"] else "MISSED")
         for t in s.get("targets", ())
     ]
-    return table(("number", "found", "wanted", ""), rows)
+    return aligned(("number", "found", "wanted", ""), rows)
 
 
 def _power(s: Summary) -> str:
@@ -66,7 +52,7 @@ def _power(s: Summary) -> str:
         others = (f"{100 * b[what]['rate']:.0f} %" for what in ("doubtful", "wrong", "detected"))
         band = f"{b['from']:.0f} to {b['to']:.0f}"
         rows.append((band, bar.ljust(BAR), share(b["right"]), *others))
-    return table(("lambda", "", "named right", "doubtful", "wrong", "detected"), rows)
+    return aligned(("lambda", "", "named right", "doubtful", "wrong", "detected"), rows)
 
 
 def _kinds(s: Summary) -> str:
@@ -75,7 +61,7 @@ def _kinds(s: Summary) -> str:
 
 def _by_kind(kinds: Iterable[Summary]) -> str:
     rows = [(k["hidden"], *(share(k[w]) for w in ("right", "wrong", "detected"))) for k in kinds]
-    return table(("hidden", "named right", "wrong name", "detected"), rows)
+    return aligned(("hidden", "named right", "wrong name", "detected"), rows)
 
 
 def _confusion(s: Summary) -> str:
@@ -88,7 +74,7 @@ def _confusion(s: Summary) -> str:
         for hidden, found in by.items()
     ]
     width = max((len(text) for _, text in rows), default=0)
-    return table(("hidden", "named first".ljust(width)), [(h, t.ljust(width)) for h, t in rows])
+    return aligned(("hidden", "named first".ljust(width)), [(h, t.ljust(width)) for h, t in rows])
 
 
 def _nulls(s: Summary) -> str:
@@ -99,7 +85,7 @@ def _nulls(s: Summary) -> str:
         for c in s["nulls"]["cells"]
     ]
     rows.append(("pooled", "", share(s["nulls"]["pooled"]), _list(s["nulls"]["named"])))
-    return table(("record", "noise", "false alarms", "named"), rows)
+    return aligned(("record", "noise", "false alarms", "named"), rows)
 
 
 def _list(counts: Mapping[str, int]) -> str:
@@ -110,7 +96,7 @@ def _pairs(s: Summary) -> str:
     names = {"both": "both named", "one": "one at least", "too_many": "a third cause named"}
     found = s.get("pairs", {})
     rows = [(names[what], share(found[what])) for what in names if what in found]
-    return table(("two effects", "cases"), rows)
+    return aligned(("two effects", "cases"), rows)
 
 
 def _unlisted(s: Summary) -> str:
@@ -120,7 +106,7 @@ def _unlisted(s: Summary) -> str:
     rows = [("all", share(found["silent"]), share(found["flagged"]))]
     rows += [(f"kind that {_group(g)}", share(of), "") for g, of in found["groups"].items()]
     rows += [(f"  {k['kind']}", share(k), "") for k in found["kinds"]]
-    return table(("hidden", "named, no flag", "flagged"), rows)
+    return aligned(("hidden", "named, no flag", "flagged"), rows)
 
 
 def _group(name: str) -> str:
@@ -136,7 +122,7 @@ def _gain(s: Summary) -> str:
         ("nine tenths of it or more", share(gain["nine_tenths"])),
         ("held-out error larger by 1 %", share(gain["worse"])),
     ]
-    return table(("gain", "cases"), rows)
+    return aligned(("gain", "cases"), rows)
 
 
 def _rivals(s: Summary) -> str:
@@ -150,7 +136,7 @@ def _rivals(s: Summary) -> str:
     if rows:
         every = rivals[PEERS[0]]["all"]["casid"]
         rows.insert(0, ("casid", share(every), "", ""))
-    return table(("", "all kinds", "kinds with a column", "casid on these"), rows)
+    return aligned(("", "all kinds", "kinds with a column", "casid on these"), rows)
 
 
 def _small(s: Summary) -> str:
@@ -172,7 +158,7 @@ def _time(s: Summary) -> str:
         )
         for t in s.get("time", {}).get("settings", ())
     ]
-    return table(("system", "record", "cases", "median", "95 % below", "largest"), rows)
+    return aligned(("system", "record", "cases", "median", "95 % below", "largest"), rows)
 
 
 TABLES: dict[str, Callable[[Summary], str]] = {

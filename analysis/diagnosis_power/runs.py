@@ -10,10 +10,9 @@ import time
 from typing import Any
 
 import casid
+from analysis.common.case_file import Row, of_diagnosis
 from analysis.diagnosis_power.cases import Hidden, draw_case, make
 from analysis.diagnosis_power.energy import OF_SAMPLES, energy_of_samples, visible_energy
-
-Row = dict[str, Any]
 
 
 def problem_of(system: str) -> casid.Problem:
@@ -138,23 +137,5 @@ def _of_diagnosis(problem: casid.Problem, hidden: Hidden) -> Row:
         "seconds": time.perf_counter() - began,
         "cpu": time.process_time() - cpu,
         "scoring": clock.scoring,
-        "verdict": d.verdict,
-        "causes": [
-            {
-                "kind": c.kind,
-                "where": c.where,
-                "p": c.p_value,
-                "alternatives": [[a.kind, a.where, a.p_value] for a in c.alternatives],
-                "values": {p.name: p.value for p in c.parameters},
-            }
-            for c in d.causes
-        ],
-        "unexplained": _text(getattr(d, "unexplained", None)),
-        "candidates": len(d.ranking),
-        "fitted": {k: dict(v) for k, v in d.fitted.items()},
-        "held_out": {k: dict(v) for k, v in d.held_out.items()},
+        **of_diagnosis(d),
     }
-
-
-def _text(value: object) -> str | None:
-    return None if value is None else str(value)

@@ -17,10 +17,8 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-import joblib
-
+from analysis.common.case_file import Row, finished, last_rows
 from analysis.common.output import Output
 from analysis.common.runner import Run, Study, jobs
 from analysis.common.targets import Target
@@ -30,8 +28,6 @@ from analysis.diagnosis_power.judgement import is_flagged, is_right, is_wrong_na
 from analysis.diagnosis_power.runs import diagnosed, gained, judged_by_oracles, judged_by_peers
 from analysis.diagnosis_power.tables import summary_of
 from analysis.diagnosis_power.targets import targets_of
-
-Row = dict[str, Any]
 
 COUNTS = {
     "nulls": 1200,
@@ -54,20 +50,8 @@ RESULTS = Path(__file__).with_name("results.json")
 
 
 def rows_of(file: Path) -> list[Row]:
-    """The last row of every case; a line that was cut off when a run was killed is left out.
-
-    Energies of outliers are as they are defined now, whatever was written.
-    """
-    if not file.exists():
-        return []
-    rows = {}
-    for line in file.read_text(encoding="utf-8").splitlines():
-        try:
-            row = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        rows[key_of(row)] = with_energy(row)
-    return list(rows.values())
+    """The last row of every case, energies of outliers as they are defined now."""
+    return [with_energy(row) for row in last_rows(file, key_of)]
 
 
 def key_of(row: Row) -> tuple[str, str, int]:
@@ -100,15 +84,7 @@ def do(task: Task) -> Row:
 
 def run_cases(file: Path, tasks: Sequence[Task], jobs: int) -> Iterator[Row]:
     """Do the tasks that the file lacks or that failed; yields each row once it is written."""
-    done = {key_of(row) for row in rows_of(file) if "error" not in row}
-    if file.exists() and not file.read_bytes().endswith(b"\n"):
-        with file.open("a", encoding="utf-8") as stream:
-            stream.write("\n")  # a line was cut off when a run was killed
-    parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-    for row in parallel(joblib.delayed(do)(task) for task in tasks if task not in done):
-        with file.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(row) + "\n")
-        yield row
+    return finished(file, key_of, {task: task for task in tasks}, do, jobs)
 
 
 def line_of(row: Row) -> str:

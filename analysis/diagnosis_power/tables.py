@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
 
+from analysis.common.rates import rate, ratio
 from analysis.diagnosis_power.judgement import (
     found_of_pair,
     has_truth,
@@ -71,13 +71,6 @@ def summary_of(rows: Sequence[Row]) -> Summary:
     return out
 
 
-def rate(hits: int, of: int) -> Summary:
-    """A share with its 95 % interval."""
-    low = float(beta.ppf(0.025, hits, of - hits + 1)) if hits else 0.0
-    high = float(beta.ppf(0.975, hits + 1, of - hits)) if hits < of else 1.0
-    return {"hits": hits, "of": of, "rate": hits / of if of else None, "low": low, "high": high}
-
-
 def _share(rows: Iterable[Row], claim: Callable[[Row], bool]) -> Summary:
     found = [claim(r) for r in rows]
     return rate(sum(found), len(found)) if found else {"hits": 0, "of": 0, "rate": None}
@@ -85,8 +78,6 @@ def _share(rows: Iterable[Row], claim: Callable[[Row], bool]) -> Summary:
 
 def _oracle(done: Mapping[str, list[Row]]) -> Summary:
     """R by system: right names of the diagnosis over the oracle's, lambda of 100 and more."""
-    from analysis.diagnosis_park.tables import ratio_of
-
     out: Summary = {}
     for system in ("single", "roll", "ship"):
         said = {r["number"]: r for r in done["oracle"] if r["of"] == system and "oracle_2" in r}
@@ -96,7 +87,9 @@ def _oracle(done: Mapping[str, list[Row]]) -> Summary:
             if r["number"] in said and r["energy"] >= 100
         ]
         if rows:
-            R, low, high, avoidable = ratio_of(rows, is_right, _oracle_is_right)
+            R, low, high, avoidable = ratio(
+                [is_right(r) for r in rows], [_oracle_is_right(r) for r in rows]
+            )
             found = {"R": R, "low": low, "high": high, "avoidable": avoidable, "of": len(rows)}
             out["pendulum" if system == "single" else system] = found
     return out

@@ -26,12 +26,10 @@ from typing import Any
 
 from scipy.stats import binom
 
+from analysis.common.rates import reaches, stays_within
 from analysis.common.targets import Target
 from analysis.diagnosis_power.peers import ALONE
 from analysis.diagnosis_power.tables import NOMINAL, Summary
-
-CHANCE = 0.01
-"""Of a target being missed by chance alone, where a small study is judged at its limit."""
 
 
 def targets_of(s: Summary, *, quick: bool = False) -> list[Target]:
@@ -44,16 +42,12 @@ def targets_of(s: Summary, *, quick: bool = False) -> list[Target]:
 
     def least(what: str, found: Summary | None, wanted: float) -> None:
         if found and found["of"]:
-            met = found["rate"] >= wanted
-            if quick:
-                met = binom.cdf(found["hits"], found["of"], wanted) > CHANCE
+            met = reaches(found["hits"], found["of"], wanted, quick=quick)
             out.append(_target(what, found, f">= {100 * wanted:g} %", met))
 
     def most(what: str, found: Summary | None, wanted: float) -> None:
         if found and found["of"]:
-            met = found["rate"] <= wanted
-            if quick:
-                met = binom.sf(found["hits"] - 1, found["of"], wanted) > CHANCE
+            met = stays_within(found["hits"], found["of"], wanted, quick=quick)
             out.append(_target(what, found, f"<= {100 * wanted:g} %", met))
 
     failed, cases = sum(s["failed"].values()), sum(s["cases"].values())
@@ -66,7 +60,7 @@ def targets_of(s: Summary, *, quick: bool = False) -> list[Target]:
         pooled = s["nulls"]["pooled"]
         inside = 0.025 <= pooled["rate"] <= 0.065
         if quick or pooled["of"] < 400:
-            inside = binom.sf(pooled["hits"] - 1, pooled["of"], NOMINAL) > CHANCE
+            inside = stays_within(pooled["hits"], pooled["of"], NOMINAL, quick=True)
         out.append(_target("false alarms, pooled", pooled, "2.5 to 6.5 %", inside))
     if "single" in s:
         one = s["single"]

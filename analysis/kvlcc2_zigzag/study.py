@@ -22,6 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 
@@ -34,9 +35,9 @@ from casid.estimation.equation_error import equation_error
 from casid.estimation.estimate import Estimate
 from casid.estimation.measured_motion import Butterworth
 from casid.estimation.moments.exogeneity import reference_depends_on
-from casid.estimation.prediction_error.coordinated_turn import rounding_error
+from casid.estimation.prediction_error.coordinated_turn import Track, rounding_error
+from casid.model.declarations import Input
 from casid.model.effects.balance_effects import cubic_stiffness, quadratic_damping
-from casid.model.model import Input
 from problems import kvlcc2_zigzag
 from problems.kvlcc2_zigzag import OMEGA_0
 
@@ -90,23 +91,33 @@ def frequencies(data: Mapping[str, casid.Experiment]) -> Iterator[Target]:
         yield near(what, lone, ALONE[name], 0.1, "rad/s")
 
 
+def smoothed(folder: Path, name: str) -> tuple[Track, Any]:
+    """The track from positions and heading of a record, every fourth sample; and its columns.
+
+    The noise is the rounding of what was written. Beside it there is next to none: found so if it
+    is left free, and slower.
+    """
+    d = np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True)[::4]
+    record = casid.Record(
+        {"x": d["x_m"], "y": d["y_m"], "psi": np.deg2rad(d["psi_deg"])},
+        {"x": "m", "y": "m", "psi": "rad"},
+        Ts=float(np.mean(np.diff(d["t_s"]))),
+        name=name,
+    )
+    known = {
+        "x": rounding_error(d["x_m"]),
+        "y": rounding_error(d["y_m"]),
+        "psi": np.deg2rad(rounding_error(d["psi_deg"])),
+    }
+    levels = {"position": 0.01, "heading": 1e-6}
+    return casid.smooth_track(record, known=known, levels=levels), d
+
+
 def surge_speeds(folder: Path) -> Iterator[Target]:
     """Surge speed by a coordinated-turn smoother from positions and heading alone."""
     for name in RECORDS:
-        d = np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True)[::4]
+        track, d = smoothed(folder, name)
         psi = np.deg2rad(d["psi_deg"])
-        record = casid.Record(
-            {"x": d["x_m"], "y": d["y_m"], "psi": psi},
-            {"x": "m", "y": "m", "psi": "rad"},
-            Ts=float(np.mean(np.diff(d["t_s"]))),
-            name=name,
-        )
-        known = {
-            "x": rounding_error(d["x_m"]),
-            "y": rounding_error(d["y_m"]),
-            "psi": np.deg2rad(rounding_error(d["psi_deg"])),
-        }
-        track = casid.smooth_track(record, known=known, levels={"position": 0.01, "heading": 1e-6})
         recorded = d["u_mps"] * np.cos(psi) + d["v_mps"] * np.sin(psi)
         rms = float(np.sqrt(np.mean((track.u - recorded) ** 2)))
         yield at_most(f"{name}: smoothed surge speed from the recorded one, rms", rms, 0.1, "m/s")

@@ -248,10 +248,7 @@ def calibrate(minutes: float = 20.0, *, seed: int = 1) -> Calibration:
         signals = {c: record[c] for c in CHANNELS}
         signals |= {c: lfilter(s.b, s.a, record[s.channel]) for c, s in simulated.items()}
         signals = {c: lfilter(b, a, x)[1500:] for c, x in signals.items()}
-        values = {
-            p.name: p.start if p.value is None else p.value for p in model.parameters.values()
-        }
-        values |= known
+        values = model.nominal_values | known
         parts.append(Part(case, equation(), values, frozenset(known), signals, signals, TS))
         equations.append(
             MomentEquations.from_moments(

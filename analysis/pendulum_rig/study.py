@@ -51,7 +51,6 @@ from analysis.pendulum_rig.robustness import limits, noisy_references
 from analysis.pendulum_rig.runs import RigRun, coverages, largest_disagreement, noise_models
 from analysis.pendulum_rig.tables import PUBLISHED, PUBLISHED_FITS, PUBLISHED_VALUES
 from casid.campaigns.campaign import campaign
-from casid.data.alignment import align
 from casid.data.experiment import Experiment
 from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.moments.moment_settings import MomentSettings
@@ -65,13 +64,7 @@ BASE = {n: p.value or 0.0 for n, p in MODEL.parameters.items()}
 def clocks() -> Iterator[Target]:
     """The knocks determine the offset of the two loggers."""
     run = rig.record(rig.Pendulum(), duration=10.0, seed=1)
-    found = align(
-        run.pendulum.between(*rig.HELD),
-        run.cart.between(*rig.HELD),
-        using="accel",
-        other_using="cart_accel",
-        max_offset=rig.STARTED_WITHIN,
-    )
+    found = rig.aligned(run)
     error = found.offset - run.offset
     print(f"clock offset {found.offset:.7f} s, error {1e6 * error:+.2f} us, {found!r}")
     yield at_most(

@@ -163,9 +163,9 @@ def maps(out: Output, points: int) -> Iterator[Target]:
         yield near(f"AMSE, le = {noise:g}: better above s", root, (5**0.5 - 1) / 2, 1e-9, "")
 
 
-def dynamic(out: Output) -> Iterator[Target]:
-    """The same comparison for a dynamic system with an autocorrelated unknown input."""
-    system = LinearSignals.of(
+def with_a_slow_input() -> LinearSignals:
+    """A module with an unknown input whose slow part nobody commands; a noisy sensor of it."""
+    return LinearSignals.of(
         {
             "u_K": {"r": 1, "w": ([0, 0.6], [1, -0.7])},
             "u_U": {"r": ([0, 0.5], [1]), "w": ([1], [1, -0.8]), "d": 1},
@@ -175,6 +175,11 @@ def dynamic(out: Output) -> Iterator[Target]:
         {"r": 1.0, "w": 0.3, "d": 0.4, "tau": 0.2, "e": 0.2},
         Ts=0.1,
     )
+
+
+def dynamic(out: Output) -> Iterator[Target]:
+    """The same comparison for a dynamic system with an autocorrelated unknown input."""
+    system = with_a_slow_input()
     compared = compare_remedies(
         system, "y", {"b1": ("u_K", 1), "b2": ("u_K", 2), "c1": ("u_U", 1)}, "u_U",
         {"b1": 1.0, "b2": 0.5, "c1": -0.7}, known=[*lags("r", 1, 3), ("d", 1)], explain=[],

@@ -83,6 +83,7 @@ def require_stable(ship: Ship, load: Load) -> Stability:
 
 
 def require_way(ship: Ship, u: float, when: str) -> None:
+    """Refuse a surge speed u [m/s] below the slowest that the model holds for; SolveError."""
     if not abs(u) < math.inf or u < ship.slowest:
         raise SolveError(
             f"ship: surge speed {u:.3f} m/s {when}, below {ship.slowest:g} m/s: the series (A.36) "
@@ -92,6 +93,7 @@ def require_way(ship: Ship, u: float, when: str) -> None:
 
 
 def require_upright(phi: Array, steady: Stability, load: Load, Ts: float) -> None:
+    """Refuse heel angles phi (N,) [rad] beyond the range of stability; SolveError."""
     port, starboard = steady.vanishing
     over = np.flatnonzero(~((phi > port) & (phi < starboard)))
     if over.size:

@@ -9,7 +9,6 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import casid
-from casid.data.alignment import align
 from casid.errors import DataError
 from casid.model.dimensions import check_units
 from problems import pendulum_rig as rig
@@ -137,13 +136,7 @@ def test_the_knocks_tell_the_offset_of_the_clocks_as_well_as_noise_allows(seed):
     within four of these standard deviations (5 microseconds each), and its own claim near them.
     """
     run = rig.record(duration=2.0, seed=seed)
-    found = align(
-        run.pendulum.between(*rig.HELD),
-        run.cart.between(*rig.HELD),
-        using="accel",
-        other_using="cart_accel",
-        max_offset=rig.STARTED_WITHIN,
-    )
+    found = rig.aligned(run)
     heights = sum(h**2 for _, h in rig.KNOCKS)
     energy = heights * np.sqrt(np.pi) / (2 * rig.KNOCK_WIDTH)
     deviation = np.sqrt(2 * 0.01**2 * 0.01 / energy)

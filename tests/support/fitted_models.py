@@ -24,6 +24,7 @@ from casid.model.effects.balance_effects import (
     offset,
     quadratic_damping,
 )
+from casid.model.effects.channel_effects import time_delay
 from casid.model.effects.effect import Effect
 from casid.model.model import Model
 from problems.emps import problem as emps
@@ -80,6 +81,20 @@ def fitted_model(
     )
 
 
+def driven_mass() -> Model:
+    """A damped mass on a spring with a known force and a measured position."""
+    m = Model("mass on a spring")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    force = m.input("force", "N", hold="zoh", known=True)
+    d = m.parameter("d", "N s/m", start=1.0, lower=0.0)
+    k = m.parameter("k", "N/m", start=40.0, lower=0.0)
+    mass = m.constant("m", 2.0, "kg")
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=mass, terms=[-k * x, -d * v, force])
+    m.output("position", x, "m")
+    return m
+
+
 def simulated(fitted: FittedModel, inputs: Mapping[str, Array] | None = None) -> Simulated:
     """Simulate a fitted model by casid's own simulator, inputs by default a random walk."""
     record, model = fitted.records[0], fitted.model
@@ -110,6 +125,19 @@ def extended_pendulum() -> FittedModel:
         x0=(0.01, -0.02),
         Ts=0.01,
         N=400,
+    )
+
+
+@cache
+def delayed_pendulum(samples: float) -> FittedModel:
+    """The indirect pendulum whose gyro is late by some samples of 10 ms."""
+    return fitted_model(
+        pendulum,
+        [lambda m: time_delay(m, "gyro", 0.1)],
+        {"k": 10.37, "d": 0.105, "I_x": 0.1385, "delay_gyro": 0.01 * samples},
+        x0=(0.01, -0.02),
+        Ts=0.01,
+        N=200,
     )
 
 

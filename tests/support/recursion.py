@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -22,35 +23,44 @@ def filtered(b: Sequence[float], a: Sequence[float], x: np.ndarray) -> np.ndarra
     return y
 
 
+ONE = (1.0,)
+
+
+class Polynomials(TypedDict, total=False):
+    """In ascending powers of q^-1, the first coefficient of all but B being 1; B and F by input."""
+
+    A: Sequence[float]
+    B: Mapping[str, Sequence[float]]
+    C: Sequence[float]
+    D: Sequence[float]
+    F: Mapping[str, Sequence[float]]
+
+
+def _of(p: Polynomials) -> tuple[Sequence[float], Sequence[float], Sequence[float]]:
+    return p.get("A", ONE), p.get("C", ONE), p.get("D", ONE)
+
+
+def _driven(u: Mapping[str, np.ndarray] | None, p: Polynomials) -> np.ndarray | float:
+    """sum_i (B_i/F_i) u_i."""
+    F = p.get("F", {})
+    return sum(filtered(p["B"][n], F.get(n, ONE), values) for n, values in (u or {}).items())
+
+
 def simulated(
     e: np.ndarray,
     u: Mapping[str, np.ndarray] | None = None,
-    *,
-    A: Sequence[float] = (1.0,),
-    B: Mapping[str, Sequence[float]] | None = None,
-    C: Sequence[float] = (1.0,),
-    D: Sequence[float] = (1.0,),
-    F: Mapping[str, Sequence[float]] | None = None,
+    **polynomials: Unpack[Polynomials],
 ) -> np.ndarray:
     """A y = sum_i (B_i/F_i) u_i + (C/D) e."""
-    total = filtered(C, D, e)
-    for name, values in (u or {}).items():
-        total = total + filtered((B or {})[name], (F or {}).get(name, (1.0,)), values)
-    return filtered((1.0,), A, total)
+    A, C, D = _of(polynomials)
+    return filtered(ONE, A, filtered(C, D, e) + _driven(u, polynomials))
 
 
 def predicted_errors(
     y: np.ndarray,
     u: Mapping[str, np.ndarray] | None = None,
-    *,
-    A: Sequence[float] = (1.0,),
-    B: Mapping[str, Sequence[float]] | None = None,
-    C: Sequence[float] = (1.0,),
-    D: Sequence[float] = (1.0,),
-    F: Mapping[str, Sequence[float]] | None = None,
+    **polynomials: Unpack[Polynomials],
 ) -> np.ndarray:
     """(D/C) (A y - sum_i (B_i/F_i) u_i)."""
-    total = filtered(A, (1.0,), y)
-    for name, values in (u or {}).items():
-        total = total - filtered((B or {})[name], (F or {}).get(name, (1.0,)), values)
-    return filtered(D, C, total)
+    A, C, D = _of(polynomials)
+    return filtered(D, C, filtered(A, ONE, y) - _driven(u, polynomials))

@@ -1,0 +1,5 @@
+"""`python -m analysis.coverage`."""
+
+from analysis.coverage.study import STUDY
+
+STUDY.run()
