@@ -38,6 +38,7 @@ PAGES = (
     "records",
     "diagnosis",
     "diagnosis_power",
+    "experiment_design",
     "fitted_model",
     "identifiability",
     "linear_models",
