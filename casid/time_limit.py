@@ -2,24 +2,56 @@
 
 A limit belongs to the call, not to an argument of every function in between: a fit deep inside a
 diagnosis ends when the diagnosis has to.
+
+On a slow or shared machine CASID_TIME_FACTOR=5 in the environment makes every limit five times as
+long: what is found then does not depend on the machine.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-from casid.errors import OutOfTimeError
+from casid.errors import DataError, OutOfTimeError
 
 _ENDS: ContextVar[float] = ContextVar("casid_time_limit", default=math.inf)
 
 
+def time_factor() -> float:
+    """How many seconds one second of a limit lasts: CASID_TIME_FACTOR, or 1.
+
+    Raises
+    ------
+    DataError
+        If it is no positive number.
+    """
+    text = os.environ.get("CASID_TIME_FACTOR") or "1"
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = math.nan
+    if not 0.0 < factor < math.inf:
+        raise DataError(f"CASID_TIME_FACTOR={text}: give a positive number, for example 5")
+    return factor
+
+
+def wall_clock() -> float:
+    """Seconds of wall time by which limits are judged."""
+    return time.monotonic() / time_factor()
+
+
+def processor_clock() -> float:
+    """Seconds of processor time by which limits are judged: a busy machine finds the same."""
+    return time.process_time() / time_factor()
+
+
 @contextmanager
 def until(ends: float) -> Iterator[None]:
-    """Work inside ends at `ends` of `time.monotonic`, or earlier where a limit around it does."""
+    """Work inside ends at `ends` of `wall_clock`, or earlier where a limit around it does."""
     token = _ENDS.set(min(_ENDS.get(), ends))
     try:
         yield
@@ -39,7 +71,7 @@ def no_time_limit() -> Iterator[None]:
 
 def seconds_left() -> float:
     """Seconds until the limit; infinite where there is none, 0 where it is over."""
-    return max(_ENDS.get() - time.monotonic(), 0.0)
+    return max(_ENDS.get() - wall_clock(), 0.0)
 
 
 def require_time(what: str) -> None:

@@ -11,6 +11,9 @@ from hypothesis import settings
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
+# What is found may not depend on the machine: a slow or busy one has as many seconds as it needs.
+os.environ.setdefault("CASID_TIME_FACTOR", "50")
+
 # A background job of a shell ignores Ctrl-C, and so does what it starts: tests of interrupts
 # would wait for commands that never end.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

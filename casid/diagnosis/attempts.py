@@ -27,7 +27,7 @@ class Attempts:
 
     Attributes
     ----------
-    ends : of `time.monotonic`, when attempts have to end.
+    ends : of `wall_clock`, when attempts have to end.
     failed : what was left out -> why.
     not_done : what no time was left for, each once, in order.
     """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
@@ -29,7 +28,7 @@ from casid.estimation.holdout import Split, split_records
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
 from casid.identifiability.requirement import require_identifiable
-from casid.time_limit import until
+from casid.time_limit import until, wall_clock
 from casid.versions import versions
 
 SOURCES = (
@@ -150,10 +149,10 @@ def _found(
         settings.progress(f"repeat at level {calibration.threshold:.2g}")
         again = replace(settings, alpha=calibration.threshold)
         if not math.isfinite(settings.calibration_ends):
-            again = replace(again, began=time.monotonic())
+            again = replace(again, began=wall_clock())
         found = _searched(problem, split, again)
         not_done = found.search.attempts.not_done
-    if calibration.is_interrupted and time.monotonic() > settings.calibration_ends:
+    if calibration.is_interrupted and wall_clock() > settings.calibration_ends:
         not_done[f"{runs - calibration.runs} of the {runs} null records"] = None
     return found, calibration
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 
@@ -14,6 +13,7 @@ from casid.errors import DataError
 from casid.estimation.simulation.fit import FitSettings
 from casid.model.effects.effect import KINDS
 from casid.model.effects.user_effects import user_effects
+from casid.time_limit import wall_clock
 
 Progress = Callable[[str], None]
 
@@ -29,7 +29,7 @@ class DiagnosisSettings:
     without : kinds that are left out of the catalogue.
     fit : of the simulation-error fits.
     progress : called with a line of text at every step.
-    budget : seconds that the diagnosis may take, from `began` of `time.monotonic` on.
+    budget : seconds that the diagnosis may take, from `began` of `wall_clock` on.
     calibration_ends : when the calibration has to end; it has no limit unless one is given.
     """
 
@@ -39,7 +39,7 @@ class DiagnosisSettings:
     fit: FitSettings = field(default_factory=FitSettings)
     progress: Progress = lambda _: None
     budget: float = math.inf
-    began: float = field(default_factory=time.monotonic)
+    began: float = field(default_factory=wall_clock)
     calibration_ends: float = math.inf
 
     @property

@@ -33,6 +33,7 @@ from casid.experiment_design.statement import (
     release_scales,
 )
 from casid.experiment_design.thresholds import DESIGN
+from casid.time_limit import time_factor
 
 OPTIONS = {
     "ipopt.tol": 1e-5,
@@ -264,7 +265,7 @@ class Program:
         statement = self._stated(w, release, elastic)
         options = limited(self.solver.nlpsol_options(), self.solver)
         if np.isfinite(seconds) and self.solver.name == "ipopt":
-            options["ipopt.max_cpu_time"] = max(seconds, 0.1)
+            options["ipopt.max_cpu_time"] = max(seconds, 0.1) * time_factor()
         nlpsol = set_up("experiment design", self.solver, statement.problem, options)
         found = nlpsol(
             x0=statement.start,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -18,6 +17,7 @@ from casid.experiment_design.rival_fits import imitation
 from casid.experiment_design.setup import Setup
 from casid.experiment_design.standard_inputs import StandardInput, drawn, shrunk
 from casid.experiment_design.thresholds import DESIGN, KEEPING
+from casid.time_limit import processor_clock
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,13 +70,13 @@ class Search:
         self.judged_standards = list(zip([s.kind for s in chosen], judged, strict=True))
         judged.sort(key=lambda f: -f.least)
         best_standard, begun, improved = judged[0], judged[: self.starts], []
-        ends = time.process_time() + self.seconds
+        ends = processor_clock() + self.seconds
         for k, start in enumerate(begun):
-            left = (ends - time.process_time()) / (len(begun) - k)
+            left = (ends - processor_clock()) / (len(begun) - k)
             if left <= 0:
                 break
             self.progress(f"solve from: {start.what}")
-            improved.append(self.improved(start, time.process_time() + left))
+            improved.append(self.improved(start, processor_clock() + left))
         best = max([best_standard, *improved], key=lambda f: f.least)
         return best, best_standard
 
@@ -208,7 +208,7 @@ class Search:
         best, prediction = start, start.prediction
         u, release, iterations = start.u, start.release, 0
         for _ in range(KEEPING.rounds):
-            if time.process_time() >= ends:
+            if processor_clock() >= ends:
                 break
             solved = self._solved(prediction, u, release, ends)
             iterations += solved.iterations
@@ -231,7 +231,7 @@ class Search:
     def cheapest(self, start: Found, floor: float) -> Found | None:
         """The input of least energy whose scores reach a floor; None where none is found."""
         floors = np.full(len(start.scores), floor + np.log1p(2 * DESIGN.accuracy))
-        ends = time.process_time() + self.seconds
+        ends = processor_clock() + self.seconds
         solved = self._solved(start.prediction, start.u, start.release, ends, floors)
         found = self.judged(
             start.prediction,
@@ -259,7 +259,7 @@ class Search:
         iterations = 0
         for _ in range(KEEPING.rounds):
             program = Program(prediction, self.question.targets, self.steps, margins, floors)
-            solved = program.solve(w, release, seconds=ends - time.process_time())
+            solved = program.solve(w, release, seconds=ends - processor_clock())
             iterations += solved.iterations
             kept = shrunk(prediction, solved.u, solved.release, finer=KEEPING.finer)
             if kept is not None and self._moved(*kept) >= KEEPING.shrunk * self._moved(
@@ -267,7 +267,7 @@ class Search:
             ):
                 return solved._replace(u=kept[0], release=kept[1], iterations=iterations)
             over = prediction.excess(solved.u, solved.release, finer=KEEPING.finer)
-            if not np.all(np.isfinite(over)) or time.process_time() >= ends:
+            if not np.all(np.isfinite(over)) or processor_clock() >= ends:
                 break
             margins = margins + KEEPING.wider * over
             w, release = excitation.nearest(solved.u - setup.at_rest), solved.release

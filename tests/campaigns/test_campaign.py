@@ -371,7 +371,7 @@ def test_what_was_finished_when_a_process_is_stopped_is_kept(
         while running.poll() is None and len(list(there.glob("*.parquet"))) < 3:
             time.sleep(0.02)
         running.send_signal(signal.Signals[sign])
-        running.wait(timeout=60)
+        running.wait(timeout=600)
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(running.pid, signal.SIGKILL)  # its workers would wait for work for minutes

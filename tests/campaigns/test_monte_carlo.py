@@ -422,7 +422,7 @@ def test_an_interrupted_study_says_what_is_kept_and_continues(tank: Problem) -> 
     while running.poll() is None and not list(Path("out/parts").glob("*.parquet")):
         time.sleep(0.02)
     running.send_signal(signal.SIGINT)
-    assert running.wait(timeout=60) == 130
+    assert running.wait(timeout=600) == 130
     message = re.search(
         r"error: interrupted; (\d+) runs are kept in out", Path("stderr").read_text()
     )

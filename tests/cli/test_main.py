@@ -67,7 +67,7 @@ def process(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]
         [sys.executable, "-m", "casid", *arguments],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=6000,
         env=environment,
         **options,
     )
@@ -478,7 +478,7 @@ def test_a_reader_that_goes_away_is_no_error(here: Path) -> None:
             stdout=closed,
             stderr=subprocess.PIPE,
             text=True,
-            timeout=60,
+            timeout=600,
         )
     assert done.returncode == 0
     assert done.stderr == ""
@@ -506,7 +506,7 @@ def test_an_interrupted_command_says_so_and_leaves_nothing(here: Path) -> None:
     assert running.stderr is not None
     assert running.stderr.readline().strip() == "waiting"
     running.send_signal(signal.SIGINT)
-    stdout, stderr = running.communicate(timeout=30)
+    stdout, stderr = running.communicate(timeout=600)
     assert running.returncode == 130
     assert stdout == ""
     assert "error: interrupted" in stderr
@@ -526,7 +526,7 @@ def test_a_fit_ends_at_ctrl_c_wherever_it_is(here: Path, command: str, after: fl
     time.sleep(after)  # anywhere in the fit
     running.send_signal(signal.SIGINT)
     try:
-        stdout, stderr = running.communicate(timeout=30)
+        stdout, stderr = running.communicate(timeout=600)
     finally:
         running.kill()
     assert running.returncode == 130

@@ -41,9 +41,8 @@ def ended_at(line, record, monkeypatch, **settings):
 
 
 def test_without_time_to_fit_the_model_nothing_is_claimed(record):
-    began = time.monotonic()
-    found = casid.diagnose(roll_decay.problem, record, budget=1e-3)
-    assert time.monotonic() - began < 5.0
+    found = casid.diagnose(roll_decay.problem, record, budget=1e-6)
+    assert not found.causes
     assert found.verdict == "undecided"
     assert "raise the budget (--budget)" in found.sentence
 

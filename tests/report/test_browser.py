@@ -62,7 +62,7 @@ def browse(path: Path, tmp: Path, *arguments: str) -> tuple[str, list[str]]:
             path.as_uri(),
         ],
         capture_output=True,
-        timeout=60,
+        timeout=600,
         check=False,
     )
     console = [s for s in done.stderr.decode(errors="replace").splitlines() if "CONSOLE" in s]

@@ -44,7 +44,7 @@ def executed() -> dict[str, str]:
     cells = [nbformat.v4.new_code_cell(source) for source in CELLS.values()]
     notebook = nbformat.v4.new_notebook(cells=cells)
     root = str(Path(__file__).parents[2])
-    nbclient.NotebookClient(notebook, timeout=120, resources={"metadata": {"path": root}}).execute()
+    nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": root}}).execute()
     found = zip(CELLS, notebook.cells, strict=True)
     return {name: cell.outputs[-1]["data"]["text/html"] for name, cell in found}
 

@@ -9,7 +9,6 @@ identifiable in the extended model, which is tested exactly (Sedoglavic 2002; Li
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -28,6 +27,7 @@ from casid.identifiability.rank.rank_result import Observability
 from casid.identifiability.requirement import word
 from casid.model.effects.effect import Effect
 from casid.model.model import Model
+from casid.time_limit import wall_clock
 
 Reason = Literal["structural", "practical", "practical (not asked structurally)"]
 
@@ -170,7 +170,7 @@ class _RankTests:
         """Identifiable combinations of the group, as formulas, while there is time for them."""
         if self.formulas <= 0:
             return ()
-        started = time.perf_counter()
+        started = wall_clock()
         try:
             point = found.points[0]
             fixing = fixing_sets(point.information, found.parameters, point.prime, limit=20)
@@ -179,7 +179,7 @@ class _RankTests:
             invariants = joint_invariants([f for f in curves if f.free in group])[0]
         except CasidError:
             invariants = ()
-        self.formulas -= time.perf_counter() - started
+        self.formulas -= wall_clock() - started
         return tuple(str(t) for t in invariants)
 
 

@@ -47,7 +47,7 @@ from casid.errors import CasidError, DataError, SolveError
 from casid.estimation.holdout import Split
 from casid.estimation.simulation.minimization import Fit
 from casid.presentation import Presented, present
-from casid.time_limit import require_time, seconds_left
+from casid.time_limit import require_time, seconds_left, time_factor
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
@@ -489,7 +489,9 @@ def _ended_in_time(stop: threading.Event) -> Iterator[None]:
         yield
         return
     is_main = threading.current_thread() is threading.main_thread()
-    timer = threading.Timer(seconds, _thread.interrupt_main if is_main else stop.set)
+    timer = threading.Timer(
+        seconds * time_factor(), _thread.interrupt_main if is_main else stop.set
+    )
     timer.daemon = True
     timer.start()
     try:

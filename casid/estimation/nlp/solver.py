@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 
 from casid.errors import SolveError
-from casid.time_limit import seconds_left
+from casid.time_limit import seconds_left, time_factor
 
 _QUIET: dict[str, dict[str, Any]] = {
     "ipopt": {
@@ -99,7 +99,7 @@ def limited(options: Mapping[str, Any], solver: Solver) -> dict[str, Any]:
     seconds = seconds_left()
     if solver.name != "ipopt" or not math.isfinite(seconds):
         return dict(options)
-    seconds = max(min(seconds, options.get(_SECONDS, math.inf)), 1e-3)
+    seconds = max(min(seconds * time_factor(), options.get(_SECONDS, math.inf)), 1e-3)
     return {**options, _SECONDS: seconds}
 
 

@@ -23,6 +23,7 @@ from casid.errors import CasidError
 from casid.estimation.nlp.solution import Solution
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.nlp.solver_catalogue import SolverEntry, is_installed
+from casid.time_limit import time_factor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +130,7 @@ def _serve_to(state: bytes, todo: Sequence[SolverEntry], timeout: float) -> list
         assert child.stdin is not None
         pickle.dump((state, [(c.name, c.solver, c.polish) for c in todo]), child.stdin)
         child.stdin.close()
-        begun = answers.get(timeout=max(timeout, _IMPORT_SECONDS))
+        begun = answers.get(timeout=max(timeout, _IMPORT_SECONDS * time_factor()))
         if begun:  # why the program cannot be read there
             return [Outcome(c.name, reason=f"{_NOT_APART}: {begun}") for c in todo]
         while begun is not None and len(done) < len(todo):

@@ -8,7 +8,6 @@ parameters and constants: it is evaluated at random points and found by interpol
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -27,6 +26,7 @@ from casid.identifiability.combinations.null_direction import (
 )
 from casid.identifiability.equations.system import System
 from casid.identifiability.rank.observability import RankEvaluation
+from casid.time_limit import processor_clock
 
 
 class OutOfTime(Exception):
@@ -58,10 +58,10 @@ def families(
     """
     if not fixing.size or not fixing.sets:
         return (), (), ""
-    deadline = time.process_time() + time_limit
+    deadline = processor_clock() + time_limit
 
     def is_over() -> bool:
-        return time.process_time() > deadline
+        return processor_clock() > deadline
 
     try:
         found = _directions(systems, fixing.sets[0], seed, is_over)

@@ -18,7 +18,6 @@ large to write down, and an independent check for the others.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -29,6 +28,7 @@ from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.input_classes import as_polynomial
 from casid.identifiability.rank.observability import RankEvaluation
 from casid.identifiability.rank.rank_result import Observability, PointRank
+from casid.time_limit import wall_clock
 
 
 def observability_by_counting(
@@ -61,7 +61,7 @@ def observability_by_counting(
     enough = max((len(s.states) for s in given), default=0) + len(parameters)
     once = {id(s): as_polynomial(s, enough) for s in given}
     search = RankEvaluation([once[id(s)] for s in given])
-    deadline = math.inf if time_limit is None else time.monotonic() + time_limit
+    deadline = math.inf if time_limit is None else wall_clock() + time_limit
     rng = np.random.default_rng(seed)
     points: list[PointRank] = []
     failure, is_cut = 1.0, False
@@ -73,7 +73,7 @@ def observability_by_counting(
         if best == search.unknowns:
             failure = 0.0
         is_short = point.is_partial and min(point.orders) < enough
-        is_cut = time.monotonic() > deadline and (is_short or failure > error_bound)
+        is_cut = wall_clock() > deadline and (is_short or failure > error_bound)
     verdict = search.verdict(points, failure)
     inputs = [_input_rows(verdict.points[0], i, s) for i, s in enumerate(given)]
     total = verdict.rank - sum(known for known, _ in inputs)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -26,6 +25,7 @@ from casid.identifiability.equations.system import System
 from casid.identifiability.rank.error_bound import failure_probabilities
 from casid.identifiability.rank.rank_result import Observability, PointRank
 from casid.identifiability.rank.series import Schedule, Series, SpecialPoint
+from casid.time_limit import wall_clock
 
 ATTEMPTS = 40
 """Points tried modulo one prime (a square root exists at every second one)."""
@@ -66,7 +66,7 @@ def observability(
         If a system has unknown inputs left, or is defined at no point.
     """
     search = RankEvaluation(systems)
-    deadline = math.inf if time_limit is None else time.monotonic() + time_limit
+    deadline = math.inf if time_limit is None else wall_clock() + time_limit
     rng = np.random.default_rng(seed)
     points: list[PointRank] = []
     failure = 1.0
@@ -82,7 +82,7 @@ def observability(
         enough = len(points) == len(primes) if primes is not None else failure <= error_bound
         if enough or last == 1.0:  # degrees beyond the prime: no number of points would do
             break
-        if time.monotonic() > deadline:
+        if wall_clock() > deadline:
             points[-1] = replace(point, is_partial=True)
             break
     return search.verdict(points, failure, deadline=deadline)
@@ -239,7 +239,7 @@ class RankEvaluation:
             s.where(known_initial=(*s.known_initial, *s.initial_values), initial_values={}, at={})
             for s in self.systems
         ]
-        left = None if deadline == math.inf else max(deadline - time.monotonic(), 0.0)
+        left = None if deadline == math.inf else max(deadline - wall_clock(), 0.0)
         found = observability(generic, seed=1, time_limit=left)
         return found.rank == rank and not found.is_partial
 
@@ -322,7 +322,7 @@ class RankEvaluation:
             idle = 0 if gained else idle + 1
             if basis.rank == full or idle >= patience:
                 return basis.rows, order, False
-            if order == max_order or time.monotonic() > deadline:
+            if order == max_order or wall_clock() > deadline:
                 return basis.rows, order, True
         raise AssertionError("a series has no end")
 

@@ -11,7 +11,6 @@ Source: Linder (2017), section 2.7, (2.62)-(2.63).
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 from typing import Any, NoReturn
 
@@ -20,6 +19,7 @@ from casid.errors import ModelError
 from casid.identifiability.equations.system import System
 from casid.identifiability.symbolic.reduced_form import derivative_name
 from casid.identifiability.symbolic.symbolic_rank import tidy
+from casid.time_limit import processor_clock
 
 Expr = Any  # a sympy expression
 Matrix = Any  # a sympy matrix
@@ -58,11 +58,11 @@ class Budget:
 
     def __init__(self, system: str, seconds: float) -> None:
         self.system, self.seconds = system, seconds
-        self.start = time.process_time()
+        self.start = processor_clock()
 
     def check(self, stage: str) -> None:
         """Refuse if the time is over."""
-        if time.process_time() - self.start > self.seconds:
+        if processor_clock() - self.start > self.seconds:
             self.refuse(f"{stage} took it past limit_seconds = {self.seconds:g}")
 
     def refuse(self, why: str) -> NoReturn:

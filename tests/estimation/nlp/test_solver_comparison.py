@@ -204,7 +204,7 @@ def test_a_certified_regression_is_the_reference_for_all():
 
 
 def test_all_solvers_say_that_constraints_contradict():
-    comparison = compare_solvers(impossible(), timeout=20.0)
+    comparison = compare_solvers(impossible(), timeout=600)
     assert not comparison.is_feasible
     assert comparison.agreeing == ()
     assert "no solver met the constraints" in str(comparison)
@@ -277,8 +277,8 @@ def test_few_iterations_and_missing_plug_ins_are_reasons():
 def test_a_solver_that_never_stops_is_stopped_and_the_next_one_runs():
     nlp, values = pendulum(is_lifted=False)
     endless = Solver("sqpmethod", max_iterations=10**9, options={"min_iter": 10**9})
-    comparison = compare_solvers(nlp, values, [endless, "ipopt"], timeout=2.0)
-    assert comparison["sqpmethod"].reason == "no answer within 2 s: stopped"
+    comparison = compare_solvers(nlp, values, [endless, "ipopt"], timeout=6.0)
+    assert comparison["sqpmethod"].reason == "no answer within 6 s: stopped"
     assert comparison.agreeing == ("ipopt",)
 
 
