@@ -10,6 +10,7 @@ import click
 
 from casid.cli.request import parse_setting
 from casid.errors import DataError
+from casid.experiment_design.thresholds import DESIGN
 
 if TYPE_CHECKING:
     from casid.experiment_design.aim import Aim
@@ -54,7 +55,9 @@ AIM_OPTIONS = (
         "--relative-error",
         type=float,
         metavar="R",
-        help="Of --identifiable: standard error over value, at most. Default 0.1.",
+        default=DESIGN.relative_error,
+        show_default=True,
+        help="Of --identifiable: standard error over value, at most.",
     ),
 )
 
@@ -85,7 +88,7 @@ INPUT_OPTIONS = (
     click.option(
         "--intervals",
         type=click.IntRange(min=1),
-        default=100,
+        default=DESIGN.intervals,
         show_default=True,
         metavar="N",
         help="Of the input.",
@@ -96,7 +99,7 @@ INPUT_OPTIONS = (
     click.option(
         "--candidates",
         type=click.IntRange(min=1),
-        default=60,
+        default=DESIGN.candidates,
         show_default=True,
         metavar="N",
         help="Standard inputs drawn under the same limits, to begin from and compare with.",
@@ -104,7 +107,7 @@ INPUT_OPTIONS = (
     click.option(
         "--starts",
         type=click.IntRange(min=1),
-        default=2,
+        default=DESIGN.starts,
         show_default=True,
         metavar="N",
         help="Of the best of them, from which the program is solved.",
@@ -112,7 +115,7 @@ INPUT_OPTIONS = (
     click.option(
         "--seconds",
         type=click.FloatRange(min=0, min_open=True),
-        default=60.0,
+        default=DESIGN.seconds,
         show_default=True,
         metavar="S",
         help="Of the processor, for solving.",
@@ -140,7 +143,7 @@ class AimOptions:
     variance_of: str | None
     identifiable: bool
     false_alarm_rate: float
-    relative_error: float | None
+    relative_error: float
 
     def aim(self) -> Aim:
         """The one aim that is given.
@@ -151,7 +154,6 @@ class AimOptions:
             If there is none, or several.
         """
         from casid.experiment_design.aim import Aim
-        from casid.experiment_design.thresholds import DESIGN
 
         given = [
             name
@@ -173,10 +175,7 @@ class AimOptions:
             return Aim.estimate(*names, optimality=self.optimality)
         if self.variance_of:
             return Aim.variance_of(self.variance_of)
-        relative = self.relative_error
-        return Aim.identifiable(
-            relative_error=DESIGN.relative_error if relative is None else relative
-        )
+        return Aim.identifiable(relative_error=self.relative_error)
 
 
 _NUMBERS = ("slew", "max_energy", "hold", "x0", "noise")
