@@ -106,9 +106,7 @@ class Refinement:
                 )
                 others = [a.candidate for a in adopted]
                 others[i] = rival
-                model, placed = extended_by(self.start.model, others)
-                values = {**self.start.fit.values, **fit.values, **_values(placed, others)}
-                other = whole_fit(model, self.split, self.settings, self.units, values)
+                placed, other = self._with(others, fit)
                 after = simulation_errors(other, self.split, self.units)
                 if self._is_preferred(adopted[i].candidate, rival, errors, after):
                     adopted = [
@@ -134,9 +132,7 @@ class Refinement:
                 adopted[i], is_new = replace(a, candidate=best), True
         if not is_new:
             return found
-        model, placed = extended_by(self.start.model, [a.candidate for a in adopted])
-        values = {**self.start.fit.values, **_values(placed, [a.candidate for a in adopted])}
-        fit = whole_fit(model, self.split, self.settings, self.units, values)
+        placed, fit = self._with([a.candidate for a in adopted], found.fit)
         adopted = [replace(a, candidate=c) for a, c in zip(adopted, placed, strict=True)]
         return self._refined(found, adopted, fit)
 
@@ -193,6 +189,13 @@ class Refinement:
             return fits and lost <= JUDGING.practical * max(gained, 0.0)
         has_held = bool(len(old.continued) or len(old.restarted))
         return fits and has_held and not why_held_out(old, new)
+
+    def _with(self, causes: Sequence[Candidate], near: Fit | None) -> tuple[list[Candidate], Fit]:
+        """These causes in the model as it is, by their new names, and its fit from `near`."""
+        model, placed = extended_by(self.start.model, causes)
+        known = {} if near is None else near.values
+        values = {**self.start.fit.values, **known, **_values(placed, causes)}
+        return placed, whole_fit(model, self.split, self.settings, self.units, values)
 
     def _without(self, fit: Fit, c: Candidate) -> Fit:
         """The model fitted again without one effect."""
