@@ -103,7 +103,7 @@ FALL = 1e-6
 class OnePass:
     """A criterion that remembers its last point: value, gradient and Hessian share one pass.
 
-    A solver that goes on to another point without having asked for derivatives is shortening a
+    A solver that goes on to another point without having requested derivatives is shortening a
     step: from there to where it asks again it gets the `value_alone` of a criterion that has one.
 
     After `budget` passes, or the time limit, or `patience` shortened steps in which it did not
@@ -125,7 +125,7 @@ class OnePass:
         self._key: bytes | None = None
         self._value = np.nan
         self._at: Evaluation | None = None
-        self._is_met = True  # derivatives were asked for at the last point
+        self._is_met = True  # derivatives were requested at the last point
 
     def value(self, point: Array) -> float:
         """The criterion at a point; NaN once it has ended."""
