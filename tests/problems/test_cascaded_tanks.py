@@ -145,3 +145,15 @@ def test_the_first_fit_with_square_roots_is_reproduced(measured):
     start = {"k_1": 0.05, "k_3": 0.08, "k_4": 0.07}
     fit = casid.identify(problem, measured, settings=ONCE, start=start)
     assert fit.rmse["estimation"]["y"] == pytest.approx(FIRST_FITS_V["sqrt"], rel=0.005)
+
+
+@pytest.mark.slow
+def test_the_law_of_the_outflow_is_named_and_not_its_tangent_and_the_overflow_beside_it(measured):
+    """A bias of -6.5 V fits the plain record better than one exponent: a tangent to the root."""
+    found = casid.diagnose(tanks.problem, measured, max_causes=2)
+    laws = [c for c in found.causes if any(p.name == "exponent_x_2" for p in c.parameters)]
+    assert len(laws) == 1
+    assert laws[0].parameters[0].value < 1.0
+    named = {k for c in found.causes for k in (c.kind, *(a.kind for a in c.alternatives))}
+    assert {"end_stop", "saturation"} <= named
+    assert not {"offset", "sensor_bias", "sensor_scale"} & {c.kind for c in found.causes}

@@ -26,6 +26,9 @@ from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.model.effects.effect import ON_THE_CLOCK
 from casid.time_limit import seconds_left
 
+TANGENTS = ("offset", "sensor_bias", "sensor_scale")
+"""Kinds that a law of flow looks like near one level."""
+
 IMITATORS = (*ON_THE_CLOCK, "missing_mode")
 """Kinds with a time or a frequency of their own."""
 

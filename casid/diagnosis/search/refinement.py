@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.robust_errors import std_error, wald
-from casid.diagnosis.search.alternatives import IMITATORS
+from casid.diagnosis.search.alternatives import IMITATORS, TANGENTS
 from casid.diagnosis.search.candidates import (
     Adopted,
     Candidate,
@@ -165,12 +165,14 @@ class Refinement:
         taken = {a.candidate.effect.key for a in adopted}
         own = adopted[i].candidate.effect
         candidates = [r.candidate for r in adopted[i].rivals]
-        if own.kind == "unknown":
+        if own.is_unnamed:
             candidates += [c for c in self.search.first_candidates if c.effect.where == own.where]
         count = 0
         for c in candidates:
             is_new = c.effect.key not in taken and c.effect.kind not in ("unknown", *IMITATORS)
-            if is_new and count < ROUNDS.rivals:
+            # Near one level a constant fits as well as the law whose tangent it is.
+            is_tangent = own.kind == "unknown" and not own.is_unnamed and c.effect.kind in TANGENTS
+            if is_new and not is_tangent and count < ROUNDS.rivals:
                 count += 1
                 taken.add(c.effect.key)
                 yield c
@@ -185,7 +187,7 @@ class Refinement:
         fits = new.square - old.square < JUDGING.practical * (self.before.square - old.square)
         gained = self.before.held_out_square - old.held_out_square
         lost = new.held_out_square - old.held_out_square
-        if own.effect.kind == "unknown":
+        if own.effect.is_unnamed:
             return fits and lost <= JUDGING.practical * max(gained, 0.0)
         has_held = bool(len(old.continued) or len(old.restarted))
         return fits and has_held and not why_held_out(old, new)

@@ -265,7 +265,7 @@ def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
             near = abs(order[j - 1].merit - order[j].merit) < likely
             if near and order[j].effect.priority < order[j - 1].effect.priority:
                 order[j - 1], order[j] = order[j], order[j - 1]
-    if order and order[0].effect.kind == "unknown" and order[0].effect.priority > 0:
+    if order and order[0].effect.is_unnamed:
         open_ = {id(r.candidate) for r in rivals_of(at, order[0], order)}
         catalogued = [c for c in order if c.effect.kind not in ("unknown", *IMITATORS)]
         named = [c for c in catalogued if id(c) in open_]

@@ -96,6 +96,11 @@ class Effect:
         """Kind and place, with the shape where several of a kind share the place."""
         return self.kind, f"{self.where}: {self.shape}" if self.shape else self.where
 
+    @property
+    def is_unnamed(self) -> bool:
+        """True for a shape and no more; the law of a flow has a name, though no kind."""
+        return self.kind == "unknown" and self.priority > 0
+
     def __repr__(self) -> str:
         return f"<Effect {self.kind} in {self.key[1]}>"
 
