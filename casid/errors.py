@@ -31,7 +31,16 @@ class SolveError(CasidError):
 
 
 class OutOfTimeError(SolveError):
-    """A time limit ended the work before it was done."""
+    """A time limit ended the work before it was done.
+
+    Attributes
+    ----------
+    found : what there was until then, where that is something.
+    """
+
+    def __init__(self, message: str, found: object = None) -> None:
+        super().__init__(message)
+        self.found = found
 
 
 def require_texts(where: str, **texts: Iterable[object]) -> None:

@@ -12,12 +12,15 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 from casid.errors import DataError, OutOfTimeError
 
+T = TypeVar("T")
 _ENDS: ContextVar[float] = ContextVar("casid_time_limit", default=math.inf)
 
 
@@ -84,3 +87,36 @@ def require_time(what: str) -> None:
     """
     if seconds_left() <= 0.0:
         raise OutOfTimeError(f"{what}: the time limit is over; raise it (--budget SECONDS)")
+
+
+@dataclass(frozen=True, slots=True)
+class Undone:
+    """What no time was left for.
+
+    Attributes
+    ----------
+    not_done : each once, in order.
+    """
+
+    not_done: dict[str, None] = field(default_factory=dict)
+
+    def attempt(self, what: str, function: Callable[[], T]) -> T | None:
+        """The function's value; None, with a note of `what`, where the time limit is over."""
+        try:
+            require_time(what)
+            return function()
+        except OutOfTimeError:
+            self.not_done[what] = None
+        return None
+
+    def add(self, *what: str) -> None:
+        """Note more that was not done."""
+        self.not_done.update(dict.fromkeys(what))
+
+
+def out_of_time_text(not_done: Iterable[str]) -> str:
+    """A sentence on what no time was left for."""
+    return (
+        f"the budget of time ended; not done: {', '.join(not_done)}. What was found until then is "
+        "reported; raise it (--budget SECONDS) for the rest"
+    )

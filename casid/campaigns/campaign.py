@@ -16,12 +16,7 @@ stopped and continued on the way.
 from __future__ import annotations
 
 import contextlib
-import functools
 import itertools
-import pickle
-import signal
-import threading
-import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -32,33 +27,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.campaigns.batches import UNLOADABLE, Done, Function, run_batch
+from casid.campaigns.batches import run_seed as run_seed
 from casid.campaigns.dask_backend import outliving_workers
 from casid.campaigns.manifest import manifest_of
-from casid.campaigns.parquet_parts import FAILED, RUN, Parts, Row, row_of
+from casid.campaigns.parquet_parts import FAILED, RUN, Parts
 from casid.campaigns.progress import reported
 from casid.errors import CasidError, DataError, SolveError
+from casid.time_limit import seconds_left, wall_clock
 
 if TYPE_CHECKING:
-    from numpy.random import SeedSequence
-
-Function = Callable[["SeedSequence"], Mapping[str, Any]]
+    pass
 
 _SECONDS = 2.0  # that a batch is to take: what a killed campaign loses of each worker
 _LARGEST = 1000
-_UNLOADABLE = (
-    "the function cannot be sent to the workers ({}); define it, and what it uses, at the top of a "
-    "module that they can import, or run in one process with joblib.parallel_config(n_jobs=1)"
-)
 _DEATHS = 30  # of workers, one after another with no run finished: nothing will finish
-
-
-def run_seed(seed: int, run: int) -> SeedSequence:
-    """The seed of one run: `SeedSequence(seed).spawn(n)[run]`, whatever n.
-
-    `np.random.default_rng(run_seed(seed, run))` repeats the run's random numbers; a simulator that
-    takes a number has `int(run_seed(seed, run).generate_state(1)[0])`.
-    """
-    return np.random.SeedSequence(seed, spawn_key=(run,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +56,7 @@ class Campaign:
     folder : where `results.parquet` lies, None where none was requested.
     found : runs that an earlier call had done.
     deaths : workers that died on the way; their runs were done again.
+    not_done : runs that no time was left for; the same call again does them.
     """
 
     name: str
@@ -81,6 +65,7 @@ class Campaign:
     folder: Path | None = None
     found: int = 0
     deaths: int = 0
+    not_done: int = 0
 
     @property
     def runs(self) -> int:
@@ -118,6 +103,8 @@ class Campaign:
             lines.append(f"  {self.found} were done by an earlier call")
         if self.deaths:
             lines.append(f"  {self.deaths} workers died on the way; their runs were done again")
+        if self.not_done:
+            lines.append(f"  {self.not_done} were not done: the budget of time ended")
         for message, n in Counter(failures.values()).most_common(5):
             run = next(run for run, text in failures.items() if text == message)
             lines.append(f"  failed        {n} times, first in run {run}: {message}")
@@ -138,6 +125,8 @@ def campaign(
     retries: int = 3,
 ) -> Campaign:
     """Call `function` with the seed of every run, on the workers that joblib is configured to use.
+
+    At a time limit around the call no run begins any more, and one that it ends is not done.
 
     Parameters
     ----------
@@ -179,11 +168,9 @@ def campaign(
             work = _Work(function, seed, parts, report, batch, stop_on_failure, retries)
             if todo:
                 work.do(todo)
-        table = parts.end()
-    chosen = table.slice(0, runs)  # a longer campaign in the folder keeps its rows
-    return Campaign(
-        manifest["function"], seed, chosen.to_pandas(), folder, found=found, deaths=work.deaths
-    )
+        table = parts.end().to_pandas()
+    rows = table[table[RUN] < runs]  # a longer campaign in the folder keeps its rows
+    return Campaign(manifest["function"], seed, rows, folder, found, work.deaths, runs - len(rows))
 
 
 def _require_counts(runs: int, seed: int, batch: int | None, retries: int) -> None:
@@ -213,76 +200,6 @@ def _folder(out: str | Path | None) -> Path | None:
 # ---------------------------------------------------------------------- the work
 
 
-@dataclass(frozen=True, slots=True)
-class _Done:
-    """What a worker sends back."""
-
-    rows: list[Row]
-    seconds: float
-    fault: str = ""  # results that no table can hold: the campaign ends
-
-
-@functools.lru_cache(maxsize=1)
-def _unpickled(content: bytes) -> Function:
-    """The function in a worker: once for all of its batches, with all that it keeps."""
-    return pickle.loads(content)  # type: ignore[no-any-return]
-
-
-def _run_batch(function: Function | bytes, seed: int, runs: Sequence[int], stop: bool) -> _Done:
-    """Do runs one after another; executed by a worker."""
-    rows: list[Row] = []
-    start = time.perf_counter()
-    if isinstance(function, bytes):
-        try:
-            function = _unpickled(function)
-        except CasidError as error:
-            return _Done(rows, 0.0, str(error))
-        except Exception as error:
-            return _Done(rows, 0.0, _UNLOADABLE.format(f"{type(error).__name__}: {error}"))
-    with _interrupts() as check:
-        for run in runs:
-            try:
-                result = function(run_seed(seed, run))
-            except (Exception, SystemExit) as error:
-                check()  # what Ctrl-C broke has not failed
-                name = type(error).__name__
-                rows.append({RUN: run, FAILED: f"{name}: {error}" if str(error) else name})
-                if stop:
-                    break
-                continue
-            check()
-            try:
-                rows.append(row_of(run, result))
-            except DataError as error:
-                return _Done(rows, time.perf_counter() - start, str(error))
-    return _Done(rows, time.perf_counter() - start)
-
-
-@contextlib.contextmanager
-def _interrupts() -> Iterator[Callable[[], None]]:
-    """Remember a Ctrl-C that compiled code swallows, as solvers do; what is yielded raises it."""
-    interrupted = False
-
-    def remember(number: int, frame: Any) -> None:
-        nonlocal interrupted
-        interrupted = True
-        before(number, frame)
-
-    def check() -> None:
-        if interrupted:
-            raise KeyboardInterrupt
-
-    before: Any = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield check
-        return
-    signal.signal(signal.SIGINT, remember)
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 class _Work:
     """The runs that are left to do, handed to workers and taken back."""
 
@@ -304,6 +221,7 @@ class _Work:
         self.handed: dict[int, Sequence[int]] = {}  # first run -> batch that is with a worker
         self.deaths = 0
         self.in_a_row = 0
+        self.ends = wall_clock() + seconds_left()  # other threads, too, hand out runs
 
     def do(self, todo: list[int]) -> None:
         """Do every run of `todo`; what a worker died with is done again, alone."""
@@ -339,7 +257,7 @@ class _Work:
         except CasidError:
             raise
         except Exception as error:
-            raise DataError(_UNLOADABLE.format(f"{type(error).__name__}: {error}")) from error
+            raise DataError(UNLOADABLE.format(f"{type(error).__name__}: {error}")) from error
 
     def _batches(self, left: Iterator[int]) -> Iterator[Sequence[int]]:
         while runs := list(itertools.islice(left, self.size)):
@@ -367,7 +285,7 @@ class _Work:
                     f"its worker died {died[runs[0]]} times (killed from outside, out of memory, "
                     "or a crash in compiled code)"
                 )
-                self._keep(_Done([{RUN: runs[0], FAILED: message}], 0.0))
+                self._keep(Done([{RUN: runs[0], FAILED: message}], 0.0))
 
     def _round(self, batches: Iterable[Sequence[int]]) -> None:
         """Hand out batches until none is left or a worker dies; `handed` records what it took."""
@@ -375,8 +293,11 @@ class _Work:
 
         def tasks() -> Iterator[Any]:
             for runs in batches:
+                left = self.ends - wall_clock()
+                if left <= 0.0:
+                    return
                 self.handed[runs[0]] = runs
-                yield joblib.delayed(_run_batch)(self.function, self.seed, runs, self.stop)
+                yield joblib.delayed(run_batch)(self.function, self.seed, runs, self.stop, left)
 
         results = None
         try:
@@ -405,7 +326,7 @@ class _Work:
                     warnings.simplefilter("ignore")  # joblib's, that tasks were cancelled
                     results.close()
 
-    def _keep(self, done: _Done) -> None:
+    def _keep(self, done: Done) -> None:
         if done.rows:
             # Kept before it counts as done: if writing fails, the next call does it again.
             self.parts.add(done.rows)
@@ -418,9 +339,10 @@ class _Work:
                 f"function(run_seed({self.seed}, {failed[0][RUN]})), or go on over failed runs "
                 f"with stop_on_failure=False; {self._state()}"
             )
-        self.handed.pop(done.rows[0][RUN], None)
+        self.handed.pop(done.rows[0][RUN] if done.rows else done.first, None)
         self.in_a_row = 0
-        self.report(len(done.rows), len(failed))
+        if done.rows:
+            self.report(len(done.rows), len(failed))
         if not self.fixed and done.seconds > 0:
             fitting = int(_SECONDS * len(done.rows) / done.seconds)
             self.size = max(1, min(fitting, 2 * self.size, _LARGEST))
@@ -434,7 +356,7 @@ class _Work:
     def _explain(self, error: Exception) -> None:
         """Raise what joblib means by an error that is no worker's death, where that is known."""
         if "un-serialize" in str(error):  # casid itself, which no worker can import
-            raise DataError(_UNLOADABLE.format(error)) from error
+            raise DataError(UNLOADABLE.format(error)) from error
         if isinstance(error, ValueError) and "return_as" in str(error):
             raise DataError(
                 f"{error}; choose loky, threading or dask in joblib.parallel_config"

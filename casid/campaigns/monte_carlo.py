@@ -8,6 +8,7 @@ runs are finite; they stand beside the numbers.
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +25,7 @@ from casid.campaigns.manifest import manifest_of, name_of
 from casid.campaigns.problem_origin import ProblemOrigin, digest
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem, load_problem
-from casid.errors import DataError, ModelError, SolveError
+from casid.errors import DataError, ModelError, OutOfTimeError, SolveError
 from casid.estimation.estimate import Estimate
 from casid.estimation.nlp.solver import _is_installed, as_solver
 from casid.estimation.simulation.fit import FitSettings
@@ -32,6 +33,7 @@ from casid.identification.identify import identify
 from casid.model.model import Model
 from casid.presentation import Presented, present, write
 from casid.saving.saved import Saved
+from casid.time_limit import out_of_time_text, until, wall_clock
 
 if TYPE_CHECKING:
     from numpy.random import SeedSequence
@@ -85,6 +87,12 @@ class MonteCarlo(Presented, Saved):
         return self.campaign.column(self[name].name)
 
     @property
+    def not_done(self) -> tuple[str, ...]:
+        """What the budget of time left no time for."""
+        left = self.campaign.not_done
+        return (f"{left} of {left + self.campaign.runs} runs",) if left else ()
+
+    @property
     def failures(self) -> dict[str, int]:
         """Message -> runs that failed with it, the commonest first."""
         return dict(Counter(self.campaign.failures.values()).most_common())
@@ -103,6 +111,7 @@ class MonteCarlo(Presented, Saved):
             "runs": self.campaign.runs,
             "failed": len(self.campaign.failures),
             "failures": self.failures,
+            "not_done": list(self.not_done),
             "parameters": {p.name: p.to_json() for p in self.parameters},
             "settings": dict(self.settings),
             "versions": dict(self.versions),
@@ -178,6 +187,8 @@ class Study:
             experiments = [self._cut(e) for e in self.problem.simulated(number)]
             method = METHODS[self.method] if isinstance(self.method, str) else self.method
             estimate = _estimate_in(method(self.problem, experiments, self.fit_settings))
+        if estimate.not_done:  # what was cut off is no estimate of this study
+            raise OutOfTimeError(out_of_time_text(estimate.not_done))
         row: dict[str, Any] = {}
         for p in estimate.parameters:
             if not p.known:
@@ -230,17 +241,32 @@ class Study:
         out: str | Path | None = None,
         resume: bool = True,
         progress: bool | Callable[[str], None] = False,
+        budget: float | None = None,
     ) -> MonteCarlo:
-        """Do the runs through joblib, as `campaign.campaign` does, and sum them up."""
-        done = campaign(
-            self,
-            runs,
-            seed=seed,
-            out=out,
-            resume=resume,
-            settings=self.described,
-            progress=progress,
-        )
+        """Do the runs through joblib, as `campaign.campaign` does, and sum them up.
+
+        Parameters are those of `montecarlo`.
+        """
+        if budget is not None and not budget > 0.0:
+            raise DataError(
+                f"budget = {budget:g} s is no time; give the seconds that the study may take, for "
+                "example 600 (--budget 600)"
+            )
+        with until(math.inf if budget is None else wall_clock() + budget):
+            done = campaign(
+                self,
+                runs,
+                seed=seed,
+                out=out,
+                resume=resume,
+                settings=self.described,
+                progress=progress,
+            )
+        if not done.runs:
+            raise OutOfTimeError(
+                f"{self.problem.name}: no run ended within the budget of time; raise it "
+                "(--budget SECONDS)"
+            )
         failures = Counter(done.failures.values())
         if len(done.failures) == done.runs:
             message, n = failures.most_common(1)[0]
@@ -276,6 +302,7 @@ def montecarlo(
     out: str | Path | None = None,
     resume: bool = True,
     progress: bool | Callable[[str], None] = False,
+    budget: float | None = None,
 ) -> MonteCarlo:
     """Simulate a problem with a seed of its own for every run, estimate it, and hold against truth.
 
@@ -293,6 +320,9 @@ def montecarlo(
     duration : use the first seconds of every record alone [s].
     out : folder for `results.parquet`; `result.write(folder)` adds numbers and report.
     resume, progress : as `casid.campaigns.campaign.campaign` has them.
+    budget : seconds that the study may take: the runs done until then count, and the same call
+        again does the others. Default as long as it takes, each fit within its own budget; a run
+        that exceeds it has failed.
 
     Raises
     ------
@@ -311,7 +341,7 @@ def montecarlo(
     if not isinstance(problem, Problem):
         problem = load_problem(problem)
     study = Study(problem, method, settings, duration)
-    return study.run(runs, seed=seed, out=out, resume=resume, progress=progress)
+    return study.run(runs, seed=seed, out=out, resume=resume, progress=progress, budget=budget)
 
 
 def _estimate_in(result: Any) -> Estimate:

@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from casid.cli.options import budget_option
+
 
 class _Count(click.IntRange):
     """A number that may be left out, and then does not take the argument behind it."""
@@ -45,12 +47,9 @@ DIAGNOSIS_OPTIONS = (
         "diagnose each, and judge at the threshold that they set. Default 200; the time it "
         "takes is printed first, and Ctrl-C goes on with what is done.",
     ),
-    click.option(
-        "--budget",
-        type=click.FloatRange(min=0.0, min_open=True),
-        metavar="SECONDS",
-        help="Time that the diagnosis may take: it reports what was found until then, and lists "
-        "what was not done. Default 600 s, and for --calibrate what it takes.",
+    budget_option(
+        "Time that the diagnosis may take: it reports what was found until then, and lists what "
+        "was not done. Default 600 s, and for --calibrate what it takes."
     ),
     click.option(
         "--jobs",

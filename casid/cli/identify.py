@@ -9,11 +9,18 @@ import click
 
 from casid.cli.instrument_options import INSTRUMENT_OPTIONS, InstrumentRequest
 from casid.cli.interrupt import interruptible
-from casid.cli.options import FitOptions, hold_out_option, options, record_options
+from casid.cli.options import (
+    FitOptions,
+    budget_option,
+    hold_out_option,
+    options,
+    record_options,
+)
 from casid.cli.output import Output, taken
 from casid.cli.problem_file import known_problem
 from casid.cli.request import request_of
 from casid.errors import DataError
+from casid.time_limit import until, wall_clock
 
 if TYPE_CHECKING:
     from casid.data.problem import Problem
@@ -35,9 +42,15 @@ if TYPE_CHECKING:
     metavar="NAME,...",
     help="Parameters that every record has for itself; the others are shared.",
 )
+@budget_option(
+    "Time that the estimate may take: it reports the best until then, and lists what was not done. "
+    "Default 120 s, and 1 ms more for each sample and unknown.",
+)
 @options(*INSTRUMENT_OPTIONS)
 @record_options
-def identify(problem: str, segments: int, own: str | None, **given: Any) -> None:
+def identify(
+    problem: str, segments: int, own: str | None, budget: float | None, **given: Any
+) -> None:
     """Estimate the unknown parameters from these records.
 
     Least squares of the simulation error, with standard errors that allow for autocorrelated
@@ -62,6 +75,7 @@ def identify(problem: str, segments: int, own: str | None, **given: Any) -> None
         fitted, hold_out = request.experiments(model)
         output.say_what_was_read([*fitted, *(hold_out if isinstance(hold_out, list) else ())])
         from casid.data.files import write_text
+        from casid.estimation.simulation.budget import fit_budget
         from casid.identification.identify import identify as run
         from casid.presentation import present
 
@@ -69,12 +83,18 @@ def identify(problem: str, segments: int, own: str | None, **given: Any) -> None
         with interruptible():
             if by_instruments:
                 progress(f"instrumental variables of {', '.join(e.name for e in fitted)}")
-                result = instruments.estimate(model, fitted, fit.solver)
+                with until(wall_clock() + fit_budget(model.model, fitted, budget)):
+                    result = instruments.estimate(model, fitted, fit.solver)
                 estimate = result.estimate
             else:
                 settings = fit.settings(model, segments=segments, own=owned)
                 result = estimate = run(
-                    model, fitted, hold_out=hold_out, settings=settings, progress=progress
+                    model,
+                    fitted,
+                    hold_out=hold_out,
+                    settings=settings,
+                    budget=budget,
+                    progress=progress,
                 )
         progress("write the report")
         page = present(estimate, "page")

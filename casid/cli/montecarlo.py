@@ -10,6 +10,7 @@ from casid.cli.options import (
     FIT_OPTIONS,
     OUTPUT_OPTIONS,
     FitOptions,
+    budget_option,
     folder_options,
     options,
     seed_option,
@@ -55,6 +56,10 @@ from casid.cli.terminal import quiet_stdout, study_folder, workers
     help="Work on the cluster of this Dask scheduler instead, as in tcp://host:8786. Its workers "
     "need casid, and the problem at the same path.",
 )
+@budget_option(
+    "Time that the study may take: the runs done until then count, and the same command does the "
+    "others. Default what it takes, each fit within its own budget.",
+)
 @options(
     *FIT_OPTIONS,
     seed_option("Seed of the study; every run has its own of it."),
@@ -74,6 +79,7 @@ def montecarlo(problem: str, runs: int, method: str, duration: float | None, **g
     Example: casid montecarlo problems/roll_decay.py --runs 1000 --out study
     """
     output, fit = taken(Output, given), taken(FitOptions, given)
+    budget = given.pop("budget")
     at_work = workers(given.pop("jobs"), given.pop("dask"))
     model = known_problem(problem, request_of(given))
     from casid.campaigns.monte_carlo import Study
@@ -88,6 +94,7 @@ def montecarlo(problem: str, runs: int, method: str, duration: float | None, **g
                 out=folder,
                 resume=not output.force,
                 progress=not output.quiet,
+                budget=budget,
             )
             result.write(folder)
     output.finish(result, folder, "montecarlo.json")

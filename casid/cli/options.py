@@ -140,6 +140,16 @@ def seed_option(help: str) -> Any:
     )
 
 
+def budget_option(help: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """The option --budget."""
+    return click.option(
+        "--budget",
+        type=click.FloatRange(min=0.0, min_open=True),
+        metavar="SECONDS",
+        help=help,
+    )
+
+
 def folder_options(default: str, force: str) -> tuple[Any, Any]:
     """The options --out and --force."""
     return (

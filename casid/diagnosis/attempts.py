@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from casid.errors import CasidError, OutOfTimeError
-from casid.time_limit import require_time, until
+from casid.time_limit import out_of_time_text, require_time, until
 
 T = TypeVar("T")
 
@@ -56,10 +56,7 @@ class Attempts:
         """What was left out and what was not done, in sentences."""
         found = []
         if self.not_done:
-            found.append(
-                f"the budget of time ended; not done: {', '.join(self.not_done)}. What was found "
-                "until then is reported; raise it (--budget SECONDS) for the rest"
-            )
+            found.append(out_of_time_text(self.not_done))
         found += [f"{what} was left out: {why}" for what, why in self.failed.items()]
         return found
 

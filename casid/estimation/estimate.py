@@ -193,6 +193,7 @@ class Trust:
 
     evidence: Mapping[str, str] = field(default_factory=dict)  # what was looked at -> sentence
     suspects: tuple[str, ...] = ()  # of the record: a channel with the wrong sign, and its remedy
+    not_done: tuple[str, ...] = ()  # what the budget of time left no time for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -260,6 +261,7 @@ class Estimate(Presented, Saved):
     fit_is: ClassVar[Grouped[str]] = Grouped("fit", "measured_by")
     evidence: ClassVar[Grouped[Mapping[str, str]]] = Grouped("trust")
     suspects: ClassVar[Grouped[tuple[str, ...]]] = Grouped("trust")
+    not_done: ClassVar[Grouped[tuple[str, ...]]] = Grouped("trust")
     provenance: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
     versions: ClassVar[Grouped[Mapping[str, str]]] = Grouped("origin")  # Package -> version
     sources: ClassVar[Grouped[tuple[str, ...]]] = Grouped("origin")
@@ -389,6 +391,7 @@ class Estimate(Presented, Saved):
             "identifiability": self.identifiability.to_json(),
             "warnings": list(self.warnings),
             "suspects": list(self.suspects),
+            "not_done": list(self.not_done),
             **({"evidence": dict(self.evidence)} if self.evidence else {}),
             "provenance": list(self.provenance),
             "versions": dict(self.versions),

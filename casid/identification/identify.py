@@ -10,11 +10,12 @@ import numpy as np
 from casid.data.arguments import Recorded, in_si
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.errors import IdentifiabilityError, SolveError
+from casid.errors import IdentifiabilityError, OutOfTimeError, SolveError
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
-from casid.estimation.estimate import Estimate, Trust
+from casid.estimation.estimate import Estimate, Estimated, Trust, Uncertainty
 from casid.estimation.holdout import Split, record_views, split_records, validation
 from casid.estimation.residual_spectrum import coloured_covariance
+from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import (
@@ -30,6 +31,16 @@ from casid.estimation.simulation.simulation_estimate import (
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
 from casid.model.model import Model
+from casid.time_limit import (
+    Undone,
+    no_time_limit,
+    out_of_time_text,
+    until,
+    wall_clock,
+)
+
+UNFINISHED = "the fit was not finished: no standard errors"
+"""What the errors of the best point of a fit without end assume."""
 
 
 def identify(
@@ -39,6 +50,7 @@ def identify(
     hold_out: float | Sequence[Recorded] | Recorded = 0.0,
     settings: FitSettings | None = None,
     start: Mapping[str, float] | None = None,
+    budget: float | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Estimate:
     """Estimate the unknown parameters and initial states by least-squares simulation error.
@@ -51,6 +63,9 @@ def identify(
         shared unless `settings.own`.
     hold_out : share of each record, at its end, or whole records, used for validation only.
     start : start values by variable name, over the model's own, in the units that it declares.
+    budget : seconds that the estimate may take; by default as `FIT_BUDGET` has it, from the number
+        of samples and unknowns. What no time is left for is listed in `not_done`; a fit that was
+        not finished gives its best point, without errors and not converged.
 
     Returns
     -------
@@ -67,9 +82,10 @@ def identify(
     IdentifiabilityError
         Parameters that are not identifiable from these records; those that are, are named.
     SolveError
-        The simulation diverges at the start, or the solver finds no optimum.
+        The simulation diverges at the start, or the solver finds no optimum; `OutOfTimeError` where
+        the budget is over before there is any fit.
     """
-    say = progress or (lambda _: None)
+    began, say = wall_clock(), progress or (lambda _: None)
     if not isinstance(hold_out, float | int):
         _, hold_out = in_si(problem, hold_out)
     if start is not None:
@@ -77,25 +93,62 @@ def identify(
     problem, chosen = in_si(problem, experiments)
     split = split_records(chosen, hold_out)
     settings = settings or FitSettings(starts=problem.starts)
-    structural = "not checked, as there are constraints"
-    if not settings.constraints:
-        structural = require_identifiable(
-            problem.model, split.fitted, own=settings.own, problem=problem, progress=progress
-        )
-    say(f"fit {', '.join(e.name for e in split.fitted)}")
-    fit, suspect = _fit(problem, split.fitted, settings, start, say)
-    found = without_input_noise(fit, problem.noise, seed=settings.seed)
-    estimate = _estimate(problem, found, split, stuck_channel_notes(problem.model, chosen))
+    with until(began + fit_budget(problem.model, split.fitted, budget)):
+        structural = "not checked, as there are constraints"
+        if not settings.constraints:
+            structural = require_identifiable(
+                problem.model, split.fitted, own=settings.own, problem=problem, progress=progress
+            )
+        undone = Undone()
+        say(f"fit {', '.join(e.name for e in split.fitted)}")
+        fit, suspect = _fit(problem, split.fitted, settings, start, (say, undone))
+        found = _corrected(problem, fit, settings, undone)
+    with no_time_limit():  # a few passes over the record, for which a result cannot do without
+        estimate = _estimate(problem, found, split, stuck_channel_notes(problem.model, chosen))
+        records = record_views(found.fit, None, split)
     estimate = replace(
         estimate,
-        records=record_views(found.fit, None, split),
+        records=records,
         trust=Trust(
             {"noise on inputs": found.text} if found.text else {},
             suspects=() if suspect is None else (str(suspect),),
+            not_done=tuple(undone.not_done),
         ),
         identifiability=replace(estimate.identifiability, structural=structural),
     )
-    return estimate.in_units(problem.model.declared_units)
+    estimate = estimate.in_units(problem.model.declared_units)
+    return _cut_off(estimate) if estimate.not_done else estimate
+
+
+def _corrected(problem: Problem, fit: Fit, settings: FitSettings, undone: Undone) -> Corrected:
+    """The fit without the bias of noise on its inputs, where it is finished and there is time."""
+    if not fit.solution.is_converged and fit.not_done:
+        return Corrected(fit)
+    what = "the removal of the bias of noise on inputs"
+    found = undone.attempt(
+        what, lambda: without_input_noise(fit, problem.noise, seed=settings.seed)
+    )
+    return Corrected(fit, why_not="the budget of time ended") if found is None else found
+
+
+def _cut_off(estimate: Estimate) -> Estimate:
+    """The estimate with what no time was left for; without errors where the fit is no minimum."""
+    warnings = (out_of_time_text(estimate.not_done), *estimate.warnings)
+    estimate = replace(estimate, warnings=warnings)
+    if estimate.is_converged:
+        return estimate
+
+    def without_error(row: Estimated) -> Estimated:
+        if row.std_error is None:
+            return row
+        return replace(row, std_error=None, note="not finished: no standard error")
+
+    return replace(
+        estimate,
+        parameters=tuple(without_error(p) for p in estimate.parameters),
+        initial_states=tuple(without_error(p) for p in estimate.initial_states),
+        uncertainty=Uncertainty((), np.zeros((0, 0)), UNFINISHED),
+    )
 
 
 def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[str]) -> Estimate:
@@ -132,18 +185,33 @@ def _fit(
     experiments: Sequence[Experiment],
     settings: FitSettings,
     start: Mapping[str, float] | None,
-    say: Callable[[str], None],
+    to: tuple[Callable[[str], None], Undone],
 ) -> tuple[Fit, WrongSign | None]:
-    """The fit, and where it is poor a channel that was probably recorded with the wrong sign."""
+    """The fit, and where it is poor a channel that was probably recorded with the wrong sign.
+
+    Progress and what was not done go to `to`.
+    """
+    say, undone = to
     checks_signs = not settings.constraints and settings.segments == 1
     try:
         fit = fit_model(problem.model, experiments, settings, start=start)
+    except OutOfTimeError as error:
+        if not isinstance(error.found, Fit):
+            raise
+        fit = error.found
     except (IdentifiabilityError, SolveError) as error:
         suspect = wrong_sign(problem, experiments, settings) if checks_signs else None
         if suspect is None:
             raise
         raise type(error)(f"{suspect}. As recorded: {error}") from error
-    if not (checks_signs and is_poor(fit)):
+    undone.add(*fit.not_done)
+
+    def suspected() -> WrongSign | None:
+        if not is_poor(fit):
+            return None
+        say("the fit is poor: negate each channel in turn")
+        return wrong_sign(problem, experiments, settings)
+
+    if not checks_signs:
         return fit, None
-    say("the fit is poor: negate each channel in turn")
-    return fit, wrong_sign(problem, experiments, settings)
+    return fit, undone.attempt("the test of the signs of the channels", suspected)

@@ -27,7 +27,7 @@ from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.record import Record
 from casid.deprecation import renamed
-from casid.errors import CasidError
+from casid.errors import CasidError, OutOfTimeError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance, whiteness
 from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.holdout import Split
@@ -37,6 +37,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.identification.channel_signs import negated, sign_correction
 from casid.identification.signs_from_moments import sign_flips
 from casid.model.model import Model
+from casid.time_limit import require_time
 
 POOR = 80.0
 """Fit in per cent below which signs are doubted, where the residual is no white noise."""
@@ -274,6 +275,10 @@ def _unit(model: Model, channel: str) -> str:
 def _fitted(model: Model, experiments: Sequence[Experiment], settings: FitSettings) -> Fit | None:
     try:
         fit = fit_model(model, experiments, settings, check_rank=False, throw=False)
+        if fit.not_done:
+            require_time("the test of the signs of the channels")
+    except OutOfTimeError:
+        raise  # what was cut off is no evidence against a sign
     except CasidError:
         return None
     return fit if np.isfinite(fit.solution.value) else None

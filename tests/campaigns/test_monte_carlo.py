@@ -19,6 +19,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner, Result
 
+from casid import time_limit
 from casid.campaigns.accuracy import Accuracy, accuracy
 from casid.campaigns.campaign import Campaign
 from casid.campaigns.monte_carlo import montecarlo, simulation_error
@@ -443,3 +444,64 @@ def test_the_command_works_on_a_dask_cluster(tank: Problem) -> None:
     here = casid("tank.py", "--runs", "4", "--jobs", "1", "--json", "--out", "here")
     assert on_dask.exit_code == 0
     assert on_dask.stdout == here.stdout
+
+
+# ---------------------------------------------------------------------- a budget of time
+
+
+class Clock:
+    """A clock that the test moves."""
+
+    def __init__(self) -> None:
+        self.ahead = 0.0
+
+    def monotonic(self) -> float:
+        return time.monotonic() + self.ahead
+
+
+def test_a_study_ends_with_its_budget_and_the_same_call_goes_on(
+    tank: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    clock = Clock()
+    monkeypatch.setattr(time_limit, "time", clock)
+    ended = []
+
+    def method(problem, experiments, settings):
+        ended.append(simulation_error(problem, experiments, settings))
+        clock.ahead = 1e6 if len(ended) == 3 else clock.ahead
+        return ended[-1]
+
+    study = montecarlo(tank, runs=8, method=method, out=tmp_path / "s", budget=1000.0)
+    assert study.campaign.runs == 3
+    assert study.not_done == ("5 of 8 runs",)
+    assert study.to_json()["not_done"] == ["5 of 8 runs"]
+    assert "5 of 8 runs" in str(study)
+    whole = montecarlo(tank, runs=8, method=method, out=tmp_path / "s")
+    assert (whole.campaign.found, whole.campaign.runs, whole.not_done) == (3, 8, ())
+    alone = montecarlo(tank, runs=8, method=method)
+    assert alone.estimates("a").tolist() == whole.estimates("a").tolist()
+
+
+def test_a_run_that_the_budget_cuts_off_does_not_count(
+    tank: Problem, monkeypatch: pytest.MonkeyPatch
+):
+    clock = Clock()
+    monkeypatch.setattr(time_limit, "time", clock)
+    begun = []
+
+    def method(problem, experiments, settings):
+        begun.append(None)
+        clock.ahead = 1e6 if len(begun) == 2 else clock.ahead
+        return simulation_error(problem, experiments, settings)
+
+    study = montecarlo(tank, runs=4, method=method, budget=1000.0)
+    assert study.campaign.runs == 1
+    assert not study.failures
+    assert study.not_done == ("3 of 4 runs",)
+
+
+def test_a_study_without_time_for_any_run_says_so(tank: Problem):
+    with pytest.raises(SolveError, match=r"no run ended.*--budget SECONDS"):
+        montecarlo(tank, runs=2, budget=1e-9)
+    with pytest.raises(DataError, match="budget = -1 s is no time"):
+        montecarlo(tank, runs=2, budget=-1.0)

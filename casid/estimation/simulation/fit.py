@@ -60,6 +60,11 @@ def fit_model(
     Parameters
     ----------
     weights : (ny,) of the outputs, as for `SimulationError`.
+
+    Raises
+    ------
+    IdentifiabilityError, SolveError
+        As `minimize_simulation_error`.
     """
     substeps = settings.substeps or 1
     fit: Fit | None = None
@@ -88,7 +93,8 @@ def fit_model(
         except OutOfTimeError:
             if fit is None:
                 raise
-            return fit  # with the steps that there was time for
+            # With the steps that there was time for.
+            return replace(fit, not_done=(*fit.not_done, "finer integration steps"))
         except SolveError:
             # Too long a step makes a stable simulation diverge, too.
             diverges = not np.isfinite(criterion.evaluate(criterion.start).value)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from casid.arrays import Array
-from casid.errors import DataError, IdentifiabilityError, SolveError
+from casid.errors import DataError, IdentifiabilityError, OutOfTimeError, SolveError
 from casid.estimation.local_rank import describe_null, local_rank
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Evaluation, Solution, not_converged
@@ -22,13 +22,20 @@ from casid.time_limit import require_time, seconds_left
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A minimum of the simulation-error criterion."""
+    """A minimum of the simulation-error criterion.
+
+    Attributes
+    ----------
+    starts_tried, starts_agreeing : starts that came to an end, and those that ended here.
+    not_done : what no time was left for.
+    """
 
     criterion: SimulationError
     solution: Solution
     starts_tried: int = 1
     starts_agreeing: int = 1
     notes: tuple[str, ...] = field(default_factory=tuple)
+    not_done: tuple[str, ...] = ()
 
     @property
     def x(self) -> Array:
@@ -87,7 +94,7 @@ def minimize_simulation_error(
     IdentifiabilityError
         Before the solver starts, where a direction is not identifiable.
     SolveError
-        If no start leads to an optimum.
+        If no start leads to an optimum; `OutOfTimeError`, with the best `Fit`, for want of time.
     """
     require_time(f"the fit of {criterion.model.name}")
     nlp = _stated(criterion, constraints)
@@ -117,11 +124,28 @@ def minimize_simulation_error(
     if not solutions:
         require_time(f"the fit of {criterion.model.name}")
         raise SolveError(failures[0])
+    fit = _kept(criterion, solutions, len(solutions) + len(failures), max(starts, 1))
+    if throw and not fit.solution.is_converged:
+        refusal = not_converged(criterion.model.name, fit.solution)
+        raise OutOfTimeError(str(refusal), found=fit) if fit.not_done else refusal
+    return fit
+
+
+def _kept(
+    criterion: SimulationError, solutions: Sequence[Solution], tried: int, starts: int
+) -> Fit:
+    """The best of the solutions, and the starts that no time was left for."""
     best = max(solutions, key=lambda s: (s.is_converged, -s.value))
-    if throw and not best.is_converged:
-        raise not_converged(criterion.model.name, best)
     agreeing = sum(s.value <= best.value * (1 + 1e-6) + 1e-12 for s in solutions)
-    return Fit(criterion, best, max(starts, 1), agreeing)
+    if seconds_left() > 0.0:
+        return Fit(criterion, best, starts, agreeing)
+    cut = not solutions[-1].is_converged
+    not_done = (f"the search from {_starts(starts - tried + cut, starts)}",)
+    return Fit(criterion, best, tried, agreeing, not_done=not_done if tried - cut < starts else ())
+
+
+def _starts(left: int, starts: int) -> str:
+    return "the start" if starts == 1 else f"{left} of {starts} starts"
 
 
 def _solved(nlp: Nlp, criterion: SimulationError, solver: Solver | None, point: Array) -> Solution:

@@ -27,9 +27,29 @@ class RecordAgreement:
     )
 
 
-RECORD_AGREEMENT = RecordAgreement()
+_BUDGET = "tests/identification/test_budget.py"
 
-GROUPS = (RECORD_AGREEMENT,)
+
+@dataclass(frozen=True, slots=True)
+class FitBudget:
+    """The time that an estimate may take where none is given; see `budget.py`."""
+
+    seconds: float = _is(
+        120.0, "whatever the record: compiling, the check of the rank and the page", _BUDGET
+    )
+    per_value: float = _is(
+        1e-3,
+        "seconds more for each sample and unknown: a thousand passes over the record at a "
+        "microsecond each, as without a compiler, where an ordinary fit takes fewer than a hundred",
+        _BUDGET,
+    )
+    longest: float = _is(3600.0, "seconds: a fit that takes longer is one to be asked for", _BUDGET)
+
+
+RECORD_AGREEMENT = RecordAgreement()
+FIT_BUDGET = FitBudget()
+
+GROUPS = (RECORD_AGREEMENT, FIT_BUDGET)
 
 TABLE = entries(*GROUPS)
 """All of them."""

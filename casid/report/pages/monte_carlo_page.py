@@ -9,7 +9,8 @@ from casid.campaigns.monte_carlo import MonteCarlo
 from casid.report.document import Bullets, Document, Section, Table, figure_parts, mapping_table
 from casid.report.figures.histograms import histogram_figure
 from casid.report.numbers import number_text, value_text
-from casid.report.pages.estimate_parts import provenance
+from casid.report.pages.estimate_parts import notice, provenance
+from casid.time_limit import out_of_time_text
 
 
 def monte_carlo_report(result: MonteCarlo) -> Document:
@@ -35,11 +36,12 @@ def monte_carlo_report(result: MonteCarlo) -> Document:
         for name, value in result.settings.items()
         if value not in (None, {}, [])
     }
+    cut = [out_of_time_text(result.not_done)] if result.not_done else []
     streams = "Run i has the random numbers of numpy.random.SeedSequence(seed).spawn(n)[i]."
     return Document(
         result.problem,
         [
-            Section("", [runs, Bullets(remarks)]),
+            Section("", [runs, notice((), cut), Bullets(remarks)]),
             Section(
                 "Parameters",
                 [_accuracy(result.parameters), figure("histograms"), words],

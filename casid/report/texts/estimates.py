@@ -15,6 +15,7 @@ from casid.identification.grey_box import Prediction
 from casid.identification.iterative_joint_instruments import IterativeJoint
 from casid.report.document import Document, Labelled, Table
 from casid.report.texts.moments import black_box_document, convergence_document
+from casid.time_limit import out_of_time_text
 
 _WIDEST, _LONGEST = 100, 14  # of a printed study, and of a parameter with its unit in it
 
@@ -208,6 +209,7 @@ def monte_carlo_document(result: MonteCarlo) -> Document:
             *(("REMARK", f"{p.name}: {'; '.join(p.remarks)}") for p in result.parameters
               if p.remarks),
             *(("failed", f"{n} times: {message}") for message, n in result.failures.items()),
+            *((("NOT DONE", out_of_time_text(result.not_done)),) if result.not_done else ()),
         ],
         label=8,
         width=_WIDEST,
