@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from casid.data.problem import Problem
@@ -67,7 +67,7 @@ def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) ->
     Raises
     ------
     SolveError
-        If the records support an answer, but the fit does not converge.
+        If the simulation diverges from the start values.
     """
     reason = why_uninformative(problem.model, split)
     if not reason:
@@ -101,7 +101,8 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     )
     if corrupted.count:
         say(f"leave out {corrupted.count} clipped samples or outliers and fit again")
-        fit = fit_model(problem.model, split.fitted, settings.fit, start=fit.values)
+        again = replace(settings.fit, starts=1, substeps=fit.criterion.substeps)
+        fit = fit_model(problem.model, split.fitted, again, start=fit.values, throw=False)
     fit = weighted_by_errors(fit, settings.fit)
     channels, notes = channels_held_out_too(recorded_beside(problem, split.fitted), split.apart)
     weighing = Weighing(
@@ -112,9 +113,8 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     undecided = why_undecided(fit, start, partial(std_error, start.fit))
     if not undecided and not fit.solution.is_converged:
         require_time("the fit of the model as it is")
-        raise SolveError(
-            f"{problem.name}: the model as it is could not be fitted "
-            f"({fit.solution.ending}): {fit.solution.remedy}"
+        undecided = (
+            f"the model as it is could not be fitted ({fit.solution.ending}): {fit.solution.remedy}"
         )
     return Baseline(
         split=split,

@@ -146,16 +146,24 @@ def verdict_sentence(
         said = "; ".join(d.sentence for d in disturbances)
         return f"{text} {said[0].upper()}{said[1:]}." if said else text
     text = "; ".join(_says_cause(c) for c in causes)
-    gains = []
-    for output, before in part.get("baseline_rmse", {}).items():
-        after = part.get("extended_rmse", {}).get(output)
-        if after is not None:
-            low, high = (problem.model.shown_size(output, e) for e in (after, before))
-            unit = problem.model.unit_of(output)
-            gains.append(f"{output} from {high:.3g} to {low:.3g} {unit}")
     what = "it" if len(causes) == 1 else "them"
-    gain = f" Including {what} lowers the RMS error of {', '.join(gains)}." if gains else ""
-    return f"{text[0].upper()}{text[1:]}.{gain}"
+    return f"{text[0].upper()}{text[1:]}.{_gain(part, problem, what)}"
+
+
+def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) -> str:
+    """By how much including the causes lowers, or raises, the errors that it changes."""
+    lowered: list[str] = []
+    raised: list[str] = []
+    for output, before in part.get("baseline_rmse", {}).items():
+        after = part.get("extended_rmse", {}).get(output, before)
+        new, old = (f"{problem.model.shown_size(output, e):.3g}" for e in (after, before))
+        if new != old:
+            changed = f"{output} from {old} to {new} {problem.model.unit_of(output)}"
+            (lowered if after < before else raised).append(changed)
+    if lowered:
+        more = f", and raises that of {', '.join(raised)}" if raised else ""
+        return f" Including {what} lowers the RMS error of {', '.join(lowered)}{more}."
+    return f" Including {what} raises the RMS error of {', '.join(raised)}." if raised else ""
 
 
 def _says_cause(c: Cause) -> str:

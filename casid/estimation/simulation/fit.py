@@ -11,16 +11,15 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.errors import OutOfTimeError, SolveError
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.simulation.minimization import Constraint, Fit, minimize_simulation_error
+from casid.estimation.simulation.minimization import (
+    Constraint,
+    Fit,
+    minimize_simulation_error,
+    require_minimum,
+)
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.simulation.thresholds import ERROR_WEIGHTS, STEPS
 from casid.model.model import Model
-
-_ROUNDS = 5
-"""Weighing and fitting in turn, at most."""
-_SETTLED = 0.05
-"""Relative change of the weights below which they are kept."""
-_ROUNDING = 1e-6
-"""Of an output's spread: errors below it are those of the simulation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,18 +65,21 @@ def fit_model(
     IdentifiabilityError, SolveError
         As `minimize_simulation_error`.
     """
-    substeps = settings.substeps or 1
+    is_free = settings.substeps is None
+    criterion = SimulationError(
+        model,
+        experiments,
+        own=settings.own,
+        weights=weights,
+        segments=settings.segments,
+        substeps=settings.substeps or 1,
+        start=start,
+    )
+    # Too long a step makes another model of it, whose optimum may lie far away.
+    while is_free and _steps_matter(criterion, criterion.start, STEPS.at_start):
+        criterion = _from(criterion, start, finer=2)
     fit: Fit | None = None
     while True:
-        criterion = SimulationError(
-            model,
-            experiments,
-            own=settings.own,
-            weights=weights,
-            segments=settings.segments,
-            substeps=substeps,
-            start=start if fit is None else fit.values,
-        )
         try:
             fit = minimize_simulation_error(
                 criterion,
@@ -86,10 +88,10 @@ def fit_model(
                 seed=settings.seed,
                 constraints=settings.constraints,
                 check_rank=check_rank and fit is None,
-                throw=throw,
+                throw=False,
             )
-            if settings.substeps is not None or substeps >= 16 or not _steps_matter(fit):
-                return fit
+            if fit.not_done or not (is_free and _steps_matter(criterion, fit.x, STEPS.at_end)):
+                break
         except OutOfTimeError:
             if fit is None:
                 raise
@@ -97,10 +99,32 @@ def fit_model(
             return replace(fit, not_done=(*fit.not_done, "finer integration steps"))
         except SolveError:
             # Too long a step makes a stable simulation diverge, too.
-            diverges = not np.isfinite(criterion.evaluate(criterion.start).value)
-            if fit is not None or settings.substeps is not None or substeps >= 64 or not diverges:
+            is_last = fit is not None or not is_free or criterion.substeps >= STEPS.last
+            if is_last or np.isfinite(_value(criterion)):
                 raise
-        substeps *= 2
+        finer = _from(criterion, start, finer=2)
+        near = finer if fit is None else _from(criterion, fit.values, finer=2)
+        criterion = finer if _value(finer) < _value(near) else near
+    if throw:
+        require_minimum(fit)
+    return fit
+
+
+def _from(c: SimulationError, start: Mapping[str, float] | None, *, finer: int) -> SimulationError:
+    """The same criterion from a start, its steps divided."""
+    return SimulationError(
+        c.model,
+        c.experiments,
+        own=c.own,
+        weights=c.weights,
+        segments=c.segments,
+        substeps=finer * c.substeps,
+        start=start,
+    )
+
+
+def _value(criterion: SimulationError) -> float:
+    return float(criterion.evaluate(criterion.start).value)
 
 
 def weighted_by_errors(fit: Fit, settings: FitSettings) -> Fit:
@@ -113,9 +137,9 @@ def weighted_by_errors(fit: Fit, settings: FitSettings) -> Fit:
     if len(fit.criterion.outputs) == 1:
         return fit
     settings = replace(settings, starts=1, substeps=fit.criterion.substeps)
-    for _ in range(_ROUNDS):
+    for _ in range(ERROR_WEIGHTS.rounds):
         weights = one_over_errors(fit)
-        if np.all(abs(np.log(weights / fit.criterion.weights)) < _SETTLED):
+        if np.all(abs(np.log(weights / fit.criterion.weights)) < ERROR_WEIGHTS.settled):
             break
         c = fit.criterion
         again = fit_model(
@@ -141,25 +165,18 @@ def one_over_errors(fit: Fit) -> Array:
         square += np.sum(c.simulated(fit.x, e).residual ** 2, axis=0)
         count += d.used.sum(axis=0)
     errors = np.sqrt(square / np.maximum(count, 1))
-    return np.asarray(1 / np.maximum(errors, _ROUNDING * c.spread))
+    return np.asarray(1 / np.maximum(errors, ERROR_WEIGHTS.rounding * c.spread))
 
 
-def _steps_matter(fit: Fit) -> bool:
-    """True if halving the step moves the simulation by over a hundredth of the residual."""
-    old = fit.criterion
-    fine = SimulationError(
-        old.model,
-        old.experiments,
-        own=old.own,
-        weights=old.weights,
-        segments=old.segments,
-        substeps=2 * old.substeps,
-        start=fit.values,
-    )
+def _steps_matter(c: SimulationError, x: Array, share: float) -> bool:
+    """True if halving the step moves the simulation by over a share of the residual."""
+    if c.substeps >= STEPS.most:
+        return False
+    fine = _from(c, None, finer=2)
     moved, left = 0.0, 0.0
     with np.errstate(all="ignore"):
-        for e, d in enumerate(old.data):
-            a, b = old.simulate(fit.x, e)[0], fine.simulate(fit.x, e)[0]
-            moved += float(np.sum(((a - b) * d.used * old.weights) ** 2))
-            left += float(np.sum(((d.y - a) * d.used * old.weights) ** 2))
-    return bool(np.isfinite(moved)) and moved > 1e-4 * left + 1e-16 * old.n_samples
+        for e, d in enumerate(c.data):
+            a, b = c.simulate(x, e)[0], fine.simulate(x, e)[0]
+            moved += float(np.sum(((a - b) * d.used * c.weights) ** 2))
+            left += float(np.sum(((d.y - a) * d.used * c.weights) ** 2))
+    return bool(np.isfinite(moved)) and moved > share**2 * left + 1e-16 * c.n_samples

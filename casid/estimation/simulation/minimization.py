@@ -125,10 +125,22 @@ def minimize_simulation_error(
         require_time(f"the fit of {criterion.model.name}")
         raise SolveError(failures[0])
     fit = _kept(criterion, solutions, len(solutions) + len(failures), max(starts, 1))
-    if throw and not fit.solution.is_converged:
-        refusal = not_converged(criterion.model.name, fit.solution)
-        raise OutOfTimeError(str(refusal), found=fit) if fit.not_done else refusal
+    if throw:
+        require_minimum(fit)
     return fit
+
+
+def require_minimum(fit: Fit) -> None:
+    """Refuse a fit that did not converge.
+
+    Raises
+    ------
+    SolveError
+        With the remedy; `OutOfTimeError`, with the fit, for want of time.
+    """
+    if not fit.solution.is_converged:
+        refusal = not_converged(fit.criterion.model.name, fit.solution)
+        raise OutOfTimeError(str(refusal), found=fit) if fit.not_done else refusal
 
 
 def _kept(

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from casid.threshold_table import entries
 from casid.threshold_table import threshold as _is
 
+_BUDGET = "tests/identification/test_budget.py"
+_FIT = "tests/estimation/simulation/test_fit.py"
 _AGREEMENT = "tests/estimation/simulation/test_record_agreement.py"
 
 
@@ -25,9 +27,6 @@ class RecordAgreement:
         "chi^2 over its degrees of freedom, at least: errors twice as large as they are given",
         _AGREEMENT,
     )
-
-
-_BUDGET = "tests/identification/test_budget.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +45,38 @@ class FitBudget:
     longest: float = _is(3600.0, "seconds: a fit that takes longer is one to be asked for", _BUDGET)
 
 
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """How long the steps of the integration may be."""
+
+    at_start: float = _is(
+        0.1,
+        "of the residual, by which halving the step may move the simulation before a fit: too long "
+        "a step makes another model of it, whose optimum may lie far away",
+        _FIT,
+    )
+    at_end: float = _is(0.01, "the same after a fit", _FIT)
+    most: int = _is(16, "steps a sample, beyond which only what diverges is refined", _FIT)
+    last: int = _is(64, "steps a sample, at most", _FIT)
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorWeights:
+    """Outputs weighed by the errors that they leave."""
+
+    rounds: int = _is(5, "of weighing and fitting in turn, at most", _FIT)
+    settled: float = _is(0.05, "relative change of the weights below which they are kept", _FIT)
+    rounding: float = _is(
+        1e-6, "of an output's spread: errors below it are those of the simulation", _FIT
+    )
+
+
 RECORD_AGREEMENT = RecordAgreement()
 FIT_BUDGET = FitBudget()
+STEPS = Steps()
+ERROR_WEIGHTS = ErrorWeights()
 
-GROUPS = (RECORD_AGREEMENT, FIT_BUDGET)
+GROUPS = (RECORD_AGREEMENT, FIT_BUDGET, STEPS, ERROR_WEIGHTS)
 
 TABLE = entries(*GROUPS)
 """All of them."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import casid
+from casid.diagnosis.evidence.robust_errors import std_error
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 
 ONE = FitSettings(starts=1, substeps=1)
@@ -46,3 +49,42 @@ def test_a_single_output_keeps_its_fit():
     m.output("x", x, "1")
     fit = fit_model(m, [casid.Experiment(record, {}, "r")], ONE)
     assert weighted_by_errors(fit, ONE) is fit
+
+
+# -- steps ----------------------------------------------------------------------------------------
+
+
+def clamped(amplitude: float, Ts: float) -> casid.Experiment:
+    """A capacitor behind a resistor with a diode across it, by SciPy's stiff solver, 10 mV noise.
+
+    With C = 1.8 uF and R = 25 Ohm; the conducting diode is faster than the samples.
+    """
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.uniform(-amplitude, amplitude, 60), 10)
+    v, levels = 0.0, []
+    for held in u.tolist():
+        levels.append(v)
+
+        def rate(_t, x, held=held):
+            return [((held - x[0]) / 25.0 - 1e-6 * np.expm1(x[0] / 0.12)) / 1.8e-6]
+
+        v = solve_ivp(rate, (0, Ts), [v], method="LSODA", rtol=1e-8, atol=1e-9).y[0, -1]
+    y = np.array(levels) + 0.01 * rng.standard_normal(len(u))
+    record = casid.Record({"source": u, "y": y}, {"source": "V", "y": "V"}, Ts=Ts)
+    return casid.Experiment(record, {}, "r")
+
+
+@pytest.mark.parametrize(("amplitude", "Ts"), [(2.0, 1e-5), (3.0, 2e-5), (4.0, 2e-5), (4.0, 3e-5)])
+@pytest.mark.parametrize("start", [None, {"C": 1.8e-6, "R": 25.0}])
+def test_a_step_that_is_too_long_for_the_model_is_not_fitted_with(amplitude, Ts, start):
+    """One or two steps a sample make another model of it: R = 15 Ohm, 31 Ohm, or no rank at all."""
+    m = casid.Model("clamped")
+    source, v = m.input("source", "V", hold="zoh"), m.state("v", "V")
+    C = m.parameter("C", "A s/V", start=2e-6, lower=1e-7, upper=1e-4)
+    R = m.parameter("R", "Ohm", start=20.0, lower=1.0, upper=1e3)
+    I, V = m.constant("I", 1e-6, "A"), m.constant("V", 0.12, "V")  # noqa: E741
+    m.balance(v, "charge", inertia=C, terms=[(source - v) / R, -I * (ca.exp(v / V) - 1)], unit="A")
+    m.output("y", v, "V")
+    fit = fit_model(m, [clamped(amplitude, Ts)], FitSettings(), start=start)
+    for name, truth in (("R", 25.0), ("C", 1.8e-6)):
+        assert fit.values[name] == pytest.approx(truth, abs=5 * std_error(fit, name), rel=0)
