@@ -35,7 +35,7 @@ class Motion:
 
     variant: Variant
     y: Array
-    fine: Array  # (steps, ny)
+    fine: Array  # (2 steps, ny)
     x: Array  # (nx, n)
     U: Array  # (steps, 3, nu + disturbances)
 
@@ -117,7 +117,7 @@ class Bench:
         beside = {c: staged(z[: self.n], "foh", s.substeps) for c, z in self.beside.items()}
         with np.errstate(all="ignore"):
             Y, X = simulate(s, x0, p, U, acting, beside=beside, clock=(0.0, self.horizon))
-            y = sensed(Y, acting)[:: s.substeps]
+            y = sensed(Y, acting)[:: 2 * s.substeps]
         return [
             Motion(v, y[:, :, i], Y[:, :, i], X[:-1, :, i].T, U[..., min(i, U.shape[3] - 1)])
             for i, v in enumerate(variants)
@@ -350,12 +350,12 @@ class Local:
         if effect is None or effect.stage != "sensor":
             return moved
         sub, K = self.bench.system.substeps, moved.shape[2]
-        fine = np.repeat(moved, sub, axis=0)
+        fine = np.repeat(moved, 2 * sub, axis=0)
         size = np.repeat(self.at.size[:, None], K, axis=1)
         eps = 1e-4 / np.maximum(np.max(abs(fine), axis=(0, 1)), 1e-12)
         eps = eps * np.max(abs(self.fine))
         above, below = (effect.law(size, self.fine + side * eps * fine) for side in (1, -1))
-        return np.asarray((above - below)[::sub] / (2 * eps))
+        return np.asarray((above - below)[:: 2 * sub] / (2 * eps))
 
 
 def _halved(
@@ -401,7 +401,7 @@ def _of_size(local: Local, i: int, h: Array) -> Array:
     assert effect is not None
     size = at.size + h[i] * np.eye(effect.n)[i]
     if effect.stage == "sensor":
-        y = effect.law(size[:, None], local.fine)[:: local.bench.system.substeps, :, 0]
+        y = effect.law(size[:, None], local.fine)[:: 2 * local.bench.system.substeps, :, 0]
     else:
         y = local.bench.outputs([replace(at, size=size)])[:, :, 0]
     return np.asarray((y - local.y) / h[i])

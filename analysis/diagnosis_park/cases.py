@@ -172,7 +172,7 @@ def _record_of(
     staged_z = {c: staged(v, "foh", sub) for c, v in z.items()}
     clock = (-lead, system.N * system.Ts)
     Y, X = simulate(system, x0, p, U, acting, beside=staged_z, feedback=feedback, clock=clock)
-    y = sensed(Y, acting)[::sub, :, 0] + noise
+    y = sensed(Y, acting)[:: 2 * sub, :, 0] + noise
     if feedback is not None:
         u[0] = feedback.commanded
     sd = np.array([[i.sd] for i in system.inputs]) * noisy

@@ -193,7 +193,7 @@ def signatures_of(bench: Bench, white: Whitener, catalogue: Sequence[Effect]) ->
             y = swung[:, :, mode] - swung[:, :, 0]
         else:
             size = np.full((1, 1), width)
-            y = e.law(size, local.fine)[:: bench.system.substeps, :, 0] - local.y
+            y = e.law(size, local.fine)[:: 2 * bench.system.substeps, :, 0] - local.y
         out.append(white(y[:, :, None] / width))
     tangent = sensitivities(bench, white, motion)
     return Signatures(keys, [np.nan_to_num(rows) for rows in out], tangent, motion.y)

@@ -18,7 +18,7 @@ import numpy as np
 
 from casid.errors import ModelError
 from casid.estimation.fitted.fitted_model import FittedModel
-from casid.estimation.simulation.simulator import band_limited, rk4_sample
+from casid.estimation.simulation.simulator import band_limited, rk4_sample, stepping_outputs
 from casid.export.delayed_outputs import SampledDelay, sampled_delays
 from casid.model.clock_signals import ClockSignal
 from casid.model.declarations import Stage
@@ -204,6 +204,14 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
         for n, d in steps.delays.items()
         if without_delays
     ]
+    outputs = list(fitted.model.outputs)
+    stepping = [outputs[i] for i in stepping_outputs(fitted.model, fitted.model.explicit())]
+    blurred = [
+        f"The output {n} steps with a held input, and its sensor is delayed: in a step of a sample "
+        "the delayed output rises to the new value within one sample, where casid has it step."
+        for n in stepping
+        if n in steps.delays and not without_delays
+    ]
     return PlainModel(
         name=fitted.name,
         model=model,
@@ -212,7 +220,7 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
         Ts=fitted.Ts,
         substeps=substeps,
         delays={} if without_delays else steps.delays,
-        notes=(*notes, *steps.notes, *left_out),
+        notes=(*notes, *steps.notes, *left_out, *blurred),
     )
 
 

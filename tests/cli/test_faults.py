@@ -207,7 +207,10 @@ def test_an_option_out_of_all_proportion_is_refused(
     assert not (folder / "o").exists()
 
 
-def test_300_states_are_answered_within_the_time_given(folder: Path) -> None:
+def test_300_states_are_answered_within_the_time_given(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CASID_TIME_FACTOR", "1")
     n = 300
     system = {
         "states": [f"x{i}" for i in range(n)],

@@ -53,6 +53,36 @@ def lag_columns(y: Array, samples: float) -> tuple[Array, Array]:
     return x, _recursion(decay, -first, change + slope * x[:-1])
 
 
+def lag_held(u: Array, samples: float) -> tuple[Array, Array]:
+    """Held columns (N, ...) behind a lag at the samples, and their derivative with the lag.
+
+    A step moves nothing behind a lag at the sample that it falls on; without a lag the new value
+    counts there, and for lags shorter than `COINCIDENT` samples a value between the two.
+    """
+    decay, slope = _decay(samples)
+    x = _recursion(decay, u[0], (u * (1 - decay))[:-1])
+    dx = _recursion(decay, 0.0 * u[0], (slope * (x - u))[:-1])
+    new, d_new = at_the_step(samples)
+    return x + new * (u - x), (1 - new) * dx + d_new * (u - x)
+
+
+def delay_held(u: Array, samples: float) -> tuple[Array, Array]:
+    """The same behind a delay of any number of samples; before the record it was the first."""
+    whole = int(np.floor(samples))
+    late = np.concatenate([np.repeat(u[:1], whole + 1, axis=0), u])[: len(u) + 1]
+    new, d_new = at_the_step(samples - whole)
+    rise = late[1:] - late[:-1]
+    return late[:-1] + new * rise, d_new * rise
+
+
+def at_the_step(samples: float) -> tuple[float, float]:
+    """Share of the new value at the sample on which a step falls, and its derivative."""
+    if samples >= COINCIDENT:
+        return 0.0, 0.0
+    left = 1 - samples / COINCIDENT
+    return left**2, -2 * left / COINCIDENT
+
+
 def lag_inputs(u: Array, samples: float, hold: Hold) -> tuple[Array, Array]:
     """An input column (N,) behind a lag as a line in each sample, and its derivative with the lag.
 
@@ -77,10 +107,7 @@ def lag_inputs(u: Array, samples: float, hold: Hold) -> tuple[Array, Array]:
     d_mean = dp * (x - u) + p * dx - dh * rise
     tilt = (1 - f) * rise - g * (x - u)
     d_tilt = -df * rise - dg * (x - u) - g * dx
-    now, d_now = x, dx
-    if hold == "zoh" and samples < COINCIDENT:
-        new, d_new = (1 - samples / COINCIDENT) ** 2, -2 * (1 - samples / COINCIDENT) / COINCIDENT
-        now, d_now = x + new * (u - x), (1 - new) * dx + d_new * (u - x)
+    now, d_now = lag_held(u, samples) if hold == "zoh" else (x, dx)
     return (
         np.stack([now, mean - 0.5 * tilt, mean + 0.5 * tilt], axis=1),
         np.stack([d_now, d_mean - 0.5 * d_tilt, d_mean + 0.5 * d_tilt], axis=1),

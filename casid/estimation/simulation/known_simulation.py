@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through_sensor
+from casid.estimation.simulation.sensor_dynamics import Before, prepared_inputs, through_sensor
 from casid.estimation.simulation.simulator import Simulator
 from casid.model.model import Model
 
@@ -48,16 +48,18 @@ class KnownSimulation:
         held = {**values, **{s.parameter: 0.0 for s in of_inputs}}
         p = np.array([held[name] for name in simulator.equations.parameters], dtype=float)
         y, x = np.empty((len(u), simulator.ny)), np.empty((len(u), simulator.nx))
+        before = np.empty((len(u), len(simulator.stepping)))
         starts = [0] if cuts is None else np.asarray(cuts).tolist()
         with np.errstate(all="ignore"):
             for x0, first, last in zip(nodes, starts, [*starts[1:], len(u)], strict=True):
                 run = simulator.simulate(u[first:last], p, x0)
-                y[first:last], x[first:last] = run.y, run.x[:-1]
+                assert run.before is not None
+                y[first:last], x[first:last], before[first:last] = run.y, run.x[:-1], run.before
             outputs = list(model.outputs)
+            steps = {i: Before(before[:, k]) for k, i in enumerate(simulator.stepping)}
             for stage in model.stages:
                 if not stage.is_of_input:
-                    column = y[:, outputs.index(stage.channel)]
-                    through_sensor(
-                        stage.kind, column, None, values[stage.parameter], simulator.Ts, -1
-                    )
+                    i, value = outputs.index(stage.channel), values[stage.parameter]
+                    stepped = None if stage.kind == "clip" else steps.pop(i, None)
+                    through_sensor(stage.kind, y[:, i], None, value, simulator.Ts, -1, stepped)
         return y, x

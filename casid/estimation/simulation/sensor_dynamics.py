@@ -8,11 +8,17 @@ into a generated column, its carrier, which the model multiplies by that paramet
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.simulation.first_order_lags import lag_columns, lag_inputs
+from casid.estimation.simulation.first_order_lags import (
+    delay_held,
+    lag_columns,
+    lag_held,
+    lag_inputs,
+)
 from casid.model.declarations import Stage
 from casid.model.model import Model
 
@@ -27,10 +33,27 @@ GROUP = 8
 """Columns of a Jacobian that pass a stage at once."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Before:
+    """An output at the end of each sample, before held inputs step to the next."""
+
+    y: Array  # (N,)
+    jac: Array | None = None  # (N, n)
+
+
 def through_sensor(
-    kind: str, y: Array, jac: Array | None, value: float, Ts: float, place: int
+    kind: str,
+    y: Array,
+    jac: Array | None,
+    value: float,
+    Ts: float,
+    place: int,
+    before: Before | None = None,
 ) -> None:
     """Apply one output stage in place.
+
+    An output that steps with a held input is a held column of its steps and a smooth rest: to the
+    sensor that is late the step is not there yet at the sample that it falls on.
 
     Parameters
     ----------
@@ -38,8 +61,16 @@ def through_sensor(
     jac : (N, n) its sensitivities, None where not requested.
     value : the stage's parameter [s], or the limit in units of the output.
     place : column of `jac` of the parameter, -1 where it is known.
+    before : of an output that steps, what it was at the samples before.
     """
     change: Array
+    steps = d_steps = None
+    if before is not None and kind != "clip":
+        steps = _steps(y, before.y)
+        y -= steps
+        if jac is not None and before.jac is not None:
+            d_steps = _steps(jac, before.jac)
+            jac -= d_steps
     if kind == "clip":
         above, below = y > value, y < -value
         y[above], y[below] = value, -value
@@ -58,8 +89,22 @@ def through_sensor(
             some = jac[:, first : first + GROUP]
             moved = delay_columns if kind == "delay" else _lagged
             some[:] = moved(some, value / Ts)
+    if steps is not None:
+        held = delay_held if kind == "delay" else lag_held
+        late, d_late = held(steps, value / Ts)
+        y += late
+        change = change + d_late / Ts
+        if jac is not None and d_steps is not None:
+            jac += held(d_steps, value / Ts)[0]
     if jac is not None and place >= 0:
         jac[:, place] += change
+
+
+def _steps(y: Array, before: Array) -> Array:
+    """The sum of the steps so far of columns (N, ...); `before` has what came before the next."""
+    steps = np.zeros_like(y)
+    np.cumsum(y[1:] - before[:-1], axis=0, out=steps[1:])
+    return steps
 
 
 def _lagged(columns: Array, samples: float) -> Array:

@@ -20,7 +20,12 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.errors import DataError
 from casid.estimation.nlp.solution import Evaluation
-from casid.estimation.simulation.sensor_dynamics import MEMORY, prepared_inputs, through_sensor
+from casid.estimation.simulation.sensor_dynamics import (
+    MEMORY,
+    Before,
+    prepared_inputs,
+    through_sensor,
+)
 from casid.estimation.simulation.signals import Signals, signals_of
 from casid.estimation.simulation.simulator import Simulator
 from casid.estimation.unknowns import LastOf, Unknowns, Variable
@@ -241,6 +246,8 @@ class SimulationError:
         cuts[-1] = d.N
         inputs = self._prepared_inputs(x, experiment, d)
         y, states = np.empty((d.N, ny)), np.empty((d.N, len(self.model.states)))
+        stepping = simulator.stepping
+        before, dbefore = np.empty((d.N, len(stepping))), np.zeros((0, 0, 0))
         jac: Array | None = None
         for i, index in enumerate(self._index[experiment]):
             part = slice(int(cuts[i]), int(cuts[i + 1]))
@@ -249,14 +256,21 @@ class SimulationError:
             if tangent:
                 run = simulator.sensitivities(u, p, x0)
                 if jac is None:  # not before: the simulation takes as much room for itself
-                    jac = np.zeros((d.N, ny, n))
+                    jac, dbefore = np.zeros((d.N, ny, n)), np.zeros((d.N, len(stepping), n))
                 assert run.dy is not None
+                assert run.dbefore is not None
                 _place(jac[part], run.dy, index)
+                _place(dbefore[part], run.dbefore, index)
             else:
                 run = simulator.simulate(u, p, x0)
-            y[part], states[part] = run.y, run.x[:-1]
+            assert run.before is not None
+            y[part], states[part], before[part] = run.y, run.x[:-1], run.before
         p, _ = self.parameter_vector(x, experiment)
-        self._through_sensors(y, jac, p, d, self._index[experiment][0])
+        steps = {
+            i: Before(before[:, k], None if jac is None else dbefore[:, k])
+            for k, i in enumerate(stepping)
+        }
+        self._through_sensors(y, jac, p, d, self._index[experiment][0], steps)
         return y, states, jac
 
     def _prepared_inputs(self, x: Array, experiment: int, d: Signals) -> Array:
@@ -276,9 +290,15 @@ class SimulationError:
         return float(self.data[experiment].known.get(name, nominal))
 
     def _through_sensors(
-        self, y: Array, jac: Array | None, p: Array, d: Signals, index: Array
+        self,
+        y: Array,
+        jac: Array | None,
+        p: Array,
+        d: Signals,
+        index: Array,
+        steps: dict[int, Before],
     ) -> None:
-        """Apply the model's sensor stages in place."""
+        """Apply the model's sensor stages in place; behind the first one nothing steps any more."""
         names = self._simulators[d.Ts].equations.parameters
         for stage in self.model.stages:
             if stage.is_of_input:
@@ -286,9 +306,9 @@ class SimulationError:
             c = self.outputs.index(stage.channel)
             value = p[names.index(stage.parameter)]
             place = index[self.free.index(stage.parameter)] if stage.parameter in self.free else -1
-            through_sensor(
-                stage.kind, y[:, c], None if jac is None else jac[:, c, :], value, d.Ts, int(place)
-            )
+            of_column = None if jac is None else jac[:, c, :]
+            before = None if stage.kind == "clip" else steps.pop(c, None)
+            through_sensor(stage.kind, y[:, c], of_column, value, d.Ts, int(place), before)
 
     def simulated(self, x: Array, experiment: int, *, signals: Signals | None = None) -> Simulated:
         """Residuals and sensitivities of one experiment, unweighted."""

@@ -38,6 +38,8 @@ class Trajectory:
     x: Array  # (N + 1, nx), x[N] is at the sample after the last
     dy: Array | None = None  # (N, ny, nv): d y / d (free parameters, initial state)
     dx_end: Array | None = None  # (nx, nv): d x[N] / d (...)
+    before: Array | None = None  # (N, nj) at the end of each sample, before held inputs step
+    dbefore: Array | None = None  # (N, nj, nv)
 
 
 def rk4_sample(
@@ -100,6 +102,21 @@ def _within(
             done = 1.0 if blend.toward == settled else 0.0
             value += (b - done) * (acts[blend.toward] - acts[entry.hold])
         yield value
+
+
+def stepping_outputs(model: Model, e: Explicit) -> tuple[int, ...]:
+    """Places of outputs behind a delay or lag that step where a held input does.
+
+    What such a sensor gives at a sample is what came before the step.
+    """
+    held = [
+        e.u[i]
+        for i, name in enumerate(e.inputs)
+        if "zoh" in model.inputs[name].holds and Stage.line_of(name)[0] not in e.inputs
+    ]
+    late = {s.channel for s in model.stages if s.kind in ("delay", "lag")}
+    found = [i for i, name in enumerate(e.outputs) if name in late] if held else []
+    return tuple(i for i in found if any(ca.which_depends(e.h[i], ca.vertcat(*held))))
 
 
 class _Step:
@@ -169,8 +186,14 @@ class Simulator:
         u = ca.vertcat(e.u, ca.SX.sym("between", width))
         u_next = ca.SX.sym("u_next", self.nu + width)
         x_next = rk4_sample(model, e, u_next, Ts, substeps, u[self.nu :])
-        self._plain_step = _Step("step", self.nx, e.x, u, u_next, e.p, x_next, e.h)
-        self._tangent_step = self._differentiate(e, u, u_next, x_next)
+        self.stepping = stepping_outputs(model, e)
+        end = _within(model, e, u_next, u[self.nu :], 2 * substeps, 2 * substeps)
+        h = ca.Function("h", [e.x, e.u, e.p], [e.h])
+        at_end = h(x_next, ca.vertcat(*end), e.p)
+        before = ca.vertcat(*[at_end[i] for i in self.stepping])
+        out = ca.vertcat(e.h, before)
+        self._plain_step = _Step("step", self.nx, e.x, u, u_next, e.p, x_next, out)
+        self._tangent_step = self._differentiate(e, u, u_next, x_next, before)
 
     def with_courses(self, u: Array) -> Array:
         """Inputs (N, nu) of a whole record, beside them what band-limited ones do between samples.
@@ -183,22 +206,20 @@ class Simulator:
         inside = between_samples(u[:, self._banded], 2 * self.substeps)
         return np.hstack([u, inside.reshape(len(u), -1)])
 
-    def _differentiate(self, e: Explicit, u: Any, u_next: Any, x_next: Any) -> _Step:
+    def _differentiate(self, e: Explicit, u: Any, u_next: Any, x_next: Any, before: Any) -> _Step:
         columns = [e.parameters.index(name) for name in self.free]
         p_free = ca.vertcat(*[e.p[i] for i in columns])
         nf = len(self._felt)
         felt = ca.vertcat(*[e.x[i] for i in self._felt])
         felt_next = ca.vertcat(*[x_next[i] for i in self._felt])
         s = ca.SX.sym("S", nf, len(columns) + nf)
-        zeros = ca.SX(nf, nf)
-        direct = ca.SX(self.ny, nf)
-        if columns:
-            b = ca.horzcat(ca.jacobian(felt_next, p_free), zeros)
-            d = ca.horzcat(ca.jacobian(e.h, p_free), direct)
-        else:
-            b, d = zeros, direct
-        s_next = ca.jacobian(felt_next, felt) @ s + b
-        dy = ca.jacobian(e.h, felt) @ s + d
+
+        def tangent(of: Any) -> Any:
+            direct = ca.SX(of.numel(), nf)
+            if columns:
+                direct = ca.horzcat(ca.jacobian(of, p_free), direct)
+            return ca.jacobian(of, felt) @ s + direct
+
         return _Step(
             "tangent",
             self.nx,
@@ -206,8 +227,8 @@ class Simulator:
             u,
             u_next,
             e.p,
-            ca.vertcat(x_next, ca.vec(s_next)),
-            ca.vertcat(e.h, ca.vec(dy)),
+            ca.vertcat(x_next, ca.vec(tangent(felt_next))),
+            ca.vertcat(e.h, before, ca.vec(tangent(e.h)), ca.vec(tangent(before))),
         )
 
     def _run(
@@ -263,7 +284,8 @@ class Simulator:
         """
         u = self.with_courses(u)
         x, y, _ = self._run(self._plain_step, np.ravel(x0), u, self._next(u), p)
-        return Trajectory(y, np.vstack([np.reshape(x0, (1, self.nx)), x]))
+        states = np.vstack([np.reshape(x0, (1, self.nx)), x])
+        return Trajectory(y[:, : self.ny], states, before=y[:, self.ny :])
 
     def sensitivities(
         self, u: Array, p: Array, x0: Array, *, after: Array | None = None
@@ -273,7 +295,8 @@ class Simulator:
         `after` (nu,) is the input one sample after the last, where it is known: x[N] needs it.
         """
         u = self.with_courses(u)
-        n, nx, nv, ny, nf = len(u), self.nx, self.nv, self.ny, len(self._felt)
+        nx, nv, ny, nf = self.nx, self.nv, self.ny, len(self._felt)
+        both = ny + len(self.stepping)
         start = np.zeros((nv - nx + nf, nf))
         start[nv - nx :, :] = np.eye(nf)
         xs, yd, end = self._run(
@@ -283,20 +306,24 @@ class Simulator:
             self._next(u, after),
             p,
         )
+        dy, dbefore = np.split(yd[:, both:], [(nv - nx + nf) * ny], axis=1)
         return Trajectory(
             y=yd[:, :ny],
             x=np.vstack([np.reshape(x0, (1, nx)), xs]),
-            dy=self._widened(yd[:, ny:].reshape(n, -1, ny)).transpose(0, 2, 1),
+            dy=self._widened(dy, ny),
             dx_end=self._ended(end[nx:].reshape(-1, nf)),
+            before=yd[:, ny:both],
+            dbefore=self._widened(dbefore, both - ny),
         )
 
-    def _widened(self, dy: Array) -> Array:
-        """Sensitivities (N, ..., ny) with zeros for initial states that no output depends on."""
-        if len(self._felt) == self.nx:
-            return dy
-        out = np.zeros((len(dy), self.nv, self.ny))
-        out[:, self._columns()] = dy
-        return out
+    def _widened(self, flat: Array, ny: int) -> Array:
+        """Sensitivities as (N, ny, nv), zeros for initial states that no output depends on."""
+        dy = flat.reshape(len(flat), -1, ny) if ny else np.zeros((len(flat), self.nv, 0))
+        if ny and len(self._felt) < self.nx:
+            out = np.zeros((len(dy), self.nv, ny))
+            out[:, self._columns()] = dy
+            dy = out
+        return dy.transpose(0, 2, 1)
 
     def _ended(self, s: Array) -> Array:
         """The last state's sensitivities as (nx, nv), with zeros where there are none."""

@@ -64,7 +64,7 @@ def test_rooms_conserve_energy() -> None:
     Y, X = simulate(bench.system, x0, p, U)
     t = bench.theta
     stored = t["C1"] * (X[-1, 0] - X[0, 0]) + t["C2"] * (X[-1, 1] - X[0, 1])
-    T = Y[:, :, 0].T  # at the steps; trapezoids with the end of the last step
+    T = Y[::2, :, 0].T  # at the steps; trapezoids with the end of the last step
     T = np.concatenate([T, X[-1]], axis=1)
     out = np.append(U[:, 0, 1, 0], U[-1, 2, 1, 0])
     lost = t["H1"] * (T[0] - out) + t["H2"] * (T[1] - out)

@@ -157,15 +157,16 @@ def parameter_changes(system: System, duration: float) -> Iterator[Effect]:
             yield made("scheduled_parameter", f"{name}~{c.name}", law, channel=c.name)
 
 
-def lagged(signal: Array, tau: Array, h: float) -> Array:
-    """(steps, K) signal behind a lag, steps of h with lines between, at rest before."""
-    out = np.empty((len(signal), len(tau)))
+def lagged(begins: Array, ends: Array, tau: Array, h: float) -> Array:
+    """(steps, K) at the begin of each step of h: a signal of lines behind a lag, at rest before."""
+    out = np.empty((len(begins), len(tau)))
     for i, one in enumerate(np.maximum(np.broadcast_to(tau, out.shape[1:]), 1e-9)):
-        x = signal[:, i] if signal.ndim == 2 and signal.shape[1] > 1 else signal.reshape(-1)
+        first, last = (np.broadcast_to(s, out.shape)[:, i] for s in (begins, ends))
         a = float(np.exp(-h / one))
         mean = one / h * (1 - a)  # of a line over a step, weighted by the lag
-        b = [1 - mean, mean - a]
-        out[:, i] = lfilter(b, [1.0, -a], x, zi=[(1 - b[0]) * x[0]])[0]
+        driven = (mean - a) * first + (1 - mean) * last
+        x = np.concatenate([first[:1], driven[:-1]])
+        out[:, i] = lfilter([1.0], [1.0, -a], x)
     return out
 
 
@@ -185,8 +186,9 @@ def of_input(system: System, i: Input, s: Scales) -> Iterator[Effect]:
     if not i.sd:
 
         def through_lag(a: Array, u: Array) -> Array:
-            half = staged(u, i.hold, sub)[:, :2].reshape(-1)
-            y = lagged(half, a[0] * Ts, Ts / sub / 2)
+            now = staged(u, i.hold, sub)
+            halves = (now[:, :2].reshape(-1, 1), now[:, 1:].reshape(-1, 1))
+            y = lagged(*halves, a[0] * Ts, Ts / sub / 2)
             y = y.reshape(-1, 2, a.shape[1])
             last = np.concatenate([y[1:, :1], y[-1:, 1:]])
             return np.concatenate([y, last], axis=1)
@@ -232,18 +234,19 @@ def of_sensor(system: System, j: int, s: Scales) -> Iterator[Effect]:
         return Effect(kind, o.name, "sensor", changed, channel=o.name, **more)
 
     def delayed(a: Array, Y: Array) -> Array:
-        at = np.arange(len(Y))[:, None] - a[0] * system.substeps
-        at = np.clip(at, 0, len(Y) - 1)
-        low = np.minimum(np.floor(at).astype(int), len(Y) - 2)
+        at = np.maximum(np.arange(len(Y) // 2)[:, None] - a[0] * system.substeps, 0)
+        low = np.floor(at).astype(int)
         part, K = at - low, np.arange(Y.shape[2])
-        return np.asarray(Y[low, j, K] * (1 - part) + Y[low + 1, j, K] * part)
+        begins, ends = Y[::2], Y[1::2]
+        return np.repeat(begins[low, j, K] * (1 - part) + ends[low, j, K] * part, 2, axis=0)
+
+    def behind(a: Array, Y: Array) -> Array:
+        return np.repeat(lagged(Y[::2, j], Y[1::2, j], a[0] * system.Ts, h), 2, axis=0)
 
     yield made("sensor_bias", lambda a, Y: Y[:, j] + R * a[0])
     yield made("sensor_scale", lambda a, Y: Y[:, j] * (1 + a[0]), limit=0.8)
     yield made("time_delay", delayed, positive=True, limit=20.0)
-    yield made(
-        "sensor_lag", lambda a, Y: lagged(Y[:, j], a[0] * system.Ts, h), positive=True, limit=30.0
-    )
+    yield made("sensor_lag", behind, positive=True, limit=30.0)
     for i, other in enumerate(system.outputs):
         if i != j and other.unit == o.unit:  # a sensor mounted askew feels its own kind
             ratio = R / s.rms[other.name]
@@ -337,7 +340,10 @@ def unlisted_of(system: System, s: Scales) -> list[Effect]:
 
 
 def sensed(Y: Array, acting: Sequence[Acting]) -> Array:
-    """Outputs (steps, ny, K) with the sensor effects of their columns."""
+    """Outputs (2 steps, ny, K), as `simulate` gives them, with the effects of their sensors.
+
+    Those that are late are true at the begin of each step.
+    """
     for a in acting:
         if a.effect.stage == "sensor":
             Y = np.array(Y)

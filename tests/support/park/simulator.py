@@ -182,7 +182,9 @@ def simulate(
     feedback: Feedback | None = None,
     clock: tuple[float | Array, float] | None = None,
 ) -> tuple[Array, Array]:
-    """Outputs before sensor effects, (steps, ny, K), at the start of each step; and states.
+    """Outputs before sensor effects, (2 steps, ny, K), at the begin and end of each step; states.
+
+    At the end of a step held inputs have not stepped to the next yet.
 
     States (samples + 1, nx, K) are those at the samples and at the end.
 
@@ -240,7 +242,7 @@ def simulate(
             dx[i] = row
         return dx, now
 
-    Y = np.empty((steps, len(system.outputs), K))
+    Y = np.empty((2 * steps, len(system.outputs), K))
     X = np.empty((steps // system.substeps + 1, nx, K))
     U = np.array(U) if feedback is not None else U
     for step in range(steps):
@@ -252,11 +254,14 @@ def simulate(
             U[step : step + system.substeps, :, 0] = feedback(k, seen)
         k1, now = derivative(step, 0, x, U[step, 0])
         for i, row in enumerate(system.sensors(x, k1, U[step, 0], now)):
-            Y[step, i] = row
+            Y[2 * step, i] = row
         k2, _ = derivative(step, 1, x + 0.5 * h * k1, U[step, 1])
         k3, _ = derivative(step, 1, x + 0.5 * h * k2, U[step, 1])
         k4, _ = derivative(step, 2, x + h * k3, U[step, 2])
         x = x + h / 6 * (k1 + 2 * (k2 + k3) + k4)
+        at_end, now = derivative(step, 2, x, U[step, 2])
+        for i, row in enumerate(system.sensors(x, at_end, U[step, 2], now)):
+            Y[2 * step + 1, i] = row
     X[-1] = x[:nx]
     return Y, X
 
