@@ -62,8 +62,7 @@ def fit_model(
 
     Raises
     ------
-    IdentifiabilityError, SolveError
-        As `minimize_simulation_error`.
+    IdentifiabilityError, SolveError : as `minimize_simulation_error`.
     """
     is_free = settings.substeps is None
     criterion = SimulationError(
@@ -95,16 +94,13 @@ def fit_model(
         except OutOfTimeError:
             if fit is None:
                 raise
-            # With the steps that there was time for.
             return replace(fit, not_done=(*fit.not_done, "finer integration steps"))
         except SolveError:
             # Too long a step makes a stable simulation diverge, too.
             is_last = fit is not None or not is_free or criterion.substeps >= STEPS.last
             if is_last or np.isfinite(_value(criterion)):
                 raise
-        finer = _from(criterion, start, finer=2)
-        near = finer if fit is None else _from(criterion, fit.values, finer=2)
-        criterion = finer if _value(finer) < _value(near) else near
+        criterion = _refined(criterion, start, fit)
     if throw:
         require_minimum(fit)
     return fit
@@ -121,6 +117,15 @@ def _from(c: SimulationError, start: Mapping[str, float] | None, *, finer: int) 
         substeps=finer * c.substeps,
         start=start,
     )
+
+
+def _refined(
+    c: SimulationError, start: Mapping[str, float] | None, fit: Fit | None
+) -> SimulationError:
+    """The criterion with half the step, from where it is lower: the start, or the last fit."""
+    at_start = _from(c, start, finer=2)
+    near = at_start if fit is None else _from(c, fit.values, finer=2)
+    return at_start if _value(at_start) < _value(near) else near
 
 
 def _value(criterion: SimulationError) -> float:
