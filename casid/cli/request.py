@@ -265,8 +265,10 @@ def read_experiment(
     Raises
     ------
     DataError
-        As `Problem.read`, and for two channels of one column or a channel of another clock.
+        As `Problem.read`, and for two channels of one column.
     """
+    import numpy as np
+
     from casid.data.reading.columns import resolve
     from casid.data.reading.opening import open_table
     from casid.diagnosis.evidence.recorded_channels import left_out_by_clock, refuse_shared_columns
@@ -291,19 +293,18 @@ def read_experiment(
             ignore=reading.ignore,
         )
 
-    try:
-        return read(problem)
-    except DataError:
-        # Only now: a second look at the whole file costs as much as the first.
-        there = {s.column for s in problem.columns(mapping).values()} & set(table.columns)
-        frame = table.read(sorted(there))
-        holes = {name: frame[name].isna().to_numpy() for name in there}
-        fewer, notes = left_out_by_clock(problem, mapping, holes)
-        if not notes:
-            raise
-    experiment = read(fewer)
+    experiment = read(problem)
     record = experiment.record
-    provenance = (*record.provenance, *notes)
+    # Of rows that are absent altogether a slower clock knows nothing.
+    empty = np.logical_and.reduce([record.is_missing(n) for n in record])
+    specs = problem.columns(mapping)
+    holes = {s.column: record.is_missing(n)[~empty] for n, s in specs.items() if n in record}
+    fewer, notes = left_out_by_clock(problem, mapping, holes)
+    if not notes:
+        return experiment
+    gone = [n for n in problem.recorded if n not in fewer.recorded]
+    record = record.without(*gone)
+    provenance = (*record.provenance[:-1], *notes)
     return replace(experiment, record=replace(record, provenance=provenance))
 
 

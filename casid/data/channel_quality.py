@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from casid.arrays import TINY, BoolArray, FloatArray
 from casid.data.record import Record
+from casid.data.sampling import gaps_of
 from casid.deprecation import renamed
 
 Severity = Literal["error", "warning", "note"]
@@ -118,7 +119,7 @@ def channel_quality(record: Record, name: str) -> tuple[ChannelCheck, list[Findi
     rms = float(np.sqrt(np.mean(kept**2)))
     findings: list[Finding] = []
     if gone:
-        findings.append(_some_missing(name, gone))
+        findings.append(_some_missing(record, name))
     if low == high:
         findings.append(
             Finding(
@@ -190,12 +191,25 @@ def _equal_samples(
     return run, plateau, findings
 
 
-def _some_missing(name: str, count: int) -> Finding:
+def _some_missing(record: Record, name: str) -> Finding:
+    gaps = gaps_of(record.is_missing(name))
+    if gaps.rate is not None:
+        return Finding(
+            "note",
+            name,
+            f"has a value in one row of {gaps.rate} alone: a clock of its own, of "
+            f"{gaps.rate * record.Ts:.6g} s.",
+            "An output counts at its own instants; an input is held or joined between them, as "
+            "the model declares.",
+        )
     return Finding(
         "note",
         name,
-        f"{count} samples are marked missing.",
-        "They take no part in an estimation; cut them off with a window where they cluster.",
+        f"{gaps.missing} samples ({100 * gaps.missing / record.N:.3g} %) are missing, in "
+        f"{gaps.stretches} stretch{'' if gaps.stretches == 1 else 'es'}, the longest of "
+        f"{gaps.longest * record.Ts:.4g} s from t = {record.t[gaps.first]:.6g} s.",
+        "An output's count for nothing; short gaps of an input are filled as the model holds it, "
+        "long ones cut the record. Instruments need a complete stretch: cut it out with a window.",
     )
 
 

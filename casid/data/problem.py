@@ -256,7 +256,8 @@ class Problem(Viewed):
         Parameters
         ----------
         mapping : signal -> column, with its unit after a colon, before the problem's `channels`.
-        window, resample, name, mark_missing : as `casid.read_record`.
+        window, resample, name, mark_missing : as `casid.read_record`, except that empty cells and
+            rows that an even clock leaves out are missing samples here; Inf has to be marked.
         form : how the file is written, before the problem's `form`.
         ignore : columns to leave out.
 
@@ -274,6 +275,7 @@ class Problem(Viewed):
             resample,
             mark_missing=mark_missing,
             form=form,
+            takes_gaps=True,
         )
         record, unused = self._read_table(open_table(source, form), mapping, options, ignore)
         return replace(self.experiment(record, case=case, known=known), unused=unused)
@@ -322,7 +324,7 @@ class Problem(Viewed):
         DataError
             For a table, column or load case that cannot be used.
         """
-        options = ReadingOptions(time=self.time, name=name)
+        options = ReadingOptions(time=self.time, name=name, takes_gaps=True)
         record, unused = self._read_table(open_frame(frame, name=name), mapping, options)
         return replace(self.experiment(record, case=case, known=known), unused=unused)
 

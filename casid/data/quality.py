@@ -123,13 +123,14 @@ def check(
     if isinstance(data, Record):
         found = _Read(data, data.name)
     else:
-        options = ReadingOptions(time, window, resample=resample, Ts=Ts, form=form)
+        options = ReadingOptions(time, window, resample=resample, Ts=Ts, form=form, takes_gaps=True)
         found = _read(survey(data, columns, options))
     record, name, times, findings = found.record, found.name, found.times, list(found.findings)
     clock = _clock(times) if times is not None and times.size > 1 else None
     if record is None:
         return CheckReport(name, None, None, None, None, clock, (), tuple(findings))
-    if clock and clock.off_grid > 0.5 * record.Ts and resample is None:
+    is_whole = times is not None and times.size == record.N
+    if clock and is_whole and clock.off_grid > 0.5 * record.Ts and resample is None:
         findings.append(_drifting(clock))
     channels, noticed = _channels(record)
     findings += [*noticed, *_twins(record)]

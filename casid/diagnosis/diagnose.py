@@ -27,6 +27,7 @@ from casid.estimation.estimate import Origin
 from casid.estimation.holdout import Split, split_records
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
+from casid.estimation.simulation.input_gaps import cut_at_long_gaps
 from casid.identifiability.requirement import require_identifiable
 from casid.time_limit import until, wall_clock
 from casid.versions import versions
@@ -104,7 +105,9 @@ def diagnose(
     # Prepare.
     if not isinstance(hold_out, float | int):
         _, hold_out = in_si(problem, hold_out)
+        hold_out = cut_at_long_gaps(problem.model, hold_out)
     problem, chosen = in_si(problem, experiments_of(problem, experiments))
+    chosen = cut_at_long_gaps(problem.model, chosen)
     problem = with_unused_columns(problem, chosen)
     require_settings(problem, false_alarm_rate, max_causes, without, budget)
     if calibrate:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casid.data.arguments import Recorded, in_si
+from casid.data.arguments import Recorded, in_si, problem_of
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.errors import IdentifiabilityError, OutOfTimeError, SolveError
@@ -17,6 +17,7 @@ from casid.estimation.holdout import Split, record_views, split_records, validat
 from casid.estimation.residual_spectrum import coloured_covariance
 from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.input_gaps import cut_at_long_gaps
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import (
     ASSUMES,
@@ -24,9 +25,9 @@ from casid.estimation.simulation.simulation_estimate import (
     COLOURED,
     CORRECTED,
     ErrorBars,
+    channel_notes,
     estimate_of,
     method_of,
-    stuck_channel_notes,
 )
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
@@ -78,7 +79,7 @@ def identify(
     Raises
     ------
     DataError
-        Channels missing, inputs incomplete, record too short for the unknowns.
+        Channels missing, inputs without a complete stretch, record too short for the unknowns.
     IdentifiabilityError
         Parameters that are not identifiable from these records; those that are, are named.
     SolveError
@@ -88,9 +89,11 @@ def identify(
     began, say = wall_clock(), progress or (lambda _: None)
     if not isinstance(hold_out, float | int):
         _, hold_out = in_si(problem, hold_out)
+        hold_out = cut_at_long_gaps(problem_of(problem).model, hold_out)
     if start is not None:
         start = (problem if isinstance(problem, Model) else problem.model).in_si(start)
     problem, chosen = in_si(problem, experiments)
+    chosen = cut_at_long_gaps(problem.model, chosen)
     split = split_records(chosen, hold_out)
     settings = settings or FitSettings(starts=problem.starts)
     with until(began + fit_budget(problem.model, split.fitted, budget)):
@@ -104,7 +107,7 @@ def identify(
         fit, suspect = _fit(problem, split.fitted, settings, start, (say, undone))
         found = _corrected(problem, fit, settings, undone)
     with no_time_limit():  # a few passes over the record, for which a result cannot do without
-        estimate = _estimate(problem, found, split, stuck_channel_notes(problem.model, chosen))
+        estimate = _estimate(problem, found, split, channel_notes(problem.model, chosen))
         records = record_views(found.fit, None, split)
     estimate = replace(
         estimate,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import BoolArray, FloatArray
+from casid.data.reading.absent_rows import EvenClock, even_clock
 from casid.data.reading.cells import non_finite, numbers_of, stands_for_none, times_of
 from casid.data.reading.clocks import UNIFORM, jitter_text, time_faults, window_rows
 from casid.data.reading.column_survey import column_surveys
@@ -31,7 +32,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ReadingOptions:
-    """How a file is read: `time` to `form` of `casid.read_record`."""
+    """How a file is read: `time` to `form` of `casid.read_record`.
+
+    `takes_gaps`: empty cells are missing samples, and rows that an even clock leaves out as well;
+    otherwise either is a fault.
+    """
 
     time: Time = None
     window: tuple[float, float] | None = None
@@ -40,6 +45,7 @@ class ReadingOptions:
     Ts: float | None = None
     mark_missing: bool = False
     form: FileFormat | None = None
+    takes_gaps: bool = False
 
     @property
     def format(self) -> FileFormat:
@@ -94,17 +100,17 @@ def survey(
         if inside is not None:
             rows = rows[inside]
             steps.append(f"window {_window_text(window)} s: {rows.size} samples")
-    skip_text, mark = columns is None, options.mark_missing
-    channels = _channels(opened, rows, found, steps, skip_text=skip_text, mark=mark)
+    channels = _channels(opened, rows, found, steps, options, skip_text=columns is None)
     steps += [f"remark: {note}" for note in found.notes]
-    if found.times is None or not _is_even(opened, rows, found, resample):
+    clock = _with_absent_rows(found, options)
+    if found.times is None or not (clock or _is_even(opened, rows, found, resample)):
         return found
     if not channels.values:
         return found
     label = options.name or _stem(source) + (
         f"@{_window_text(window)}" if window is not None else ""
     )
-    found.record = _record(channels, found, resample, label, steps)
+    found.record = _record(channels, found, resample, label, steps, clock)
     return found
 
 
@@ -264,9 +270,9 @@ def _channels(
     rows: NDArray[np.intp],
     found: Survey,
     steps: list[str],
+    options: ReadingOptions,
     *,
     skip_text: bool,
-    mark: bool,
 ) -> _Channels:
     """Read the channels; faults and steps are noted."""
     table, frame, specs, _ = opened
@@ -283,7 +289,8 @@ def _channels(
         numbers = numbers[rows]
         bad = ~np.isfinite(numbers)
         if bad.any():
-            if not mark:
+            is_empty = options.takes_gaps and not np.isinf(numbers).any() and not bad.all()
+            if not (options.mark_missing or is_empty):
                 found.faults.append(non_finite(table, channel, spec, numbers, rows, found.times))
             channels.missing[channel] = bad
             steps.append(f"{int(bad.sum())} samples of {channel} not finite, marked missing")
@@ -320,11 +327,21 @@ def _is_even(
 
 
 def _record(
-    channels: _Channels, found: Survey, resample: float | None, name: str, steps: list[str]
+    channels: _Channels,
+    found: Survey,
+    resample: float | None,
+    name: str,
+    steps: list[str],
+    clock: EvenClock | None = None,
 ) -> Record | None:
     """The record, resampled on request; None, with a fault noted, where it fails."""
     values, units, missing, times = channels.values, channels.units, channels.missing, found.times
     assert times is not None
+    if clock is not None:
+        found.notes.append(str(clock))
+        values, missing = clock.spread(values, missing)
+        steps = [*steps, f"remark: {clock}"]
+        return Record(values, units, clock.Ts, float(times[0]), name, missing, tuple(steps))
     if resample is None:
         if text := jitter_text(times):
             found.notes.append(text)
@@ -338,6 +355,14 @@ def _record(
         remedy = f"Resample nearer to the median interval, resample={median:.6g}."
         found.faults.append(Fault("resample", str(error), remedy))
         return None
+
+
+def _with_absent_rows(found: Survey, options: ReadingOptions) -> EvenClock | None:
+    """The even clock that the file leaves rows out of, where that is no fault."""
+    if found.times is None or not options.takes_gaps or options.resample is not None:
+        return None
+    clock = even_clock(found.times)
+    return clock if clock is not None and clock.absent.any() else None
 
 
 def conversion_text(unit: str) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
+from casid.data.sampling import own_rate
 from casid.diagnosis.thresholds import SUFFICIENCY
 from casid.errors import DataError
 
@@ -76,11 +77,6 @@ def left_out_by_clock(
     Parameters
     ----------
     holes : column -> (N,) bool, rows in which it has no value; columns without any may be absent.
-
-    Raises
-    ------
-    DataError
-        If a channel of the model was sampled at another rate than the record.
     """
     specs = problem.columns(mapping)
     gone: dict[str, str] = {}
@@ -99,23 +95,12 @@ def left_out_by_clock(
                 f"channel {signal} was left out: column {spec.column!r} {at}; fill its rows, or "
                 "merge it from a file of its own (casid.align), to have it tested"
             )
-        elif step:
-            raise DataError(
-                f"channel {signal}: column {spec.column!r} {at}. Write it to a file of its own and "
-                "merge the two (record.align(other, using=...).apply), interpolate it onto every "
-                f"row, or keep the rows that have it (one in {step})"
-            )
     return _without_recorded(problem, set(gone)), tuple(gone.values())
 
 
 def rate_of(empty: Array) -> int | None:
     """k, where a value is given in every k-th row alone (give or take one); None otherwise."""
-    steps = np.diff(np.flatnonzero(~empty))
-    if steps.size < SUFFICIENCY.clock_gaps:
-        return None
-    k = int(np.median(steps))
-    kept = float(np.mean(np.abs(steps - k) <= 1))
-    return k if k >= 2 and kept > SUFFICIENCY.clock_share else None
+    return own_rate(empty, least=SUFFICIENCY.clock_gaps, share=SUFFICIENCY.clock_share)
 
 
 def _without_recorded(problem: Problem, names: Collection[str]) -> Problem:

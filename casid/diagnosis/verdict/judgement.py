@@ -36,8 +36,8 @@ from casid.estimation.fit_statistics import poor_fit_text
 from casid.estimation.holdout import validation
 from casid.estimation.simulation.record_agreement import disagreements
 from casid.estimation.simulation.simulation_estimate import (
+    channel_notes,
     estimate_of,
-    stuck_channel_notes,
 )
 
 
@@ -157,7 +157,7 @@ def _compared_with_functions(
 def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str, ...]:
     """Notes that qualify a diagnosis."""
     search, base, negated = found.search, found.baseline, found.baseline.negated
-    notes = stuck_channel_notes(problem.model, [*base.recorded.whole, *base.recorded.apart])
+    notes = channel_notes(problem.model, [*base.recorded.whole, *base.recorded.apart])
     notes += base.notes
     if not base.why_undecided:
         poor = poor_fit_text((judged.extended or judged.baseline).fit.nrmse)

@@ -10,7 +10,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.errors import DataError, ModelError
-from casid.estimation.simulation.signals import signals_of
+from casid.estimation.simulation.input_gaps import recorded_inputs
+from casid.estimation.simulation.signals import Signals, signals_of
 from casid.linear.difference_equation import DifferenceEquation, difference_equation
 from casid.model.model import Model
 
@@ -67,13 +68,7 @@ def parts_of(
         for name in e.known:
             model.parameter_named(name)
         d = signals_of(model, e)
-        if not d.used.all():
-            k = int(np.argmin(d.used.all(axis=1)))
-            raise DataError(
-                f"{e.name}: samples are missing, the first at t = {d.t[k]:g} s, and a difference "
-                "equation needs all of them; cut the record there (record.between), or "
-                "interpolate with record.filled"
-            )
+        _refuse_gaps(model, e, d)
         signals = {n: d.u[:, j] for j, n in enumerate(model.inputs)}
         signals |= {n: d.y[:, i] for i, n in enumerate(model.outputs)}
         values = model.nominal_values
@@ -96,6 +91,20 @@ def parts_of(
                 )
             )
     return parts
+
+
+def _refuse_gaps(model: Model, experiment: Experiment, d: Signals) -> None:
+    """A difference equation takes samples that follow one another, of outputs and inputs alike."""
+    gone = ~d.used.all(axis=1)
+    for name in recorded_inputs(model, experiment.record):
+        gone |= experiment.record.missing[name]
+    if gone.any():
+        raise DataError(
+            f"{experiment.name}: samples are missing, the first at t = {d.t[np.argmax(gone)]:g} s, "
+            "and a difference equation needs all of them; cut the record there (record.between), "
+            "fit the simulation error, which takes records with gaps (--method simulation), or "
+            "interpolate with record.filled"
+        )
 
 
 def _refuse_names(model: Model, experiments: Sequence[Experiment], outputs: Sequence[str]) -> None:

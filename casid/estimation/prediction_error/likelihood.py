@@ -131,7 +131,8 @@ class PredictionError:
                 raise DataError(
                     f"{d.name}: output {self.outputs[i]} misses samples, the first at "
                     f"t = {d.t[t]:g} s; the prediction error needs them all. Cut the record with "
-                    "between(t0, t1), or interpolate the channel"
+                    "between(t0, t1), fit the simulation error (identify), which takes gaps, or "
+                    "interpolate the channel"
                 )
 
     def _lay_out(self) -> list[Array]:

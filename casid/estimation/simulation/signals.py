@@ -11,6 +11,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import DataError, ModelError, UnitError
+from casid.estimation.simulation.input_gaps import filled, recorded_inputs, require_short_gaps
 from casid.model.model import Model
 from casid.model.units import describe_dimension, parse_unit, to_si
 
@@ -43,7 +44,7 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
     ------
     DataError
         If a channel is missing or in a unit of another dimension than the model's, or an input has
-        missing samples.
+        long gaps; short ones are filled as the input is held.
     """
     record = experiment.record
     u = input_columns(model, record)
@@ -70,6 +71,8 @@ def signals_of(model: Model, experiment: Experiment) -> Signals:
 def input_columns(model: Model, record: Record) -> Array:
     """(N, nu) what a record has of the inputs of `model`, generated ones by the record's clock.
 
+    Short gaps are filled as the input is held (`filled`).
+
     Raises
     ------
     DataError
@@ -85,20 +88,14 @@ def input_columns(model: Model, record: Record) -> Array:
             )
     recorded = [name for name, entry in model.inputs.items() if entry.kind != "generated"]
     _require_channels(model, record, recorded)
+    require_short_gaps(record, recorded_inputs(model, record))
     columns = []
     for name, entry in model.inputs.items():
         if entry.kind == "generated":
             made = np.zeros(record.N) if entry.signal is None else entry.signal(record.t)
             columns.append(made)
             continue
-        mask = record.missing.get(name)
-        if mask is not None and bool(np.any(mask)):
-            raise DataError(
-                f"{record.name}: input {name} misses {int(np.sum(mask))} samples, the first at "
-                f"t = {record.t[int(np.argmax(mask))]:g} s; an input must be complete. Cut the "
-                "record with a window, or interpolate the channel beforehand"
-            )
-        columns.append(record[name])
+        columns.append(filled(record, name, entry.hold))
     return np.column_stack(columns) if columns else np.zeros((record.N, 0))
 
 
@@ -111,7 +108,10 @@ def require_sizes(record: Record, names: Iterable[str]) -> None:
         With the largest value.
     """
     for name in names:
-        size = float(np.max(np.abs(record[name]), initial=0.0))
+        values = record[name]
+        if name in record.missing:
+            values = values[~record.missing[name]]
+        size = float(np.max(np.abs(values), initial=0.0))
         if not (size == 0.0 or SMALLEST <= size <= 1 / SMALLEST):
             raise DataError(
                 f"{record.name}: the largest value of channel {name} is {size:.3g} "

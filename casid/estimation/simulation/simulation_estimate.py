@@ -16,6 +16,7 @@ from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver
 from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.fitted.from_fit import fitted_model
 from casid.estimation.holdout import HeldOut
+from casid.estimation.simulation.input_gaps import gap_notes
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.record_agreement import disagreements
 from casid.estimation.simulation.simulation_error import Whitener
@@ -70,9 +71,12 @@ class ErrorBars:
         return np.asarray(self.whiten(residual[:, :, None], experiment)[:, :, 0])
 
 
-def stuck_channel_notes(model: Model, experiments: Sequence[Experiment]) -> list[str]:
-    """Warnings of channels that are constant or at a limit, inputs for a tenth of the record."""
-    return [
+def channel_notes(model: Model, experiments: Sequence[Experiment]) -> list[str]:
+    """Warnings of inputs with gaps, and of channels that are constant or at a limit.
+
+    Inputs have to be so for a tenth of the record.
+    """
+    return gap_notes(model, experiments) + [
         f"{e.name}: {f.channel}: {f.text} {f.remedy}"
         for e in experiments
         for channels, least in ((model.inputs, 0.1), (model.outputs, 0.0))

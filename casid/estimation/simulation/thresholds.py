@@ -13,6 +13,7 @@ from casid.threshold_table import threshold as _is
 _BUDGET = "tests/identification/test_budget.py"
 _FIT = "tests/estimation/simulation/test_fit.py"
 _AGREEMENT = "tests/estimation/simulation/test_record_agreement.py"
+_GAPS = "tests/estimation/simulation/test_missing_samples.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +72,25 @@ class ErrorWeights:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class InputGaps:
+    """Which gaps of an input are filled as it is held, and which cut a record."""
+
+    longest: int = _is(
+        5, "intervals of the input's own clock that one may be long and still be filled", _GAPS
+    )
+    shortest: int = _is(
+        50, "samples of a stretch between two long gaps, at least: it has states to start", _GAPS
+    )
+
+
 RECORD_AGREEMENT = RecordAgreement()
 FIT_BUDGET = FitBudget()
 STEPS = Steps()
 ERROR_WEIGHTS = ErrorWeights()
+INPUT_GAPS = InputGaps()
 
-GROUPS = (RECORD_AGREEMENT, FIT_BUDGET, STEPS, ERROR_WEIGHTS)
+GROUPS = (RECORD_AGREEMENT, FIT_BUDGET, STEPS, ERROR_WEIGHTS, INPUT_GAPS)
 
 TABLE = entries(*GROUPS)
 """All of them."""

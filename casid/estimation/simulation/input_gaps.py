@@ -1,0 +1,159 @@
+"""Inputs with missing samples: short gaps are filled as the input is held, long ones cut a record.
+
+Between its samples an input is what the model declares: held, or joined by straight lines. Over a
+gap that is an assumption about what was not recorded, which a few samples bear. A simulation cannot
+go on over a long gap: the record ends before it, and another begins behind it, from initial states
+of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casid.arrays import Array, BoolArray
+from casid.data.experiment import Experiment
+from casid.data.record import Record
+from casid.data.sampling import gaps_of, stretches_of
+from casid.errors import DataError
+from casid.estimation.simulation.thresholds import INPUT_GAPS
+from casid.model.declarations import Hold
+from casid.model.model import Model
+
+_CUT = "remark: cut at long gaps of "
+
+
+def filled(record: Record, name: str, hold: Hold) -> Array:
+    """(N,) samples of an input, missing ones as `hold` has it: the last value, or a straight line.
+
+    At the beginning of the record the first value stands for those before it, at its end the last.
+    """
+    if name not in record.missing or not record.missing[name].any():
+        return record[name]
+    if hold != "zoh":
+        return record.filled(name)
+    there = ~record.missing[name]
+    last = np.maximum.accumulate(np.where(there, np.arange(record.N), -1))
+    return np.asarray(record[name][np.where(last < 0, np.argmax(there), last)])
+
+
+def recorded_inputs(model: Model, record: Record) -> list[str]:
+    """The inputs of a model that a record has, those with missing samples alone."""
+    return [
+        name
+        for name, entry in model.inputs.items()
+        if entry.kind not in {"generated", "unknown"}
+        and name in record.missing
+        and bool(record.missing[name].any())
+    ]
+
+
+def long_gaps(record: Record, name: str) -> BoolArray:
+    """(N,) True in gaps of a channel that are longer than a few of its own intervals."""
+    missing = record.is_missing(name)
+    there = np.flatnonzero(~missing)
+    if len(there) < 2:
+        return missing
+    usual = float(np.median(np.diff(there)))
+    out = np.zeros(record.N, dtype=bool)
+    for first, stop in zip(*stretches_of(missing), strict=True):
+        if stop - first + 1 > INPUT_GAPS.longest * usual:
+            out[first:stop] = True
+    return out
+
+
+def require_short_gaps(record: Record, names: Sequence[str]) -> None:
+    """Refuse inputs with gaps too long to be filled.
+
+    Raises
+    ------
+    DataError
+        With the first of them.
+    """
+    for name in names:
+        gone = long_gaps(record, name)
+        if not gone.any():
+            continue
+        found, k = gaps_of(gone), int(np.argmax(gone))
+        raise DataError(
+            f"{record.name}: input {name} misses {found.missing} samples in "
+            f"{found.stretches} gap{'' if found.stretches == 1 else 's'} longer than "
+            f"{INPUT_GAPS.longest} of its intervals, the first at t = {record.t[k]:g} s; over so "
+            "long a gap an input must be complete. Cut the record there with a window (identify "
+            "and diagnose do by themselves), or interpolate the channel beforehand"
+        )
+
+
+def cut_at_long_gaps(model: Model, experiments: Sequence[Experiment]) -> list[Experiment]:
+    """The experiments, each cut into the stretches between long gaps of its inputs.
+
+    Every stretch is an experiment with the same known values and initial states of its own, and its
+    record says what it is part of. Stretches of few samples are left out.
+
+    Raises
+    ------
+    DataError
+        If a record has no stretch that is long enough.
+    """
+    return [part for e in experiments for part in _parts(model, e)]
+
+
+def _parts(model: Model, experiment: Experiment) -> list[Experiment]:
+    record = experiment.record
+    names = recorded_inputs(model, record)
+    gone = np.zeros(record.N, dtype=bool)
+    causes = []
+    for name in names:
+        if (long := long_gaps(record, name)).any():
+            gone |= long
+            causes.append(name)
+    if not causes:
+        return [experiment]
+    stretches = [
+        (int(a), int(b))
+        for a, b in zip(*stretches_of(~gone), strict=True)
+        if b - a >= INPUT_GAPS.shortest
+    ]
+    if not stretches:
+        require_short_gaps(record, causes)
+    kept, parts = sum(b - a for a, b in stretches), []
+    for i, (a, b) in enumerate(stretches):
+        part = record.between(float(record.t[a]), float(record.t[b - 1]))
+        text = (
+            f"{_CUT}{', '.join(causes)}: part {i + 1} of {len(stretches)}, with initial states of "
+            f"its own; {record.N - kept} of {record.N} samples lie in the gaps or beside them"
+        )
+        part = replace(part, provenance=(*part.provenance, text))
+        name = f"{experiment.name}@{part.t[0]:g}:{part.t[-1]:g}"
+        parts.append(replace(experiment, record=part, name=name))
+    return parts
+
+
+def gap_notes(model: Model, experiments: Sequence[Experiment]) -> list[str]:
+    """Warnings of inputs that were filled, and of records that were cut."""
+    notes = []
+    for e in experiments:
+        record = e.record
+        notes += [
+            f"{e.name}: {line.removeprefix('remark: ')}"
+            for line in record.provenance
+            if line.startswith(_CUT)
+        ]
+        for name in recorded_inputs(model, record):
+            found = gaps_of(record.missing[name])
+            how = "held" if model.inputs[name].hold == "zoh" else "joined by straight lines"
+            if found.rate is not None:
+                notes.append(
+                    f"{e.name}: {name} has a value in one sample of {found.rate} alone: it is "
+                    f"{how} between them"
+                )
+                continue
+            notes.append(
+                f"{e.name}: {name} misses {found.missing} samples "
+                f"({100 * found.missing / record.N:.2g} %) in {found.stretches} gap"
+                f"{'' if found.stretches == 1 else 's'} of up to "
+                f"{found.longest * record.Ts:.3g} s: it is {how} there"
+            )
+    return notes

@@ -1,0 +1,278 @@
+"""Samples that were not measured: they count for nothing, and the others for what they are.
+
+The truth is an oscillator under a force that is held, sampled exactly (matrix exponential), with
+white noise of known size on its position. Estimates of it are Gaussian with the covariance of
+least squares, sigma^2 (J'J)^-1, the sum over the samples that there are.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import casid
+from casid.errors import DataError
+from casid.estimation.simulation.input_gaps import cut_at_long_gaps, filled, long_gaps
+from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.simulation.thresholds import INPUT_GAPS
+
+TS, N, SIGMA = 0.05, 1200, 0.02
+TRUE = {"k": 4.0, "d": 0.6}
+
+
+def model(hold: str = "zoh") -> casid.Model:
+    """m x'' = F - k x - d x', m = 1 kg, whose position and speed are measured."""
+    m = casid.Model("oscillator")
+    x, v = m.state("x", "m"), m.state("v", "m/s")
+    F = m.input("F", "N", known=True, hold=hold)
+    k = m.parameter("k", "N/m", start=3.0, lower=0.1, upper=50)
+    d = m.parameter("d", "N s/m", start=0.5, lower=0.0, upper=10)
+    M = m.parameter("M", "kg", value=1.0)
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=M, terms=[F, -k * x, -d * v])
+    m.output("position", x, "m")
+    m.output("speed", v, "m/s")
+    return m
+
+
+def signals(seed: int, held: int = 10) -> dict[str, np.ndarray]:
+    """Force, position and speed with noise; the force moves every `held` samples."""
+    rng = np.random.default_rng(seed)
+    A = np.array([[0.0, 1.0], [-TRUE["k"], -TRUE["d"]]])
+    whole = expm(TS * np.block([[A, np.array([[0.0], [1.0]])], [np.zeros((1, 3))]]))
+    F = np.repeat(rng.standard_normal(N // held), held)
+    x, out = np.zeros(2), np.empty((N, 2))
+    for i in range(N):
+        out[i] = x
+        x = whole[:2, :2] @ x + whole[:2, 2] * F[i]
+    noisy = out + SIGMA * rng.standard_normal(out.shape)
+    return {"F": F, "position": noisy[:, 0], "speed": noisy[:, 1]}
+
+
+def record(channels: dict[str, np.ndarray], name: str = "run") -> casid.Record:
+    """NaN is missing."""
+    missing = {n: np.isnan(v) for n, v in channels.items() if np.isnan(v).any()}
+    units = {"F": "N", "position": "m", "speed": "m/s"}
+    return casid.Record(channels, units, Ts=TS, name=name, missing=missing)
+
+
+def without(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    return np.where(mask, np.nan, values)
+
+
+def fifth_gone(seed: int) -> np.ndarray:
+    return np.random.default_rng(1000 + seed).random(N) < 0.2
+
+
+SETTINGS = casid.FitSettings(starts=1, substeps=4)
+
+
+def fit(run: casid.Record, hold: str = "zoh") -> casid.Estimate:
+    return casid.identify(casid.Problem("oscillator", model(hold)), run, settings=SETTINGS)
+
+
+# -- outputs --------------------------------------------------------------------------------------
+
+
+def test_an_estimate_with_a_fifth_missing_lies_within_its_error_bars():
+    """chi^2 of 2 parameters over 12 records: 24 degrees of freedom, mean 24 and sd 7."""
+    total, widths = 0.0, []
+    for seed in range(12):
+        s = signals(seed)
+        whole = fit(record(s))
+        mask = fifth_gone(seed)
+        part = fit(record({**s, "position": without(s["position"], mask),
+                           "speed": without(s["speed"], mask)}))  # fmt: skip
+        for name, true in TRUE.items():
+            p = part.parameter(name)
+            total += ((p.value - true) / p.std_error) ** 2
+            widths.append(p.std_error / whole.parameter(name).std_error)
+    assert 24 - 3 * 7 < total < 24 + 3.5 * 7
+    # sqrt(1 / 0.8) = 1.118. An error bar is one from 1000 samples: it scatters by some per cent,
+    # and both share most of it; the mean of 24 is known to two per cent or so.
+    assert np.mean(widths) == pytest.approx(np.sqrt(1 / 0.8), abs=0.06)
+
+
+def test_what_was_deleted_does_not_matter():
+    """Numbers under a mask, and samples that are NaN, are one and the same."""
+    s, mask = signals(3), fifth_gone(3)
+    wild = record({**s, "position": np.where(mask, 1e6, s["position"])})
+    one = fit(wild.mark_missing("position", mask))
+    two = fit(record({**s, "position": without(s["position"], mask)}))
+    for name in TRUE:
+        assert one[name] == two[name]
+        assert one.parameter(name).std_error == two.parameter(name).std_error
+
+
+def test_deleting_samples_moves_an_estimate_by_what_their_information_says():
+    """Var(theta_part - theta_whole) = P_part - P_whole for an efficient estimate (Hausman 1978)."""
+    for seed in range(4):
+        s, mask = signals(20 + seed), fifth_gone(seed)
+        gone = {n: without(s[n], mask) for n in ("position", "speed")}
+        points, covariances = [], []
+        for run in (record(s), record({**s, **gone})):
+            criterion = SimulationError(
+                model(), [casid.Experiment(run)], weights=np.full(2, 1 / SIGMA), substeps=4
+            )
+            x = np.array([TRUE["k"], TRUE["d"], 0.0, 0.0])
+            for _ in range(6):
+                at = criterion.evaluate(x)
+                x = x - np.linalg.solve(at.hessian, at.gradient)
+            points.append(x)
+            covariances.append(np.linalg.inv(at.hessian))
+        moved, between = points[1] - points[0], covariances[1] - covariances[0]
+        statistic = float(moved @ np.linalg.solve(between, moved))
+        assert statistic < 18.5  # the 99.9 % quantile of chi^2 of 4
+
+
+def test_interpolated_gaps_are_overconfident_and_gaps_are_not():
+    """Straight lines over three of four samples claim four times the information.
+
+    The error bars of the missing samples are twice as wide, sqrt(4), up to the colour that lines
+    between samples have; and theirs cover the truth.
+    """
+    ratios, inside = [], 0
+    for seed in range(8):
+        s = signals(40 + seed)
+        mask = np.arange(N) % 4 != 0
+        gone = record({n: without(s[n], mask) if n != "F" else s[n] for n in s})
+        joined = record({**s, **{n: gone.filled(n) for n in ("position", "speed")}})
+        claimed, honest = [
+            np.linalg.inv(
+                SimulationError(
+                    model(), [casid.Experiment(run)], weights=np.full(2, 1 / SIGMA), substeps=4
+                ).evaluate(np.array([4.0, 0.6, 0.0, 0.0])).hessian
+            )[0, 0]
+            for run in (joined, gone)
+        ]  # fmt: skip
+        ratios.append(np.sqrt(honest / claimed))
+        p = fit(gone).parameter("k")
+        inside += abs(p.value - TRUE["k"]) < 3 * p.std_error
+    assert np.mean(ratios) == pytest.approx(2.0, abs=0.1)
+    assert inside == 8
+
+
+# -- several rates --------------------------------------------------------------------------------
+
+
+def test_a_slow_channel_beside_a_fast_one_counts_at_its_own_samples_alone():
+    """The criterion of a file with empty cells is the sum over what was measured, term by term."""
+    s = signals(7)
+    slow = without(s["position"], np.arange(N) % 10 != 0)
+    run = record({**s, "position": slow})
+    criterion = SimulationError(
+        model(), [casid.Experiment(run)], weights=np.full(2, 1 / SIGMA), substeps=4
+    )
+    x = np.array([3.5, 0.5, 0.01, 0.0])
+    y, _, _ = criterion.simulate(x, 0)
+    errors = np.concatenate([(slow - y[:, 0])[::10], s["speed"] - y[:, 1]])
+    assert criterion.evaluate(x).value == pytest.approx(0.5 * np.sum((errors / SIGMA) ** 2))
+    assert criterion.n_samples == N + N // 10
+    estimate = fit(run)
+    for name, true in TRUE.items():
+        p = estimate.parameter(name)
+        assert abs(p.value - true) < 3.5 * p.std_error
+
+
+# -- inputs ---------------------------------------------------------------------------------------
+
+
+def test_a_held_input_with_gaps_is_held_and_a_straight_one_is_joined():
+    F = np.array([np.nan, 1.0, np.nan, np.nan, 4.0, 5.0, np.nan])
+    run = casid.Record({"F": F}, {"F": "N"}, Ts=1.0, missing={"F": np.isnan(F)})
+    assert filled(run, "F", "zoh").tolist() == [1, 1, 1, 1, 4, 5, 5]
+    assert filled(run, "F", "foh").tolist() == [1, 1, 2, 3, 4, 5, 5]
+
+
+def test_an_input_of_a_slower_clock_is_what_it_is():
+    """A force that moves every tenth sample and is written then alone: held, it is the same."""
+    s = signals(11)
+    sparse = without(s["F"], np.arange(N) % 10 != 0)
+    a, b = fit(record(s)), fit(record({**s, "F": sparse}))
+    for name in TRUE:
+        assert a[name] == b[name]
+    assert any("F has a value in one sample of 10 alone: it is held" in w for w in b.warnings)
+
+
+def test_short_gaps_of_an_input_are_filled_with_a_warning():
+    s = signals(12)
+    mask = np.zeros(N, dtype=bool)
+    mask[[41, 42, 303, 655]] = True  # within a step of the force
+    a, b = fit(record(s)), fit(record({**s, "F": without(s["F"], mask)}))
+    for name in TRUE:
+        assert a[name] == b[name]
+    assert any("F misses 4 samples (0.33 %) in 3 gaps of up to 0.1 s" in w for w in b.warnings)
+
+
+def test_a_long_gap_of_an_input_cuts_the_record():
+    """Two parts, each with initial states of its own; nothing is simulated over the gap."""
+    s = signals(13)
+    mask = (np.arange(N) >= 500) & (np.arange(N) < 540)
+    run = record({**s, "F": without(s["F"], mask)})
+    parts = cut_at_long_gaps(model(), [casid.Experiment(run, name="run")])
+    assert [p.record.N for p in parts] == [500, 660]
+    assert [p.name for p in parts] == ["run@0:24.95", "run@27:59.95"]
+    estimate = fit(run)
+    assert {"x(0)@run@0:24.95", "v(0)@run@27:59.95"} <= {p.name for p in estimate.initial_states}
+    assert any("cut at long gaps of F: part 1 of 2" in w for w in estimate.warnings)
+    for name, true in TRUE.items():
+        p = estimate.parameter(name)
+        assert abs(p.value - true) < 3.5 * p.std_error
+
+
+def test_a_gap_is_long_by_the_intervals_of_its_own_clock():
+    mask = np.zeros(100, dtype=bool)
+    mask[20 : 20 + INPUT_GAPS.longest - 1] = True
+    F = without(np.ones(100), mask)
+    assert not long_gaps(record({"F": F, "position": F, "speed": F}), "F").any()
+    mask[20 + INPUT_GAPS.longest - 1] = True
+    F = without(np.ones(100), mask)
+    assert np.array_equal(long_gaps(record({"F": F, "position": F, "speed": F}), "F"), mask)
+    slow = np.arange(100) % 10 != 0
+    F = without(np.ones(100), slow)
+    assert not long_gaps(record({"F": F, "position": F, "speed": F}), "F").any()
+
+
+def test_an_input_that_is_mostly_missing_is_refused():
+    s = signals(14)
+    mask = np.arange(N) % 100 >= INPUT_GAPS.shortest - 10
+    with pytest.raises(DataError, match=r"input F misses .* gaps longer .* Cut the record"):
+        fit(record({**s, "F": without(s["F"], mask)}))
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+
+def write(path: Path, table: dict[str, np.ndarray], rows: np.ndarray | None = None) -> Path:
+    rows = np.arange(N) if rows is None else rows
+    t = TS * np.arange(N)
+    lines = ["t,F,position,speed"]
+    for k in rows:
+        cells = [float(table[n][k]) for n in ("F", "position", "speed")]
+        lines.append(",".join([f"{t[k]:.6f}", *("" if np.isnan(c) else repr(c) for c in cells)]))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_a_file_with_empty_cells_and_absent_rows_is_read_as_it_is(tmp_path: Path):
+    """What is there is what was written, at its own instant."""
+    s = signals(15)
+    s["position"] = without(s["position"], np.arange(N) % 5 != 0)
+    absent = np.array([100, 101, 640])
+    rows = np.setdiff1d(np.arange(N), absent)
+    problem = casid.Problem("oscillator", model())
+    run = problem.read(write(tmp_path / "run.csv", s, rows)).record
+    assert run.N == N
+    assert run.Ts == pytest.approx(TS)
+    assert np.flatnonzero(run.is_missing("speed")).tolist() == absent.tolist()
+    assert np.array_equal(run["speed"][rows], s["speed"][rows])
+    text = "3 of 1200 rows are absent from an even clock of 0.05 s"
+    assert any(text in line for line in run.provenance)
+    report = casid.check(tmp_path / "run.csv")
+    assert report.is_usable
+    texts = {f.channel: f.text for f in report.findings if f.channel}
+    assert "one row of 5 alone: a clock of its own, of 0.25 s" in texts["position"]
+    assert "3 samples (0.25 %) are missing, in 2 stretches, the longest of 0.1 s" in texts["speed"]
