@@ -76,6 +76,14 @@ class Innovations:
             flat += self.start @ (scale[:, None] * (self.start.T @ flat))
         return flat.reshape(columns.shape)
 
+    def transposed(self, columns: Array) -> Array:
+        """The transpose of `whiten` times columns (N, n, m)."""
+        flat = columns.reshape(len(columns) * columns.shape[1], columns.shape[2])
+        if len(self.added):
+            scale = 1 / np.sqrt(1 + self.added) - 1
+            flat = flat + self.start @ (scale[:, None] * (self.start.T @ flat))
+        return _filtered(_adjoint(self.inverse), flat.reshape(columns.shape), self.size)
+
     def log_determinant(self, samples: int) -> float:
         """log det of the covariance of so many samples."""
         each = 2 * float(np.sum(np.log(np.diag(self.root))))

@@ -17,13 +17,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.fft import rfft
+from scipy.fft import irfft, rfft
 from scipy.optimize import lsq_linear, nnls
 from scipy.special import gammaincinv
 
-from casid.arrays import TINY, Array, require_finite
+from casid.arrays import TINY, Array, BoolArray, require_finite
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.innovations import Innovations, innovations_of
+from casid.estimation.missing_samples import PartialInnovations
 from casid.estimation.noise_response import Response, noise_response
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -41,7 +42,11 @@ class NoiseModel:
     covariance: Mapping[tuple[str, str], float] = field(default_factory=dict)  # of variances found
     spectra: Mapping[str, DisturbanceSpectrum] = field(default_factory=dict)  # of forces not white
     misfit: float = float("nan")  # minus Whittle's log-likelihood of the residual it is found from
+    used: Sequence[BoolArray] = ()  # (N, ny) an experiment, where samples are missing
     _innovations: dict[tuple[int, int], Innovations] = field(
+        default_factory=dict, init=False, repr=False
+    )
+    _partial: dict[tuple[int, bytes], PartialInnovations] = field(
         default_factory=dict, init=False, repr=False
     )
 
@@ -108,15 +113,49 @@ class NoiseModel:
         floor = max(float(other[i]), TINY)
         return float(total[i]) / floor, float(np.sqrt(square[i])) / floor
 
-    def whiten(self, columns: Array, experiment: int) -> Array:
+    def whiten(self, columns: Array, experiment: int, used: BoolArray | None = None) -> Array:
         """Columns (N, ny, m), times `weights`, as white noise of unit size.
 
         Each sample less what those before it, and the outputs before it, predict of it: as outputs
-        that the same source moves belong together, and no end of a record is an edge.
+        that the same source moves belong together, and no end of a record is an edge. Missing
+        samples, those of the record that the noise comes from unless `used` (N, ny) says which
+        there are, count for nothing.
         """
         if not any(self.source_sd.values()):
             return np.asarray(columns / (self.output_sd * self.weights)[None, :, None])
+        partial = self._partial_of(experiment, len(columns), used)
+        if partial is not None:
+            return partial.whiten(columns)
         return self._innovations_of(experiment, len(columns)).whiten(columns)
+
+    def completed(self, white: Array, experiment: int) -> Array:
+        """Whitened residuals (N, ny) with white noise in the place of what missing samples took.
+
+        Inner products with whitened sensitivities stay as they are.
+        """
+        rng = np.random.default_rng(experiment)
+        if any(self.source_sd.values()):
+            partial = self._partial_of(experiment, len(white), None)
+            return white if partial is None else partial.completed(white[:, :, None], rng)[:, :, 0]
+        used = self._used_of(experiment, len(white))
+        return white if used is None else np.where(used, white, rng.standard_normal(white.shape))
+
+    def _used_of(self, experiment: int, samples: int) -> BoolArray | None:
+        """Which samples there are, None where all are."""
+        used = self.used[experiment] if self.used else None
+        return None if used is None or len(used) != samples or used.all() else used
+
+    def _partial_of(
+        self, experiment: int, samples: int, used: BoolArray | None
+    ) -> PartialInnovations | None:
+        used = self._used_of(experiment, samples) if used is None else used
+        if used is None or used.all():
+            return None
+        key = (experiment, used.tobytes())
+        if key not in self._partial:
+            whole = self._innovations_of(experiment, samples)
+            self._partial[key] = PartialInnovations(whole, used.copy())
+        return self._partial[key]
 
     def matrix(self, experiment: int) -> Array:
         """Spectra and cross-spectra (F, ny, ny) per sample, output units squared."""
@@ -128,11 +167,14 @@ class NoiseModel:
         return np.asarray(g @ g.conj().swapaxes(1, 2) + np.diag(self.output_sd**2))
 
     def log_determinant(self, experiment: int, samples: int) -> float:
-        """log det of the covariance of the outputs of a record, whatever their weights."""
+        """log det of the covariance of what there is of a record, whatever the weights."""
+        used = self._used_of(experiment, samples)
+        count = np.full(len(self.weights), samples) if used is None else used.sum(axis=0)
         if not any(self.source_sd.values()):
-            return 2 * samples * float(np.sum(np.log(self.output_sd)))
-        weighted = self._innovations_of(experiment, samples).log_determinant(samples)
-        return weighted - 2 * samples * float(np.sum(np.log(self.weights)))
+            return 2 * float(count @ np.log(self.output_sd))
+        there = self._partial_of(experiment, samples, None)
+        whitener = there or self._innovations_of(experiment, samples)
+        return whitener.log_determinant(samples) - 2 * float(count @ np.log(self.weights))
 
     def _innovations_of(self, experiment: int, samples: int) -> Innovations:
         if (experiment, samples) not in self._innovations:
@@ -181,7 +223,8 @@ def estimate_noise(
     sources = [group[0] for group in alike]
     names = [*criterion.outputs, *sources]
     given = np.array([known[name] ** 2 if name in known else np.nan for name in names])
-    spectra = spectra_of(residuals, responses, sources, ny)
+    used = [d.used.copy() for d in criterion.data]
+    spectra = spectra_of(residuals, responses, sources, ny, used)
     require_finite("the residual's spectra", spectra.power, spectra.design)
     floor = 1e-8 * max(float(np.average(spectra.power, weights=spectra.count)), TINY)
     value = variances(spectra, given, floor)
@@ -196,6 +239,7 @@ def estimate_noise(
         alike=tuple(alike),
         covariance=_covariance(spectra, value, names, sought),
         misfit=whittle(spectra, value, floor),
+        used=() if all(mask.all() for mask in used) else used,
     )
 
 
@@ -232,15 +276,26 @@ class Spectra:
 
 
 def spectra_of(
-    residuals: Sequence[Array], responses: Sequence[Response], sources: Sequence[str], ny: int
+    residuals: Sequence[Array],
+    responses: Sequence[Response],
+    sources: Sequence[str],
+    ny: int,
+    windows: Sequence[Array],
 ) -> Spectra:
-    """Periodograms of residuals (N, ny) in bands, and the responses to `sources` there."""
+    """Periodograms of residuals (N, ny) in bands, and the responses to `sources` there.
+
+    Parameters
+    ----------
+    windows : (N, ny) that each residual is multiplied by; zero where samples are missing. With
+        such the responses are those of the periodogram's mean, whatever the gaps (Guillaumin,
+        Sykulski, Olhede and Simons, J. R. Stat. Soc. B 84 (2022) 1526-1557).
+    """
     rows, powers, counts, centres = [], [], [], []
-    for r, response in zip(residuals, responses, strict=True):
+    for r, response, window in zip(residuals, responses, windows, strict=True):
         places = [response.sources.index(source) for source in sources]
-        for i, (power, gain2, count, omega) in enumerate(_bins(r, response)):
+        for i, (power, gain2, count, omega) in enumerate(_bins(r, response, window)):
             own = np.zeros((len(power), ny))
-            own[:, i] = 1.0
+            own[:, i] = np.mean(np.asarray(window[:, i], dtype=float) ** 2)
             rows.append(np.hstack([own, gain2[:, places]]))
             powers.append(power)
             counts.append(count)
@@ -320,7 +375,9 @@ def band_edges(samples: int) -> Array:
     return np.unique(np.round(np.geomspace(1, lines + 1, 160)).astype(int)) - 1
 
 
-def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array, Array]]:
+def _bins(
+    residual: Array, response: Response, window: Array
+) -> list[tuple[Array, Array, Array, Array]]:
     """Periodogram and |G|^2 in bands of growing width: (power, gain2, count, omega) an output."""
     n = len(residual)
     omega = 2 * np.pi * np.arange(n // 2 + 1) / n
@@ -334,10 +391,25 @@ def _bins(residual: Array, response: Response) -> list[tuple[Array, Array, Array
         columns = []
         for j in range(response.gain2.shape[2]):
             g = np.interp(omega, response.omega, response.gain2[:, i, j])
+            if not window[:, i].all():
+                g = _seen_through(window[:, i], response.omega, response.gain2[:, i, j])
             columns.append(np.add.reduceat(g, edges[:-1]) / count)
         gain2 = np.column_stack(columns) if columns else np.zeros((len(power), 0))
         out.append((power, gain2, count.astype(float), centre))
     return out
+
+
+def _seen_through(window: Array, omega: Array, spectrum: Array) -> Array:
+    """The mean periodogram (N // 2 + 1,) of a process of this spectrum, times a window (N,).
+
+    Its autocovariance at every lag times that of the window.
+    """
+    n = len(window)
+    size = 2 * n
+    grid = np.linspace(0.0, np.pi, n + 1)
+    covariance = irfft(np.interp(grid, omega, spectrum), size)
+    pairs = irfft(np.abs(rfft(np.asarray(window, dtype=float), size)) ** 2, size) / n
+    return np.asarray(np.maximum(rfft(covariance * pairs).real[::2], 0.0))
 
 
 def input_noise_floor(signals: Sequence[Signals], inputs: Sequence[str]) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,10 +41,22 @@ class _Simulated:
 
     @property
     def residuals(self) -> list[Array]:
+        """Of the samples that there are, one after another: white noise has no other neighbours."""
         return [
-            np.where(u, y - s, 0.0)
-            for y, s, u in zip(self.measured, self.simulated, self.used, strict=True)
+            (y - s)[u] for y, s, u in zip(self.measured, self.simulated, self.used, strict=True)
         ]
+
+    @property
+    def inputs_used(self) -> list[Array]:
+        """The inputs at those samples."""
+        return [d[u] for d, u in zip(self.inputs, self.used, strict=True)]
+
+    def in_records(self, masks: Sequence[Array]) -> list[Array]:
+        """Masks of those samples as masks (N,) of the records."""
+        out = [np.zeros(len(u), dtype=bool) for u in self.used]
+        for whole, u, mask in zip(out, self.used, masks, strict=True):
+            whole[u] = mask
+        return out
 
 
 def without_corrupted(
@@ -69,16 +81,17 @@ def without_corrupted(
                 for used, mask in zip(at.used, cut.masks, strict=True):
                     used &= ~mask
         if "outliers" not in without:
-            early = [_early(r, OUTLIERS.test_share * alpha) for r in at.residuals]
+            early = at.in_records([_early(r, OUTLIERS.test_share * alpha) for r in at.residuals])
             if any(mask.any() for mask in early):
                 first += sum(int(mask.sum()) for mask in early)
                 split = _masked(split, channel, early)
                 for used, mask in zip(at.used, early, strict=True):
                     used &= ~mask
             found = find_spikes(
-                channel, at.residuals, OUTLIERS.test_share * alpha, inputs=at.inputs
+                channel, at.residuals, OUTLIERS.test_share * alpha, inputs=at.inputs_used
             )
             if found is not None:
+                found = replace(found, masks=tuple(at.in_records(found.masks)))
                 spikes.append(found)
                 split = _masked(split, channel, found.masks)
     return CorruptedSamples(tuple(spikes), tuple(plateaus), first), split
@@ -87,7 +100,7 @@ def without_corrupted(
 def _early(residual: Array, alpha: float) -> Array:
     """A first sample (N,) from before the inputs had acted."""
     mask = np.zeros(len(residual), dtype=bool)
-    mask[0] = starts_apart(residual, alpha)
+    mask[:1] = len(residual) > 2 and starts_apart(residual, alpha)
     return mask
 
 

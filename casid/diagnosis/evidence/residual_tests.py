@@ -160,6 +160,8 @@ def residual_tests(
         if better:
             p_dependence = p
             correlated = Correlated(place, named[best.group], p, share)
+    # Gaps would pass for a residual that is too small, in samples and frequencies.
+    whitened = [at.noise.completed(white, k) for k, white in enumerate(whitened)]
     bands, p_spectrum = _spectrum(criterion.outputs, whitened, [d.Ts for d in criterion.data])
     p_mean, p_power, p_amplitude = _changes(
         whitened, [criterion.simulated(x, k).y for k in range(len(criterion.data))]

@@ -90,7 +90,7 @@ def simulation_errors(
 def _errors(d: Signals, y: Array, units: Array, noise: NoiseModel | None, experiment: int) -> Array:
     error = np.where(d.used, d.y - y, 0.0) * units
     if noise is not None:
-        error = noise.whiten(error[:, :, None], experiment)[:, :, 0]
+        error = noise.whiten(error[:, :, None], experiment, d.used)[:, :, 0]
     return np.where(d.used, error, np.nan)
 
 

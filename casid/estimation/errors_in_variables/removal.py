@@ -94,6 +94,7 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
         return Corrected(fit)
     if criterion.segments > 1 or solution.constraint_jacobian.size:
         return Corrected(fit, why_not="it is fitted in segments, or under constraints")
+    gaps = any(n in e.record.missing for e in criterion.experiments for n in criterion.outputs)
     held = {*solution.at_lower, *solution.at_upper}
     free = np.array([name not in held for name in criterion.names])
     found = input_noise(criterion, fit.x, known)
@@ -106,6 +107,8 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
     if float(np.abs(bias).max(initial=0.0)) < REMOVAL.negligible:
         if added_variance(fit, found.noise.quiet(found.most), free) < REMOVAL.adds:
             return at
+    if gaps:
+        return replace(at, why_not="outputs miss samples, and what removes it needs them all")
     root = _Root(fit, known, free, seed)
     if root.why_not:
         return replace(at, why_not=root.why_not)

@@ -1,0 +1,128 @@
+"""Whitening of a record from which samples are missing: under the covariance of those there are.
+
+With W the whitening of the whole record, W'W = Gamma^-1, and E the columns of the identity at the
+missing samples, what is free in the residual r is taken for what makes it smallest,
+
+    min_z |W (r + E z)|^2 = r_o' Gamma_oo^-1 r_o,                                             (1)
+
+so that whitened residuals and sensitivities have the inner products of the samples that there are
+(Brockwell and Davis, Time Series: Theory and Methods, 2nd ed. 1991, section 12.3). The minimiser
+solves E' Gamma^-1 E z = -E' Gamma^-1 r, by conjugate gradients; the same system without what a
+record's ends and far neighbours give to it is banded, and comes next to the solution at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.fft import irfft
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from casid.arrays import TINY, Array, BoolArray
+from casid.estimation.innovations import Innovations
+
+FARTHEST = 200
+"""Samples between neighbours in the banded system, at most."""
+NEGLIGIBLE = 1e-4
+"""Of Gamma^-1, relative to its diagonal: neighbours with less are far."""
+CONVERGED = 1e-5
+"""Relative residual at which conjugate gradients end."""
+STEPS = 60
+"""Of conjugate gradients, at most."""
+
+
+class PartialInnovations:
+    """(1) for one record.
+
+    Parameters
+    ----------
+    whole : innovations of the record, were it complete.
+    used : (N, n) bool, the samples that there are.
+    """
+
+    def __init__(self, whole: Innovations, used: BoolArray) -> None:
+        self.whole, self.used = whole, used
+        self._places = np.flatnonzero(~used.ravel())
+        self._factor = self._banded()
+
+    def whiten(self, columns: Array) -> Array:
+        """e (N, n, m) of columns r (N, n, m); missing samples of these do not matter."""
+        e = self.whole.whiten(columns * self.used[:, :, None])
+        return e - self._lost(e)
+
+    def completed(self, white: Array, rng: np.random.Generator) -> Array:
+        """Whitened columns (N, n, m) with white noise in the directions that missing samples took.
+
+        What was orthogonal to them stays so: no inner product with whitened sensitivities changes.
+        Of whitened noise it makes white noise of unit size in every sample.
+        """
+        return white + self._lost(rng.standard_normal(white.shape))
+
+    def log_determinant(self, samples: int) -> float:
+        """log det of the covariance of the samples that there are (its banded part)."""
+        own = 2 * float(np.sum(np.log(np.maximum(self._factor[0], TINY))))
+        return self.whole.log_determinant(samples) + own
+
+    def _lost(self, e: Array) -> Array:
+        """The part of whitened columns that missing samples could have given, (N, n, m)."""
+        return self.whole.whiten(self._spread(self._solved(self._at(self.whole.transposed(e)))))
+
+    def _at(self, columns: Array) -> Array:
+        """E' times columns (N, n, m): (missing, m)."""
+        return columns.reshape(self.used.size, -1)[self._places]
+
+    def _spread(self, z: Array) -> Array:
+        """E times z (missing, m): (N, n, m)."""
+        out = np.zeros((self.used.size, z.shape[1]))
+        out[self._places] = z
+        return out.reshape(*self.used.shape, -1)
+
+    def _product(self, z: Array) -> Array:
+        """E' Gamma^-1 E times z (missing, m)."""
+        return self._at(self.whole.transposed(self.whole.whiten(self._spread(z))))
+
+    def _near(self, b: Array) -> Array:
+        return np.asarray(cho_solve_banded((self._factor, True), b))
+
+    def _solved(self, b: Array) -> Array:
+        """The solution of E' Gamma^-1 E z = b (missing, m), each column by itself."""
+        z = self._near(b)
+        left = b - self._product(z)
+        size = np.maximum(np.sum(b**2, axis=0), TINY)
+        near = self._near(left)
+        along, product = near.copy(), np.sum(left * near, axis=0)
+        for _ in range(STEPS):
+            if np.all(np.sum(left**2, axis=0) <= CONVERGED**2 * size):
+                break
+            moved = self._product(along)
+            length = product / np.maximum(np.sum(along * moved, axis=0), TINY)
+            z += length * along
+            left -= length * moved
+            near = self._near(left)
+            before, product = product, np.sum(left * near, axis=0)
+            along = near + product / np.maximum(before, TINY) * along
+        return z
+
+    def _banded(self) -> Array:
+        """Cholesky factor, lower, of E' Gamma^-1 E among near neighbours."""
+        n = self.used.shape[1]
+        inverse = self.whole.inverse
+        spectrum = np.einsum("kif,kjf->ijf", inverse.conj(), inverse)
+        C = irfft(spectrum, self.whole.size)
+        far = min(FARTHEST, self.used.shape[0] - 1, C.shape[2] // 2 - 1)
+        sizes = np.max(np.abs(C[:, :, : far + 1]), axis=(0, 1))
+        L = int(np.flatnonzero(sizes > NEGLIGIBLE * sizes[0]).max(initial=0))
+        t, a = np.divmod(self._places, n)
+        width = int(np.max(np.searchsorted(t, t + L, side="right") - np.arange(len(t))))
+        band = np.zeros((width, len(t)))
+        for d in range(width):
+            lag = t[d:] - t[: len(t) - d]
+            values = C[a[d:], a[: len(t) - d], np.minimum(lag, L)]
+            band[d, : len(t) - d] = np.where(lag <= L, values, 0.0)
+        for ridge in (0.0, 1e-6, 1e-3, 1e-1):
+            raised = band.copy()
+            raised[0] += ridge * band[0].max()
+            try:
+                return np.asarray(cholesky_banded(raised, lower=True))
+            except np.linalg.LinAlgError:
+                continue  # what far neighbours gave was needed: the others count less
+        return np.sqrt(band[:1])
