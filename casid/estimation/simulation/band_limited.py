@@ -28,13 +28,22 @@ def between_samples(u: Array, parts: int) -> Array:
     Beyond its ends a column is its own mirror image, turned about the last sample.
     """
     out = np.empty((*u.shape, parts - 1))
-    if len(u) < 2:
-        out[:] = u[:, :, None]
-        return out
     for i, column in enumerate(u.T):
-        long = np.pad(column, REACH, mode="reflect", reflect_type="odd")
-        for j, weights in enumerate(_phases(parts)):
-            out[:, i, j] = np.convolve(long, weights, "valid")[1:]
+        out[:, i] = _course(column.tobytes(), parts)
+    return out
+
+
+@functools.lru_cache(maxsize=8)
+def _course(column: bytes, parts: int) -> Array:
+    """The same of one column; every fit of a record wants it again."""
+    u = np.frombuffer(column)
+    out = np.empty((len(u), parts - 1))
+    if len(u) < 2:
+        out[:] = u[:, None]
+        return out
+    long = np.pad(u, REACH, mode="reflect", reflect_type="odd")
+    for j, weights in enumerate(_phases(parts)):
+        out[:, j] = np.convolve(long, weights, "valid")[1:]
     return out
 
 

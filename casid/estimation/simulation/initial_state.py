@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.estimation.simulation.minimization import minimize_simulation_error
@@ -27,9 +31,9 @@ def fit_initial_state(
     """
     criterion = SimulationError(model, [experiment], weights=weights, substeps=substeps)
     if not on_clock:
-        for i, entry in enumerate(model.inputs.values()):
-            if entry.signal is not None:
-                criterion.data[0].u[:, i] = 0.0
+        d = criterion.data[0]
+        of_clock = [entry.signal is not None for entry in model.inputs.values()]
+        criterion.data[0] = replace(d, u=np.where(of_clock, 0.0, d.u))
     point = criterion.start
     if len(point):
         point = minimize_simulation_error(criterion, check_rank=False, throw=False).x

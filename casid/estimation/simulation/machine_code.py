@@ -18,7 +18,7 @@ import platform
 import re
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,10 @@ from casid.arrays import Array
 from casid.compiler import compiler, shared_library
 from casid.errors import DataError
 
-Steps = Callable[[Array, Array, Array, Array, Array, Array], None]
-"""Runs a step over samples: state (changed in place), inputs (N, nu), inputs a sample later, the
-parameters, kept states (N, nx) and outputs (N, ny), which it writes; all in C order."""
+Steps = Callable[[Array, Array, Array, Array, Array, Array, Array], None]
+"""Runs steps over samples: state (changed in place), inputs (N, nu) with their courses, inputs a
+sample later, the parameters, the shares of a sample at which steps begin, have their middle and
+end, kept states (N, nx) and outputs (N, ny), which it writes; all in C order."""
 
 LOOKED_FOR = 2000
 """Samples after which a step is looked for among those compiled before: reading its formula takes
@@ -68,19 +69,34 @@ __declspec(dllexport)
 #else
 __attribute__ ((visibility ("default")))
 #endif
-void steps(long long count, double *state, const double *u, const double *after, const double *p,
-           double *numbers, double *kept, double *out) {
-  const double *arg[4];
-  double *res[2];
-  double next[%(n_state)d];
-  long long k;
-  int i;
-  arg[0] = state; arg[3] = p; res[0] = next;
+void steps(long long count, long long substeps, double *state, const double *u,
+           const double *after, const double *p, const double *shares, double *numbers,
+           double *kept, double *out) {
+  static const int banded[] = {%(banded)s};
+  const long long inside = 2 * substeps - 1, width = %(nu)d + %(nb)d * inside;
+  const double *arg[5];
+  double *res[3];
+  double next[%(n_state)d], spare[%(row)d + 1], within[3 * (1 + %(nb)d)];
+  long long k, i;
+  int j;
+  arg[0] = state; arg[3] = p; arg[4] = within; res[0] = next;
   for (k = 0; k < count; ++k) {
-    arg[1] = u + k * %(nu)d; arg[2] = after + k * %(nu)d; res[1] = out + k * %(n_out)d;
-    %(name)s(arg, res, 0, numbers, 0);
-    for (i = 0; i < %(n_state)d; ++i) state[i] = next[i];
-    for (i = 0; i < %(nx)d; ++i) kept[k * %(nx)d + i] = next[i];
+    arg[1] = u + k * width; arg[2] = after + k * %(nu)d;
+    for (i = 0; i < substeps; ++i) {
+      for (j = 0; j < 3; ++j) within[j] = shares[2 * i + j];
+      for (j = 0; j < %(nb)d; ++j) {
+        const double begin = arg[1][banded[j]], end = arg[2][banded[j]];
+        const double *course = arg[1] + %(nu)d + j * inside + 2 * i;
+        within[3 + 3 * j] = i > 0 ? course[-1] : begin;
+        within[4 + 3 * j] = course[0];
+        within[5 + 3 * j] = i < substeps - 1 ? course[1] : begin + (end - begin);
+      }
+      res[1] = i > 0 ? spare : out + k * %(row)d;
+      res[2] = i < substeps - 1 ? spare : out + k * %(row)d + %(n_out)d;
+      %(name)s(arg, res, 0, numbers, 0);
+      for (j = 0; j < %(n_state)d; ++j) state[j] = next[j];
+    }
+    for (j = 0; j < %(nx)d; ++j) kept[k * %(nx)d + j] = next[j];
   }
 }
 """
@@ -91,13 +107,14 @@ class MachineCode:
 
     Parameters
     ----------
-    function : (state, inputs, inputs a sample later, parameters) -> (next state, outputs), all
-        dense columns.
+    function : (state, inputs, inputs a sample later, parameters, place within the sample) -> (next
+        state, outputs, outputs at the end), all dense columns; the place as in `Simulator`.
     nx : entries of the state that are kept of every sample.
+    banded : columns of the inputs that are band-limited between samples.
     """
 
-    def __init__(self, function: Any, nx: int) -> None:
-        self._function, self._nx = function, nx
+    def __init__(self, function: Any, nx: int, banded: Sequence[int] = ()) -> None:
+        self._function, self._nx, self._banded = function, nx, banded
         self._enough = _enough(int(function.n_instructions()))
         self._taken = 0
         self._source: tuple[str, Array] | None = None
@@ -105,7 +122,7 @@ class MachineCode:
         self._level = 0  # of what was tried: interpreted, as it is, optimised
 
     def before(self, samples: int) -> Steps | None:
-        """The steps to take `samples` more, None where they are to be interpreted."""
+        """The steps over `samples` more, each substep a sample; None: to be interpreted."""
         if self._level == len(_LEVELS):
             return self._steps
         expected = self._taken + (1 + TO_COME) * samples
@@ -122,7 +139,7 @@ class MachineCode:
             self._level = len(_LEVELS)
             return
         if self._source is None:
-            self._source = source_of(self._function, self._nx)
+            self._source = source_of(self._function, self._nx, self._banded)
         text, numbers = self._source
         for level in range(len(_LEVELS), self._level, -1):
             entry = _library(text, _LEVELS[level - 1], folder, compile_it=level == wanted)
@@ -146,14 +163,16 @@ def _enough(n: int) -> tuple[float, float]:
 
 
 def _called(entry: Any, numbers: Array) -> Steps:
-    def steps(state: Array, u: Array, after: Array, p: Array, kept: Array, out: Array) -> None:
-        arrays = (state, u, after, p, numbers, kept, out)
-        entry(len(u), *(each.ctypes.data for each in arrays))
+    def steps(
+        state: Array, u: Array, after: Array, p: Array, shares: Array, kept: Array, out: Array
+    ) -> None:
+        arrays = (state, u, after, p, shares, numbers, kept, out)
+        entry(len(u), len(shares) // 2, *(each.ctypes.data for each in arrays))
 
     return steps
 
 
-def source_of(function: Any, nx: int) -> tuple[str, Array]:
+def source_of(function: Any, nx: int, banded: Sequence[int] = ()) -> tuple[str, Array]:
     """C of the loop over a step, and the numbers that were taken out of it.
 
     They come as the working memory that CasADi's code takes, of which a formula needs none.
@@ -174,8 +193,10 @@ def source_of(function: Any, nx: int) -> tuple[str, Array]:
     text = re.sub(r"=(-?\d[^;a-z\[]*(?:e[-+]\d+)?);", taken_out, text)
     (name,) = re.findall(r"static int (casadi_f\d+)\(", text)
     sizes = {"n_state": function.numel_out(0), "n_out": function.numel_out(1)}
-    sizes |= {"nu": function.numel_in(1), "nx": nx}
-    return text + _LOOP % {"name": name, **sizes}, np.array(numbers)
+    sizes |= {"nu": function.numel_in(1), "nx": nx, "nb": len(banded)}
+    sizes["row"] = sizes["n_out"] + function.numel_out(2)
+    columns = ", ".join(map(str, banded or (0,)))
+    return text + _LOOP % {"name": name, "banded": columns, **sizes}, np.array(numbers)
 
 
 @functools.lru_cache(maxsize=4096)
@@ -185,7 +206,7 @@ def _loaded(path: str) -> Any:
         entry = ctypes.CDLL(path).steps
     except (OSError, AttributeError):
         return None
-    entry.argtypes = [ctypes.c_longlong, *[ctypes.c_void_p] * 7]
+    entry.argtypes = [ctypes.c_longlong, ctypes.c_longlong, *[ctypes.c_void_p] * 8]
     entry.restype = None
     return entry
 

@@ -53,20 +53,26 @@ def rk4_sample(
         1/(2 substeps), 2/(2 substeps), ... of it; by default on the straight line.
     """
     f = ca.Function("f", [e.x, e.u, e.p], [e.f])
-    h = Ts / substeps
-    at = [
-        ca.vertcat(*_within(model, e, u_next, between, i, 2 * substeps))
-        for i in range(2 * substeps + 1)
-    ]
+    parts, banded = 2 * substeps, len(band_limited(model))
+    at = []
+    for i in range(parts + 1):
+        is_inside = between is not None and 0 < i < parts
+        course = [between[b * (parts - 1) + i - 1] for b in range(banded)] if is_inside else None
+        at.append(ca.vertcat(*_within(model, e, u_next, i / parts, course)))
     x = e.x
     for i in range(substeps):
-        left, mid, right = at[2 * i : 2 * i + 3]
-        k1 = f(x, left, e.p)
-        k2 = f(x + h / 2 * k1, mid, e.p)
-        k3 = f(x + h / 2 * k2, mid, e.p)
-        k4 = f(x + h * k3, right, e.p)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        x = _rk4(f, x, e.p, at[2 * i : 2 * i + 3], Ts / substeps)
     return x
+
+
+def _rk4(f: Any, x: Any, p: Any, inputs: Sequence[Any], h: float) -> Any:
+    """One step of length `h` [s]; `inputs` at its beginning, its middle and its end."""
+    left, mid, right = inputs
+    k1 = f(x, left, p)
+    k2 = f(x + h / 2 * k1, mid, p)
+    k3 = f(x + h / 2 * k2, mid, p)
+    k4 = f(x + h * k3, right, p)
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 def band_limited(model: Model) -> list[str]:
@@ -75,9 +81,9 @@ def band_limited(model: Model) -> list[str]:
 
 
 def _within(
-    model: Model, e: Explicit, u_next: Any, between: Any, part: int, parts: int
+    model: Model, e: Explicit, u_next: Any, share: Any, course: Sequence[Any] | None
 ) -> Iterator[Any]:
-    """Every input at `part` / `parts` of a sample.
+    """Every input at a share of a sample; `course` of the band-limited ones, None: on the line.
 
     One that passes a lag is a line that begins and ends where its companion columns say; what
     blends would do to it is that of its samples, which is exact once they are settled.
@@ -86,16 +92,14 @@ def _within(
     banded = band_limited(model)
     for i, name in enumerate(e.inputs):
         entry, ends = model.inputs[name], Stage.line_of(name)
-        u, line = e.u[i], e.u[i] + part / parts * (u_next[i] - e.u[i])
+        u, line = e.u[i], e.u[i] + share * (u_next[i] - e.u[i])
         acts = {"zoh": u, "foh": line}
         if name in banded:
-            inside = between is not None and 0 < part < parts
-            place = banded.index(name) * (parts - 1) + part - 1
-            acts["bandlimited"] = between[place] if inside else line
+            acts["bandlimited"] = line if course is None else course[banded.index(name)]
         value, settled = acts[entry.hold], None
         if lagged and ends[0] in e.inputs:
             begin, end = (e.u[e.inputs.index(n)] for n in ends)
-            value = begin + part / parts * (end - begin)
+            value = begin + share * (end - begin)
             settled = model.acting_hold(name)
         for blend in entry.blends:
             b = e.p[e.parameters.index(blend.parameter)]
@@ -119,32 +123,57 @@ def stepping_outputs(model: Model, e: Explicit) -> tuple[int, ...]:
     return tuple(i for i in found if any(ca.which_depends(e.h[i], ca.vertcat(*held))))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Symbols:
+    """What a step is an expression of.
+
+    Attributes
+    ----------
+    nx : number of the model's states.
+    banded : columns of `u` that are band-limited between samples.
+    within : shares of a sample at which the step begins, has its middle and ends, then the values
+        of every band-limited input there.
+    """
+
+    nx: int
+    banded: tuple[int, ...]
+    u: Any
+    u_next: Any
+    p: Any
+    within: Any
+
+
 class _Step:
-    """One sample as a function of state, inputs, inputs a sample later, and parameters.
+    """A step as a function of state, inputs, inputs a sample later, parameters, place in a sample.
+
+    It gives the next state, `out` at its beginning, which is wanted of the first step of a sample,
+    and `late` at its end, which is wanted of the last.
 
     What depends on the parameters alone is computed once a simulation, by the same operations.
     """
 
     def __init__(
-        self, name: str, nx: int, state: Any, u: Any, u_next: Any, p: Any, after: Any, out: Any
+        self, name: str, symbols: _Symbols, state: Any, after: Any, out: Any, late: Any
     ) -> None:
-        self.n_state, self.n_out = after.numel(), out.numel()
-        both, symbols, constants = ca.extract_parametric(ca.veccat(after, out), p)
+        self.n_state, self.n_out, self.n_late = after.numel(), out.numel(), late.numel()
+        p, ends = symbols.p, np.cumsum([0, self.n_state, self.n_out, self.n_late]).tolist()
+        both, found, constants = ca.extract_parametric(ca.veccat(after, out, late), p)
         left = ca.which_depends(both, p, 1, False)
         bare = [s for s, is_met in zip(ca.vertsplit(p), left, strict=True) if is_met]
         self._constants = ca.Function("constants", [p], [ca.densify(ca.vertcat(*constants, *bare))])
-        results = [ca.densify(each) for each in ca.vertsplit(both, [0, self.n_state, both.numel()])]
-        arguments = [state, u, u_next, ca.vertcat(*symbols, *bare)]
+        results = [ca.densify(each) for each in ca.vertsplit(both, ends)]
+        own = ca.vertcat(*found, *bare)
+        arguments = [state, symbols.u, symbols.u_next, own, symbols.within]
         self._function = ca.Function(name, arguments, results)
         self._blocks: dict[int, Any] = {}
-        self.machine_code = MachineCode(self._function, nx)
+        self.machine_code = MachineCode(self._function, symbols.nx, symbols.banded)
 
     def constants(self, p: Array) -> Array:
         """What the function takes in the place of all parameters `p` (np,)."""
         return np.asarray(self._constants(np.asarray(p, dtype=float)), dtype=float).ravel()
 
     def block(self, n: int) -> tuple[Any, Any]:
-        """Buffer and trigger of the function mapped over `n` samples."""
+        """Buffer and trigger of the function mapped over `n` steps."""
         if n not in self._blocks:
             function = self._function.mapaccum("block", n)
             self._blocks[n] = (function, *function.buffer())
@@ -182,18 +211,22 @@ class Simulator:
         felt = _felt(e, pinned or {})
         self._felt = [i for i, name in enumerate(e.states) if name in felt]
         self._banded = [list(model.inputs).index(name) for name in band_limited(model)]
-        width = len(self._banded) * (2 * substeps - 1)
-        u = ca.vertcat(e.u, ca.SX.sym("between", width))
-        u_next = ca.SX.sym("u_next", self.nu + width)
-        x_next = rk4_sample(model, e, u_next, Ts, substeps, u[self.nu :])
+        self._shares = np.arange(2 * substeps + 1) / (2 * substeps)
+        within = ca.SX.sym("within", 3 * (1 + len(self._banded)))
+        u_next = ca.SX.sym("u_next", self.nu)
+        symbols = _Symbols(self.nx, tuple(self._banded), e.u, u_next, e.p, within)
+        at = [
+            ca.vertcat(*_within(model, e, u_next, within[i], ca.vertsplit(within[3 + i :: 3])))
+            for i in range(3)
+        ]
+        f = ca.Function("f", [e.x, e.u, e.p], [e.f])
+        x_next = _rk4(f, e.x, e.p, at, Ts / substeps)
         self.stepping = stepping_outputs(model, e)
-        end = _within(model, e, u_next, u[self.nu :], 2 * substeps, 2 * substeps)
         h = ca.Function("h", [e.x, e.u, e.p], [e.h])
-        at_end = h(x_next, ca.vertcat(*end), e.p)
+        at_end = h(x_next, at[2], e.p)
         before = ca.vertcat(*[at_end[i] for i in self.stepping])
-        out = ca.vertcat(e.h, before)
-        self._plain_step = _Step("step", self.nx, e.x, u, u_next, e.p, x_next, out)
-        self._tangent_step = self._differentiate(e, u, u_next, x_next, before)
+        self._plain_step = _Step("step", symbols, e.x, x_next, e.h, before)
+        self._tangent_step = self._differentiate(e, symbols, x_next, before)
 
     def with_courses(self, u: Array) -> Array:
         """Inputs (N, nu) of a whole record, beside them what band-limited ones do between samples.
@@ -206,7 +239,7 @@ class Simulator:
         inside = between_samples(u[:, self._banded], 2 * self.substeps)
         return np.hstack([u, inside.reshape(len(u), -1)])
 
-    def _differentiate(self, e: Explicit, u: Any, u_next: Any, x_next: Any, before: Any) -> _Step:
+    def _differentiate(self, e: Explicit, symbols: _Symbols, x_next: Any, before: Any) -> _Step:
         columns = [e.parameters.index(name) for name in self.free]
         p_free = ca.vertcat(*[e.p[i] for i in columns])
         nf = len(self._felt)
@@ -222,13 +255,11 @@ class Simulator:
 
         return _Step(
             "tangent",
-            self.nx,
+            symbols,
             ca.vertcat(e.x, ca.vec(s)),
-            u,
-            u_next,
-            e.p,
             ca.vertcat(x_next, ca.vec(tangent(felt_next))),
-            ca.vertcat(e.h, before, ca.vec(tangent(e.h)), ca.vec(tangent(before))),
+            ca.vertcat(e.h, ca.vec(tangent(e.h))),
+            ca.vertcat(before, ca.vec(tangent(before))),
         )
 
     def _run(
@@ -241,40 +272,59 @@ class Simulator:
         alone: they are not kept.
         """
         require_time("simulation")
-        n_state, n_out = step.n_state, step.n_out
-        states, outputs = np.empty((len(u), self.nx)), np.empty((len(u), n_out))
+        n_state, n_out, n_late = step.n_state, step.n_out, step.n_late
+        states, outputs = np.empty((len(u), self.nx)), np.empty((len(u), n_out + n_late))
         state = np.ascontiguousarray(start, dtype=float)
         u, after = np.ascontiguousarray(u), np.ascontiguousarray(after)
-        if (steps := step.machine_code.before(len(u))) is not None:
+        if (steps := step.machine_code.before(len(u) * self.substeps)) is not None:
             state = state.copy()
-            steps(state, u, after, step.constants(p), states, outputs)
+            steps(state, u, after, step.constants(p), self._shares, states, outputs)
             return states, outputs, state
-        inside = np.empty((min(BLOCK, len(u)), n_state))
+        fine = self.substeps
+        inside = np.empty((max(BLOCK // fine, 1) * fine, n_state))
+        given, last_given = np.empty((len(inside), n_out)), np.empty((len(inside), n_late))
         repeated = np.tile(step.constants(p), (len(inside), 1))
-        for first in range(0, len(u), BLOCK):
-            last = min(first + BLOCK, len(u))
-            n = last - first
+        for first in range(0, len(u), len(inside) // fine):
+            last = min(first + len(inside) // fine, len(u))
+            n = (last - first) * fine
             require_time("simulation")
             buffer, trigger = step.block(n)
-            arguments = [state, u[first:last], after[first:last], repeated[:n]]
+            around = u[first:last], after[first:last]
+            columns = [np.repeat(each[:, : self.nu], fine, axis=0) for each in around]
+            arguments = [state, *columns, repeated[:n], self._courses_at(*around)]
             for i, argument in enumerate(arguments):
                 if argument.size:
                     buffer.set_arg(i, argument.data)
             buffer.set_res(0, inside[:n].data)
             if n_out:
-                buffer.set_res(1, outputs[first:last].data)
+                buffer.set_res(1, given[:n].data)
+            if n_late:
+                buffer.set_res(2, last_given[:n].data)
             trigger()
-            states[first:last] = inside[:n, : self.nx]
+            states[first:last] = inside[fine - 1 : n : fine, : self.nx]
+            outputs[first:last, :n_out] = given[:n:fine]
+            outputs[first:last, n_out:] = last_given[fine - 1 : n : fine]
             state = inside[n - 1].copy()
         return states, outputs, state
 
-    @staticmethod
-    def _next(u: Array, after: Array | None = None) -> Array:
+    def _courses_at(self, u: Array, after: Array) -> Array:
+        """What every step takes as its place within a sample, (N substeps, ...)."""
+        out = np.empty((len(u), self.substeps, 1 + len(self._banded), 3))
+        for j in range(3):
+            out[:, :, 0, j] = self._shares[j : j + 2 * self.substeps : 2]
+        for b, column in enumerate(self._banded):
+            begin, end = u[:, column], after[:, column]
+            first = self.nu + b * (2 * self.substeps - 1)
+            inner = u[:, first : first + 2 * self.substeps - 1]
+            course = np.column_stack([begin, inner, begin + (end - begin)])
+            for j in range(3):
+                out[:, :, 1 + b, j] = course[:, j : j + 2 * self.substeps : 2]
+        return out.reshape(len(u) * self.substeps, -1)
+
+    def _next(self, u: Array, after: Array | None = None) -> Array:
         """The inputs one sample later; the last is held unless the one after it is given."""
-        last = u[-1:].copy()
-        if after is not None:
-            last[0, : len(after)] = after
-        return np.concatenate([u[1:], last])
+        last = (u[-1:] if after is None else after[None])[:, : self.nu]
+        return np.concatenate([u[1:, : self.nu], last])
 
     def simulate(self, u: Array, p: Array, x0: Array) -> Trajectory:
         """Simulate N samples from `x0` (nx,) under `u` (N, nu) with all parameters `p` (np,).
@@ -296,8 +346,8 @@ class Simulator:
         """
         u = self.with_courses(u)
         nx, nv, ny, nf = self.nx, self.nv, self.ny, len(self._felt)
-        both = ny + len(self.stepping)
-        start = np.zeros((nv - nx + nf, nf))
+        nj, columns = len(self.stepping), nv - nx + nf
+        start = np.zeros((columns, nf))
         start[nv - nx :, :] = np.eye(nf)
         xs, yd, end = self._run(
             self._tangent_step,
@@ -306,14 +356,14 @@ class Simulator:
             self._next(u, after),
             p,
         )
-        dy, dbefore = np.split(yd[:, both:], [(nv - nx + nf) * ny], axis=1)
+        y, dy, before, dbefore = np.split(yd, np.cumsum([ny, columns * ny, nj]).tolist(), axis=1)
         return Trajectory(
-            y=yd[:, :ny],
+            y=y,
             x=np.vstack([np.reshape(x0, (1, nx)), xs]),
             dy=self._widened(dy, ny),
             dx_end=self._ended(end[nx:].reshape(-1, nf)),
-            before=yd[:, ny:both],
-            dbefore=self._widened(dbefore, both - ny),
+            before=before,
+            dbefore=self._widened(dbefore, nj),
         )
 
     def _widened(self, flat: Array, ny: int) -> Array:
