@@ -129,7 +129,8 @@ def _refined(
 
 
 def _value(criterion: SimulationError) -> float:
-    return float(criterion.evaluate(criterion.start).value)
+    alone = criterion.value_alone
+    return alone(criterion.start) if alone else float(criterion.evaluate(criterion.start).value)
 
 
 def weighted_by_errors(fit: Fit, settings: FitSettings) -> Fit:
