@@ -26,10 +26,16 @@ WIDTHS = (0.05, 0.3)
 """Values of zeta that a search starts from."""
 LOWEST = 4
 """Periods that a record holds of the lowest corner, at least."""
+ROUGHLY = 1e-2
+"""Relative change of the spectrum at which its variances are found while spectra are compared: the
+likelihood, at its maximum over the variances, errs by the square of that."""
 TOLERANCE = 1e-4
-"""Relative change of the spectrum at which its variances are found."""
+"""The same for the spectrum that is chosen."""
 EVALUATIONS = 60
 """Of the likelihood in the search beside the best start, at most."""
+RESOLVED = 0.02
+"""Change of the logarithm of the likelihood, and of those of frequency and width, at which that
+search ends: far less than one record can tell apart."""
 
 
 def with_disturbance_spectra(
@@ -85,7 +91,9 @@ class _Search:
         """Of the columns of `white`."""
         return [*self.outputs, *self.noise.responses[0].sources]
 
-    def fitted(self, found: Mapping[str, DisturbanceSpectrum]) -> tuple[float, Array]:
+    def fitted(
+        self, found: Mapping[str, DisturbanceSpectrum], tolerance: float = TOLERANCE
+    ) -> tuple[float, Array]:
         """Minus the log-likelihood and the price of its parameters, and the variances."""
         names = [*self.outputs, *self._sources(found)]
         design = self.white.design[:, [self.names.index(n) for n in names]].copy()
@@ -94,7 +102,7 @@ class _Search:
         spectra = replace(self.white, design=design)
         given = np.array([self.known.get(n, np.nan) ** 2 for n in names])
         floor = 1e-8 * max(float(np.average(spectra.power, weights=spectra.count)), TINY)
-        value = variances(spectra, given, floor, tolerance=TOLERANCE)
+        value = variances(spectra, given, floor, tolerance=tolerance)
         count = sum(1 if s.damping is None else 2 for s in found.values())
         price = 0.5 * count * float(np.log(max(spectra.count.sum(), 2.0)))
         return whittle(spectra, value, floor) + price, value
@@ -111,7 +119,7 @@ class _Search:
             return None
 
         def judged(spectrum: DisturbanceSpectrum) -> float:
-            return self.fitted({**found, name: spectrum})[0]
+            return self.fitted({**found, name: spectrum}, ROUGHLY)[0]
 
         shapes = [(None, False), *((zeta, band) for zeta in WIDTHS for band in (False, True))]
         grid = [
@@ -133,7 +141,12 @@ class _Search:
             lambda z: judged(spectrum_at(z)),
             start,
             method="Nelder-Mead",
-            options={"maxfev": EVALUATIONS, "initial_simplex": simplex},
+            options={
+                "maxfev": EVALUATIONS,
+                "initial_simplex": simplex,
+                "xatol": RESOLVED,
+                "fatol": RESOLVED,
+            },
         )
         chosen = {**found, name: spectrum_at(result.x)}
         return (*self.fitted(chosen), chosen)

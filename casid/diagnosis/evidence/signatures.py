@@ -81,12 +81,72 @@ class Path:
         return np.asarray(out + self.D[:, :, balance, None] * force[:, None, :])
 
 
+@dataclass(eq=False)
+class Motion:
+    """One record simulated, as it was recorded or with a draw of noise on its inputs."""
+
+    linearised: Linearised
+    experiment: int
+    signals: Signals
+    at: Simulated
+
+    @functools.cached_property
+    def path(self) -> Path:
+        """The derivatives along it."""
+        states = self.at.x[: self.signals.N]
+        return self.linearised.path(self.experiment, states, self.signals)
+
+
 class Linearised:
-    """The simulation of a fitted model, linearised along its own trajectories."""
+    """The simulation of a fitted model, linearised along its own trajectories.
+
+    What it was simulated for is kept: the regressions of all places and noise models share it.
+    """
 
     def __init__(self, criterion: SimulationError, x: Array) -> None:
         self.criterion, self.x = criterion, x
         self._functions: dict[float, Any] = {}
+        self._motions: dict[tuple[bytes, int], list[list[Motion]]] = {}
+        self._late: dict[int, Array] = {}
+
+    def motions(self, sd: Array, seed: int) -> list[list[Motion]]:
+        """Every record as it is and, where inputs are noisy, with a draw added and taken away.
+
+        `sd` (nu,) is the white noise of the inputs.
+        """
+        key = sd.tobytes(), seed
+        if key not in self._motions:
+            rng, criterion, x = np.random.default_rng(seed), self.criterion, self.x
+            made = []
+            for k, d in enumerate(criterion.data):
+                own = [Motion(self, k, d, criterion.simulated(x, k))]
+                if np.any(sd > 0):
+                    w = sd * rng.standard_normal((d.N, len(sd)))
+                    for sign in (1.0, -1.0):
+                        noisy = replace(d, u=d.u + sign * w)
+                        run = criterion.simulated(x, k, signals=noisy)
+                        own.append(Motion(self, k, noisy, run))
+                made.append(own)
+            self._motions[key] = made
+        return self._motions[key]
+
+    def late_inputs(self, k: int) -> Array:
+        """What measured inputs `SCORES.between_samples` late take from a residual, (N, ny, ...)."""
+        if k not in self._late:
+            criterion, d = self.criterion, self.criterion.data[k]
+            late = SCORES.between_samples * np.gradient(d.u, axis=0)
+            columns = [np.zeros((d.N, len(criterion.outputs), 0))]
+            for i, entry in enumerate(criterion.model.inputs.values()):
+                if entry.kind == "measured" and entry.hold == "foh":
+                    moved = np.zeros_like(d.u)
+                    moved[:, i] = late[:, i]
+                    up, down = (
+                        criterion.simulate(self.x, k, signals=replace(d, u=d.u + s * moved))[0]
+                        for s in (1.0, -1.0)
+                    )
+                    columns.append(np.where(d.used, 0.5 * (down - up), 0.0)[:, :, None])
+            self._late[k] = np.concatenate(columns, axis=2)
+        return self._late[k]
 
     def path(self, experiment: int, states: Array, signals: Signals) -> Path:
         """The derivatives of one sample's step and of the outputs at `states` (N, nx)."""
@@ -300,14 +360,12 @@ class Regression:
         self.linearised = linearised or Linearised(criterion, x)
         self.ny = len(criterion.outputs)
         sd = np.array([input_sd.get(n, 0.0) for n in model.inputs])
-        rng = np.random.default_rng(seed)
         parts, drawn = [], []
-        for k, d in enumerate(criterion.data):
-            parts.append(self._stack(k, d))
-            if np.any(sd > 0):
-                w = sd * rng.standard_normal((d.N, len(sd)))
-                up, down = (self._stack(k, replace(d, u=d.u + s * w)) for s in (1.0, -1.0))
-                drawn.append(0.5 * (up - down))
+        for motions in self.linearised.motions(sd, seed):
+            own, *noisy = (self._stack(motion) for motion in motions)
+            parts.append(own)
+            if noisy:
+                drawn.append(0.5 * (noisy[0] - noisy[1]))
         whole = np.concatenate(parts)
         n = len(x)
         self.e, self.tangent, self.psi = whole[:, 0], whole[:, 1 : 1 + n], whole[:, 1 + n :]
@@ -316,10 +374,10 @@ class Regression:
         self.slices = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
         self.size = np.sqrt(np.maximum(np.einsum("ij,ij->j", self.psi, self.psi), TINY))
 
-    def _stack(self, k: int, d: Signals) -> Array:
+    def _stack(self, motion: Motion) -> Array:
         """Whitened residual, tangent and signatures of one record, (N ny, 1 + n + K)."""
         criterion, model = self.criterion, self.criterion.model
-        at = criterion.simulated(self.x, k, signals=d)
+        k, d, at = motion.experiment, motion.signals, motion.at
         table = dict(variables_of(criterion, self.experiments, self.recorded, k, at, d))
         if self.place in criterion.outputs:
             y = at.y[:, criterion.outputs.index(self.place)]
@@ -331,8 +389,7 @@ class Regression:
             out = np.zeros((d.N, self.ny, signal.shape[1]))
             out[:, criterion.outputs.index(self.place)] = signal
         else:
-            path = self.linearised.path(k, at.x[: d.N], d)
-            out = path.respond(list(model.balances).index(self.place), signal)
+            out = motion.path.respond(list(model.balances).index(self.place), signal)
             out = self.linearised.through_sensors(out, at.y, k)
         out *= d.used[:, :, None]
         stack = np.concatenate([at.residual[:, :, None], at.jacobian, out], axis=2)
@@ -343,25 +400,15 @@ class Regression:
     def between(self) -> Array:
         """`_between` of all records; only a test needs it."""
         data = self.criterion.data
-        return np.concatenate([self._between(k, d) for k, d in enumerate(data)])
+        return np.concatenate([self._between(k) for k in range(len(data))])
 
-    def _between(self, k: int, d: Signals) -> Array:
+    def _between(self, k: int) -> Array:
         """Whitened response to measured inputs `SCORES.between_samples` late, (N ny, inputs)."""
-        late = SCORES.between_samples * np.gradient(d.u, axis=0)
-        columns = []
-        for i, entry in enumerate(self.criterion.model.inputs.values()):
-            if entry.kind == "measured" and entry.hold == "foh":
-                moved = np.zeros_like(d.u)
-                moved[:, i] = late[:, i]
-                up, down = (
-                    self.criterion.simulated(self.x, k, signals=replace(d, u=d.u + s * moved))
-                    for s in (1.0, -1.0)
-                )
-                columns.append(0.5 * (up.residual - down.residual))
-        if not columns:
-            return np.zeros((d.N * self.ny, 0))
-        stack = np.stack(columns, axis=2) * self.criterion.weights[None, :, None]
-        return self.noise.whiten(stack, k).reshape(-1, len(columns))
+        late = self.linearised.late_inputs(k)
+        if not late.shape[2]:
+            return np.zeros((late.shape[0] * self.ny, 0))
+        white = self.noise.whiten(late * self.criterion.weights[None, :, None], k)
+        return np.asarray(white).reshape(-1, late.shape[2])
 
     @property
     def misfit(self) -> float:

@@ -18,7 +18,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.residual_tests import IN_TIME, NOISE, ResidualTests, residual_tests
-from casid.diagnosis.evidence.signatures import TIME, variables_of
+from casid.diagnosis.evidence.signatures import TIME, Linearised, variables_of
 from casid.diagnosis.thresholds import DESCRIPTION
 from casid.diagnosis.unexplained.missing_force import MissingForce, missing_force, quiet_fit
 from casid.diagnosis.unexplained.smoothed_force import ForceSeries, smoothed_force
@@ -105,6 +105,7 @@ def unexplained(
     *,
     alpha: float = 0.05,
     seed: int = 0,
+    tests: ResidualTests | None = None,
 ) -> Unexplained:
     """Describe what the model, fitted under its noise, leaves unexplained.
 
@@ -112,6 +113,7 @@ def unexplained(
     ----------
     recorded : channels beside the model's on which it may depend, name -> unit.
     alpha : rate at which each of the two parts, the tests and the terms, calls noise something.
+    tests : of this residual, at this rate, where they are there already.
 
     Notes
     -----
@@ -119,8 +121,9 @@ def unexplained(
     time where the tests and the terms find nothing.
     """
     recorded = dict(recorded or {})
-    tests = residual_tests(at, experiments, recorded, alpha=alpha, seed=seed)
-    model = at.model
+    tests = tests or residual_tests(at, experiments, recorded, alpha=alpha, seed=seed)
+    model, fit = at.model, quiet_fit(at)[0]
+    linearised = Linearised(fit.criterion, fit.x)
     places = [*model.balances, *at.criterion.outputs]
     found = [
         missing_force(
@@ -131,6 +134,7 @@ def unexplained(
             alpha=alpha / len(places),
             with_series=place in model.balances,
             seed=seed,
+            linearised=linearised,
         )
         for place in places
     ]
@@ -139,7 +143,13 @@ def unexplained(
     best = found[0]
     if best.over_time is None and best.dependences:
         found[0] = best = missing_force(
-            at, experiments, best.place, recorded=recorded, alpha=alpha / len(places), seed=seed
+            at,
+            experiments,
+            best.place,
+            recorded=recorded,
+            alpha=alpha / len(places),
+            seed=seed,
+            linearised=linearised,
         )
     signals = _signals(at, experiments, recorded)
     is_something = tests.verdict != NOISE or bool(best.dependences)

@@ -128,9 +128,9 @@ def missing_force(
     *,
     recorded: Mapping[str, str] | None = None,
     alpha: float = 0.05,
-    largest: int = TERMS.most,
     with_series: bool = True,
     seed: int = 0,
+    linearised: Linearised | None = None,
 ) -> MissingForce:
     """Estimate what is missing in `balance`, on what it depends and when it acts.
 
@@ -140,8 +140,8 @@ def missing_force(
     balance : a balance of the model, or one of its outputs: then an error of that sensor.
     recorded : channels beside the model's on which it may depend, name -> unit.
     alpha : family-wise rate at which a term is selected by chance.
-    largest : number of terms.
     with_series : whether to smooth it over time as well.
+    linearised : of the fit that is tested, where it is there already.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def missing_force(
     fit, noise = quiet_fit(at)
     criterion, x = fit.criterion, fit.x
     require_place(criterion, balance)
-    linearised = Linearised(criterion, x)
+    linearised = linearised or Linearised(criterion, x)
     joined = joined_table(fit, experiments, recorded, balance)
     over_time = (
         smoothed_force(criterion, x, noise, balance, at.input_sd, linearised)
@@ -178,9 +178,7 @@ def missing_force(
         seed=seed,
     )
     regression = under(noise=noise)
-    terms = _select_terms(
-        regression, lambda: under(noise=at.full), alpha=alpha, most=largest, seed=seed
-    )
+    terms = _select_terms(regression, lambda: under(noise=at.full), alpha=alpha, seed=seed)
     chosen = terms.chosen
     total = max(regression.misfit, sum(t.gain - t.chance for t in chosen), TINY)
     dependences = _describe(regression, terms, joined, knots, total, at, seed)
@@ -222,7 +220,6 @@ def _select_terms(
     disturbed: Callable[[], Regression],
     *,
     alpha: float,
-    most: int,
     seed: int,
 ) -> _Terms:
     """Forward selection at level `alpha`.
@@ -235,7 +232,7 @@ def _select_terms(
     chosen: list[Tested] = []
     rivals: list[tuple[tuple[str, ...], ...]] = []
     dependent: set[str] = set()
-    for _ in range(most):
+    for _ in range(TERMS.most):
         found = regression.test([t.group for t in chosen], seed=seed, charge=charge)
         if not found:
             break

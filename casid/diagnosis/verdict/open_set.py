@@ -96,7 +96,8 @@ def described(start: Weighted, search: Search, level: float, p_value: float) -> 
 def _description(at: Weighted, search: Search, level: float) -> Unexplained | None:
     """The description of a model's misfit, if it is more than noise."""
     of = search.weighing
-    found = unexplained(at, of.experiments, search.recorded, alpha=level, seed=of.seed)
+    tests = tested_residual(at, search, level)
+    found = unexplained(at, of.experiments, search.recorded, alpha=level, seed=of.seed, tests=tests)
     return found if found.is_something else None
 
 
