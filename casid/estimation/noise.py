@@ -20,6 +20,7 @@ import numpy as np
 from scipy.fft import irfft, rfft
 from scipy.optimize import lsq_linear, nnls
 from scipy.special import gammaincinv
+from scipy.stats import norm
 
 from casid.arrays import TINY, Array, BoolArray, require_finite
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
@@ -430,7 +431,25 @@ def is_held(records: Sequence[Array]) -> bool:
 
 
 def white_floor(records: Sequence[Array]) -> float:
-    """The same for one channel, (N,) a record."""
+    """The same for one channel, (N,) a record.
+
+    Where the signal steps now and then, its spectrum reaches up to Nyquist, but most of its third
+    differences are those of the noise: their median counts where it is lower by more than chance.
+    """
+    floor = _quietest(records)
+    between = _between_steps(records)
+    by_chance = 4.0 * floor_error([len(values) for values in records])  # standard errors
+    return between if 0.0 < between**2 < (1.0 - by_chance) * floor**2 else floor
+
+
+def _between_steps(records: Sequence[Array]) -> float:
+    """Standard deviation of white noise from the median of the third differences' size."""
+    size = np.abs(np.concatenate([np.diff(values, 3) for values in records]))
+    return float(np.median(size) / (norm.ppf(0.75) * np.sqrt(20.0))) if len(size) else 0.0
+
+
+def _quietest(records: Sequence[Array]) -> float:
+    """Standard deviation of white noise from the quietest parts of the upper half band."""
     parts: list[float] = []
     shape = np.inf
     for values in records:

@@ -128,11 +128,14 @@ class Stage:
     lag (`lead_input`), or sent through an actuator's lag (`lag_input`) or play (`play_input`). The
     column is prepared before the simulation; `carrier` is the generated input that brings its
     change with `parameter` into the sensitivities.
+
+    `least` is the narrowest play: without play the contacts are those of that one, not of noise.
     """
 
     kind: Literal["delay", "lag", "clip", "delay_input", "lead_input", "lag_input", "play_input"]
     channel: str
     parameter: str
+    least: float = 0.0
 
     @property
     def is_of_input(self) -> bool:

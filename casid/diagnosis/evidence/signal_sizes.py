@@ -11,6 +11,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import PREWHITENING
+from casid.estimation.noise import input_noise_floor
 from casid.model.effects.effect import Motion, Sizes, Spread
 
 
@@ -36,6 +37,7 @@ def sizes_of(at: Weighted, recorded: Collection[str]) -> Sizes:
         },
         readings={n: (m.low, m.high) for n, m in readings.items()},
         levels={n: m.operating_point for n, m in readings.items() if m.operating_point},
+        noise=input_noise_floor(at.criterion.data, list(at.model.inputs)),
         course=lambda expression: _course(at, [s.x for s in sims], expression),
     )
 

@@ -308,6 +308,17 @@ def splines(values: Array, knots: Array) -> Array:
     return np.asarray(CubicSpline(knots, np.eye(len(knots)))(values))
 
 
+def _not_felt_yet(model: Model, output: str) -> list[str]:
+    """Inputs that reach an output through states alone: a sample feels the values before it.
+
+    In closed loop the value at the sample is made of that sample's noise.
+    """
+    e = model.explicit()
+    h = e.h[e.outputs.index(output)]
+    inputs = [name for name, entry in model.inputs.items() if entry.kind != "generated"]
+    return [n for n in inputs if not any(ca.which_depends(h, e.u[e.inputs.index(n)]))]
+
+
 # -- the regression -------------------------------------------------------------------------------
 
 
@@ -360,6 +371,7 @@ class Regression:
         self.linearised = linearised or Linearised(criterion, x)
         self.ny = len(criterion.outputs)
         sd = np.array([input_sd.get(n, 0.0) for n in model.inputs])
+        self._late = _not_felt_yet(model, place) if place in criterion.outputs else []
         parts, drawn = [], []
         for motions in self.linearised.motions(sd, seed):
             own, *noisy = (self._stack(motion) for motion in motions)
@@ -382,6 +394,7 @@ class Regression:
         if self.place in criterion.outputs:
             y = at.y[:, criterion.outputs.index(self.place)]
             table |= {self.place: y, f"slope of {self.place}": np.gradient(y, d.Ts)}
+            table |= {name: np.append(table[name][:1], table[name][:-1]) for name in self._late}
         made = [group.columns(table) for group in self.groups]
         self._widths = [m.shape[1] for m in made]
         signal = np.hstack(made) if made else np.zeros((d.N, 0))

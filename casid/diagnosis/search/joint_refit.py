@@ -59,9 +59,11 @@ class Refitting:
             )
             if found is not None and (best is None or found.gain > best.gain):
                 best = found
-        if best is not None:
-            self.attempts.succeeded(name_of(effect))
-        return best
+        if best is None:
+            return None
+        self.attempts.succeeded(name_of(effect))
+        size = best.fit.values[best.names[0]] - effect.parameters[0].start
+        return None if abs(size) < effect.constants.get("least", 0.0) else best
 
     def _from(
         self,

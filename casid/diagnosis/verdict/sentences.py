@@ -84,10 +84,16 @@ _SEPARATES = {
 }
 
 
-def says_kind(kind: str, where: str, *, is_relative: bool = False) -> str:
-    """A kind of the catalogue in words; `is_relative` where the place is a relative motion."""
-    if kind == "backlash" and not is_relative:
-        return f"the command {where} acts through play (backlash)"
+_OF_COMMANDS = {
+    "backlash": "the command {where} acts through play (backlash)",
+    "deadzone": "the command {where} acts beyond a dead zone alone",
+}
+
+
+def says_kind(kind: str, where: str, *, is_relative: bool = False, is_command: bool = False) -> str:
+    """A kind of the catalogue in words; where its place is a relative motion, or a command."""
+    if is_command and kind in _OF_COMMANDS:
+        return _OF_COMMANDS[kind].format(where=where)
     place = f"the relative motion {where}" if is_relative else f"the {where} balance"
     restoring = f"the spring that acts on {where}" if is_relative else f"the restoring {where}"
     return _SAYS[kind].format(where=where, place=place, restoring=restoring)
@@ -106,7 +112,13 @@ def says(effect: Effect, column: str = "") -> str:
         one, is_one = ("the input", "is") if "," not in effect.where else ("the inputs", "are")
         return f"{one} {effect.where} {is_one} {effect.description}, unlike in the model"
     if effect.kind in _SAYS:
-        return says_kind(effect.kind, effect.where, is_relative=bool(effect.description))
+        of_command = effect.parameters[0].name == f"gap_{effect.where}"
+        return says_kind(
+            effect.kind,
+            effect.where,
+            is_relative=bool(effect.description),
+            is_command=of_command,
+        )
     what = effect.description or f"{effect.kind} acts"
     if effect.kind == "unknown":
         return f"unidentified {effect.where}, best described as: {what}"

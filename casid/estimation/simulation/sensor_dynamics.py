@@ -130,9 +130,11 @@ def prepared_inputs(model: Model, u: Array, values: Mapping[str, float], Ts: flo
         mine = [s for s in stages if s.channel == channel]
         for stage in mine:
             if stage.kind == "play_input":
-                last, sign = play(columns[channel], values[stage.parameter])
-                columns = {n: c[last] for n, c in columns.items()}
-                columns[channel] = columns[channel] - values[stage.parameter] * sign
+                gap = values[stage.parameter]
+                last, sign = play(columns[channel], gap or stage.least)
+                if gap:
+                    columns = {n: c[last] for n, c in columns.items()}
+                columns[channel] = columns[channel] - gap * sign
                 columns[stage.carrier] = -sign
             elif stage.kind != "lag_input":
                 value = values[stage.parameter]

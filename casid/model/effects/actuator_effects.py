@@ -1,4 +1,4 @@
-"""What an actuator makes of a command beyond a lag: a limit, and play (a sticking valve)."""
+"""What an actuator makes of a command beyond a lag: a limit, a dead zone, play."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import casadi as ca
 
 from casid.errors import ModelError
-from casid.model.declarations import Parameter, Stage
+from casid.model.declarations import Input, Parameter, Stage
 from casid.model.effects.channel_effects import carry
 from casid.model.effects.effect import Effect, Sizes, known_while_null, switched_on
 from casid.model.effects.search_ranges import ACTUATORS
@@ -43,24 +43,19 @@ def actuator_saturation(model: Model, channel: str, limit: float) -> Effect:
     )
 
 
-def input_backlash(model: Model, channel: str, largest: float) -> Effect:
+def input_backlash(model: Model, channel: str, largest: float, *, least: float = 0.0) -> Effect:
     """A recorded command that acts through play, as a valve's stem or a worn linkage does.
 
     What acts stays where it is until the command has moved by the gap on either side of it: w
     follows u - gap upwards and u + gap downwards. It begins where the command begins. The gap is
-    at most `largest` (the channel's SI unit).
+    at most `largest` (the channel's SI unit), and more than `least`.
 
     Raises
     ------
     ModelError
         If the input is not recorded, or acts through play already.
     """
-    entry = model.inputs[channel]
-    if entry.kind not in ("measured", "known"):
-        raise ModelError(
-            f"{model.name}: {channel} is no recorded command (it is {entry.kind}); request the "
-            "backlash of a recorded input"
-        )
+    entry = _command(model, channel, "backlash")
     if any(s.kind == "play_input" and s.channel == channel for s in model.stages):
         raise ModelError(
             f"{model.name}: the command {channel} acts through play already; extend the model "
@@ -69,7 +64,7 @@ def input_backlash(model: Model, channel: str, largest: float) -> Effect:
     p = Parameter(f"gap_{channel}", entry.unit, 0.0, lower=0.0, upper=largest)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        carry(new, Stage("play_input", channel, names[0]))
+        carry(new, Stage("play_input", channel, names[0], least))
 
     return Effect(
         "backlash",
@@ -79,8 +74,47 @@ def input_backlash(model: Model, channel: str, largest: float) -> Effect:
         sided="positive",
         limit=largest,
         priority=1,
-        constants={"width": ACTUATORS.tick * largest},
+        constants={"width": ACTUATORS.tick * largest, "least": least},
     )
+
+
+def input_deadzone(model: Model, channel: str, largest: float, *, least: float = 0.0) -> Effect:
+    """A recorded command that acts beyond a gap alone, as that of a valve with overlap does.
+
+    What acts is u - clip(u, -gap, gap). The gap is at most `largest` (the channel's SI unit), and
+    more than `least`.
+
+    Raises
+    ------
+    ModelError
+        If the input is not recorded.
+    """
+    entry = _command(model, channel, "dead zone")
+    p = Parameter(f"gap_{channel}", entry.unit, 0.0, lower=0.0, upper=largest)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        u, gap = new.symbol(channel), new.symbol(names[0])
+        new.substitute_symbol(channel, u - ca.sign(u) * ca.fmin(ca.fabs(u), gap))
+
+    return Effect(
+        "deadzone",
+        channel,
+        (p,),
+        apply,
+        sided="positive",
+        limit=largest,
+        constants={"least": least},
+    )
+
+
+def _command(model: Model, channel: str, what: str) -> Input:
+    entry = model.inputs[channel]
+    if entry.kind not in ("measured", "known"):
+        raise ModelError(
+            f"{model.name}: {channel} is no recorded command (it is {entry.kind}); request the "
+            f"{what} of a recorded input"
+        )
+    return entry
 
 
 def actuator_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
@@ -94,5 +128,11 @@ def actuator_effects_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
         largest = max(-low, high)
         for share in ACTUATORS.starts:
             yield actuator_saturation(model, channel, share * largest)
-        if channel not in played:
-            yield input_backlash(model, channel, ACTUATORS.gap * (high - low))
+        widest, least = (
+            ACTUATORS.gap * (high - low),
+            ACTUATORS.noise * sizes.noise.get(channel, 0.0),
+        )
+        if channel not in played and least < widest:
+            yield input_backlash(model, channel, widest, least=least)
+        if min(-low, high) > ACTUATORS.both_signs * largest and least < largest:
+            yield input_deadzone(model, channel, ACTUATORS.gap * 2 * largest, least=least)

@@ -71,7 +71,7 @@ class Effect:
     description : the effect in words, where its kind is no name of `KINDS` that says it; of one
         that does, the equations that it enters where it acts on a relative motion.
     constants : numbers in it that are chosen rather than estimated, SI units: the `speed` below
-        which dry friction is smoothed, the `time` of a jump.
+        which dry friction is smoothed, the `time` of a jump, the `least` play that is one.
     declared_units : parameter -> unit that it is shown in, where that is not SI.
     """
 
@@ -158,6 +158,7 @@ class Sizes:
     course: Callable[[Any], Array] | None = None  # expression in the simulation -> its samples
     readings: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of each channel
     levels: Mapping[str, float] = field(default_factory=dict)  # channel -> its operating point
+    noise: Mapping[str, float] = field(default_factory=dict)  # input -> bound on its white noise
 
     def motion_of(self, expression: Any) -> Motion:
         """How an expression of states and inputs moves in the simulation.

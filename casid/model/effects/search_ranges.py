@@ -112,6 +112,17 @@ class Actuators:
         (0.4, 1.6), "of its start, lower and upper bound of a limit", _ACTUATORS
     )
     gap: float = _is(0.4, "of the command's range, the widest play", _ACTUATORS)
+    noise: float = _is(
+        5.0,
+        "standard deviations of a command's own noise, the narrowest play: a narrower one takes "
+        "noise out of a command that was measured",
+        _ACTUATORS,
+    )
+    both_signs: float = _is(
+        0.2,
+        "of the largest command, that it has to the other side where it has a dead zone",
+        _ACTUATORS,
+    )
     tick: float = _is(0.005, "of the widest play, what is none beside it", _ACTUATORS)
 
 

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+import casid
+from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.evidence.residual_tests import (
     DETERMINISTIC,
     DISTURBANCE,
@@ -17,6 +19,7 @@ from casid.diagnosis.evidence.residual_tests import (
     _spectrum,
     residual_tests,
 )
+from casid.estimation.simulation.fit import fit_model
 from tests.support.hidden_forces import fitted
 
 
@@ -41,6 +44,34 @@ def test_a_force_of_the_states_is_deterministic(kind: str) -> None:
         assert found.verdict == DETERMINISTIC
         assert found.correlated is not None
         assert found.correlated.share > 0.5
+
+
+def looped(seed: int) -> casid.Record:
+    """A lag of 1 s under a proportional controller that sees the noise of its sensor, exactly."""
+    rng, decay = np.random.default_rng(seed), np.exp(-0.05)
+    r = np.repeat(rng.uniform(-1, 1, 30), 40)
+    x, rows = 0.0, []
+    for reference in r.tolist():
+        y = x + 0.002 * rng.standard_normal()
+        u = 4.0 * (reference - y)
+        rows.append((u, y))
+        x = u + (x - u) * decay
+    u, y = np.array(rows).T
+    return casid.Record({"u": u, "y": y}, {"u": "1", "y": "1"}, Ts=0.05)
+
+
+def test_noise_that_a_controller_feeds_back_is_no_error_that_depends_on_its_command():
+    """The command at a sample holds that sample's noise; what the sample feels came before it."""
+    m = casid.Model("looped")
+    u, x = m.input("u", "1", hold="zoh", known=True), m.state("x", "1")
+    m.balance(x, "charge", inertia=m.parameter("tau", "s", start=0.7), terms=[u - x], unit="1")
+    m.output("y", x, "1")
+    alarms = 0
+    for seed in range(8):
+        made = [casid.Experiment(looped(seed), {}, "r")]
+        at = Weighing(made).weigh(m, fit_model(m, made, casid.FitSettings()))
+        alarms += residual_tests(at, made, seed=seed).verdict != NOISE
+    assert alarms <= binom.ppf(0.995, 8, 0.05)
 
 
 def test_a_white_disturbance_is_a_disturbance_and_not_deterministic():

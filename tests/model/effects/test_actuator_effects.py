@@ -9,7 +9,11 @@ import casid
 from casid.errors import ModelError
 from casid.estimation.simulation.sensor_dynamics import play
 from casid.estimation.simulation.simulation_error import SimulationError
-from casid.model.effects.actuator_effects import actuator_saturation, input_backlash
+from casid.model.effects.actuator_effects import (
+    actuator_saturation,
+    input_backlash,
+    input_deadzone,
+)
 from casid.model.effects.effect import Effect
 
 Ts, N = 0.1, 400
@@ -100,6 +104,54 @@ def test_the_sensitivity_to_play_is_its_derivative(gap: float):
     slope = (c.simulate(up, 0)[0] - c.simulate(c.start, 0)[0])[:, 0] / h
     assert jacobian == pytest.approx(slope, abs=1e-5)
     assert np.max(np.abs(slope)) > 0.5
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.1, 0.35])
+def test_a_valve_with_overlap_passes_what_exceeds_it(gap: float):
+    effect = input_deadzone(tank(), "u", 1.0)
+    acting = COMMAND - np.clip(COMMAND, -gap, gap)
+    assert simulated(effect, gap) == pytest.approx(level_under(acting), abs=1e-6)
+    c = criterion(effect, (gap,))
+    slope = level_under(-np.sign(COMMAND) * (np.abs(COMMAND) > gap))
+    jacobian = c.simulated(c.start, 0).jacobian[:, 0, c.names.index("gap_u")]
+    assert jacobian == pytest.approx(slope, abs=1e-5)
+
+
+def stepped(seed: int, play: float = 0.0) -> casid.Record:
+    """A tank under held levels, each of 20 samples, measured with noise of 0.02 like the tank's."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1, 1, 60), 20)
+    acting, w = [], u[0]
+    for command in u.tolist():
+        w = min(max(w, command - play), command + play)
+        acting.append(w)
+    h, decay = np.zeros(len(u)), np.exp(-Ts / 2.0)
+    for k in range(len(u) - 1):
+        h[k + 1] = decay * h[k] + (1 - decay) * acting[k]
+    noise = rng.standard_normal((2, len(u)))
+    return casid.Record(
+        {"u": u + 0.02 * noise[0], "level": h + 0.002 * noise[1]}, {"u": "m", "level": "m"}, Ts=Ts
+    )
+
+
+def measured_tank() -> casid.Problem:
+    m = casid.Model("measured tank")
+    h, u = m.state("h", "m"), m.input("u", "m", hold="zoh")
+    m.derivative(h, (u - h) / m.parameter("tau", "s", start=1.5, lower=0.1, upper=20.0))
+    m.output("level", h, "m")
+    return casid.Problem("measured tank", m)
+
+
+@pytest.mark.slow
+def test_play_that_only_takes_the_noise_out_of_a_measured_command_is_none():
+    """Play of some standard deviations smooths steps that were measured, and fits better for it."""
+    found = [casid.diagnose(measured_tank(), stepped(seed)).causes for seed in range(4)]
+    assert not any(c.kind in ("backlash", "deadzone") for causes in found for c in causes)
+    named = casid.diagnose(measured_tank(), stepped(1, play=0.2)).causes[0]
+    assert (named.kind, named.where) == ("backlash", "u")
+    # The pin is taken along by the largest of 20 noises, 1.9 standard deviations on average.
+    gap = named.parameters[0]
+    assert abs(gap.value - 0.2 - 1.9 * 0.02) < 4 * gap.std_error + 0.02
 
 
 def test_a_contact_is_where_the_command_last_pushed():
