@@ -15,6 +15,7 @@ import pytest
 
 from casid.diagnosis import thresholds
 from casid.estimation.errors_in_variables import thresholds as input_noise_thresholds
+from casid.estimation.intervals import thresholds as interval_thresholds
 from casid.estimation.simulation import thresholds as simulation_thresholds
 from casid.experiment_design import thresholds as design_thresholds
 from casid.model.effects import search_ranges
@@ -26,6 +27,7 @@ TABLES = {
     "model/effects": search_ranges,
     "estimation/simulation": simulation_thresholds,
     "estimation/errors_in_variables": input_noise_thresholds,
+    "estimation/intervals": interval_thresholds,
     "experiment_design": design_thresholds,
 }
 ENTRIES = [e for table in TABLES.values() for e in table.TABLE]

@@ -14,6 +14,8 @@ from casid.data.problem import Problem
 
 STD_ERROR = ".std_error"
 """Behind a parameter's name: the column of its standard errors."""
+ENDS = (".lower", ".upper")
+"""The columns of the ends of its intervals, of whatever kind they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,18 +126,35 @@ def accuracy(problem: Problem, done: Campaign) -> list[Accuracy]:
             problem.truth.get(column),
             done.column(column).astype(float),
             done.column(column + STD_ERROR).astype(float),
+            tuple(done.column(column + end).astype(float) for end in ENDS)
+            if all(column + end in columns for end in ENDS)
+            else (),
         )
         for column in columns
         if column + STD_ERROR in columns
     ]
 
 
-def accuracy_of(name: str, unit: str, truth: float | None, value: Array, error: Array) -> Accuracy:
-    """Of estimates (n,) in `unit` and their standard errors (n,), NaN where there is none."""
+def accuracy_of(
+    name: str,
+    unit: str,
+    truth: float | None,
+    value: Array,
+    error: Array,
+    ends: tuple[Array, ...] = (),
+) -> Accuracy:
+    """Of estimates (n,) in `unit` and their standard errors (n,), NaN where there is none.
+
+    Parameters
+    ----------
+    ends : lower and upper (n,) of their intervals; by default the normal ones.
+    """
+    lower, upper = ends or (value - 1.96 * error, value + 1.96 * error)
     is_there = np.isfinite(value)
-    has_interval = is_there & np.isfinite(error)
+    has_error = is_there & np.isfinite(error)
+    has_interval = is_there & ~np.isnan(lower) & ~np.isnan(upper)
     n = int(is_there.sum())
-    inside = has_interval & (np.abs(value - (truth or 0.0)) <= 1.96 * error)
+    inside = has_interval & (lower <= (truth or 0.0)) & ((truth or 0.0) <= upper)
     return Accuracy(
         name=name,
         unit=unit,
@@ -143,7 +162,7 @@ def accuracy_of(name: str, unit: str, truth: float | None, value: Array, error: 
         n=n,
         mean=float(value[is_there].mean()) if n else math.nan,
         spread=float(value[is_there].std(ddof=1)) if n > 1 else math.nan,
-        mean_std_error=float(error[has_interval].mean()) if has_interval.any() else math.nan,
+        mean_std_error=float(error[has_error].mean()) if has_error.any() else math.nan,
         intervals=int(has_interval.sum()),
         covered=0 if truth is None else int(inside.sum()),
     )

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from casid.arrays import Array
-from casid.campaigns.accuracy import STD_ERROR, Accuracy, accuracy
+from casid.campaigns.accuracy import ENDS, STD_ERROR, Accuracy, accuracy
 from casid.campaigns.campaign import Campaign, campaign
 from casid.campaigns.manifest import manifest_of, name_of
 from casid.campaigns.problem_origin import ProblemOrigin, digest
@@ -194,6 +194,8 @@ class Study:
             if not p.known:
                 row[p.name] = p.value
                 row[p.name + STD_ERROR] = p.std_error
+                if p.interval is not None:
+                    row |= {p.name + end: v for end, v in zip(ENDS, p.interval, strict=True)}
         row |= {"converged": estimate.is_converged, "iterations": estimate.iterations}
         for record, by_output in estimate.rmse.items():
             row |= {f"rmse {record}/{output}": value for output, value in by_output.items()}

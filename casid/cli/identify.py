@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,27 @@ if TYPE_CHECKING:
     from casid.data.problem import Problem
 
 
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """The options of the estimate by simulation or prediction."""
+
+    segments: int
+    own: str | None
+    disturbances: tuple[str, ...]
+    intervals: str
+    budget: float | None
+
+    @property
+    def refused(self) -> dict[str, bool]:
+        """Options that mean nothing for instruments -> whether they are given."""
+        return {
+            "--segments": self.segments != 1,
+            "--own": self.own is not None,
+            "--disturbance": bool(self.disturbances),
+            "--intervals": self.intervals != "auto",
+        }
+
+
 @click.command()
 @click.argument("problem", type=click.Path())
 @click.argument("data", nargs=-1)
@@ -42,15 +64,30 @@ if TYPE_CHECKING:
     metavar="NAME,...",
     help="Parameters that every record has for itself; the others are shared.",
 )
+@click.option(
+    "--disturbance",
+    "disturbances",
+    multiple=True,
+    metavar="PLACE[:SPECTRUM]",
+    help="A disturbance in this balance or state of a linear model, with the spectrum white (the "
+    "default), first (order) or peak: size and frequency are estimated beside the parameters, by "
+    "prediction error. Repeatable.",
+)
+@click.option(
+    "--intervals",
+    type=click.Choice(["auto", "quick", "profile", "bootstrap"]),
+    default="auto",
+    show_default=True,
+    help="95 % intervals: quick is normal; profile, what the records cannot reject; bootstrap, "
+    "from simulated records. auto is quick, and profile where that fails its test.",
+)
 @budget_option(
     "Time that the estimate may take: it reports the best until then, and lists what was not done. "
     "Default 120 s, and 1 ms more for each sample and unknown.",
 )
 @options(*INSTRUMENT_OPTIONS)
 @record_options
-def identify(
-    problem: str, segments: int, own: str | None, budget: float | None, **given: Any
-) -> None:
+def identify(problem: str, **given: Any) -> None:
     """Estimate the unknown parameters from these records.
 
     Least squares of the simulation error, with standard errors that allow for autocorrelated
@@ -63,14 +100,14 @@ def identify(
     rudder --free I_x,d,m=0.1
     """
     output, fit = taken(Output, given), taken(FitOptions, given)
-    instruments = taken(InstrumentRequest, given)
+    instruments, search = taken(InstrumentRequest, given), taken(_Search, given)
     request = request_of(given)
     model = known_problem(problem, request)
     by_instruments = instruments.method == "instruments"
     if by_instruments:
-        instruments.refuse(request, fit.starts, segments, own)
+        instruments.refuse(request, fit.starts, search.refused)
         instruments.freed(model)  # refused before anything is read
-    owned = own_parameters(model, own)
+    owned = own_parameters(model, search.own)
     with output.work(model.name) as (folder, progress):
         fitted, hold_out = request.experiments(model)
         output.say_what_was_read([*fitted, *(hold_out if isinstance(hold_out, list) else ())])
@@ -83,17 +120,19 @@ def identify(
         with interruptible():
             if by_instruments:
                 progress(f"instrumental variables of {', '.join(e.name for e in fitted)}")
-                with until(wall_clock() + fit_budget(model.model, fitted, budget)):
+                with until(wall_clock() + fit_budget(model.model, fitted, search.budget)):
                     result = instruments.estimate(model, fitted, fit.solver)
                 estimate = result.estimate
             else:
-                settings = fit.settings(model, segments=segments, own=owned)
+                settings = fit.settings(model, segments=search.segments, own=owned)
                 result = estimate = run(
                     model,
                     fitted,
                     hold_out=hold_out,
                     settings=settings,
-                    budget=budget,
+                    budget=search.budget,
+                    intervals=search.intervals,
+                    disturbances=search.disturbances,
                     progress=progress,
                 )
         progress("write the report")

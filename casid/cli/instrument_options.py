@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -42,15 +42,12 @@ class InstrumentRequest:
                 "recorded channel with --reference, for example --reference ref"
             )
 
-    def refuse(
-        self, request: Request, starts: int | None, segments: int, own: str | None = None
-    ) -> None:
-        """Refuse what moment equations have no use for."""
+    def refuse(self, request: Request, starts: int | None, others: Mapping[str, bool]) -> None:
+        """Refuse what moment equations have no use for; `others` are options and if given."""
         for option, is_given in (
             ("--hold-out", request.hold_out_files or request.share != 0),
             ("--starts", starts is not None),
-            ("--segments", segments != 1),
-            ("--own", own is not None),
+            *others.items(),
         ):
             if is_given:
                 raise DataError(

@@ -35,10 +35,14 @@ class Estimated:
     std_error: float | None = None  # None: known, at a bound, or not identifiable
     start: float | None = None
     note: str = ""
+    ends: tuple[float, float] | None = None  # of an interval that is not normal
+    interval_kind: str = "quick"  # normal; or "profile", "bootstrap", whose ends stand in `ends`
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Normal 95 % interval."""
+        """95 % interval, of the kind that `interval_kind` names; infinite where it has no end."""
+        if self.ends is not None:
+            return self.ends
         if self.std_error is None:
             return None
         return self.value - 1.96 * self.std_error, self.value + 1.96 * self.std_error
@@ -48,8 +52,13 @@ class Estimated:
         if unit == self.unit:
             return self
         factor = parse_unit(self.unit).factor / parse_unit(unit).factor
+        ends = self.ends
+        if ends is not None:
+            low, high = (float(from_si(to_si(end, self.unit), unit)) for end in ends)
+            ends = (low, high)
         return replace(
             self,
+            ends=ends,
             value=float(from_si(to_si(self.value, self.unit), unit)),
             unit=unit,
             std_error=None if self.std_error is None else self.std_error * factor,
@@ -64,7 +73,8 @@ class Estimated:
         return {
             "value": self.value,
             "std_error": self.std_error,
-            "interval": list(interval) if interval else None,
+            "interval": [e if np.isfinite(e) else None for e in interval] if interval else None,
+            **({"interval_kind": self.interval_kind} if interval else {}),
             "unit": self.unit,
             "known": self.known,
             **({"note": self.note} if self.note else {}),
@@ -151,6 +161,7 @@ class Uncertainty:
     names: tuple[str, ...]
     covariance: Array  # (n, n), in the units of the parameters
     assumes: str  # what the standard errors assume
+    intervals: Mapping[str, str] = field(default_factory=dict)  # kind of interval -> what of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +215,8 @@ class Estimate(Presented, Saved):
     ----------
     parameters, initial_states : values, standard errors and 95 % intervals, each in the unit that
         stands in it; `estimate["k"]` is the value of one.
-    uncertainty : covariance (n, n) of the names in it, in their units, and what it assumes.
+    uncertainty : covariance (n, n) of the names in it, in their units, and what it assumes; for
+        each kind of interval what such a one assumes (`parameter.interval_kind` names its own).
     solver : status, iterations and scaled gradient of the solver that found the values.
     fit, held_out : record -> output -> rms error and normalised fit, in the records that were
         fitted and in those that were not.
@@ -239,6 +251,11 @@ class Estimate(Presented, Saved):
                 return p
         raise KeyError(f"no parameter {name!r}; there are {', '.join(self.names)}")
 
+    def of_interval_kind(self, kind: str) -> tuple[str, ...]:
+        """Parameters and initial states whose interval is of a kind, by name."""
+        rows = (*self.parameters, *self.initial_states)
+        return tuple(p.name for p in rows if p.interval is not None and p.interval_kind == kind)
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of parameters and initial states."""
@@ -247,6 +264,7 @@ class Estimate(Presented, Saved):
     covariance_names: ClassVar[Grouped[tuple[str, ...]]] = Grouped("uncertainty", "names")
     covariance: ClassVar[Grouped[Array]] = Grouped("uncertainty")
     assumes: ClassVar[Grouped[str]] = Grouped("uncertainty")  # What the standard errors assume
+    intervals: ClassVar[Grouped[Mapping[str, str]]] = Grouped("uncertainty")
     status: ClassVar[Grouped[str]] = Grouped("solver")  # The solver's status
     is_converged: ClassVar[Grouped[bool]] = Grouped("solver")  # True if the values are an optimum
     iterations: ClassVar[Grouped[int]] = Grouped("solver")  # The solver's iterations
@@ -373,6 +391,7 @@ class Estimate(Presented, Saved):
                 "matrix": self.covariance.tolist(),
             },
             "assumes": self.assumes,
+            **({"intervals": dict(self.intervals)} if self.intervals else {}),
             "status": self.status,
             "converged": self.is_converged,
             "fit": {

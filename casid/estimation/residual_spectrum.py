@@ -170,26 +170,42 @@ def _restricted_likelihood(
     return value + float(np.sum(logs)) + 0.5 * float(left @ left)
 
 
+def residual_autoregressions(fit: Fit, free: Array) -> tuple[list[Autoregression], Array] | None:
+    """Of the weighted residual of each output of a fit, and the correlation of their innovations.
+
+    None where samples are missing: Burg's recursion needs neighbours.
+
+    Parameters
+    ----------
+    free : (n,) bool, False at active bounds.
+    """
+    criterion = fit.criterion
+    if not all(d.used.all() for d in criterion.data):
+        return None
+    weighted = [criterion.columns(fit.x, e) for e in range(len(criterion.data))]
+    outputs = range(len(criterion.outputs))
+    models = [autoregression([r[:, i] for r, _ in weighted]) for i in outputs]
+    models = restricted(models, [(r, t[:, :, free]) for r, t in weighted])
+    return models, _innovations([r for r, _ in weighted], models)
+
+
 def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
     """(1) of a fit and the orders of its autoregressions.
 
-    None where every residual is white, or samples are missing: Burg's recursion needs neighbours.
+    None where every residual is white, or samples are missing.
 
     Parameters
     ----------
     free : (n,) bool, False at active bounds: those rows and columns are zero.
     """
+    found = residual_autoregressions(fit, free)
+    if found is None or not any(m.order for m in found[0]):
+        return None
+    models, together = found
     criterion = fit.criterion
     weighted = [criterion.columns(fit.x, e) for e in range(len(criterion.data))]
-    if not all(d.used.all() for d in criterion.data):
-        return None
     outputs = range(len(criterion.outputs))
-    models = [autoregression([r[:, i] for r, _ in weighted]) for i in outputs]
-    if not any(m.order for m in models):
-        return None
-    models = restricted(models, [(r, t[:, :, free]) for r, t in weighted])
     n, index = len(fit.x), np.flatnonzero(free)
-    together = _innovations([r for r, _ in weighted], models)
     matrix, meat = np.zeros((n, n)), np.zeros((n, n))
     for _, t in weighted:
         flat = t.reshape(-1, n)

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
+from casid.arrays import Array
 from casid.data.arguments import Recorded, in_si, problem_of
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.errors import IdentifiabilityError, OutOfTimeError, SolveError
+from casid.errors import DataError, IdentifiabilityError, OutOfTimeError, SolveError
+from casid.estimation.covariance import sandwich
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
 from casid.estimation.estimate import Estimate, Estimated, Trust, Uncertainty
 from casid.estimation.holdout import Split, record_views, split_records, validation
+from casid.estimation.intervals.choice import (
+    Estimation,
+    chosen_intervals,
+    require_intervals,
+)
+from casid.estimation.intervals.of_estimate import with_intervals
+from casid.estimation.prediction_error.disturbances import Disturbance
 from casid.estimation.residual_spectrum import coloured_covariance
 from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings, fit_model
@@ -30,6 +40,7 @@ from casid.estimation.simulation.simulation_estimate import (
     method_of,
 )
 from casid.identifiability.requirement import require_identifiable
+from casid.identification.disturbed import identify_disturbed
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
 from casid.model.model import Model
 from casid.time_limit import (
@@ -52,6 +63,8 @@ def identify(
     settings: FitSettings | None = None,
     start: Mapping[str, float] | None = None,
     budget: float | None = None,
+    intervals: str = "auto",
+    disturbances: Sequence[Disturbance | str] | str = (),
     progress: Callable[[str], None] | None = None,
 ) -> Estimate:
     """Estimate the unknown parameters and initial states by least-squares simulation error.
@@ -67,6 +80,12 @@ def identify(
     budget : seconds that the estimate may take; by default as `FIT_BUDGET` has it, from the number
         of samples and unknowns. What no time is left for is listed in `not_done`; a fit that was
         not finished gives its best point, without errors and not converged.
+    intervals : "auto": normal, and by the profile of the criterion for parameters at a bound or
+        where the criterion is not the parabola that a normal interval takes it for (the numbers
+        are in `QUADRATIC_TEST`); "quick": normal; "profile"; "bootstrap": from simulated records.
+    disturbances : that act on a linear model, as "torque:peak": a balance or state, and "white",
+        "first" (order) or "peak". Their sizes and frequencies are estimated with the parameters, by
+        prediction error; intervals are then normal, and nothing is held out.
 
     Returns
     -------
@@ -87,6 +106,7 @@ def identify(
         the budget is over before there is any fit.
     """
     began, say = wall_clock(), progress or (lambda _: None)
+    require_intervals(intervals)
     if not isinstance(hold_out, float | int):
         _, hold_out = in_si(problem, hold_out)
         hold_out = cut_at_long_gaps(problem_of(problem).model, hold_out)
@@ -96,19 +116,32 @@ def identify(
     chosen = cut_at_long_gaps(problem.model, chosen)
     split = split_records(chosen, hold_out)
     settings = settings or FitSettings(starts=problem.starts)
+    undone, chosen_disturbances = Undone(), _disturbances(disturbances, split, settings, intervals)
     with until(began + fit_budget(problem.model, split.fitted, budget)):
         structural = "not checked, as there are constraints"
         if not settings.constraints:
             structural = require_identifiable(
                 problem.model, split.fitted, own=settings.own, problem=problem, progress=progress
             )
-        undone = Undone()
+        if chosen_disturbances:
+            estimate = identify_disturbed(
+                problem, split.fitted, chosen_disturbances, settings, start=start, progress=say
+            )
+            seen = replace(estimate.identifiability, structural=structural)
+            estimate = replace(estimate, identifiability=seen)
+            return estimate.in_units(problem.model.declared_units)
         say(f"fit {', '.join(e.name for e in split.fitted)}")
         fit, suspect = _fit(problem, split.fitted, settings, start, (say, undone))
         found = _corrected(problem, fit, settings, undone)
-    with no_time_limit():  # a few passes over the record, for which a result cannot do without
-        estimate = _estimate(problem, found, split, channel_notes(problem.model, chosen))
-        records = record_views(found.fit, None, split)
+        with no_time_limit():  # a few passes over the record, without which there is no result
+            notes = channel_notes(problem.model, chosen)
+            estimate = _estimate(problem, found, split, notes)
+            records = record_views(found.fit, None, split)
+        if estimate.is_converged:
+            estimation = _estimation(problem, found, estimate, settings)
+            estimate = with_intervals(
+                estimate, chosen_intervals(estimation, intervals, undone, say)
+            )
     estimate = replace(
         estimate,
         records=records,
@@ -121,6 +154,52 @@ def identify(
     )
     estimate = estimate.in_units(problem.model.declared_units)
     return _cut_off(estimate) if estimate.not_done else estimate
+
+
+def _disturbances(
+    disturbances: Sequence[Disturbance | str] | str,
+    split: Split,
+    settings: FitSettings,
+    intervals: str,
+) -> list[Disturbance]:
+    """The disturbances, and a refusal of what is not done with them."""
+    given = [disturbances] if isinstance(disturbances, str) else list(disturbances)
+    for name, is_given in (
+        ("hold_out (--hold-out)", not split.is_empty),
+        ("segments (--segments)", settings.segments > 1),
+        ("constraints", bool(settings.constraints)),
+        (f"intervals={intervals!r} (--intervals)", intervals in ("profile", "bootstrap")),
+    ):
+        if given and is_given:
+            raise DataError(
+                f"{name} is not done with disturbances, which are estimated by prediction error; "
+                "leave it out, or leave the disturbances out"
+            )
+    return [Disturbance.of(d) if isinstance(d, str) else d for d in given]
+
+
+def _estimation(
+    problem: Problem, found: Corrected, estimate: Estimate, settings: FitSettings
+) -> Estimation:
+    """The estimate as the search for its intervals takes it."""
+    rows = (*estimate.parameters, *estimate.initial_states)
+    at_bound = {*found.fit.solution.at_lower, *found.fit.solution.at_upper}
+    undetermined = [p.name for p in rows if p.std_error is None and p.name not in at_bound]
+
+    @cache
+    def covariance(free: tuple[bool, ...]) -> Array:
+        mask = np.array(free)
+        if found.covariance is not None:
+            return found.covariance
+        coloured = _coloured_covariance(found.fit, mask)
+        if coloured is not None:
+            return coloured[0]
+        scores, tied = found.fit.criterion.scores(found.fit.x), found.fit.solution
+        return sandwich(tied.hessian, scores, mask, tied.constraint_jacobian)[0]
+
+    return Estimation(
+        found, lambda free: covariance(tuple(free.tolist())), settings, problem.noise, undetermined
+    )
 
 
 def _corrected(problem: Problem, fit: Fit, settings: FitSettings, undone: Undone) -> Corrected:
@@ -163,7 +242,7 @@ def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[
     elif found.why_not:
         bars = ErrorBars(ASSUMES + BIASED)
         notes = [*notes, f"noise on measured inputs: {found.text}"]
-    if not found.is_removed and fit.criterion.segments == 1:
+    if not found.is_removed:
         bars = _coloured(fit, bars)
     held_out = validation(fit, split)
     return estimate_of(problem, fit, held_out, method=method, notes=notes, bars=bars)
@@ -171,16 +250,20 @@ def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[
 
 def _coloured(fit: Fit, bars: ErrorBars) -> ErrorBars:
     """The errors under the spectrum of the residual, where it is coloured."""
-    solution = fit.solution
-    if solution.constraint_jacobian.size:
-        return bars
-    held = {*solution.at_lower, *solution.at_upper}
+    held = {*fit.solution.at_lower, *fit.solution.at_upper}
     free = np.array([name not in held for name in fit.criterion.names])
-    found = coloured_covariance(fit, free)
+    found = _coloured_covariance(fit, free)
     if found is None:
         return bars
     orders = " and ".join(str(order) for order in found[1])
     return ErrorBars(bars.assumes.replace(ASSUMES, COLOURED.format(orders=orders)), found[0])
+
+
+def _coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
+    """Of a fit without segments and constraints whose residual is coloured."""
+    if fit.criterion.segments > 1 or fit.solution.constraint_jacobian.size:
+        return None
+    return coloured_covariance(fit, free)
 
 
 def _fit(

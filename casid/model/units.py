@@ -431,7 +431,7 @@ def pint_expression(text: str) -> str:
     return " * ".join(parts) or "dimensionless"
 
 
-def unit_quotient(unit: str, other: str, power: int = 1) -> str:
+def unit_quotient(unit: str, other: str, power: int | Fraction = 1) -> str:
     """Return the SI text of `unit / other^power`: `N m` by `rad/s` squared is `N m s^2/rad^2`.
 
     Raises

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from casid.arrays import TINY
-from casid.estimation.estimate import Estimated
+from casid.estimation.estimate import Estimate, Estimated
 
 
 def p_text(p: float) -> str:
@@ -37,18 +37,40 @@ def _decimals(std_error: float) -> int | None:
 
 def estimated_texts(p: Estimated) -> tuple[str, str, str]:
     """Estimate, standard error and interval, with the digits that the error leaves meaningful."""
-    interval = p.interval
-    if p.std_error is None or interval is None:
-        return value_text(p.value), "\u2013", "\u2013"
-    places = _decimals(p.std_error)
-    if places is None or abs(p.value) >= 1e7:
-        between = f"{number_text(interval[0])} .. {number_text(interval[1])}"
+    between = interval_text(p)
+    if p.std_error is None:
+        return value_text(p.value), "\u2013", between
+    places = _places(p)
+    if places is None:
         return value_text(p.value), f"{p.std_error:.2g}", between
-    return (
-        f"{p.value:.{places}f}",
-        f"{p.std_error:.{places}f}",
-        f"{interval[0]:.{places}f} .. {interval[1]:.{places}f}",
-    )
+    return f"{p.value:.{places}f}", f"{p.std_error:.{places}f}", between
+
+
+def _places(p: Estimated) -> int | None:
+    """Decimals of an estimate, None where fixed notation gets too long."""
+    places = None if p.std_error is None else _decimals(p.std_error)
+    return None if abs(p.value) >= 1e7 else places
+
+
+def interval_text(p: Estimated) -> str:
+    """The 95 % interval, with its kind where that is not the normal one."""
+    if p.interval is None:
+        return "\u2013"
+    places = _places(p)
+    low, high = (_end_text(end, places) for end in p.interval)
+    return f"{low} .. {high}" + ("" if p.interval_kind == "quick" else f" ({p.interval_kind})")
+
+
+def _end_text(end: float, places: int | None) -> str:
+    if math.isinf(end):
+        return "no limit"
+    return number_text(end) if places is None else f"{end:.{places}f}"
+
+
+def interval_lines(e: Estimate) -> list[str]:
+    """What intervals of each kind there are in an estimate, and what they assume."""
+    named = {kind: e.of_interval_kind(kind) for kind in e.intervals}
+    return [f"{', '.join(named[k])}: {k}, {text}" for k, text in e.intervals.items() if named[k]]
 
 
 def plus_minus(p: Estimated) -> str:

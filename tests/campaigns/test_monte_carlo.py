@@ -20,7 +20,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from casid import time_limit
-from casid.campaigns.accuracy import Accuracy, accuracy
+from casid.campaigns.accuracy import Accuracy, accuracy, accuracy_of
 from casid.campaigns.campaign import Campaign
 from casid.campaigns.monte_carlo import montecarlo, simulation_error
 from casid.cli.main import main
@@ -505,3 +505,11 @@ def test_a_study_without_time_for_any_run_says_so(tank: Problem):
         montecarlo(tank, runs=2, budget=1e-9)
     with pytest.raises(DataError, match="budget = -1 s is no time"):
         montecarlo(tank, runs=2, budget=-1.0)
+
+
+def test_coverage_is_that_of_the_intervals_whatever_their_kind():
+    value, error = np.array([1.0, 2.0, 0.0]), np.array([0.1, 0.1, np.nan])
+    ends = np.array([0.5, 0.5, 0.0]), np.array([1.1, np.inf, 1.2])
+    normal, own = (accuracy_of("k", "1", 1.15, value, error, e) for e in ((), ends))
+    assert (normal.intervals, normal.covered) == (2, 1)
+    assert (own.intervals, own.covered) == (3, 2)

@@ -34,6 +34,8 @@ class Corrected:
     bias : unknown -> what noise on the inputs gives to the fit as it was, in standard errors.
     why_not : why the bias is still in the fit; an empty text where it is not, or is negligible.
     whiten : what the covariance rests on, by the noise that was found.
+    output_sd : (ny,) standard deviation of the noise of the outputs; None where the fit is as it
+        was.
     """
 
     fit: Fit
@@ -42,6 +44,7 @@ class Corrected:
     bias: Mapping[str, float] | None = None
     why_not: str = ""
     whiten: Whitener | None = None
+    output_sd: Array | None = None
 
     @property
     def is_removed(self) -> bool:
@@ -124,6 +127,7 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
         root.found.sd,
         named,
         whiten=root.found.noise.whiten,
+        output_sd=root.found.noise.output_sd,
     )
 
 

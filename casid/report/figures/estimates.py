@@ -35,7 +35,7 @@ def parameter_figure(estimates: Mapping[str, Estimate]) -> Any:
         raise ValueError("no estimate to draw: pass a mapping of label to Estimate")
     baseline = next(iter(estimates.values()))
     free = [p for p in baseline.parameters if not p.known and math.isfinite(p.value)]
-    has_interval = {p.name for e in estimates.values() for p in e.parameters if p.std_error}
+    has_interval = {p.name for e in estimates.values() for p in e.parameters if _half(p)}
     rows = [p for p in free if p.value != 0 or p.name in has_interval]
     if not rows:
         raise ValueError("the baseline has no free parameter to draw")
@@ -90,7 +90,8 @@ def _add_estimate(
     found = {p.name: p for p in estimate.parameters if math.isfinite(p.value)}
     x: list[float] = []
     y: list[float] = []
-    half: list[float] = []
+    above: list[float] = []
+    below: list[float] = []
     text: list[str] = []
     for i, (p, scale) in enumerate(zip(*drawn, strict=True)):
         if p.name not in found:
@@ -99,7 +100,8 @@ def _add_estimate(
         interval = q.interval
         x.append(100 * (q.value - p.value) / scale)
         y.append(i + shift)
-        half.append(50 * (interval[1] - interval[0]) / scale if interval else 0.0)
+        above.append(100 * (interval[1] - q.value) / scale if interval else 0.0)
+        below.append(100 * (q.value - interval[0]) / scale if interval else 0.0)
         text.append(figure_text(_with_interval(q), 90))
     outline = {"width": 2, "color": colour}
     figure.points(
@@ -110,7 +112,8 @@ def _add_estimate(
         {"color": colour, "size": 10, "symbol": symbol, "line": outline},
         error_x={
             "type": "data",
-            "array": [h if math.isfinite(h) else None for h in half],
+            "array": [h if math.isfinite(h) else None for h in above],
+            **_lower_ends(above, below),
             "color": colour,
             "thickness": 2,
             "width": 5,
@@ -118,7 +121,22 @@ def _add_estimate(
         text=text,
         hovertemplate="%{text}<extra>%{fullData.name}</extra>",
     )
-    return x, half
+    return x, [max(a, b) for a, b in zip(above, below, strict=True)]
+
+
+def _lower_ends(above: Sequence[float], below: Sequence[float]) -> dict[str, Any]:
+    """What a bar needs whose ends are not alike."""
+    if all(
+        math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12) for a, b in zip(above, below, strict=True)
+    ):
+        return {}
+    ends = [b if math.isfinite(b) else None for b in below]
+    return {"symmetric": False, "arrayminus": ends}
+
+
+def _half(p: Estimated) -> float:
+    """Half the length of an interval, 0 without one."""
+    return 0.0 if p.interval is None else 0.5 * (p.interval[1] - p.interval[0])
 
 
 def _caption(estimates: Mapping[str, Estimate], free: Iterable[Estimated], drawn: set[str]) -> str:
@@ -130,7 +148,7 @@ def _caption(estimates: Mapping[str, Estimate], free: Iterable[Estimated], drawn
         )
     else:
         caption = f"95 % intervals of {problem} relative to each value."
-    held = [p.name for p in free if p.std_error is None]
+    held = [p.name for p in free if p.interval is None]
     if held:
         caption += f" Without an interval: {', '.join(map(visible_text, held))} (see the table)."
     new = dict.fromkeys(
@@ -148,7 +166,7 @@ def _scale(baseline: Estimated, estimates: Iterable[Estimate]) -> float:
     if baseline.value != 0:
         return abs(baseline.value)
     sizes = [
-        max(abs(q.value), 1.96 * (q.std_error or 0.0))
+        max(abs(q.value), _half(q))
         for e in estimates
         for q in e.parameters
         if q.name == baseline.name
@@ -158,5 +176,6 @@ def _scale(baseline: Estimated, estimates: Iterable[Estimate]) -> float:
 
 def _with_interval(p: Estimated) -> str:
     interval = p.interval
-    between = f", 95 % in {interval[0]:.4g} .. {interval[1]:.4g}" if interval else ""
+    kind = "" if p.interval_kind == "quick" else f" ({p.interval_kind})"
+    between = f", 95 % in {interval[0]:.4g} .. {interval[1]:.4g}{kind}" if interval else ""
     return f"{p.name} = {p.value:.5g} {p.unit}{between}{f' ({p.note})' if p.note else ''}"

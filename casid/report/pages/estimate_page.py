@@ -10,7 +10,7 @@ from casid.estimation.estimate import Estimate, RecordView
 from casid.report.document import Banner, Bullets, Document, Section, Table, figure_parts
 from casid.report.figures.estimates import parameter_figure
 from casid.report.figures.simulated import simulation_figure
-from casid.report.numbers import number_text
+from casid.report.numbers import interval_lines, number_text
 from casid.report.pages.estimate_parts import evidence_table, notice, parameter_table, provenance
 
 
@@ -29,12 +29,12 @@ def estimate_report(estimate: Estimate, records: Sequence[RecordView] | None = N
         figures["simulation"] = simulation_figure(records)
     figure = figure_parts(figures).get
     table = parameter_table({"estimate": e})
-    assumed = f"Error bars: {e.assumes}"
+    assumed = [f"Error bars: {e.assumes}", *(f"Intervals of {line}" for line in interval_lines(e))]
     return Document(
         e.problem,
         [
             Section("", [_banner(e), notice((), (*e.suspects, *e.warnings))]),
-            Section("Parameters", [table, figure("parameters"), assumed], is_open=True),
+            Section("Parameters", [table, figure("parameters"), *assumed], is_open=True),
             Section("Fit", [_fit_table(e), figure("simulation")], is_open=True),
             Section("May the fit be trusted?", [evidence_table({"estimate": e})]),
             provenance(e.provenance, {}, e.versions),

@@ -44,11 +44,15 @@ def parameter_table(estimates: Mapping[str, Estimate]) -> Table:
             notes = [any_one.note] if any_one.note else []
         start = "" if any_one.start is None else number_text(any_one.start)
         rows.append([*cells, start, "; ".join(notes) or ("known" if any_one.known else "")])
+    others = any(p.ends is not None for e in found.values() for p in e.values())
+    kinds = (
+        "95 % intervals, normal where no other kind is named" if others else "normal 95 % intervals"
+    )
     return Table(
         header,
         rows,
         numbers=range(2, 3 + 3 * len(estimates)),
-        caption="Estimates with standard errors and normal 95 % intervals",
+        caption=f"Estimates with standard errors and {kinds}",
     )
 
 

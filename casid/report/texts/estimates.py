@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from casid.campaigns.monte_carlo import MonteCarlo
-from casid.estimation.estimate import Estimate
+from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.moments.moment_estimate import MomentEstimate
 from casid.estimation.reconciliation import Reconciled
 from casid.estimation.regression_estimate import RegressionEstimate
 from casid.identification.grey_box import Prediction
 from casid.identification.iterative_joint_instruments import IterativeJoint
 from casid.report.document import Document, Labelled, Table
+from casid.report.numbers import interval_lines, interval_text
 from casid.report.texts.moments import black_box_document, convergence_document
 from casid.time_limit import out_of_time_text
 
@@ -37,7 +38,7 @@ def estimate_document(estimate: Estimate) -> Document:
             f"{p.value:.6g}",
             "--" if p.std_error is None else f"{p.std_error:.2g}",
             "" if p.start is None else f"{p.start:.6g}",
-            p.note or ("known" if p.known else ""),
+            _note(p),
         )
         for p in (*e.parameters, *e.initial_states)
     ]
@@ -57,9 +58,16 @@ def estimate_document(estimate: Estimate) -> Document:
             *_fit_lines(e),
             *(("residuals", f"{k}: {v}") for k, v in e.whiteness.items()),
             ("error bars", e.assumes),
+            *(("intervals", line) for line in interval_lines(e)),
             *(("WARNING", w) for w in e.warnings),
         ],
     )
+
+
+def _note(p: Estimated) -> str:
+    """What is to be said of a row: an interval that is not the normal one, a bound, known."""
+    notes = [f"95 % in {interval_text(p)}"] if p.ends is not None else []
+    return "; ".join([*notes, *([p.note] if p.note else ["known"] if p.known else [])])
 
 
 def _fit_lines(e: Estimate) -> list[str]:

@@ -1,0 +1,1 @@
+"""Intervals of an estimate: normal, by the profile of the criterion, by simulation."""

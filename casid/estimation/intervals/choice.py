@@ -1,0 +1,226 @@
+"""Which kind of interval each unknown has, by a stated rule.
+
+"auto": normal where the criterion is as good as a parabola (`quadratic_test`), by the profile of
+the criterion where it is not. "quick": normal for all, "profile" for all parameters, "bootstrap"
+for all unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from casid.arrays import Array
+from casid.errors import DataError, nearest
+from casid.estimation.errors_in_variables.removal import Corrected
+from casid.estimation.intervals.bootstrap import Bootstrapped, bootstrapped
+from casid.estimation.intervals.profile import ProfileInterval, profile_interval
+from casid.estimation.intervals.quadratic_test import why_not_quadratic
+from casid.estimation.intervals.scaled_criterion import ScaledCriterion
+from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS
+from casid.estimation.simulation.fit import FitSettings
+from casid.time_limit import Undone
+
+KINDS = ("auto", "quick", "profile", "bootstrap")
+"""What may be requested."""
+
+SOURCES = {
+    "profile": (
+        "J. T. Kent, Biometrika 69 (1982) 19-27: likelihood ratios of a misspecified model",
+        "R. E. Chandler, S. Bate, Biometrika 94 (2007) 167-183: their scaling by the sandwich",
+        "S. G. Self, K.-Y. Liang, J. Am. Stat. Assoc. 82 (1987) 605-610: at bounds",
+    ),
+    "bootstrap": ("B. Efron, J. Am. Stat. Assoc. 82 (1987) 171-185: bias-corrected percentiles",),
+}
+"""Papers behind an interval, by its kind."""
+
+_TESTED = "normal, the estimate +- 1.96 standard errors: the criterion rises as a parabola does"
+_UNTESTED = "normal, the estimate +- 1.96 standard errors; whether that is right was not tested"
+_PROFILE = (
+    "what the criterion cannot reject with the other unknowns refitted, its rise scaled so that it "
+    "agrees with the standard error where it is a parabola; noise as the standard errors assume it"
+)
+_ROOT = "; the bias of the inputs' noise taken from the gradient as at the estimate"
+_SIMULATED = (
+    "bias-corrected percentiles of {runs} estimates from records simulated with this estimate and "
+    "noise like its residual"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Intervals that are not normal, and what each kind assumes.
+
+    Attributes
+    ----------
+    ends : unknown -> its interval in SI.
+    kinds : unknown -> "profile" or "bootstrap"; "quick" for all that are not in it.
+    assumes : kind -> what such an interval assumes.
+    warnings : unknowns whose normal interval means little and that have no other, and minima that
+        are lower than the estimate.
+    """
+
+    ends: dict[str, tuple[float, float]] = field(default_factory=dict)
+    kinds: dict[str, str] = field(default_factory=dict)
+    assumes: dict[str, str] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimation:
+    """An estimate whose intervals are sought.
+
+    Attributes
+    ----------
+    found : the fit, and what became of noise on its inputs.
+    covariance : of the estimate, for a mask (n,) of the unknowns that are free.
+    settings : of the fit.
+    noise : channel -> standard deviation of its white noise, where stated.
+    undetermined : names of unknowns that have no interval.
+    """
+
+    found: Corrected
+    covariance: Callable[[Array], Array]
+    settings: FitSettings
+    noise: Mapping[str, float]
+    undetermined: Sequence[str] = ()
+
+    @property
+    def parameters(self) -> list[str]:
+        """Those whose intervals are sought."""
+        c = self.found.fit.criterion
+        return [
+            v.name
+            for v in c.variables
+            if v.source in c.model.parameters
+            and v.lower < v.upper
+            and v.name not in self.undetermined
+        ]
+
+
+def require_intervals(intervals: str) -> None:
+    """Refuse a kind of intervals that there is none of.
+
+    Raises
+    ------
+    DataError
+        With the kinds that there are.
+    """
+    if intervals not in KINDS:
+        raise DataError(
+            f"intervals = {intervals!r}{nearest(intervals, KINDS)}: give one of {', '.join(KINDS)}"
+        )
+
+
+def chosen_intervals(
+    estimation: Estimation,
+    intervals: str,
+    undone: Undone,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Chosen:
+    """The intervals of an estimate, of the requested kind; what time does not allow is normal."""
+    chosen = Chosen(assumes={"quick": _UNTESTED})
+    if intervals == "bootstrap":
+        _bootstrap(estimation, undone, chosen, progress)
+    elif intervals != "quick":
+        _profiles(estimation, intervals == "profile", undone, chosen, progress)
+    return chosen
+
+
+def _bootstrap(
+    estimation: Estimation, undone: Undone, chosen: Chosen, progress: Callable[[str], None]
+) -> None:
+    """All unknowns by simulation."""
+
+    def simulate() -> Bootstrapped | None:
+        return bootstrapped(estimation.found, estimation.settings, estimation.noise, progress)
+
+    done = undone.attempt("the bootstrap", simulate)
+    if done is None:
+        if "the bootstrap" not in undone.not_done:
+            chosen.warnings.append(
+                f"fewer than {BOOTSTRAP_RUNS.least} of {BOOTSTRAP_RUNS.runs} fits to simulated "
+                "records ended: intervals are normal; give the bootstrap more time "
+                "(--budget SECONDS), or take the profile (--intervals profile)"
+            )
+        return
+    if done.not_done:
+        undone.add(f"{done.not_done} of {BOOTSTRAP_RUNS.runs} simulated records of the bootstrap")
+    for name, value in estimation.found.fit.values.items():
+        if name not in estimation.undetermined and "[" not in name:
+            chosen.ends[name] = done.interval(name, value)
+            chosen.kinds[name] = "bootstrap"
+    chosen.assumes["bootstrap"] = _SIMULATED.format(runs=len(done.values))
+
+
+def _profiles(
+    estimation: Estimation,
+    all_of_them: bool,
+    undone: Undone,
+    chosen: Chosen,
+    progress: Callable[[str], None],
+) -> None:
+    """The parameters by their profiles, all of them or where the quadratic test fails."""
+    found, failing = estimation.found, []
+    for name in estimation.parameters:
+        if found.is_removed and name not in _free_names(found):
+            continue  # a root of equations has no size of its own beyond a bound
+
+        def tested(name: str = name) -> tuple[ScaledCriterion, str]:
+            scaled = _scaled(estimation, name)
+            why = "it is requested" if all_of_them else why_not_quadratic(scaled, name)
+            return scaled, why
+
+        known = undone.attempt("the test whether intervals are normal", tested)
+        if known is None:
+            return
+        scaled, why = known
+        if not why:
+            continue
+        failing.append(name)
+        progress(f"profile of {name}: {why}")
+
+        def profiled(scaled: ScaledCriterion = scaled, name: str = name) -> ProfileInterval:
+            return profile_interval(scaled, name)
+
+        interval = undone.attempt(f"the profile of {name}", profiled)
+        if interval is not None:
+            _keep(chosen, name, interval, found)
+    if not all_of_them and not found.fit.solution.constraint_jacobian.size:
+        chosen.assumes["quick"] = _TESTED
+    if chosen.kinds:
+        chosen.assumes["profile"] = _PROFILE + (_ROOT if found.is_removed else "")
+
+
+def _keep(chosen: Chosen, name: str, interval: ProfileInterval, found: Corrected) -> None:
+    chosen.ends[name] = (interval.lower, interval.upper)
+    chosen.kinds[name] = "profile"
+    if interval.lower_minimum is not None:
+        model = found.fit.criterion.model
+        source = found.fit.criterion.variables[found.fit.criterion.names.index(name)].source
+        there = model.shown(source, interval.lower_minimum)
+        chosen.warnings.append(
+            f"the criterion is lower than at the estimate where {name} is near {there:.4g}: the "
+            "fit is a local minimum; give it more starts (--starts)"
+        )
+
+
+def _free_names(found: Corrected) -> list[str]:
+    held = {*found.fit.solution.at_lower, *found.fit.solution.at_upper}
+    return [name for name in found.fit.criterion.names if name not in held]
+
+
+def _scaled(estimation: Estimation, name: str) -> ScaledCriterion:
+    """The criterion in units of an unknown's own error, which counts as free."""
+    found = estimation.found
+    free = set(_free_names(found)) | {name}
+    mask = np.array([n in free for n in found.fit.criterion.names])
+    return ScaledCriterion(
+        found.fit,
+        estimation.covariance(mask),
+        is_root=found.is_removed,
+        solver=estimation.settings.solver,
+        constraints=estimation.settings.constraints,
+    )

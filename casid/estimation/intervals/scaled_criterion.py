@@ -1,0 +1,144 @@
+"""The rise of a criterion with one unknown held, in units in which it is chi squared.
+
+Least squares with weights that are not those of the noise is no likelihood. With the criterion V,
+its matrix H and the covariance P of the estimate, whatever noise P allows for, the drop
+
+    D(theta_i) = 2 (min V with theta_i held - min V) / lambda,   lambda = P_ii / (H^-1)_ii    (1)
+
+is chi squared with one degree of freedom at the true value (Kent 1982; the scaling of Chandler and
+Bate 2007). Of a criterion that is a parabola, its interval is that of the standard error. Where the
+estimate is the root of equations that differ from the gradient of V by a bias, that of noise on
+inputs, V is lessened by the bias of its gradient at the estimate times the way from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casid.arrays import TINY, Array
+from casid.errors import OutOfTimeError, SolveError
+from casid.estimation.nlp.nlp import Nlp
+from casid.estimation.nlp.solution import Evaluation
+from casid.estimation.nlp.solver import Solver, as_solver
+from casid.estimation.simulation.minimization import Constraint, Fit
+from casid.estimation.simulation.simulation_error import SimulationError
+
+_WARM = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-9}
+"""A refit begins where it will end."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tilted:
+    """A criterion of which a point is a stationary one: without its slope (n,) there."""
+
+    criterion: SimulationError
+    x: Array
+    slope: Array
+
+    @property
+    def n_constraints(self) -> int:
+        """Of the criterion."""
+        return self.criterion.n_constraints
+
+    def evaluate(self, x: Array) -> Evaluation:
+        """Value, gradient and matrix at `x` (n,)."""
+        at = self.criterion.evaluate(x)
+        value = at.value - float(self.slope @ (x - self.x))
+        return replace(at, value=value, gradient=at.gradient - self.slope)
+
+
+class ScaledCriterion:
+    """(1) for each unknown of a fit.
+
+    Parameters
+    ----------
+    fit : a minimum, or the root of equations without the bias of noise on inputs.
+    covariance : (n, n) of the estimate; for unknowns at a bound as if they were not.
+    is_root : whether it is no minimum of the criterion.
+    solver, constraints : of the fit.
+    """
+
+    def __init__(
+        self,
+        fit: Fit,
+        covariance: Array,
+        *,
+        is_root: bool = False,
+        solver: Solver | str | None = None,
+        constraints: Sequence[Constraint] = (),
+    ) -> None:
+        self.names, self.x = fit.criterion.names, fit.x
+        self.lower, self.upper = (
+            np.array([getattr(v, side) for v in fit.criterion.variables])
+            for side in ("lower", "upper")
+        )
+        solution = fit.solution
+        held = {*solution.at_lower, *solution.at_upper}
+        self.free = np.array([name not in held for name in self.names])
+        at = fit.criterion.evaluate(self.x)
+        slope = np.where(self.free, at.gradient, 0.0) if is_root else np.zeros(len(self.x))
+        self.criterion = Tilted(fit.criterion, self.x, slope)
+        self.smallest, self.hessian = at.value, at.hessian
+        self.tied = solution.constraint_jacobian
+        self.covariance, self.constraints = covariance, constraints
+        self._scales = [v.scale for v in fit.criterion.variables]
+        solver = as_solver(solver)
+        if solver.name == "ipopt":
+            solver = replace(solver, options={**_WARM, **solver.options})
+        self.solver = solver
+
+    def std_error(self, i: int) -> float:
+        """Of an unknown by its place."""
+        return float(np.sqrt(max(self.covariance[i, i], 0.0)))
+
+    def path(self, i: int) -> tuple[float, Array]:
+        """lambda of (1), and the change (n,) of all unknowns with that one, the others refitted."""
+        free = self.free.copy()
+        free[i] = True
+        index = np.flatnonzero(free)
+        basis = np.eye(len(self.x))[:, index]
+        if self.tied.size:
+            _, s, vt = np.linalg.svd(self.tied[:, index])
+            rank = int(np.sum(s > 1e-10 * s.max(initial=0.0)))
+            basis = basis @ vt[rank:].T
+        reduced = basis.T @ self.hessian @ basis
+        d = 1 / np.sqrt(np.maximum(np.diag(reduced), TINY))
+        inverse = np.outer(d, d) * np.linalg.pinv(reduced * np.outer(d, d), rcond=1e-13)
+        column = basis @ (inverse @ basis[i])
+        return float(self.covariance[i, i] / column[i]), np.asarray(column / column[i])
+
+    def drop(self, value: float, i: int) -> float:
+        """(1) of a value of the criterion."""
+        scale, _ = self.path(i)
+        return 2 * (value - self.smallest) / scale
+
+    def refit(self, i: int, held: float, start: Array) -> tuple[float, Array]:
+        """The drop (1) with an unknown held, and the point (n,); infinite where there is none."""
+        x = np.clip(start, self.lower, self.upper)
+        x[i] = held
+        if len(x) == 1:
+            return self.drop(self.criterion.evaluate(x).value, i), x
+        nlp = Nlp(f"profile of {self.names[i]}")
+        symbols = {}
+        bounds = zip(self.lower.tolist(), self.upper.tolist(), strict=True)
+        for j, (name, (low, high)) in enumerate(zip(self.names, bounds, strict=True)):
+            if j == i:
+                low = high = held
+            symbols[name] = nlp.variable(
+                name, float(x[j]), lower=low, upper=high, scale=self._scales[j]
+            )
+        nlp.minimize(self.criterion)
+        for constraint in self.constraints:
+            nlp.equality(constraint(symbols))
+        try:
+            found = nlp.solve(self.solver, x.tolist(), throw=False, natural_scales=True)
+        except OutOfTimeError:
+            raise
+        except SolveError:
+            return np.inf, x
+        if not np.isfinite(found.value):
+            return np.inf, x
+        return self.drop(found.value, i), found.x

@@ -1,0 +1,169 @@
+"""Disturbances that act on a model at a named place, with a parametric spectrum.
+
+    white    w                                                     sd of the density: s
+    first    f' = -w_0 f + sqrt(2 w_0) s w                         variance s^2, corner w_0
+    peak     f = b, a' = b, b' = -2 zeta w_0 b - w_0^2 a + sqrt(4 zeta w_0) s w
+                                                                   variance s^2, peak w_0       (1)
+
+with w white noise of unit density and f what is added to the terms of a balance, or to the rate of
+a state. The last is the usual linear model of a sea, without power at low frequencies (Fossen 2011,
+section 8.2.6): the band of `disturbance_spectrum`. Size s, frequency w_0 and half the relative
+width zeta are parameters of the model like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+
+from casid.errors import DataError, ModelError, nearest
+from casid.linear.noisy_model import White
+from casid.model.model import Model
+from casid.model.units import unit_quotient
+
+SPECTRA = ("white", "first", "peak")
+"""Of a disturbance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """Where it acts, a balance or a state, and what spectrum it has.
+
+    Raises
+    ------
+    DataError
+        For a spectrum that there is none of.
+    """
+
+    place: str
+    spectrum: str = "white"
+
+    def __post_init__(self) -> None:
+        if self.spectrum not in SPECTRA:
+            raise DataError(
+                f"disturbance {self.place}:{self.spectrum}: the spectrum is one of "
+                f"{', '.join(SPECTRA)}{nearest(self.spectrum, SPECTRA)}"
+            )
+
+    @classmethod
+    def of(cls, text: str) -> Disturbance:
+        """From PLACE or PLACE:SPECTRUM."""
+        place, colon, spectrum = text.rpartition(":")
+        return cls(place, spectrum) if colon else cls(text)
+
+    @property
+    def size(self) -> str:
+        """The parameter s of (1)."""
+        return f"size of disturbance in {self.place}"
+
+    @property
+    def frequency(self) -> str:
+        """The parameter w_0 of (1): the corner or the peak."""
+        return f"{'corner' if self.spectrum == 'first' else 'peak'} of disturbance in {self.place}"
+
+    @property
+    def width(self) -> str:
+        """The parameter zeta of (1)."""
+        return f"width of disturbance in {self.place}"
+
+    @property
+    def source(self) -> str:
+        """The white noise behind it, an unknown input of the model."""
+        return f"source of disturbance in {self.place}"
+
+
+def with_disturbances(
+    model: Model, disturbances: Sequence[Disturbance]
+) -> tuple[Model, list[White]]:
+    """The model with its disturbances, and the white noise that drives them.
+
+    Raises
+    ------
+    ModelError
+        For a place that is neither a balance nor a state, or is named twice.
+    """
+    new, sources = model.copy(), []
+    places = [_place(model, d.place) for d in disturbances]
+    for place in places:
+        if places.count(place) > 1:
+            raise ModelError(f"{model.name}: disturbances in {place} stated twice; give one")
+    for d, place in zip(disturbances, places, strict=True):
+        is_balance = place in model.balances
+        unit = (
+            model.balances[place].unit
+            if is_balance
+            else unit_quotient(model.states[place].unit, "s")
+        )
+        force = _force(new, d, unit)
+        if is_balance:
+            new.add_term(place, force)
+        else:
+            new.add_rate(place, force)
+        sources.append(White(d.source, 1.0, is_known=True))
+    return new, sources
+
+
+def _place(model: Model, place: str) -> str:
+    """The balance, or the state with a rate of its own, that a place names."""
+    if place in model.balances:
+        return place
+    for balance in model.balances.values():
+        if balance.rate == place:
+            return balance.name
+    if place in model.states:
+        return place
+    known = (*model.balances, *model.states)
+    raise ModelError(
+        f"{model.name}: a disturbance in {place!r} acts on nothing{nearest(place, known)}; name a "
+        f"balance ({', '.join(model.balances) or 'none'}) or a state ({', '.join(model.states)})"
+    )
+
+
+def _force(new: Model, d: Disturbance, unit: str) -> Any:
+    """(1), its states and parameters added to the model."""
+    if d.spectrum == "white":
+        density = unit_quotient(unit, "s", Fraction(-1, 2))
+        size = new.parameter(d.size, density, start=1.0, lower=0.0)
+        return size * new.unknown_input(d.source, "1/s^0.5")
+    size = new.parameter(d.size, unit, start=1.0, lower=0.0)
+    white = new.unknown_input(d.source, "1/s^0.5")
+    frequency = new.parameter(d.frequency, "rad/s", start=1.0, lower=1e-6, upper=1e6)
+    force = new.state(f"disturbance in {d.place}", unit)
+    if d.spectrum == "first":
+        new.derivative(force, -frequency * force + ca.sqrt(2 * frequency) * size * white)
+        return force
+    width = new.parameter(d.width, "1", start=0.1, lower=1e-3, upper=2.0)
+    integral = new.state(f"integral of disturbance in {d.place}", unit_quotient(unit, "s", -1))
+    new.derivative(integral, force)
+    drive = ca.sqrt(4 * width * frequency) * size * white
+    new.derivative(force, drive - 2 * width * frequency * force - frequency**2 * integral)
+    return force
+
+
+def rest_of(model: Model) -> dict[str, Any]:
+    """Where a linear model rests without inputs: state -> its value; empty where at zero.
+
+    Raises
+    ------
+    ModelError
+        For a model that is not linear in its states and inputs.
+    """
+    e = model.explicit()
+    signals = ca.vertcat(e.x, e.u)
+    slopes = ca.jacobian(ca.vertcat(e.f, e.h), signals)
+    if ca.depends_on(slopes, signals):
+        raise ModelError(
+            f"{model.name} is not linear in its states and inputs, and disturbances are estimated "
+            "for linear models alone; linearise it, leave --disturbance out, or see what "
+            "casid diagnose says of disturbances"
+        )
+    at_zero = ca.substitute(e.f, signals, ca.SX.zeros(*signals.shape))
+    if at_zero.is_zero() or not at_zero.nnz():
+        return {}
+    A = ca.jacobian(e.f, e.x)
+    where = ca.simplify(ca.solve(A, -at_zero))
+    return {name: where[i] for i, name in enumerate(e.states)}

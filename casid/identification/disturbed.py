@@ -1,0 +1,160 @@
+"""`identify` with disturbances: parameters, noise and spectra together, by prediction error."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casid.arrays import TINY
+from casid.data.experiment import Experiment
+from casid.data.problem import Problem
+from casid.errors import CasidError, OutOfTimeError, SolveError
+from casid.estimation.disturbance_estimation import with_disturbance_spectra
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.estimate import Estimate
+from casid.estimation.nlp.solution import not_converged
+from casid.estimation.noise import NoiseModel, estimate_noise
+from casid.estimation.prediction_error.disturbances import (
+    Disturbance,
+    rest_of,
+    with_disturbances,
+)
+from casid.estimation.prediction_error.likelihood import PredictionError
+from casid.estimation.simulation.fit import FitSettings, fit_model, one_over_errors
+from casid.estimation.simulation.minimization import Fit
+from casid.identification.grey_box import minimize_prediction_error
+from casid.linear.noisy_model import White
+from casid.time_limit import require_time, seconds_left
+
+SIZES = np.logspace(-1.5, 1.5, 7)
+"""Of a disturbance, times the size that its share of the residual suggests."""
+CORNERS = 8
+"""Frequencies, even in the logarithm, that the search looks at."""
+WIDTHS = (0.05, 0.3)
+"""Of a peak."""
+SHARES = (1.0, 0.1)
+"""Of the residual that the sensors may have."""
+
+
+def identify_disturbed(
+    problem: Problem,
+    experiments: Sequence[Experiment],
+    disturbances: Sequence[Disturbance],
+    settings: FitSettings,
+    *,
+    start: Mapping[str, float] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Estimate:
+    """Estimate a linear model whose disturbances have a named place and a parametric spectrum.
+
+    The likelihood of the one-step prediction errors of a Kalman filter, exact gradients. The search
+    starts from least squares of the simulation error, with the sizes and frequencies that have the
+    best likelihood there among those of a grid.
+
+    Raises
+    ------
+    ModelError
+        For a model that is not linear, or a place where nothing can act.
+    IdentifiabilityError
+        For parameters or disturbances that these records do not determine.
+    SolveError
+        If no optimum was found.
+    """
+    rest = rest_of(problem.model)
+    model, sources = with_disturbances(problem.model, disturbances)
+    progress("fit the model without disturbances")
+    fit = fit_model(problem.model, experiments, settings, start=start, throw=False)
+    errors = 1 / one_over_errors(fit)
+    outputs = [White(n, float(e)) for n, e in zip(model.outputs, errors, strict=True)]
+    noise = [*outputs, *sources]
+    first = PredictionError(model, experiments, noise, own=settings.own, rest=rest)
+    begin = {n: v for n, v in fit.values.items() if n in first.names} | dict(start or {})
+    for d in disturbances:
+        progress(f"search the spectrum of the disturbance in {d.place}")
+        begin |= _best_start(first, begin, d, _grid(problem, fit, d))
+    require_time(f"the prediction error of {problem.name}")
+    progress("minimise the prediction error")
+    found = minimize_prediction_error(
+        model,
+        experiments,
+        noise,
+        solver=settings.solver,
+        throw=False,
+        own=settings.own,
+        start=begin,
+        rest=rest,
+    )
+    if not found.solution.is_converged:
+        refusal: SolveError = not_converged(problem.name, found.solution)
+        raise OutOfTimeError(str(refusal)) if seconds_left() <= 0.0 else refusal
+    named = ", ".join(f"{d.place} ({d.spectrum})" for d in disturbances)
+    method = f"{found.estimate.method}; disturbances in {named}"
+    return replace(found.estimate, problem=problem.name, method=method)
+
+
+def _grid(problem: Problem, fit: Fit, d: Disturbance) -> list[dict[str, float]]:
+    """Starts of the parameters of one disturbance."""
+    data = fit.criterion.data
+    low = max(2 * np.pi / (s.N * s.Ts) for s in data)
+    high = 0.5 * np.pi / max(s.Ts for s in data)
+    frequencies = np.geomspace(low, max(high, 2 * low), CORNERS).tolist()
+    size, seen = _seen(problem, fit, d)
+    if seen is not None:
+        frequencies.append(seen.frequency)
+    sizes = [float(size * s) for s in SIZES]
+    if d.spectrum == "white":
+        root = float(np.sqrt(data[0].Ts))
+        return [{d.size: s * root} for s in sizes]
+    grid = [{d.size: s, d.frequency: w} for s, w in itertools.product(sizes, frequencies)]
+    if d.spectrum == "first":
+        return grid
+    return [{**g, d.width: z} for g, z in itertools.product(grid, WIDTHS)]
+
+
+def _seen(problem: Problem, fit: Fit, d: Disturbance) -> tuple[float, DisturbanceSpectrum | None]:
+    """Size and spectrum that the residual of least squares shows of a force in that balance."""
+    criterion, model = fit.criterion, problem.model
+    balances = {b.rate: b.name for b in model.balances.values()}
+    place = balances.get(d.place, d.place)
+    moves = [np.std(criterion.simulated(fit.x, e).x) for e in range(len(criterion.data))]
+    fallback = float(max(moves)) or 1.0
+    if place not in model.balances:
+        return fallback, None
+    try:
+        noise: NoiseModel = estimate_noise(criterion, fit.x, known=problem.noise)
+        noise = with_disturbance_spectra(noise, criterion, fit.x, problem.noise)
+    except OutOfTimeError:
+        raise
+    except (CasidError, ArithmeticError, ValueError):
+        return fallback, None
+    size = noise.source_sd.get(place, 0.0)
+    if size == 0.0:
+        response = noise.responses[0]
+        gain = float(np.mean(response.gain2[:, :, response.sources.index(place)].sum(axis=1)))
+        residual = criterion.simulated(fit.x, 0).residual
+        size = float(np.sqrt(np.mean(residual**2) / max(gain, TINY)))
+    return size or fallback, noise.spectra.get(place)
+
+
+def _best_start(
+    criterion: PredictionError,
+    begin: Mapping[str, float],
+    d: Disturbance,
+    grid: Sequence[Mapping[str, float]],
+) -> dict[str, float]:
+    """The start with the best likelihood, among a grid and shares of the residual for sensors."""
+    names = criterion.names
+    base = {**dict(zip(names, criterion.start.tolist(), strict=True)), **begin}
+    noise = {n: base[n] for n in names if n.startswith("var(")}
+    best, least = dict(grid[0]), np.inf
+    for share, point in itertools.product(SHARES, grid):
+        require_time(f"the search of the spectrum of the disturbance in {d.place}")
+        sensors = {n: v * share**2 for n, v in noise.items()}
+        values = {**base, **sensors, **point}
+        value = criterion.evaluate(np.array([values[n] for n in names])).value
+        if value < least:
+            best, least = {**sensors, **point}, value
+    return best
