@@ -11,7 +11,7 @@ import numpy as np
 from casid.arrays import TINY
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.errors import CasidError, OutOfTimeError, SolveError
+from casid.errors import CasidError, OutOfTimeError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.estimate import Estimate
@@ -61,7 +61,7 @@ def identify_disturbed(
     IdentifiabilityError
         For parameters or disturbances that these records do not determine.
     SolveError
-        If no optimum was found.
+        If no optimum was found; where that is for want of time, the estimate says so in `not_done`.
     """
     rest = rest_of(problem.model)
     model, sources = with_disturbances(problem.model, disturbances)
@@ -87,12 +87,13 @@ def identify_disturbed(
         start=begin,
         rest=rest,
     )
-    if not found.solution.is_converged:
-        refusal: SolveError = not_converged(problem.name, found.solution)
-        raise OutOfTimeError(str(refusal)) if seconds_left() <= 0.0 else refusal
+    not_done = () if found.solution.is_converged else ("the end of the search",)
+    if not_done and seconds_left() > 0.0:
+        raise not_converged(problem.name, found.solution)
     named = ", ".join(f"{d.place} ({d.spectrum})" for d in disturbances)
     method = f"{found.estimate.method}; disturbances in {named}"
-    return replace(found.estimate, problem=problem.name, method=method)
+    trust = replace(found.estimate.trust, not_done=not_done)
+    return replace(found.estimate, problem=problem.name, method=method, trust=trust)
 
 
 def _grid(problem: Problem, fit: Fit, d: Disturbance) -> list[dict[str, float]]:

@@ -129,7 +129,8 @@ def identify(
             )
             seen = replace(estimate.identifiability, structural=structural)
             estimate = replace(estimate, identifiability=seen)
-            return estimate.in_units(problem.model.declared_units)
+            estimate = estimate.in_units(problem.model.declared_units)
+            return _cut_off(estimate) if estimate.not_done else estimate
         say(f"fit {', '.join(e.name for e in split.fitted)}")
         fit, suspect = _fit(problem, split.fitted, settings, start, (say, undone))
         found = _corrected(problem, fit, settings, undone)

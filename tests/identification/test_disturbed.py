@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from functools import cache
 
 import casadi as ca
@@ -13,6 +14,7 @@ from scipy.linalg import expm, solve_discrete_are
 from scipy.stats import chi2
 
 import casid
+from casid import time_limit
 from casid.cli.main import main
 from casid.estimation.prediction_error.disturbances import Disturbance, with_disturbances
 from casid.estimation.prediction_error.likelihood import PredictionError
@@ -176,6 +178,30 @@ def test_a_model_that_is_not_linear_is_refused():
 def test_what_means_nothing_is_refused(given, more, what):
     with pytest.raises(casid.CasidError, match=what):
         identify(mass(), record(0), disturbances=given, **more)
+
+
+def test_a_search_that_the_budget_cuts_off_claims_nothing(monkeypatch):
+    class Clock:
+        ahead = 0.0
+
+        def monotonic(self) -> float:
+            return time.monotonic() + self.ahead
+
+        def process_time(self) -> float:
+            return time.process_time()
+
+    clock = Clock()
+    monkeypatch.setattr(time_limit, "time", clock)
+
+    def progress(line: str) -> None:
+        if line.startswith("minimise"):
+            clock.ahead = 1e6
+
+    data = record(0)
+    found = identify(mass(), data, disturbances="force:peak", progress=progress)
+    assert not found.is_converged
+    assert found.not_done
+    assert all(p.std_error is None for p in found.parameters)
 
 
 def test_the_command_takes_a_disturbance(tmp_path, monkeypatch):
