@@ -127,10 +127,7 @@ def identify(
             estimate = identify_disturbed(
                 problem, split.fitted, chosen_disturbances, settings, start=start, progress=say
             )
-            seen = replace(estimate.identifiability, structural=structural)
-            estimate = replace(estimate, identifiability=seen)
-            estimate = estimate.in_units(problem.model.declared_units)
-            return _cut_off(estimate) if estimate.not_done else estimate
+            return _completed(estimate, problem.model, structural)
         say(f"fit {', '.join(e.name for e in split.fitted)}")
         fit, suspect = _fit(problem, split.fitted, settings, start, (say, undone))
         found = _corrected(problem, fit, settings, undone)
@@ -140,9 +137,8 @@ def identify(
             records = record_views(found.fit, None, split)
         if estimate.is_converged:
             estimation = _estimation(problem, found, estimate, settings)
-            estimate = with_intervals(
-                estimate, chosen_intervals(estimation, intervals, undone, say)
-            )
+            found_intervals = chosen_intervals(estimation, intervals, undone, say)
+            estimate = with_intervals(estimate, found_intervals)
     estimate = replace(
         estimate,
         records=records,
@@ -151,9 +147,14 @@ def identify(
             suspects=() if suspect is None else (str(suspect),),
             not_done=tuple(undone.not_done),
         ),
-        identifiability=replace(estimate.identifiability, structural=structural),
     )
-    estimate = estimate.in_units(problem.model.declared_units)
+    return _completed(estimate, problem.model, structural)
+
+
+def _completed(estimate: Estimate, model: Model, structural: str) -> Estimate:
+    """The estimate in the units that the model declares, with what was found before the fit."""
+    seen = replace(estimate.identifiability, structural=structural)
+    estimate = replace(estimate, identifiability=seen).in_units(model.declared_units)
     return _cut_off(estimate) if estimate.not_done else estimate
 
 
