@@ -233,10 +233,9 @@ def _filtered(filters: ComplexArray, columns: Array, size: int) -> Array:
     is_alone = not filters[~np.eye(n, dtype=bool)].any()
     for first in range(0, m, GROUP):
         group = slice(first, first + GROUP)
-        # Along the last axis: each column lies in one piece while it is transformed.
-        spectra = [rfft(np.ascontiguousarray(columns[:, j, group].T), size) for j in range(n)]
+        spectra = [rfft(columns[:, j, group], size, axis=0) for j in range(n)]
         for i in range(n):
             among = [i] if is_alone else range(n)
-            total = sum(filters[i, j] * spectra[j] for j in among)
-            out[:, i, group] = irfft(total, size, overwrite_x=True)[:, :N].T
+            total = sum(filters[i, j][:, None] * spectra[j] for j in among)
+            out[:, i, group] = irfft(total, size, axis=0, overwrite_x=True)[:N]
     return out

@@ -30,6 +30,44 @@ STEPS = 60
 """Of conjugate gradients, at most."""
 
 
+class UnbrokenInnovations:
+    """(1) for a record that misses samples at its ends alone, of all outputs: a shorter record.
+
+    Parameters
+    ----------
+    inside : innovations of a record of as many samples as there are.
+    rows : where they are.
+    """
+
+    def __init__(self, inside: Innovations, rows: slice) -> None:
+        self._inside, self._rows = inside, rows
+
+    def whiten(self, columns: Array) -> Array:
+        """e (N, n, m) of columns r (N, n, m); zero where samples are missing."""
+        out = np.zeros(columns.shape)
+        out[self._rows] = self._inside.whiten(columns[self._rows])
+        return out
+
+    def completed(self, white: Array, rng: np.random.Generator) -> Array:
+        """Whitened columns (N, n, m) with white noise where samples are missing."""
+        out = rng.standard_normal(white.shape)
+        out[self._rows] = white[self._rows]
+        return out
+
+    def log_determinant(self, samples: int) -> float:
+        """log det of the covariance of what there is of so many samples."""
+        return self._inside.log_determinant(len(range(samples)[self._rows]))
+
+
+def unbroken(used: BoolArray) -> slice | None:
+    """The rows of `used` (N, n), where those that are there are complete and in one piece."""
+    whole = used.all(axis=1)
+    rows = np.flatnonzero(whole)
+    if not len(rows) or rows[-1] - rows[0] + 1 > len(rows) or np.any(used[~whole]):
+        return None
+    return slice(int(rows[0]), int(rows[-1]) + 1)
+
+
 class PartialInnovations:
     """(1) for one record.
 

@@ -25,7 +25,11 @@ from scipy.stats import norm
 from casid.arrays import TINY, Array, BoolArray, require_finite
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.innovations import Innovations, innovations_of
-from casid.estimation.missing_samples import PartialInnovations
+from casid.estimation.missing_samples import (
+    PartialInnovations,
+    UnbrokenInnovations,
+    unbroken,
+)
 from casid.estimation.noise_response import Response, noise_response
 from casid.estimation.simulation.signals import Signals
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -47,7 +51,7 @@ class NoiseModel:
     _innovations: dict[tuple[int, int], Innovations] = field(
         default_factory=dict, init=False, repr=False
     )
-    _partial: dict[tuple[int, bytes], PartialInnovations] = field(
+    _partial: dict[tuple[int, bytes], PartialInnovations | UnbrokenInnovations] = field(
         default_factory=dict, init=False, repr=False
     )
 
@@ -148,14 +152,20 @@ class NoiseModel:
 
     def _partial_of(
         self, experiment: int, samples: int, used: BoolArray | None
-    ) -> PartialInnovations | None:
+    ) -> PartialInnovations | UnbrokenInnovations | None:
         used = self._used_of(experiment, samples) if used is None else used
         if used is None or used.all():
             return None
         key = (experiment, used.tobytes())
         if key not in self._partial:
-            whole = self._innovations_of(experiment, samples)
-            self._partial[key] = PartialInnovations(whole, used.copy())
+            rows = unbroken(used)
+            count = samples if rows is None else rows.stop - rows.start
+            of = self._innovations_of(experiment, count)
+            self._partial[key] = (
+                PartialInnovations(of, used.copy())
+                if rows is None
+                else UnbrokenInnovations(of, rows)
+            )
         return self._partial[key]
 
     def matrix(self, experiment: int) -> Array:

@@ -14,7 +14,11 @@ import casid
 from casid.arrays import Array, BoolArray
 from casid.estimation.errors_in_variables.removal import without_input_noise
 from casid.estimation.innovations import innovations_of
-from casid.estimation.missing_samples import PartialInnovations
+from casid.estimation.missing_samples import (
+    PartialInnovations,
+    UnbrokenInnovations,
+    unbroken,
+)
 from casid.estimation.noise import estimate_noise
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -72,6 +76,29 @@ def test_whitened_columns_have_the_inner_products_of_what_there_is(kind: str, ny
     # The determinant leaves out what the ends of a record have beside: a few of N ny log units.
     logs = float(np.linalg.slogdet(there)[1])
     assert partial.log_determinant(N) == pytest.approx(logs, abs=0.02 * N * ny)
+
+
+@pytest.mark.parametrize("ny", [1, 2])
+def test_a_record_that_lacks_its_ends_is_a_shorter_record(ny: int) -> None:
+    """Inner products and determinant are those of the dense covariance of what there is."""
+    N, rng = 300, np.random.default_rng(7)
+    used = np.ones((N, ny), dtype=bool)
+    used[:40], used[-7:] = False, False
+    rows = unbroken(used)
+    assert rows == slice(40, 293)
+    omega = np.linspace(0, np.pi, 2 * N + 1)
+    S = spectrum(omega, ny)
+    whitener = UnbrokenInnovations(innovations_of(omega, S, 253), rows)
+    columns = rng.standard_normal((N, ny, 3))
+    e = whitener.whiten(columns).reshape(N * ny, 3)
+    there = used.ravel()
+    dense = covariance(S, N)[np.ix_(there, there)]
+    r = columns.reshape(N * ny, 3)[there]
+    # What the whitener leaves out of (2) of `innovations` is worth a hundredth of one sample.
+    np.testing.assert_allclose(e.T @ e, r.T @ np.linalg.solve(dense, r), atol=0.05)
+    assert whitener.log_determinant(N) == pytest.approx(np.linalg.slogdet(dense)[1], abs=0.05)
+    used[150, 0] = False
+    assert unbroken(used) is None
 
 
 def test_completed_residuals_are_white_and_keep_every_inner_product():

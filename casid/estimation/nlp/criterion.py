@@ -96,6 +96,11 @@ PATIENCE = 60
 """Shortened steps within which a criterion has to fall: half of a half, a step is rounded off to
 nothing after 53 of them."""
 
+PATIENCE_NEAR = 21
+"""The same where a barrier weighs no more than `FALL` from the start. The steps are then those of
+Gauss and Newton, along which a sum of squares falls by less than a step's share of twice its value:
+halved so often, by less than `FALL`."""
+
 FALL = 1e-6
 """By this share of its value: over 1e5 samples a twentieth of a unit of the log-likelihood."""
 

@@ -9,7 +9,9 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.estimation.nlp.criterion import (
+    FALL,
     PATIENCE,
+    PATIENCE_NEAR,
     SCALED_IPOPT,
     Callback,
     Criterion,
@@ -73,7 +75,9 @@ class CriterionProgram:
         self.n_own, self._n_declared = criterion.n_constraints, constraints.numel()
         # With constraints the criterion may have to grow, for as long as they are not met.
         self._is_alone = not (self.n_own or self._n_declared)
-        patience = PATIENCE if self._is_alone else np.inf
+        barrier = solver.options.get("ipopt.mu_init", np.inf)
+        is_near = natural_from is not None and barrier <= FALL
+        patience = (PATIENCE_NEAR if is_near else PATIENCE) if self._is_alone else np.inf
         self._one_pass = OnePass(criterion, 5 * solver.max_iterations, patience=patience)
         self.evaluate = self._one_pass.judged
         self.options = solver.nlpsol_options()
