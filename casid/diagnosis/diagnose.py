@@ -29,6 +29,7 @@ from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
 from casid.estimation.simulation.input_gaps import cut_at_long_gaps
 from casid.identifiability.requirement import require_identifiable
+from casid.model.rate_laws import with_balances
 from casid.time_limit import until, wall_clock
 from casid.versions import versions
 
@@ -109,6 +110,7 @@ def diagnose(
     problem, chosen = in_si(problem, experiments_of(problem, experiments))
     chosen = cut_at_long_gaps(problem.model, chosen)
     problem = with_unused_columns(problem, chosen)
+    problem = replace(problem, model=with_balances(problem.model))
     require_settings(problem, false_alarm_rate, max_causes, without, budget)
     if calibrate:
         require_runs(calibrate)

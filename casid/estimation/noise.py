@@ -363,6 +363,8 @@ def _alike(
 ) -> list[tuple[str, ...]]:
     """Those of `candidates` in groups whose |G|^2 are multiples of one another; none that is 0."""
     groups: list[list[str]] = []
+    if not sources:
+        return []
     stacked = np.concatenate([r.gain2.reshape(-1, len(sources)) for r in responses])
     logs = 0.5 * np.log(np.maximum(stacked, TINY))
     for name in candidates:

@@ -47,21 +47,22 @@ def adopt_causes(
             state.exchange_for_prediction(refine)
     if not state.adopted:
         return Adoption((), at, None)
-    found = state.found
+    found, attempt = state.found, search.attempts.attempt
+    superfluous = "the test whether later causes make earlier ones superfluous"
     if under is not None:
-        return found
+        return attempt(superfluous, partial(refine.significant, found)) or found
     # A cause matters by what it explains in units of the error that all causes leave.
     what = "the fit of the extended model in units of its errors"
-    fit = search.attempts.attempt(what, partial(weighted_by_errors, state.fit, once)) or state.fit
+    fit = attempt(what, partial(weighted_by_errors, state.fit, once)) or state.fit
     units = fit.criterion.weights
     found, errors = replace(found, fit=fit), simulation_errors(base_fit, split, units)
     refine = Refinement(search, split, once, units, at, errors)
     for what, step in (
-        ("the test whether later causes make earlier ones superfluous", refine.significant),
+        (superfluous, refine.significant),
         ("the sharpness of dry friction beside the other causes", refine.sharp),
         ("the test whether every cause matters", refine.main),
     ):
-        found = search.attempts.attempt(what, partial(step, found)) or found
+        found = attempt(what, partial(step, found)) or found
     return found
 
 

@@ -32,7 +32,7 @@ _SAYS = {
     "parameter_drift": "the parameter {where} drifts during the record",
     "extra_input": "the recorded channel {where}, which the model omits, acts on the system",
     "parameter_jump": "the parameter {where} changes during the record",
-    "scheduled_parameter": "a parameter depends on a channel that the model omits: {where}",
+    "scheduled_parameter": "the parameter {own} changes with {source}",
     "sensor_bias": "the channel {where} has a constant bias",
     "time_delay": "the channel {where} is delayed",
     "sensor_scale": "the gain of the sensor of {where} differs from the model's",
@@ -96,7 +96,8 @@ def says_kind(kind: str, where: str, *, is_relative: bool = False, is_command: b
         return _OF_COMMANDS[kind].format(where=where)
     place = f"the relative motion {where}" if is_relative else f"the {where} balance"
     restoring = f"the spring that acts on {where}" if is_relative else f"the restoring {where}"
-    return _SAYS[kind].format(where=where, place=place, restoring=restoring)
+    own, _, source = where.partition("~")
+    return _SAYS[kind].format(where=where, place=place, restoring=restoring, own=own, source=source)
 
 
 def says(effect: Effect, column: str = "") -> str:

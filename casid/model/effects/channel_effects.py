@@ -299,11 +299,15 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
     """
     effects: list[Effect] = []
     measured = [n for n, u in model.inputs.items() if u.kind == "measured"]
-    for channel in (*model.outputs, *measured):
-        effects.append(sensor_scale(model, channel, sizes.levels.get(channel, 0.0)))
+    units = {n: unit for n, (_, unit) in model.outputs.items()}
+    units |= {n: model.inputs[n].unit for n in measured}
+    for channel, unit in units.items():
+        level = sizes.levels.get(channel, 0.0)
+        # A gain errs from the sensor's zero; that of a temperature scale means nothing to it.
+        points = (level,) if same_dimension(unit, "K") else dict.fromkeys((level, 0.0))
+        effects += [sensor_scale(model, channel, point) for point in points]
         effects.append(sensor_lag(model, channel, RANGES.sensor_lag * sizes.longest_delay))
-    beside = {n: unit for n, (_, unit) in model.outputs.items()}
-    beside |= {n: model.inputs[n].unit for n in measured} | dict(recorded)
+    beside = units | dict(recorded)
     for channel, (_, own) in model.outputs.items():
         effects += [
             cross_axis(model, channel, source, unit)

@@ -293,3 +293,23 @@ def test_inputs_that_are_declared_alike_are_tried_together():
     assert {settled.acting_hold(n) for n in ("force", "push")} == {"zoh"}
     p = settled.parameters["ramp_inputs"]
     assert p.lower == p.upper == 1.0
+
+
+def test_a_gain_errs_from_the_zero_of_its_sensor_and_from_where_its_channel_stays():
+    """An accelerometer at rest shows gravity: a gain error is a bias and a gain at once."""
+    m = casid.Model("hover")
+    v, F = m.state("v", "m/s"), m.input("F", "N", known=True)
+    m.balance(v, "vertical", inertia=m.constant("mass", 2.0, "kg"), terms=[F], unit="N")
+    m.output("a", m.der(v) + m.constant("g", 9.81, "m/s^2"), "m/s^2")
+    m.output("T", v * m.constant("c", 1.0, "K s/m") + m.constant("T_0", 300.0, "K"), "K")
+    sizes = Sizes(
+        rates={"v": 1.0},
+        largest={"a": 12.0, "T": 310.0},
+        window=(0.0, 10.0),
+        longest_delay=0.1,
+        levels={"a": 9.81, "T": 300.0},
+    )
+    scales = [e for e in channel_effects_of(m, sizes, {}) if e.kind == "sensor_scale"]
+    points = [(e.where, e.constants.get("about", 0.0)) for e in scales]
+    # The zero of a temperature scale means nothing to its sensor.
+    assert points == [("a", 9.81), ("a", 0.0), ("T", 300.0)]

@@ -1,0 +1,49 @@
+"""Stated rates of change as balances, which missing effects enter.
+
+A model may state dx/dt = f with no balance. Where f holds a parameter that is estimated it is a
+law, which may lack a term as a balance of forces may; without one it is a definition: a position's
+rate, an integral.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from casid.model.model import Model
+from casid.model.units import unit_quotient
+
+
+def with_balances(model: Model) -> Model:
+    """A copy in which laws of rates are balances of inertia 1, under the names of their states.
+
+    Returns
+    -------
+    the model itself where it has none.
+    """
+    free = [model.symbol(n) for n, p in model.parameters.items() if not p.is_known]
+    laws = {
+        name: rate
+        for name, rate in model._rates.items()
+        if free and any(ca.which_depends(rate, ca.vertcat(*free)))
+    }
+    if not laws:
+        return model
+    new = model.copy()
+    for state, rate in laws.items():
+        del new._rates[state]
+        name = state if state not in new.balances else new.free_name(state)
+        unit = unit_quotient(new.states[state].unit, "s")
+        new.balance(new.symbol(state), name, inertia=1, terms=_terms(rate), unit=unit)
+    return new
+
+
+def _terms(expression: Any) -> list[Any]:
+    """The terms that a sum is made of."""
+    e = ca.SX(expression)
+    if e.is_op(ca.OP_ADD):
+        return [*_terms(e.dep(0)), *_terms(e.dep(1))]
+    if e.is_op(ca.OP_SUB):
+        return [*_terms(e.dep(0)), *(-t for t in _terms(e.dep(1)))]
+    return [e]
