@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -90,8 +91,8 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Parameters that no force in one place expresses, with the states of their own equations.
 
     Such a parameter stands in several equations out of proportion (a motor's constant in torque and
-    voltage), or in an inertia of no mass (an inductance). Elsewhere it is a force that grows with
-    its state, and tested as one.
+    voltage), in an inertia of no mass (an inductance), or in what a sensor shows alone (a battery's
+    resistance). Elsewhere it is a force that grows with its state, and tested as one.
     """
     for name, p in model.parameters.items():
         if p.is_constant or (p.is_known and p.value == 0.0):
@@ -111,10 +112,20 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             for b in model.balances.values()
             if any(ca.which_depends(ca.SX(b.inertia), symbol)) and not is_mechanical(b.unit)
         ]
-        for state in dict.fromkeys((*several, *heavy)):
+        for state in dict.fromkeys((*several, *heavy, *_shown(model, symbol, inside))):
             mean = float(sizes.motion_of(ca.fabs(model.symbol(state))).mean)
             if mean > 0.0:
                 yield state_scheduled_parameter(model, name, state, mean)
+
+
+def _shown(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
+    """The states in the outputs that hold a parameter, where no equation of motion holds it."""
+    stated = [*model._rates.values(), *(b.inertia for b in model.balances.values())]
+    if inside or any(ca.which_depends(ca.vertcat(*stated), symbol)):
+        return []
+    outputs = [ca.SX(e) for e, _ in model.outputs.values()]
+    seen = [e for e in outputs if any(ca.which_depends(e, symbol))]
+    return sorted({s.name() for e in seen for s in ca.symvar(e)} & model.states.keys())
 
 
 def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread: Spread) -> Effect:

@@ -88,7 +88,7 @@ def test_a_parameter_that_follows_a_channel_is_named_with_it_and_sized(of, slope
     # A model of the right form leaves the noise: its rms over 900 samples is known to 2.4 %.
     assert d.held_out["extended_rmse"]["position"] == pytest.approx(NOISE, rel=0.08)
     assert d.held_out["baseline_rmse"]["position"] > 1.3 * NOISE
-    assert f"{of}~speed" in d.sentence
+    assert f"The parameter {of} changes with speed" in d.sentence
 
 
 @pytest.mark.slow
@@ -126,3 +126,27 @@ def test_a_model_that_knows_how_its_parameter_follows_the_channel_is_adequate():
     assert d.verdict == "adequate"
     found = d.baseline.parameter("slope")
     assert found.value == pytest.approx(0.5 * DAMPING, abs=3 * found.std_error)
+
+
+@pytest.mark.slow
+def test_a_resistance_in_what_a_sensor_shows_is_named_with_the_charge_that_it_depends_on():
+    """v = v_0 + k z - R (1 - 0.4 (z - 1/2)) i at a charge z counted exactly: R~z, -0.4 R."""
+    rng, N = np.random.default_rng(2), 1800
+    i = np.repeat(rng.uniform(-2.0, 5.0, N // 30), 30)
+    z = 0.9 - np.concatenate([[0.0], np.cumsum(i)[:-1]]) / 9000.0
+    v = 3.4 + 0.7 * z - 0.03 * (1 - 0.4 * (z - 0.5)) * i + 5e-4 * rng.standard_normal(N)
+    m = casid.Model("battery")
+    current, charge = m.input("i", "A", hold="zoh", known=True), m.state("z", "1", initial=0.9)
+    m.derivative(charge, -current / m.constant("Q", 9000.0, "A s"))
+    R = m.parameter("R", "Ohm", start=0.02, lower=1e-3, upper=1.0)
+    k = m.parameter("k", "V", start=0.5, lower=0.05, upper=3.0)
+    m.output(
+        "v",
+        m.parameter("v_0", "V", start=3.0, lower=1.0, upper=5.0) + k * charge - R * current,
+        "V",
+    )
+    record = casid.Record({"i": i, "v": v}, {"i": "A", "v": "V"}, Ts=1.0)
+    first = casid.diagnose(casid.Problem("battery", m), record).causes[0]
+    assert (first.kind, first.where) == ("scheduled_parameter", "R~z")
+    slope = first.parameters[0]
+    assert abs(slope.value + 0.4 * 0.03) < 4 * slope.std_error
