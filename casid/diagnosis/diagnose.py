@@ -27,7 +27,7 @@ from casid.estimation.estimate import Origin
 from casid.estimation.holdout import Split, split_records
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.simulation.fit import FitSettings
-from casid.estimation.simulation.input_gaps import cut_at_long_gaps
+from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.identifiability.requirement import require_identifiable
 from casid.model.rate_laws import with_balances
 from casid.time_limit import until, wall_clock
@@ -106,11 +106,11 @@ def diagnose(
     # Prepare.
     if not isinstance(hold_out, float | int):
         _, hold_out = in_si(problem, hold_out)
-        hold_out = cut_at_long_gaps(problem.model, hold_out)
+        hold_out = with_gaps_treated(problem.model, hold_out, problem.recorded)
     problem, chosen = in_si(problem, experiments_of(problem, experiments))
-    chosen = cut_at_long_gaps(problem.model, chosen)
     problem = with_unused_columns(problem, chosen)
     problem = replace(problem, model=with_balances(problem.model))
+    chosen = with_gaps_treated(problem.model, chosen, problem.recorded)
     require_settings(problem, false_alarm_rate, max_causes, without, budget)
     if calibrate:
         require_runs(calibrate)

@@ -173,17 +173,37 @@ def _restricted_likelihood(
 def residual_autoregressions(fit: Fit, free: Array) -> tuple[list[Autoregression], Array] | None:
     """Of the weighted residual of each output of a fit, and the correlation of their innovations.
 
-    None where samples are missing: Burg's recursion needs neighbours.
+    None where samples are missing: they are those of all samples.
 
     Parameters
     ----------
     free : (n,) bool, False at active bounds.
     """
-    criterion = fit.criterion
-    if not all(d.used.all() for d in criterion.data):
+    if not all(d.used.all() for d in fit.criterion.data):
         return None
-    weighted = [criterion.columns(fit.x, e) for e in range(len(criterion.data))]
-    outputs = range(len(criterion.outputs))
+    weighted = _weighted(fit)
+    return None if weighted is None else _autoregressions(weighted, free)
+
+
+def _weighted(fit: Fit) -> list[tuple[Array, Array]] | None:
+    """Weighted residuals (M, ny) and sensitivities of the samples that there are of each record.
+
+    None where some outputs miss samples that others have.
+    """
+    out = []
+    for e, d in enumerate(fit.criterion.data):
+        there = d.used.any(axis=1)
+        if not d.used[there].all():
+            return None
+        r, t = fit.criterion.columns(fit.x, e)
+        out.append((r, t) if there.all() else (r[there], t[there]))
+    return out
+
+
+def _autoregressions(
+    weighted: Sequence[tuple[Array, Array]], free: Array
+) -> tuple[list[Autoregression], Array]:
+    outputs = range(weighted[0][0].shape[1])
     models = [autoregression([r[:, i] for r, _ in weighted]) for i in outputs]
     models = restricted(models, [(r, t[:, :, free]) for r, t in weighted])
     return models, _innovations([r for r, _ in weighted], models)
@@ -192,19 +212,20 @@ def residual_autoregressions(fit: Fit, free: Array) -> tuple[list[Autoregression
 def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
     """(1) of a fit and the orders of its autoregressions.
 
-    None where every residual is white, or samples are missing.
+    Samples that are missing in all outputs are passed over, as if the others followed one another.
+    None where every residual is white, or some outputs miss samples that others have.
 
     Parameters
     ----------
     free : (n,) bool, False at active bounds: those rows and columns are zero.
     """
-    found = residual_autoregressions(fit, free)
-    if found is None or not any(m.order for m in found[0]):
+    weighted = _weighted(fit)
+    if weighted is None:
         return None
-    models, together = found
-    criterion = fit.criterion
-    weighted = [criterion.columns(fit.x, e) for e in range(len(criterion.data))]
-    outputs = range(len(criterion.outputs))
+    models, together = _autoregressions(weighted, free)
+    if not any(m.order for m in models):
+        return None
+    outputs = range(len(models))
     n, index = len(fit.x), np.flatnonzero(free)
     matrix, meat = np.zeros((n, n)), np.zeros((n, n))
     for _, t in weighted:

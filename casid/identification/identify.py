@@ -27,7 +27,7 @@ from casid.estimation.prediction_error.disturbances import Disturbance
 from casid.estimation.residual_spectrum import coloured_covariance
 from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings, fit_model
-from casid.estimation.simulation.input_gaps import cut_at_long_gaps
+from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import (
     ASSUMES,
@@ -109,11 +109,11 @@ def identify(
     require_intervals(intervals)
     if not isinstance(hold_out, float | int):
         _, hold_out = in_si(problem, hold_out)
-        hold_out = cut_at_long_gaps(problem_of(problem).model, hold_out)
+        hold_out = with_gaps_treated(problem_of(problem).model, hold_out)
     if start is not None:
         start = (problem if isinstance(problem, Model) else problem.model).in_si(start)
     problem, chosen = in_si(problem, experiments)
-    chosen = cut_at_long_gaps(problem.model, chosen)
+    chosen = with_gaps_treated(problem.model, chosen)
     split = split_records(chosen, hold_out)
     settings = settings or FitSettings(starts=problem.starts)
     undone, chosen_disturbances = Undone(), _disturbances(disturbances, split, settings, intervals)

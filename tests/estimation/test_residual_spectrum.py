@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
@@ -127,9 +129,20 @@ def test_the_result_names_the_autoregression() -> None:
     assert "an autoregression of order 2" in estimate.assumes
 
 
-def test_missing_samples_leave_the_robust_errors() -> None:
-    record = decay(1)
-    gaps = np.random.default_rng(1).random(record.N) < 0.2
-    record = casid.Record({"y": record["y"]}, {"y": "m"}, Ts=0.05, missing={"y": gaps})
-    fit = fit_model(oscillator(), [casid.Experiment(record, {}, "r")], FitSettings(starts=1))
-    assert coloured_covariance(fit, np.ones(len(fit.x), dtype=bool)) is None
+def test_missing_samples_are_passed_over() -> None:
+    """Every other sample alone is a record of twice the sample time, to the last digit."""
+    whole = decay(1)
+    odd = np.arange(whole.N) % 2 == 1
+    gaps = casid.Record({"y": whole["y"]}, {"y": "m"}, Ts=whole.Ts, missing={"y": odd})
+    half = casid.Record({"y": whole["y"][::2]}, {"y": "m"}, Ts=2 * whole.Ts)
+    settings = FitSettings(starts=1, substeps=4)
+    found = []
+    for record, substeps in ((gaps, 4), (half, 8)):
+        fit = fit_model(
+            oscillator(), [casid.Experiment(record, {}, "r")], replace(settings, substeps=substeps)
+        )
+        covariance = coloured_covariance(fit, np.ones(len(fit.x), dtype=bool))
+        assert covariance is not None
+        found.append(covariance)
+    assert found[0][1] == found[1][1]
+    assert found[0][0] == pytest.approx(found[1][0], rel=1e-3)

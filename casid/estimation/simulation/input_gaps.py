@@ -8,7 +8,7 @@ of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from casid.estimation.simulation.thresholds import INPUT_GAPS
 from casid.model.declarations import Hold
 from casid.model.model import Model
 
-_CUT = "remark: cut at long gaps of "
+_CUT, _FILLED = "remark: cut at long gaps of ", "remark: filled: "
 
 
 def filled(record: Record, name: str, hold: Hold) -> Array:
@@ -86,18 +86,65 @@ def require_short_gaps(record: Record, names: Sequence[str]) -> None:
         )
 
 
-def cut_at_long_gaps(model: Model, experiments: Sequence[Experiment]) -> list[Experiment]:
-    """The experiments, each cut into the stretches between long gaps of its inputs.
+def with_gaps_treated(
+    model: Model, experiments: Sequence[Experiment], beside: Collection[str] = ()
+) -> list[Experiment]:
+    """The experiments with complete inputs: short gaps filled, and records cut at long ones.
 
-    Every stretch is an experiment with the same known values and initial states of its own, and its
-    record says what it is part of. Stretches of few samples are left out.
+    Every stretch between long gaps is an experiment with the same known values and initial states
+    of its own. The records say what was done. Outputs keep their gaps.
+
+    Parameters
+    ----------
+    beside : channels that a model may have for inputs, filled by straight lines where no gap is
+        long; otherwise left as they are.
 
     Raises
     ------
     DataError
         If a record has no stretch that is long enough.
     """
-    return [part for e in experiments for part in _parts(model, e)]
+    parts = [part for e in experiments for part in _parts(model, e)]
+    return [replace(e, record=_complete(model, e.record, beside)) for e in parts]
+
+
+def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
+    """A record whose inputs are filled, with numbers under the marks of its outputs."""
+    if not any(mask.any() for mask in record.missing.values()):
+        return record
+    lines: list[str] = []
+    channels, missing = dict(record.channels), dict(record.missing)
+    for name in recorded_inputs(model, record):
+        lines.append(_filling(model, record, name))
+        channels[name] = filled(record, name, model.inputs[name].hold)
+        del missing[name]
+    for name in [n for n in missing if n in beside and n not in model.outputs]:
+        gone = missing[name]
+        if gone.any() and not long_gaps(record, name).any():
+            lines.append(f"{_FILLED}{name}, recorded beside, is joined by straight lines in gaps")
+            channels[name] = record.filled(name)
+            del missing[name]
+    for name in [n for n in missing if not missing[n].all()]:
+        channels[name] = record.filled(name)
+    provenance = (*record.provenance, *lines)
+    return replace(record, channels=channels, missing=missing, provenance=provenance)
+
+
+def _filling(model: Model, record: Record, name: str) -> str:
+    """How an input was filled, for the record's history."""
+    found = gaps_of(record.missing[name])
+    how = "held" if model.inputs[name].hold == "zoh" else "joined by straight lines"
+    if found.rate is not None:
+        return (
+            f"{_FILLED}{name} has a value in one sample of {found.rate} alone: it is {how} between "
+            "them"
+        )
+    return (
+        f"{_FILLED}{name} misses {found.missing} samples "
+        f"({100 * found.missing / record.N:.2g} %) in {found.stretches} gap"
+        f"{'' if found.stretches == 1 else 's'} of up to {found.longest * record.Ts:.3g} s: it is "
+        f"{how} there"
+    )
 
 
 def _parts(model: Model, experiment: Experiment) -> list[Experiment]:
@@ -131,29 +178,11 @@ def _parts(model: Model, experiment: Experiment) -> list[Experiment]:
     return parts
 
 
-def gap_notes(model: Model, experiments: Sequence[Experiment]) -> list[str]:
+def gap_notes(experiments: Sequence[Experiment]) -> list[str]:
     """Warnings of inputs that were filled, and of records that were cut."""
-    notes = []
-    for e in experiments:
-        record = e.record
-        notes += [
-            f"{e.name}: {line.removeprefix('remark: ')}"
-            for line in record.provenance
-            if line.startswith(_CUT)
-        ]
-        for name in recorded_inputs(model, record):
-            found = gaps_of(record.missing[name])
-            how = "held" if model.inputs[name].hold == "zoh" else "joined by straight lines"
-            if found.rate is not None:
-                notes.append(
-                    f"{e.name}: {name} has a value in one sample of {found.rate} alone: it is "
-                    f"{how} between them"
-                )
-                continue
-            notes.append(
-                f"{e.name}: {name} misses {found.missing} samples "
-                f"({100 * found.missing / record.N:.2g} %) in {found.stretches} gap"
-                f"{'' if found.stretches == 1 else 's'} of up to "
-                f"{found.longest * record.Ts:.3g} s: it is {how} there"
-            )
-    return notes
+    return [
+        f"{e.name}: {line.removeprefix('remark: ')}".replace(_FILLED.removeprefix("remark: "), "")
+        for e in experiments
+        for line in e.record.provenance
+        if line.startswith((_CUT, _FILLED))
+    ]

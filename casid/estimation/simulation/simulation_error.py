@@ -398,9 +398,14 @@ class SimulationError:
         return np.concatenate(rows), np.vstack(jacs)
 
     def scores(self, x: Array) -> Array:
-        """(sum of N, n) per-sample scores J_k' r_k, outputs summed, experiments stacked."""
+        """(M, n) per-sample scores J_k' r_k, outputs summed, experiments stacked.
+
+        Of the samples that there are, one after another: across gaps of zeros no correlation would
+        be seen. Whitened ones have all samples.
+        """
         parts = []
-        for e in range(len(self.data)):
+        for e, d in enumerate(self.data):
             r, j = self.columns(x, e)
-            parts.append(np.einsum("ki,kin->kn", r, j))
+            score = np.einsum("ki,kin->kn", r, j)
+            parts.append(score if self.whiten is not None else score[d.used.any(axis=1)])
         return np.concatenate(parts)

@@ -76,7 +76,7 @@ def channel_notes(model: Model, experiments: Sequence[Experiment]) -> list[str]:
 
     Inputs have to be so for a tenth of the record.
     """
-    return gap_notes(model, experiments) + [
+    return gap_notes(experiments) + [
         f"{e.name}: {f.channel}: {f.text} {f.remedy}"
         for e in experiments
         for channels, least in ((model.inputs, 0.1), (model.outputs, 0.0))
