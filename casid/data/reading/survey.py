@@ -361,6 +361,8 @@ def _with_absent_rows(found: Survey, options: ReadingOptions) -> EvenClock | Non
     """The even clock that the file leaves rows out of, where that is no fault."""
     if found.times is None or not options.takes_gaps or options.resample is not None:
         return None
+    if jitter_text(found.times) is not None:  # even as it is
+        return None
     clock = even_clock(found.times)
     return clock if clock is not None and clock.absent.any() else None
 
