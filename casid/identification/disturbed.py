@@ -35,6 +35,8 @@ CORNERS = 8
 """Frequencies, even in the logarithm, that the search looks at."""
 WIDTHS = (0.05, 0.3)
 """Of a peak."""
+AGAIN = (1.0, 2.0, 0.5, 4.0)
+"""Times the best size of that grid, from where the search is begun until it converges."""
 SHARES = (1.0, 0.1)
 """Of the residual that the sensors may have."""
 
@@ -77,16 +79,21 @@ def identify_disturbed(
         begin |= _best_start(first, begin, d, _grid(problem, fit, d))
     require_time(f"the prediction error of {problem.name}")
     progress("minimise the prediction error")
-    found = minimize_prediction_error(
-        model,
-        experiments,
-        noise,
-        solver=settings.solver,
-        throw=False,
-        own=settings.own,
-        start=begin,
-        rest=rest,
-    )
+    sizes = {d.size: begin[d.size] for d in disturbances}
+    for factor in AGAIN:  # a flat valley on the way may end a search
+        begin |= {name: factor * size for name, size in sizes.items()}
+        found = minimize_prediction_error(
+            model,
+            experiments,
+            noise,
+            solver=settings.solver,
+            throw=False,
+            own=settings.own,
+            start=begin,
+            rest=rest,
+        )
+        if found.solution.is_converged or seconds_left() <= 0.0:
+            break
     not_done = () if found.solution.is_converged else ("the end of the search",)
     if not_done and seconds_left() > 0.0:
         raise not_converged(problem.name, found.solution)
