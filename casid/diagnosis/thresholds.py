@@ -90,6 +90,11 @@ class Outliers:
         "standard deviations beyond which noise hardly masks what a spike leaves beside it",
         _SPIKES,
     )
+    left: float = _is(
+        0.5,
+        "of its height, that the model with all causes leaves of a spike: less was fast misfit",
+        _SPIKES,
+    )
     farthest: float = _is(12.0, "standard deviations at which the mixture is cut off", _SPIKES)
     shortest: int = _is(20, "samples of a record that can be judged", _SPIKES)
     largest_share: float = _is(0.05, "of samples that are still exceptions", _SPIKES)

@@ -91,10 +91,40 @@ def without_corrupted(
                 channel, at.residuals, OUTLIERS.test_share * alpha, inputs=at.inputs_used
             )
             if found is not None:
-                found = replace(found, masks=tuple(at.in_records(found.masks)))
+                masks = tuple(at.in_records(found.masks))
+                measured = tuple(y[m] for y, m in zip(at.measured, masks, strict=True))
+                found = replace(found, masks=masks, measured=measured)
                 spikes.append(found)
                 split = _masked(split, channel, found.masks)
     return CorruptedSamples(tuple(spikes), tuple(plateaus), first), split
+
+
+def confirmed(spikes: Spikes, fit: Fit, split: Split) -> Spikes | None:
+    """The spikes of which another model leaves the larger part; None where there are none.
+
+    Fast misfit, after a step of an input, may stand out like a spike until its cause is known.
+    """
+    at = _channel(fit, split, fit.criterion.outputs.index(spikes.channel))
+    rows = zip(spikes.measured, at.simulated, spikes.masks, spikes.heights, strict=True)
+    left = [np.abs(y - s[mask]) > OUTLIERS.left * height for y, s, mask, height in rows]
+    count = int(sum(kept.sum() for kept in left))
+    if not count:
+        return None
+    masks = [mask.copy() for mask in spikes.masks]
+    for mask, kept in zip(masks, left, strict=True):
+        mask[mask] = kept
+    heights = tuple(h[kept] for h, kept in zip(spikes.heights, left, strict=True))
+    height = np.concatenate(heights)
+    return replace(
+        spikes,
+        masks=tuple(masks),
+        heights=heights,
+        measured=tuple(y[kept] for y, kept in zip(spikes.measured, left, strict=True)),
+        count=count,
+        share=spikes.share * count / spikes.count,
+        size=float(np.median(height)),
+        energy=float(np.sum(height**2)),
+    )
 
 
 def _early(residual: Array, alpha: float) -> Array:

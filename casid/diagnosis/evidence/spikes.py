@@ -36,6 +36,8 @@ class Spikes:
     size: float  # median height, channel's unit
     energy: float  # sum of squares that they carry
     p_value: float
+    heights: tuple[Array, ...] = ()  # a record (spikes,): over the mean of its neighbours
+    measured: tuple[Array, ...] = ()  # a record (spikes,): what was recorded there
 
 
 def find_spikes(
@@ -102,6 +104,7 @@ def find_spikes(
         size=float(np.median(height)),
         energy=float(np.sum(height**2)),
         p_value=float(min(1.0, max(p, TINY))),
+        heights=tuple(heights),
     )
 
 

@@ -268,7 +268,8 @@ def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
                 order[j - 1], order[j] = order[j], order[j - 1]
     if order and order[0].effect.is_unnamed:
         open_ = {id(r.candidate) for r in rivals_of(at, order[0], order)}
-        catalogued = [c for c in order if c.effect.kind not in ("unknown", *IMITATORS)]
+        lasting = [c for c in order if c.effect.kind not in IMITATORS]
+        catalogued = [c for c in lasting if not c.effect.is_unnamed]
         named = [c for c in catalogued if id(c) in open_]
         order = [*named[:1], *[c for c in order if c not in named[:1]]]
     return order

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import TINY
+from casid.diagnosis.evidence.corrupted_samples import confirmed
 from casid.diagnosis.evidence.plateaus import Plateaus
 from casid.diagnosis.evidence.spikes import Spikes
 from casid.diagnosis.search.candidates import Adopted, Candidate, found_values
@@ -38,8 +39,9 @@ def causes_of(
     # Few and small spikes are left out of the fit, but are nothing that a user would miss.
     least = JUDGING.small_outliers * fit.solution.value
     corrupted = found.baseline.corrupted
-    spikes = [s for s in corrupted.spikes if s.energy * scale[s.channel] > least]
-    samples = [(s.energy * scale[s.channel], _outliers(found.search, s)) for s in spikes]
+    spikes = [confirmed(s, fit, found.baseline.split) for s in corrupted.spikes]
+    kept = [s for s in spikes if s is not None and s.energy * scale[s.channel] > least]
+    samples = [(s.energy * scale[s.channel], _outliers(found.search, s)) for s in kept]
     samples += [  # a fact, however little it cuts off
         (c.energy * scale[c.channel], _saturation(found.search, c)) for c in corrupted.plateaus
     ]

@@ -31,6 +31,7 @@ from casid.model.effects.friction_effects import (
     stribeck_friction,
 )
 from casid.model.effects.parameter_effects import (
+    flow_schedules_of,
     jump_times,
     parameter_drift,
     parameter_jump,
@@ -134,6 +135,10 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
             found.append(backlash(model, place, width, motion.largest))
     found += _stops_at(model, place, sizes)
     effects += [e for e in found if e is not None]
+    # The square and the root of what keeps its sign are a power law, or a tangent and a constant.
+    is_level = not place.is_mechanical and not place.is_relative and place.velocity is not None
+    if is_level and sizes.motion_of(place.velocity).is_signed:
+        return effects
     return effects + unnamed_effects(model, place, speed)
 
 
@@ -180,4 +185,5 @@ def _parameter_variations(
         yield parameter_drift(model, name, sizes.window)
         for c, spread in sizes.channels.items():
             yield scheduled_parameter(model, name, c, recorded[c], spread)
+    yield from flow_schedules_of(model, sizes)
     yield from state_schedules_of(model, sizes)

@@ -118,6 +118,28 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
                 yield state_scheduled_parameter(model, name, state, mean)
 
 
+def flow_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Parameters of balances of heat or matter, with the inputs that carry their states along.
+
+    A transfer coefficient depends on the flow past it: an input by which a state is multiplied.
+    """
+    for b in model.balances.values():
+        side = ca.SX(sum(b.terms[1:], b.terms[0]))
+        if is_mechanical(b.unit):
+            continue
+        carried = ca.jacobian(side, ca.vertcat(*[model.symbol(s) for s in model.states]))
+        for channel, (low, high) in sizes.readings.items():
+            entry = model.inputs.get(channel)
+            if entry is None or entry.kind not in ("measured", "known") or low >= high:
+                continue
+            if not any(ca.which_depends(ca.vec(carried), model.symbol(channel))):
+                continue
+            for name, p in model.parameters.items():
+                if not p.is_known and any(ca.which_depends(side, model.symbol(name))):
+                    spread = Spread(0.5 * (low + high), low, high)
+                    yield scheduled_parameter(model, name, channel, entry.unit, spread)
+
+
 def _shown(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
     """The states in the outputs that hold a parameter, where no equation of motion holds it."""
     stated = [*model._rates.values(), *(b.inertia for b in model.balances.values())]
@@ -129,7 +151,7 @@ def _shown(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
 
 
 def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread: Spread) -> Effect:
-    """A parameter p that depends on a recorded channel c: p + s (c - c_mean).
+    """A parameter p that depends on a recorded channel or an input c: p + s (c - c_mean).
 
     The mean is that of the fitted records, so that p stays what it is on average there, and its
     estimate and that of s hardly depend on each other. Noise on c makes s too small: a channel that
@@ -139,8 +161,9 @@ def scheduled_parameter(model: Model, name: str, channel: str, unit: str, spread
     p = Parameter(f"slope_{name}_{channel}", unit_quotient(old.unit, unit, 1), 0.0)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        c = new.add_input(Input(channel, unit, "known", "foh"))
-        moved = new.symbol(name) + new.symbol(names[0]) * (c - spread.mean)
+        is_own = channel in new.inputs
+        c = new.symbol(channel) if is_own else new.add_input(Input(channel, unit, "known", "foh"))
+        moved = new.symbol(name) + new.symbol(names[0]) * (c - carrying_unit(spread.mean))
         new.substitute_symbol(name, moved)
 
     span = spread.lowest - spread.mean, spread.highest - spread.mean

@@ -17,7 +17,7 @@ import numpy as np
 from casid.model.declarations import Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import force_along
-from casid.model.effects.effect import Effect
+from casid.model.effects.effect import Effect, known_while_null
 from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
 from casid.model.effects.search_ranges import SMOOTHING, UNNAMED_EFFECTS
@@ -100,28 +100,40 @@ def flow_law(model: Model, where: str | Place, typical: float) -> Effect | None:
 
 
 def linear_loss(model: Model, where: str | Place, about: float) -> Effect | None:
-    """-c (v - v_0), in a balance whose rate no estimated parameter resists yet.
+    """-c (v - v_0), in a balance whose rate no estimated parameter of its own resists yet.
 
-    A loss or viscous friction that the model leaves out; `about` is v_0, of a rate that stays away
-    from zero. A constant beside it is an offset.
+    A loss or viscous friction that the model leaves out. Of a rate that stays away from zero, about
+    which `about` is searched first, v_0 is estimated, as the temperature of a room. What passes to
+    another balance is no loss.
     """
     place = place_named(model, where)
-    b = model.balances[place.where]
-    slope = ca.jacobian(ca.SX(sum(b.terms[1:], b.terms[0])), place.velocity)
-    free = [model.symbol(n) for n, p in model.parameters.items() if not p.is_known]
-    if free and any(ca.which_depends(slope, ca.vertcat(*free))):
-        return None
-    v = place.velocity - carrying_unit(about) if about else place.velocity
-    return force_along(
-        place,
+    rows = {n: ca.SX(sum(b.terms[1:], b.terms[0])) for n, b in model.balances.items()}
+    slopes = {n: ca.jacobian(row, place.velocity) for n, row in (rows | model._rates).items()}
+    own = slopes.pop(place.where)
+    others = ca.vertcat(*slopes.values())
+    for q in [model.symbol(n) for n, p in model.parameters.items() if not p.is_known]:
+        passes_on = bool(slopes) and any(ca.which_depends(others, q))
+        if any(ca.which_depends(own, q)) and not passes_on:
+            return None
+    v, c = place.velocity, Parameter(f"c_{place.velocity_name}", place.velocity_power(1), 0.0)
+    rest = Parameter(f"rest_{place.velocity_name}", place.velocity_unit, about)
+    beyond = f" less {rest.name}" if about else ""
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        known_while_null(new, names)
+        level = new.symbol(names[1]) if about else 0.0
+        place.add(new, -new.symbol(names[0]) * (v - level))
+
+    return Effect(
         "unknown",
-        Parameter(f"c_{place.velocity_name}", place.velocity_power(1), 0.0),
-        lambda c: -c * v,
+        place.where,
+        (c, rest) if about else (c,),
+        apply,
         priority=1,
+        cost=2 if about else 1,
         shape=place.velocity_name,
-        description=f"a {quantity_of(place.unit)} in proportion to {place.velocity_name}, "
+        description=f"a {quantity_of(place.unit)} in proportion to {place.velocity_name}{beyond}, "
         "which the model leaves out",
-        constants={"about": about} if about else {},
     )
 
 
@@ -169,7 +181,7 @@ def power_law(model: Model, state: str, typical: float) -> Effect | None:
         own[0] if own else state,
         (Parameter(f"exponent_{state}", "1", 1.0, lower=lower, upper=upper),),
         apply,
-        priority=0,  # in a flow it is the law itself, and a constant force its tangent
+        priority=-1,  # in a flow it is the law itself, and a constant its tangent
         shape=f"|{state}|^n",
         description=f"a flow that grows with a power of {state}, not in proportion to it",
         constants={"reference": typical},
