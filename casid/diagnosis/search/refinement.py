@@ -89,7 +89,7 @@ class Refinement:
         if not refused:
             return found
         self.search.refused += refused
-        return self._refined(found, kept, fit)
+        return self._lean(found, kept, fit)
 
     def exchanged(self, found: Adoption) -> Adoption:
         """With rivals in the place of causes that predict worse."""
@@ -158,7 +158,7 @@ class Refinement:
             fit = fit if _moves(kept, fit, bare) else bare
         if len(kept) == len(found.adopted):
             return found
-        return self._refined(replace(found, remainders=tuple(small)), kept, fit)
+        return self._lean(replace(found, remainders=tuple(small)), kept, fit)
 
     def _rivals(self, adopted: Sequence[Adopted], i: int) -> Iterator[Candidate]:
         """What may stand in the place of a cause; of a function without a name, every name."""
@@ -204,6 +204,21 @@ class Refinement:
         model = taken_out(fit.criterion.model, null_values(c))
         values = {k: v for k, v in fit.values.items() if k not in c.names}
         return whole_fit(model, self.split, self.settings, self.units, values)
+
+    def _lean(self, found: Adoption, kept: Sequence[Adopted], fit: Fit) -> Adoption:
+        """The model built anew with the effects that are left: no term stays at its null value."""
+        inside = [a for a in found.adopted if a.candidate.names[0] in fit.criterion.names]
+        if len(inside) == len(found.adopted):
+            return self._refined(found, kept, fit)
+        placed, fit = self._with([a.candidate for a in inside], fit)
+        new = {c.effect.key: c for c in placed}
+
+        def again(rows: Sequence[Adopted]) -> tuple[Adopted, ...]:
+            return tuple(
+                replace(a, candidate=new.get(a.candidate.effect.key, a.candidate)) for a in rows
+            )
+
+        return self._refined(replace(found, remainders=again(found.remainders)), again(kept), fit)
 
     def _refined(self, found: Adoption, kept: Sequence[Adopted], fit: Fit | None) -> Adoption:
         assert fit is not None

@@ -106,8 +106,14 @@ def test_a_transfer_that_depends_on_the_flow_is_named_with_the_flow():
 @pytest.mark.slow
 def test_a_loss_to_the_room_is_named_with_the_temperature_of_the_room():
     """40 W/K (T_h - 293 K), although the model's own transfer resists T_h too."""
-    (cause,) = diagnosed("loss").causes
+    diagnosis = diagnosed("loss")
+    (cause,) = diagnosis.causes
     assert (cause.kind, cause.where) == ("unknown", "hot side")
     assert [p.name for p in cause.parameters] == ["c_T_h", "rest_T_h"]
     for found, truth in zip(cause.parameters, (40.0, 293.0), strict=True):
         assert abs(found.value - truth) < 4 * found.std_error
+    # An offset was adopted first, and given up: nothing of it stays in the model.
+    assert set(diagnosis.model.model.parameters) - set(exchanger().model.parameters) == {
+        "c_T_h",
+        "rest_T_h",
+    }
