@@ -17,7 +17,7 @@ from casid.diagnosis.evidence.score_tests import step_without_bias
 from casid.diagnosis.thresholds import PREWHITENING
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.nlp.solver import Solver
-from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor
+from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor, white_floor
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
@@ -231,11 +231,19 @@ def use_samples_of(criterion: SimulationError, other: SimulationError) -> None:
 
 
 def _not_below(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:
-    """The noise with a white floor that is small against the misfit.
+    """The noise with a white floor: the quietest part of the residual, small against the misfit.
 
-    Where sensors are all but free of noise, whitening would give the word to frequencies at which
-    hardly anything is left, and misfit of another kind, beside what is to be named.
+    A force that an output feels at once (an accelerometer) explains its sensor's noise as well as
+    a sensor does. And where sensors are all but free of noise, whitening would give the word to
+    frequencies at which hardly anything is left, and misfit of another kind, beside what is to be
+    named.
     """
     parts = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
     left = np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
-    return replace(noise, output_sd=np.maximum(noise.output_sd, PREWHITENING.white_share * left))
+    used = [d.used for d in criterion.data]
+    quiet = [
+        white_floor([p[u[:, i], i] for p, u in zip(parts, used, strict=True)])
+        for i in range(len(left))
+    ]
+    floor = np.maximum(quiet, PREWHITENING.white_share * left)
+    return replace(noise, output_sd=np.maximum(noise.output_sd, floor))
