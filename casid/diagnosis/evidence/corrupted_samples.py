@@ -105,8 +105,11 @@ def confirmed(spikes: Spikes, fit: Fit, split: Split) -> Spikes | None:
     Fast misfit, after a step of an input, may stand out like a spike until its cause is known.
     """
     at = _channel(fit, split, fit.criterion.outputs.index(spikes.channel))
-    rows = zip(spikes.measured, at.simulated, spikes.masks, spikes.heights, strict=True)
-    left = [np.abs(y - s[mask]) > OUTLIERS.left * height for y, s, mask, height in rows]
+    left = []
+    for e, mask in enumerate(spikes.masks):
+        residual = np.where(at.used[e], at.measured[e], np.nan) - at.simulated[e]
+        residual[mask] = spikes.measured[e] - at.simulated[e][mask]
+        left.append(_above_neighbours(residual, mask) > OUTLIERS.left * spikes.heights[e])
     count = int(sum(kept.sum() for kept in left))
     if not count:
         return None
@@ -125,6 +128,16 @@ def confirmed(spikes: Spikes, fit: Fit, split: Split) -> Spikes | None:
         size=float(np.median(height)),
         energy=float(np.sum(height**2)),
     )
+
+
+def _above_neighbours(residual: Array, mask: Array) -> Array:
+    """How far samples (M,) lie from the mean of their neighbours, of those that there are."""
+    wide = np.concatenate([[np.nan], residual, [np.nan]])
+    k = np.flatnonzero(mask)
+    near = np.stack([wide[k], wide[k + 2]])
+    there = np.isfinite(near)
+    mean = np.sum(np.where(there, near, 0.0), axis=0) / np.maximum(there.sum(axis=0), 1)
+    return np.asarray(np.abs(residual[k] - mean))
 
 
 def _early(residual: Array, alpha: float) -> Array:

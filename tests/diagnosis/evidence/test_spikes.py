@@ -12,6 +12,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
+from casid.diagnosis.evidence.corrupted_samples import _above_neighbours
 from casid.diagnosis.evidence.spikes import (
     _fourth_moment,
     _from_neighbours,
@@ -178,3 +179,10 @@ def test_a_first_sample_from_before_the_inputs_acted_stands_alone():
     slow += 20.0 * np.exp(-np.arange(300) / 5.0)
     assert starts_apart(at_rest, ALPHA)
     assert not starts_apart(slow, ALPHA)
+
+
+def test_a_spike_is_confirmed_by_what_stands_out_of_its_neighbours():
+    """Slow misfit of the other sign may all but cancel the error itself; an end has one side."""
+    residual = np.array([3.0, -1.0, 0.05, -1.0, -1.0, np.nan, 2.0])
+    mask = np.array([True, False, True, False, False, False, True])
+    assert _above_neighbours(residual, mask) == pytest.approx([4.0, 1.05, 2.0])
