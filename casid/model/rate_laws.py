@@ -35,15 +35,16 @@ def with_balances(model: Model) -> Model:
         del new._rates[state]
         name = state if state not in new.balances else new.free_name(state)
         unit = unit_quotient(new.states[state].unit, "s")
-        new.balance(new.symbol(state), name, inertia=1, terms=_terms(rate), unit=unit)
+        new.balance(new.symbol(state), name, inertia=1, terms=addends(rate), unit=unit)
     return new
 
 
-def _terms(expression: Any) -> list[Any]:
-    """The terms that a sum is made of."""
-    e = ca.SX(expression)
-    if e.is_op(ca.OP_ADD):
-        return [*_terms(e.dep(0)), *_terms(e.dep(1))]
-    if e.is_op(ca.OP_SUB):
-        return [*_terms(e.dep(0)), *(-t for t in _terms(e.dep(1)))]
-    return [e]
+def addends(side: Any) -> list[Any]:
+    """The addends of a scalar expression, differences taken apart."""
+    if side.n_dep() == 2 and side.op() in (ca.OP_ADD, ca.OP_SUB):
+        left, right = side.dep(0), side.dep(1)
+        second = addends(right)
+        return [*addends(left), *(second if side.op() == ca.OP_ADD else [-a for a in second])]
+    if side.n_dep() == 1 and side.op() == ca.OP_NEG:
+        return [-a for a in addends(side.dep(0))]
+    return [side]

@@ -18,6 +18,7 @@ from casid.arrays import Array
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.place import Expr, Place, is_zero
 from casid.model.model import Model
+from casid.model.rate_laws import addends
 
 
 def elements_of(model: Model) -> list[Place]:
@@ -93,7 +94,7 @@ class _Elements:
         parts = [
             _Part(row, addend, addend)
             for row, side in self.rows.items()
-            for addend in _addends(ca.SX(side))
+            for addend in addends(ca.SX(side))
             if self._varies(addend) and not any(ca.which_depends(addend, self.p))
         ]
         yield from self._proportional(parts)
@@ -361,17 +362,6 @@ def _literal(value: float) -> Expr:
     if abs(value - nearest_simple) < 1e-9 * max(1.0, abs(value)):
         value = nearest_simple
     return ca.SX(value if abs(value) == 1.0 else carrying_unit(value))
-
-
-def _addends(side: Expr) -> list[Expr]:
-    """The addends of a scalar expression, differences taken apart."""
-    if side.n_dep() == 2 and side.op() in (ca.OP_ADD, ca.OP_SUB):
-        left, right = side.dep(0), side.dep(1)
-        second = _addends(right)
-        return [*_addends(left), *(second if side.op() == ca.OP_ADD else [-a for a in second])]
-    if side.n_dep() == 1 and side.op() == ca.OP_NEG:
-        return [-a for a in _addends(side.dep(0))]
-    return [side]
 
 
 def _text(coefficients: Mapping[str, Expr]) -> str:
