@@ -35,7 +35,7 @@ EVALUATIONS = 60
 """Of the likelihood in the search beside the best start, at most."""
 RESOLVED = 0.02
 """Change of the logarithm of the likelihood, and of those of frequency and width, at which that
-search ends: far less than one record can tell apart."""
+search ends: far less than one record can distinguish."""
 
 
 def with_disturbance_spectra(

@@ -43,7 +43,7 @@ class FitBudget:
         "microsecond each, as without a compiler, where an ordinary fit takes fewer than a hundred",
         _BUDGET,
     )
-    longest: float = _is(3600.0, "seconds: a fit that takes longer is one to be asked for", _BUDGET)
+    longest: float = _is(3600.0, "seconds: a fit that takes longer is one to be requested", _BUDGET)
 
 
 @dataclass(frozen=True, slots=True)
