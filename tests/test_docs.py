@@ -1,52 +1,71 @@
-"""The manual's builder: pages run in order, and a page that does not run ends the build."""
+"""The manual: pages run in order, and a page that does not run, or a dead link, ends the build."""
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
+import re
+import subprocess
+import sys
+from types import SimpleNamespace
 
 import pytest
 
 from tests.support.shared import ROOT
 
-pytest.importorskip("markdown_it")
+pytest.importorskip("sphinx")
+EXTENSION = ROOT / "docs" / "extension"
 
 
 @pytest.fixture(scope="module")
-def builder():
-    spec = importlib.util.spec_from_file_location("docs_build", ROOT / "docs" / "build.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    import sys
-
-    sys.modules["docs_build"] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+def manual():
+    sys.path.insert(0, str(EXTENSION))
+    try:
+        runner, pages = map(importlib.import_module, ("code_runner", "executed_pages"))
+    finally:
+        sys.path.remove(str(EXTENSION))
+    return SimpleNamespace(executed=pages.executed, BlockError=runner.BlockError)
 
 
-def page(folder, name, *lines):
-    (folder / f"{name}.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+def text(*lines: str) -> str:
+    return "\n".join(lines) + "\n"
 
 
-def test_what_a_block_prints_stands_behind_it_and_blocks_share_a_namespace(builder, tmp_path):
-    page(tmp_path, "a", "# First", "", "```python", "x = 20", "```", "", "See [b](b.md).")
-    page(
-        tmp_path,
-        "b",
-        "# Second",
-        "",
+def test_what_a_block_prints_stands_behind_it_and_blocks_share_a_namespace(manual):
+    page = text("# T", "```python", "x = 1", "```", "```python", "print(x + 1)", "```", "End.")
+    out = manual.executed(page, "p.md")
+    assert out.index("print(x + 1)") < out.index('<pre class="output" tabindex="0">2</pre>')
+    assert out.index("</pre>") < out.index("End.")
+
+
+def test_a_block_that_ends_in_a_figure_shows_it(manual):
+    page = text(
+        "# T",
         "```python",
-        "x = 1",
+        "import plotly.graph_objects as go",
+        "figure = go.Figure(go.Scatter(y=[1, 2]), {'title': 'Rises'})",
+        "figure",
         "```",
         "```python",
-        "print(x + 1)",
+        "figure.data",
         "```",
     )
-    builder.build(tmp_path / "out", ["a", "b"], tmp_path)
-    first, second = ((tmp_path / "out" / f"{n}.html").read_text() for n in "ab")
-    assert 'href="b.html"' in first
-    assert '<pre class="output">2' in second
-    assert "http" not in second  # it opens without a network
+    out = manual.executed(page, "p.md")
+    assert out.count('class="plot"') == 1
+    assert 'id="data-1"' in out
+    assert "<figcaption>Rises</figcaption>" in out
+
+
+def test_long_output_is_folded_and_cannot_become_markup(manual):
+    page = text("# T", "```python", "print('<b>\\n' * 40 + '```')", "```")
+    out = manual.executed(page, "p.md")
+    assert "<summary>Output, 41 lines</summary>" in out
+    assert "<b>" not in out.split("{raw} html")[1]
+    assert "````{raw} html" in out
+
+
+def test_commands_run_and_what_they_print_is_shown(manual):
+    out = manual.executed(text("# T", "```console", "$ casid --version", "```"), "p.md")
+    assert re.search(r'<pre class="output" tabindex="0">casid.* \d+\.\d+', out)
 
 
 @pytest.mark.parametrize(
@@ -55,25 +74,51 @@ def test_what_a_block_prints_stands_behind_it_and_blocks_share_a_namespace(build
         (["# T", "```python", "x = 1", "assert x == 2", "```"], r"p\.md, line 4: AssertionError"),
         (["# T", "```python", "1 / 0", "```"], r"p\.md, line 3: ZeroDivisionError"),
         (["# T", "```python", "x = 1"], r"not closed; end it with"),
-        (["# T", "[gone](gone.md)"], r"links to gone\.md, which does not exist"),
+        (["# T", "```python", "x = (", "```"], r"p\.md, line 3: SyntaxError"),
         (["# T", "```console", "$ casid check no.csv", "```"], r"p\.md, line 3: casid check no"),
     ],
 )
-def test_a_page_that_does_not_run_ends_the_build_with_its_line(builder, tmp_path, lines, what):
-    page(tmp_path, "p", *lines)
-    with pytest.raises(builder.BuildError, match=what):
-        builder.build(tmp_path / "out", ["p"], tmp_path)
-    assert not (tmp_path / "out").exists()
+def test_a_page_that_does_not_run_is_refused_with_its_line(manual, lines, what):
+    with pytest.raises(manual.BlockError, match=what):
+        manual.executed(text(*lines), "p.md")
 
 
-def test_a_block_without_the_file_that_it_needs_is_shown_and_not_run(builder, tmp_path):
-    page(tmp_path, "p", "# T", "```python needs gone.csv", "1 / 0", "```")
-    builder.build(tmp_path / "out", ["p"], tmp_path)
-    assert "not run here: gone.csv is absent" in (tmp_path / "out" / "p.html").read_text()
-    page(tmp_path, "p", "# T", "```python needs problems", "1 / 0", "```")
-    with pytest.raises(builder.BuildError, match="ZeroDivisionError"):
-        builder.build(tmp_path / "there", ["p"], tmp_path)
+def test_a_block_without_the_file_that_it_needs_is_shown_and_not_run(manual, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = text("# T", "```python needs gone.csv", "1 / 0", "```")
+    assert "not run here: gone.csv is absent" in manual.executed(page, "p.md")
+    (tmp_path / "gone.csv").touch()
+    with pytest.raises(manual.BlockError, match="ZeroDivisionError"):
+        manual.executed(page, "p.md")
 
 
-def test_every_page_is_in_the_menu(builder):
-    assert {p.stem for p in (ROOT / "docs").glob("*.md")} == set(builder.PAGES)
+@pytest.mark.parametrize(
+    ("line", "status", "what"),
+    [
+        ("See [the other](b.md#what-it-is).", 0, ""),
+        ("See [the other](gone.md).", 1, "gone.md"),
+        ("See [the other](b.md#gone).", 1, "gone"),
+        ("```python\n1 / 0\n```", 2, "index.md, line 8: ZeroDivisionError"),
+    ],
+)
+def test_the_build_is_strict_and_its_pages_load_nothing(tmp_path, line, status, what):
+    """Exit status of Sphinx: 0, 1 where it warns, 2 where it stops."""
+    docs = tmp_path / "docs"
+    docs.mkdir()
+    settings = (ROOT / "docs" / "conf.py").read_text(encoding="utf-8")
+    here = f"HERE = Path({str(ROOT / 'docs')!r})"
+    settings = settings.replace("HERE = Path(__file__).resolve().parent", here)
+    settings = settings.replace('["_static"]', "[str(HERE / '_static')]")
+    (docs / "conf.py").write_text(settings, encoding="utf-8")
+    page = text("# A", "", "```{toctree}", "b", "```", "", line)
+    (docs / "index.md").write_text(page, encoding="utf-8")
+    (docs / "b.md").write_text("# B\n\n## What it is\n\nText.\n", encoding="utf-8")
+    command = [sys.executable, "-m", "sphinx", "-W", "-q", "--keep-going", "docs", "site"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert bool(done.returncode) == bool(status), done.stderr
+    assert what in done.stderr
+    if not status:
+        site = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+        loaded = re.findall(r'<(?:script|link)[^>]+(?:src|href)="([^"]+)"', site)
+        assert loaded
+        assert not [address for address in loaded if "//" in address]

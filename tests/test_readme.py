@@ -68,7 +68,7 @@ def test_the_manual_runs_every_command_of_the_readme_in_order() -> None:
     """The manual's build runs its console blocks: what stands there runs as printed."""
     commands = commands_of(README.read_text(encoding="utf-8"))
     assert len(commands) >= 10
-    page = (ROOT / "docs" / "your_data.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "tutorials" / "your_data.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```(\w+[^\n]*)\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     shown = [line for kind, block in blocks if kind == "console" for line in block.splitlines()]
     run = [line.removeprefix("$ ") for line in shown]

@@ -11,6 +11,8 @@ import importlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Self
 
+from casid.presentation import present
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -20,7 +22,7 @@ def _of(module: str, function: str) -> Any:
 
 
 class RecordMethods:
-    """What a record does through `casid.data.preparation`, `alignment` and `reading.frames`."""
+    """What a record does through `casid.data.preparation`, `alignment`, `reading` and figures."""
 
     __slots__ = ()
 
@@ -28,6 +30,10 @@ class RecordMethods:
         """Return the record with every channel low-passed alike; see `casid.lowpass`."""
         filtered: Self = _of("preparation", "lowpass")(self, cutoff_hz, **options)
         return filtered
+
+    def plot(self) -> Any:
+        """Return a figure of the channels over the record's clock, the first eight of them."""
+        return present(self, "figure")
 
     def decimate(self, factor: int) -> Self:
         """Return every `factor`-th sample behind an anti-alias filter; see `casid.decimate`."""

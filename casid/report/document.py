@@ -106,7 +106,7 @@ class Figure:
     def caption(self) -> str:
         """What the figure shows."""
         meta = self.drawing.layout.meta
-        return str(meta["caption"]) if meta and "caption" in meta else ""
+        return str((meta or {}).get("caption") or self.drawing.layout.title.text or "")
 
 
 @dataclass(frozen=True)

@@ -288,6 +288,7 @@ def _page(text: str) -> str:
     text = re.sub(
         r'(<script type="application/json" id="[^"]*">)(.*?)</script>', _figure, text, flags=re.S
     )
+    text = re.sub(r'(id="library">)[^<]*', r"\1", text)
     text = re.sub(r"<script>.*?</script>", "<script></script>", text, flags=re.S)
     text = re.sub(r"<style>.*?</style>", "<style></style>", text, flags=re.S)
     text = re.sub(r"sha256-[^']*", "sha256-...", text)

@@ -1,6 +1,23 @@
-"""The script that draws a page's figures, wide or narrow, on screen or paper."""
+"""The scripts that draw figures, wide or narrow, light or dark, on screen or paper.
+
+A page carries plotly.js 4.1.1 (the bundle "cartesian", MIT licence) compressed, and its figures as
+JSON. `DRAW` unpacks the library, and draws a figure when the section that it is in is unfolded.
+"""
 
 from __future__ import annotations
+
+import base64
+import gzip
+import html
+import json
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from casid.report.document import Figure
+from casid.report.figures.style import visible_text
 
 # Panels side by side stand one above another where the page is narrow; a finger scrolls the page
 # and zooms only after the menu's zoom is chosen; on paper a figure takes the paper's width.
@@ -9,6 +26,37 @@ DRAW = """
 (function () {
   var coarse = window.matchMedia("(pointer: coarse)").matches;
   var narrowBelow = 620;
+  var light = { ink: "#222222", grid: "#e8e8e8", fine: "#f3f3f3", zero: "#bdbdbd",
+    paper: "#ffffff" };
+  var dark = { ink: "#d5dbe3", grid: "#343c47", fine: "#262c35", zero: "#59636f",
+    paper: "#1d232b" };
+  var drawn = [];
+  function palette() {
+    var theme = document.documentElement.dataset.theme;
+    var isDark = theme ? theme === "dark"
+      : window.matchMedia("(prefers-color-scheme: dark)").matches;
+    return isDark ? dark : light;
+  }
+  function tint(data, layout, look) {
+    layout.font = Object.assign(layout.font || {}, { color: look.ink });
+    layout.paper_bgcolor = layout.plot_bgcolor = "rgba(0,0,0,0)";
+    layout.modebar = Object.assign(layout.modebar || {},
+      { bgcolor: "rgba(0,0,0,0)", color: look.zero, activecolor: look.ink });
+    Object.keys(layout).forEach(function (key) {
+      if (!/^[xy]axis/.test(key)) { return; }
+      layout[key].gridcolor = look.grid;
+      layout[key].zerolinecolor = look.zero;
+      if (layout[key].minor) { layout[key].minor.gridcolor = look.fine; }
+    });
+    (layout.updatemenus || []).forEach(function (menu) { menu.bgcolor = look.paper; });
+    data.forEach(function (trace) {
+      [trace.line, trace.marker].forEach(function (part) {
+        if (part && (part.color === light.ink || part.color === dark.ink)) {
+          part.color = look.ink;
+        }
+      });
+    });
+  }
   function adapt(layout, wide, width) {
     var meta = wide.meta, n = meta.panels;
     if (meta.columns < 2) { return layout; }
@@ -36,6 +84,7 @@ DRAW = """
     if (coarse) { layout.dragmode = false; }
     function size() { place.style.height = layout.height + "px"; }
     size();
+    tint(figure.data, layout, palette());
     Plotly.newPlot(place, figure.data, layout, {
       responsive: true,
       displaylogo: false,
@@ -44,25 +93,165 @@ DRAW = """
     });
     function refit(width) {
       var narrow = width < narrowBelow;
-      if (narrow === wasNarrow) { return; }
+      if (narrow === wasNarrow || !width) { return; }
       wasNarrow = narrow;
       layout = adapt(place.layout, wide, width);
       size();
       Plotly.react(place, place.data, layout);
     }
     window.addEventListener("resize", function () { refit(place.clientWidth); });
-    window.addEventListener("beforeprint", function () {
-      Plotly.relayout(place, { autosize: false, width: 640 });
-    });
-    window.addEventListener("afterprint", function () {
-      Plotly.relayout(place, { autosize: true, width: null });
+    drawn.push(place);
+  }
+  function retint(look) {
+    drawn.forEach(function (place) {
+      tint(place.data, place.layout, look);
+      Plotly.react(place, place.data, place.layout);
     });
   }
-  document.querySelectorAll(".plot").forEach(function (place) {
+  function attempt(place) {
+    if (place.dataset.state || !place.clientWidth) { return; }  // drawn, or folded away
+    place.dataset.state = "drawn";
     try { draw(place); } catch (error) {
       console.error("error in " + place.id + ": " + error);
       place.textContent = "This figure could not be drawn; its numbers are in the tables.";
     }
+  }
+  function every(run) { document.querySelectorAll(".plot").forEach(run); }
+  function begin() {
+    every(attempt);
+    document.querySelectorAll("details").forEach(function (d) {
+      d.addEventListener("toggle", function () { every(attempt); });
+    });
+    window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", function () {
+      retint(palette());
+    });
+    new MutationObserver(function () { retint(palette()); })
+      .observe(document.documentElement, { attributeFilter: ["data-theme"] });
+  }
+  function unfold() {  // a link into a folded section opens it
+    var target = location.hash && document.getElementById(location.hash.slice(1));
+    var folded = target && (target.matches("details") ? target : target.querySelector("details"));
+    if (folded) { folded.open = true; target.scrollIntoView(); }
+  }
+  window.addEventListener("hashchange", unfold);
+  document.addEventListener("click", function (event) {  // also where the address stays the same
+    if (event.target.closest("a[href^='#']")) { setTimeout(unfold); }
   });
+  unfold();
+  window.addEventListener("beforeprint", function () {
+    document.querySelectorAll("details").forEach(function (d) {
+      if (!d.open) { d.open = true; d.dataset.folded = ""; }
+    });
+    if (!window.Plotly) { return; }
+    every(attempt);
+    retint(light);
+    drawn.forEach(function (p) { Plotly.relayout(p, { autosize: false, width: 640 }); });
+  });
+  window.addEventListener("afterprint", function () {
+    document.querySelectorAll("details[data-folded]").forEach(function (d) {
+      d.open = false;
+      d.removeAttribute("data-folded");
+    });
+    if (!window.Plotly) { return; }
+    retint(palette());
+    drawn.forEach(function (p) { Plotly.relayout(p, { autosize: true, width: null }); });
+  });
+  function refuse(error) {
+    console.error("the figures cannot be drawn: " + error);
+    every(function (place) {
+      place.style.height = "auto";
+      place.textContent = "This browser cannot draw the figure; its numbers are in the tables.";
+    });
+  }
+  function unpack(text) {
+    var bytes = Uint8Array.from(atob(text), function (c) { return c.charCodeAt(0); });
+    var stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+    return new Response(stream).text();
+  }
+  var packed = document.getElementById("library");
+  if (window.Plotly) { begin(); } else if (packed && document.querySelector(".plot")) {
+    try {
+      unpack(packed.textContent.trim()).then(function (text) {
+        var script = document.createElement("script");
+        script.textContent = text;
+        document.head.appendChild(script);
+        begin();
+      }).catch(refuse);
+    } catch (error) { refuse(error); }
+  }
 })();
 """
+
+
+def _packed() -> bytes:
+    return resources.files(__package__).joinpath("plotly-cartesian.min.js.gz").read_bytes()
+
+
+@cache
+def library() -> str:
+    """The text of plotly.js."""
+    return gzip.decompress(_packed()).decode("utf-8")
+
+
+def packed_library() -> str:
+    """plotly.js compressed (gzip), in base 64."""
+    return base64.b64encode(_packed()).decode("ascii")
+
+
+def place_html(figure: Figure) -> str:
+    """The place that a figure is drawn in."""
+    return (
+        f'<div class="plot" id="figure-{figure.name}" role="img" '
+        f'style="height:{_height(figure.drawing)}px" '
+        f'aria-label="{html.escape(visible_text(figure.caption))}"></div>'
+    )
+
+
+def data_html(figure: Figure) -> str:
+    """The data of a figure, for the script that draws it."""
+    content = figure_json(figure.drawing)
+    return f'<script type="application/json" id="data-{figure.name}">{content}</script>'
+
+
+_TOP = 40  # pixels above the panels, for the legend; the title becomes the caption
+
+
+def figure_json(figure: Any) -> str:
+    """The figure as JSON that cannot end its script block; its title, the caption, taken out."""
+    content = json.loads(figure.to_json(engine="json"))
+    layout = content["layout"]
+    layout.pop("title", None)
+    if "font" not in layout:  # not one of casid's own
+        layout.pop("template", None)
+    layout.setdefault("meta", {"panels": 1, "columns": 1})
+    margin = layout.setdefault("margin", {})
+    # The mode bar is beside the plot, never on it.
+    layout["margin"] = {**margin, "t": _TOP, "r": max(margin.get("r", 0), 44)}
+    layout["height"] = _height(figure)
+    text = json.dumps(_in_single_precision(content), separators=(",", ":"), ensure_ascii=True)
+    for sign in "<>&":
+        text = text.replace(sign, f"\\u{ord(sign):04x}")
+    return text
+
+
+def _height(figure: Any) -> int:
+    """Pixels of a figure whose title has become its caption."""
+    above = figure.layout.margin.t
+    return int((figure.layout.height or 420) - (_TOP if above is None else above) + _TOP)
+
+
+def _in_single_precision(content: Any) -> Any:
+    """Arrays with seven digits: more than a screen shows, in half the bytes."""
+    if isinstance(content, dict):
+        if content.get("dtype") == "f8":
+            values = np.frombuffer(base64.b64decode(content["bdata"]), dtype="<f8")
+            with np.errstate(over="ignore"):
+                single = values.astype("<f4")
+            if np.isinf(single).sum() > np.isinf(values).sum():  # beyond 3e38
+                return content
+            packed = base64.b64encode(single.tobytes()).decode("ascii")
+            return {**content, "dtype": "f4", "bdata": packed}
+        return {k: _in_single_precision(v) for k, v in content.items()}
+    if isinstance(content, list):
+        return [_in_single_precision(v) for v in content]
+    return content

@@ -9,13 +9,10 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import html
-import json
-from typing import Any
 
 from casid.report.document import Document, Figure, Section
 from casid.report.figures.style import visible_text
-from casid.report.html.drawing import DRAW
+from casid.report.html import drawing
 from casid.report.html.markup import Html, element, join
 from casid.report.html.parts import Renderer, inline
 from casid.report.html.style import STYLE
@@ -28,19 +25,9 @@ class _Page(Renderer):
         self.data: list[Html] = []
 
     def figure(self, figure: Figure) -> Html:
-        name, caption = figure.name, figure.caption
-        self.data.append(
-            Html(
-                f'<script type="application/json" id="data-{name}">'
-                f"{_figure_json(figure.drawing)}</script>"
-            )
-        )
-        place = (
-            f'<div class="plot" id="figure-{name}" role="img" '
-            f'style="height:{int(figure.drawing.layout.height)}px" '
-            f'aria-label="{html.escape(visible_text(caption))}"></div>'
-        )
-        return element("figure", Html(place) + element("figcaption", caption))
+        self.data.append(Html(drawing.data_html(figure)))
+        place = Html(drawing.place_html(figure))
+        return element("figure", place + element("figcaption", figure.caption))
 
 
 def html_page(document: Document) -> str:
@@ -61,13 +48,10 @@ def html_page(document: Document) -> str:
 
 def _shell(document: Document, links: Html, main: Html, data: list[Html]) -> str:
     """The page around its sections: head, policy, style, scripts."""
-    from plotly.offline import get_plotlyjs
-
-    library = _script(get_plotlyjs())
-    drawing = _script(DRAW)
+    library, script = _script(drawing.library()), _script(drawing.DRAW)
     policy = (
         "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
-        f"script-src {_hash(library)} {_hash(drawing)}; base-uri 'none'; form-action 'none'"
+        f"script-src {_hash(library)} {_hash(script)}; base-uri 'none'; form-action 'none'"
     )
     kicker = element("p", f"casid \u00b7 {document.kind}", class_="kicker")
     title = f"{document.kind} of {visible_text(document.title)}"
@@ -86,25 +70,15 @@ def _shell(document: Document, links: Html, main: Html, data: list[Html]) -> str
             "</p></noscript>",
             element("main", main),
             *data,
-            f"<script>{library}</script>" if data else "",
-            f"<script>{drawing}</script>" if data else "",
+            _packed_library() if data else "",
+            f"<script>{script}</script>",
             "</body></html>\n",
         )
     )
 
 
-def _figure_json(figure: Any) -> str:
-    """The figure as JSON that cannot end its script block; its title, the caption, taken out."""
-    content = json.loads(figure.to_json(engine="json"))
-    content["layout"].pop("title", None)
-    content["layout"]["margin"]["t"] = 40
-    # The mode bar is beside the plot, never on it.
-    content["layout"]["margin"]["r"] = max(content["layout"]["margin"].get("r", 0), 44)
-    content["layout"]["height"] = figure.layout.height - figure.layout.margin.t + 40
-    text = json.dumps(content, separators=(",", ":"), ensure_ascii=True)
-    for sign in "<>&":
-        text = text.replace(sign, f"\\u{ord(sign):04x}")
-    return text
+def _packed_library() -> str:
+    return f'<script type="text/plain" id="library">{drawing.packed_library()}</script>'
 
 
 def _script(text: str) -> str:

@@ -1,31 +1,9 @@
-"""Settings of the API reference: `python -m sphinx -W --keep-going docs/reference site/reference`.
+"""A Sphinx extension: docstrings of the house, whose sections mix paragraphs and entries."""
 
-Sphinx reads the docstrings; a warning (a broken link, a docstring that is no valid markup) is an
-error in the build.
-"""
+from __future__ import annotations
 
 import re
 from typing import Any
-
-import casid
-
-project = "casid"
-author = "the casid developers"
-release = version = casid.__version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
-source_suffix = {".md": "markdown"}
-html_theme = "pydata_sphinx_theme"
-html_title = "casid: API reference"
-html_show_sourcelink = False
-html_sidebars = {"**": []}
-html_theme_options = {"show_prev_next": True, "footer_start": [], "footer_end": []}
-
-default_role = "code"
-autodoc_member_order = "bysource"
-autodoc_preserve_defaults = True
-python_use_unqualified_type_names = True
-napoleon_use_rtype = False
-suppress_warnings = ["ref.python"]  # a name of several attributes in an annotation: no link
 
 _UNDERLINE = re.compile(r"^-{3,}\s*$")
 _ENTRY = re.compile(r"^(\S.*?) : (.*)$")
@@ -62,6 +40,7 @@ def sections(app: Any, what: str, name: str, obj: Any, options: Any, lines: list
     lines[:] = out
 
 
-def setup(app: Any) -> None:
+def setup(app: Any) -> dict[str, bool]:
     """Run before napoleon, which connects to the same event."""
     app.connect("autodoc-process-docstring", sections, priority=400)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
