@@ -19,15 +19,10 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
-from casid.estimation.simulation.band_limited import between_samples
-from casid.estimation.simulation.machine_code import MachineCode
+from casid.estimation.simulation.stepping import Step, Stepping, StepSymbols
 from casid.model.declarations import Stage
 from casid.model.explicit_form import Explicit
 from casid.model.model import Model
-from casid.time_limit import require_time
-
-BLOCK = 200
-"""Samples that one mapped CasADi function steps through."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,14 +53,14 @@ def rk4_sample(
     for i in range(parts + 1):
         is_inside = between is not None and 0 < i < parts
         course = [between[b * (parts - 1) + i - 1] for b in range(banded)] if is_inside else None
-        at.append(ca.vertcat(*_within(model, e, u_next, i / parts, course)))
+        at.append(ca.vertcat(*inputs_within(model, e, u_next, i / parts, course)))
     x = e.x
     for i in range(substeps):
-        x = _rk4(f, x, e.p, at[2 * i : 2 * i + 3], Ts / substeps)
+        x = rk4_step(f, x, e.p, at[2 * i : 2 * i + 3], Ts / substeps)
     return x
 
 
-def _rk4(f: Any, x: Any, p: Any, inputs: Sequence[Any], h: float) -> Any:
+def rk4_step(f: Any, x: Any, p: Any, inputs: Sequence[Any], h: float) -> Any:
     """One step of length `h` [s]; `inputs` at its beginning, its middle and its end."""
     left, mid, right = inputs
     k1 = f(x, left, p)
@@ -80,7 +75,7 @@ def band_limited(model: Model) -> list[str]:
     return [name for name, entry in model.inputs.items() if "bandlimited" in entry.holds]
 
 
-def _within(
+def inputs_within(
     model: Model, e: Explicit, u_next: Any, share: Any, course: Sequence[Any] | None
 ) -> Iterator[Any]:
     """Every input at a share of a sample; `course` of the band-limited ones, None: on the line.
@@ -123,64 +118,6 @@ def stepping_outputs(model: Model, e: Explicit) -> tuple[int, ...]:
     return tuple(i for i in found if any(ca.which_depends(e.h[i], ca.vertcat(*held))))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Symbols:
-    """What a step is an expression of.
-
-    Attributes
-    ----------
-    nx : number of the model's states.
-    banded : columns of `u` that are band-limited between samples.
-    within : shares of a sample at which the step begins, has its middle and ends, then the values
-        of every band-limited input there.
-    """
-
-    nx: int
-    banded: tuple[int, ...]
-    u: Any
-    u_next: Any
-    p: Any
-    within: Any
-
-
-class _Step:
-    """A step as a function of state, inputs, inputs a sample later, parameters, place in a sample.
-
-    It gives the next state, `out` at its beginning, which is wanted of the first step of a sample,
-    and `late` at its end, which is wanted of the last.
-
-    What depends on the parameters alone is computed once a simulation, by the same operations.
-    """
-
-    def __init__(
-        self, name: str, symbols: _Symbols, state: Any, after: Any, out: Any, late: Any
-    ) -> None:
-        self.n_state, self.n_out, self.n_late = after.numel(), out.numel(), late.numel()
-        p, ends = symbols.p, np.cumsum([0, self.n_state, self.n_out, self.n_late]).tolist()
-        both, found, constants = ca.extract_parametric(ca.veccat(after, out, late), p)
-        left = ca.which_depends(both, p, 1, False)
-        bare = [s for s, is_met in zip(ca.vertsplit(p), left, strict=True) if is_met]
-        self._constants = ca.Function("constants", [p], [ca.densify(ca.vertcat(*constants, *bare))])
-        results = [ca.densify(each) for each in ca.vertsplit(both, ends)]
-        own = ca.vertcat(*found, *bare)
-        arguments = [state, symbols.u, symbols.u_next, own, symbols.within]
-        self._function = ca.Function(name, arguments, results)
-        self._blocks: dict[int, Any] = {}
-        self.machine_code = MachineCode(self._function, symbols.nx, symbols.banded)
-
-    def constants(self, p: Array) -> Array:
-        """What the function takes in the place of all parameters `p` (np,)."""
-        return np.asarray(self._constants(np.asarray(p, dtype=float)), dtype=float).ravel()
-
-    def block(self, n: int) -> tuple[Any, Any]:
-        """Buffer and trigger of the function mapped over `n` steps."""
-        if n not in self._blocks:
-            function = self._function.mapaccum("block", n)
-            self._blocks[n] = (function, *function.buffer())
-        _, buffer, trigger = self._blocks[n]
-        return buffer, trigger
-
-
 class Simulator:
     """Simulates one model at one sample time, differentiated in chosen parameters.
 
@@ -210,22 +147,24 @@ class Simulator:
         self.nv = len(self.free) + self.nx
         felt = _felt(e, pinned or {})
         self._felt = [i for i, name in enumerate(e.states) if name in felt]
-        self._banded = [list(model.inputs).index(name) for name in band_limited(model)]
-        self._shares = np.arange(2 * substeps + 1) / (2 * substeps)
-        within = ca.SX.sym("within", 3 * (1 + len(self._banded)))
+        banded = tuple(list(model.inputs).index(name) for name in band_limited(model))
+        self._stepping = Stepping(self.nu, banded, substeps)
+        within = ca.SX.sym("within", 3 * (1 + len(banded)))
         u_next = ca.SX.sym("u_next", self.nu)
-        symbols = _Symbols(self.nx, tuple(self._banded), e.u, u_next, e.p, within)
+        symbols = StepSymbols(self.nx, banded, e.u, u_next, e.p, within)
         at = [
-            ca.vertcat(*_within(model, e, u_next, within[i], ca.vertsplit(within[3 + i :: 3])))
+            ca.vertcat(
+                *inputs_within(model, e, u_next, within[i], ca.vertsplit(within[3 + i :: 3]))
+            )
             for i in range(3)
         ]
         f = ca.Function("f", [e.x, e.u, e.p], [e.f])
-        x_next = _rk4(f, e.x, e.p, at, Ts / substeps)
+        x_next = rk4_step(f, e.x, e.p, at, Ts / substeps)
         self.stepping = stepping_outputs(model, e)
         h = ca.Function("h", [e.x, e.u, e.p], [e.h])
         at_end = h(x_next, at[2], e.p)
         before = ca.vertcat(*[at_end[i] for i in self.stepping])
-        self._plain_step = _Step("step", symbols, e.x, x_next, e.h, before)
+        self._plain_step = Step("step", symbols, e.x, x_next, e.h, before)
         self._tangent_step = self._differentiate(e, symbols, x_next, before)
 
     def with_courses(self, u: Array) -> Array:
@@ -234,12 +173,9 @@ class Simulator:
         A part of a record is simulated with a part of what this returns: the course of a
         band-limited input depends on samples outside the part.
         """
-        if not self._banded or u.shape[1] > self.nu:
-            return u
-        inside = between_samples(u[:, self._banded], 2 * self.substeps)
-        return np.hstack([u, inside.reshape(len(u), -1)])
+        return self._stepping.with_courses(u)
 
-    def _differentiate(self, e: Explicit, symbols: _Symbols, x_next: Any, before: Any) -> _Step:
+    def _differentiate(self, e: Explicit, symbols: StepSymbols, x_next: Any, before: Any) -> Step:
         columns = [e.parameters.index(name) for name in self.free]
         p_free = ca.vertcat(*[e.p[i] for i in columns])
         nf = len(self._felt)
@@ -253,7 +189,7 @@ class Simulator:
                 direct = ca.horzcat(ca.jacobian(of, p_free), direct)
             return ca.jacobian(of, felt) @ s + direct
 
-        return _Step(
+        return Step(
             "tangent",
             symbols,
             ca.vertcat(e.x, ca.vec(s)),
@@ -262,70 +198,6 @@ class Simulator:
             ca.vertcat(before, ca.vec(tangent(before))),
         )
 
-    def _run(
-        self, step: _Step, start: Array, u: Array, after: Array, p: Array
-    ) -> tuple[Array, Array, Array]:
-        """States after each sample (N, nx), outputs (N, ...), and all that the last sample left.
-
-        Blocks keep the mapped functions few and small; CasADi reads and writes the arrays in place.
-        Sensitivities of states are as many as those of outputs and more, and serve the next step
-        alone: they are not kept.
-        """
-        require_time("simulation")
-        n_state, n_out, n_late = step.n_state, step.n_out, step.n_late
-        states, outputs = np.empty((len(u), self.nx)), np.empty((len(u), n_out + n_late))
-        state = np.ascontiguousarray(start, dtype=float)
-        u, after = np.ascontiguousarray(u), np.ascontiguousarray(after)
-        if (steps := step.machine_code.before(len(u) * self.substeps)) is not None:
-            state = state.copy()
-            steps(state, u, after, step.constants(p), self._shares, states, outputs)
-            return states, outputs, state
-        fine = self.substeps
-        inside = np.empty((max(BLOCK // fine, 1) * fine, n_state))
-        given, last_given = np.empty((len(inside), n_out)), np.empty((len(inside), n_late))
-        repeated = np.tile(step.constants(p), (len(inside), 1))
-        for first in range(0, len(u), len(inside) // fine):
-            last = min(first + len(inside) // fine, len(u))
-            n = (last - first) * fine
-            require_time("simulation")
-            buffer, trigger = step.block(n)
-            around = u[first:last], after[first:last]
-            columns = [np.repeat(each[:, : self.nu], fine, axis=0) for each in around]
-            arguments = [state, *columns, repeated[:n], self._courses_at(*around)]
-            for i, argument in enumerate(arguments):
-                if argument.size:
-                    buffer.set_arg(i, argument.data)
-            buffer.set_res(0, inside[:n].data)
-            if n_out:
-                buffer.set_res(1, given[:n].data)
-            if n_late:
-                buffer.set_res(2, last_given[:n].data)
-            trigger()
-            states[first:last] = inside[fine - 1 : n : fine, : self.nx]
-            outputs[first:last, :n_out] = given[:n:fine]
-            outputs[first:last, n_out:] = last_given[fine - 1 : n : fine]
-            state = inside[n - 1].copy()
-        return states, outputs, state
-
-    def _courses_at(self, u: Array, after: Array) -> Array:
-        """What every step takes as its place within a sample, (N substeps, ...)."""
-        out = np.empty((len(u), self.substeps, 1 + len(self._banded), 3))
-        for j in range(3):
-            out[:, :, 0, j] = self._shares[j : j + 2 * self.substeps : 2]
-        for b, column in enumerate(self._banded):
-            begin, end = u[:, column], after[:, column]
-            first = self.nu + b * (2 * self.substeps - 1)
-            inner = u[:, first : first + 2 * self.substeps - 1]
-            course = np.column_stack([begin, inner, begin + (end - begin)])
-            for j in range(3):
-                out[:, :, 1 + b, j] = course[:, j : j + 2 * self.substeps : 2]
-        return out.reshape(len(u) * self.substeps, -1)
-
-    def _next(self, u: Array, after: Array | None = None) -> Array:
-        """The inputs one sample later; the last is held unless the one after it is given."""
-        last = (u[-1:] if after is None else after[None])[:, : self.nu]
-        return np.concatenate([u[1:, : self.nu], last])
-
     def simulate(self, u: Array, p: Array, x0: Array) -> Trajectory:
         """Simulate N samples from `x0` (nx,) under `u` (N, nu) with all parameters `p` (np,).
 
@@ -333,7 +205,8 @@ class Simulator:
         caller reports what diverged.
         """
         u = self.with_courses(u)
-        x, y, _ = self._run(self._plain_step, np.ravel(x0), u, self._next(u), p)
+        after = self._stepping.next(u)
+        x, y, _ = self._stepping.run(self._plain_step, np.ravel(x0), u, after, p)
         states = np.vstack([np.reshape(x0, (1, self.nx)), x])
         return Trajectory(y[:, : self.ny], states, before=y[:, self.ny :])
 
@@ -349,11 +222,11 @@ class Simulator:
         nj, columns = len(self.stepping), nv - nx + nf
         start = np.zeros((columns, nf))
         start[nv - nx :, :] = np.eye(nf)
-        xs, yd, end = self._run(
+        xs, yd, end = self._stepping.run(
             self._tangent_step,
             np.concatenate([np.ravel(x0), start.ravel()]),
             u,
-            self._next(u, after),
+            self._stepping.next(u, after),
             p,
         )
         y, dy, before, dbefore = np.split(yd, np.cumsum([ny, columns * ny, nj]).tolist(), axis=1)

@@ -1,0 +1,167 @@
+"""A recursion over samples, each of several steps, interpreted by CasADi or as machine code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.estimation.simulation.band_limited import between_samples
+from casid.estimation.simulation.machine_code import MachineCode
+from casid.time_limit import require_time
+
+BLOCK = 200
+"""Samples that one mapped CasADi function steps through."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepSymbols:
+    """What a step is an expression of.
+
+    Attributes
+    ----------
+    kept : leading entries of the state that are kept of every sample.
+    banded : columns of `u` that are band-limited between samples.
+    within : shares of a sample at which the step begins, has its middle and ends, then the values
+        of every band-limited input there.
+    """
+
+    kept: int
+    banded: tuple[int, ...]
+    u: Any
+    u_next: Any
+    p: Any
+    within: Any
+
+
+class Step:
+    """A step as a function of state, inputs, inputs a sample later, parameters, place in a sample.
+
+    It gives the next state, `out` at its beginning, which is wanted of the first step of a sample,
+    and `late` at its end, which is wanted of the last.
+
+    What depends on the parameters alone is computed once a run, by the same operations.
+    """
+
+    def __init__(
+        self, name: str, symbols: StepSymbols, state: Any, after: Any, out: Any, late: Any
+    ) -> None:
+        self.n_state, self.n_out, self.n_late = after.numel(), out.numel(), late.numel()
+        self.kept = symbols.kept
+        p, ends = symbols.p, np.cumsum([0, self.n_state, self.n_out, self.n_late]).tolist()
+        both, found, constants = ca.extract_parametric(ca.veccat(after, out, late), p)
+        left = ca.which_depends(both, p, 1, False)
+        bare = [s for s, is_met in zip(ca.vertsplit(p), left, strict=True) if is_met]
+        self._constants = ca.Function("constants", [p], [ca.densify(ca.vertcat(*constants, *bare))])
+        results = [ca.densify(each) for each in ca.vertsplit(both, ends)]
+        own = ca.vertcat(*found, *bare)
+        arguments = [state, symbols.u, symbols.u_next, own, symbols.within]
+        self._function = ca.Function(name, arguments, results)
+        self._blocks: dict[int, Any] = {}
+        self.machine_code = MachineCode(self._function, symbols.kept, symbols.banded)
+
+    def constants(self, p: Array) -> Array:
+        """What the function takes in the place of all parameters `p` (np,)."""
+        return np.asarray(self._constants(np.asarray(p, dtype=float)), dtype=float).ravel()
+
+    def block(self, n: int) -> tuple[Any, Any]:
+        """Buffer and trigger of the function mapped over `n` steps."""
+        if n not in self._blocks:
+            function = self._function.mapaccum("block", n)
+            self._blocks[n] = (function, *function.buffer())
+        _, buffer, trigger = self._blocks[n]
+        return buffer, trigger
+
+
+class Stepping:
+    """How steps run through samples: columns of the inputs, and steps a sample.
+
+    Parameters
+    ----------
+    columns : of the inputs, those of `u` and `u_next` of a step.
+    banded : which of them are band-limited between samples.
+    substeps : steps a sample.
+    """
+
+    def __init__(self, columns: int, banded: Sequence[int], substeps: int) -> None:
+        self.columns, self.banded, self.substeps = columns, tuple(banded), substeps
+        self._shares = np.arange(2 * substeps + 1) / (2 * substeps)
+
+    def with_courses(self, u: Array) -> Array:
+        """Inputs (N, columns) of a whole record, beside them the courses of band-limited ones.
+
+        A part of a record takes a part of what this returns: the course of a band-limited input
+        between samples depends on samples outside the part.
+        """
+        if not self.banded or u.shape[1] > self.columns:
+            return u
+        inside = between_samples(u[:, list(self.banded)], 2 * self.substeps)
+        return np.hstack([u, inside.reshape(len(u), -1)])
+
+    def next(self, u: Array, after: Array | None = None) -> Array:
+        """The inputs one sample later; the last is held unless the one after it is given."""
+        last = (u[-1:] if after is None else after[None])[:, : self.columns]
+        return np.concatenate([u[1:, : self.columns], last])
+
+    def run(
+        self, step: Step, start: Array, u: Array, after: Array, p: Array
+    ) -> tuple[Array, Array, Array]:
+        """What is kept of the states after each sample (N, kept), outputs (N, ...), the last state.
+
+        Blocks keep the mapped functions few and small; CasADi reads and writes the arrays in place.
+        Sensitivities of states are as many as those of outputs and more, and serve the next step
+        alone: they are not kept.
+        """
+        require_time("simulation")
+        n_state, n_out, n_late = step.n_state, step.n_out, step.n_late
+        states, outputs = np.empty((len(u), step.kept)), np.empty((len(u), n_out + n_late))
+        state = np.ascontiguousarray(start, dtype=float)
+        u, after = np.ascontiguousarray(u), np.ascontiguousarray(after)
+        if (steps := step.machine_code.before(len(u) * self.substeps)) is not None:
+            state = state.copy()
+            steps(state, u, after, step.constants(p), self._shares, states, outputs)
+            return states, outputs, state
+        fine = self.substeps
+        inside = np.empty((max(BLOCK // fine, 1) * fine, n_state))
+        given, last_given = np.empty((len(inside), n_out)), np.empty((len(inside), n_late))
+        repeated = np.tile(step.constants(p), (len(inside), 1))
+        for first in range(0, len(u), len(inside) // fine):
+            last = min(first + len(inside) // fine, len(u))
+            n = (last - first) * fine
+            require_time("simulation")
+            buffer, trigger = step.block(n)
+            around = u[first:last], after[first:last]
+            columns = [np.repeat(each[:, : self.columns], fine, axis=0) for each in around]
+            arguments = [state, *columns, repeated[:n], self._courses_at(*around)]
+            for i, argument in enumerate(arguments):
+                if argument.size:
+                    buffer.set_arg(i, argument.data)
+            buffer.set_res(0, inside[:n].data)
+            if n_out:
+                buffer.set_res(1, given[:n].data)
+            if n_late:
+                buffer.set_res(2, last_given[:n].data)
+            trigger()
+            states[first:last] = inside[fine - 1 : n : fine, : step.kept]
+            outputs[first:last, :n_out] = given[:n:fine]
+            outputs[first:last, n_out:] = last_given[fine - 1 : n : fine]
+            state = inside[n - 1].copy()
+        return states, outputs, state
+
+    def _courses_at(self, u: Array, after: Array) -> Array:
+        """What every step takes as its place within a sample, (N substeps, ...)."""
+        out = np.empty((len(u), self.substeps, 1 + len(self.banded), 3))
+        for j in range(3):
+            out[:, :, 0, j] = self._shares[j : j + 2 * self.substeps : 2]
+        for b, column in enumerate(self.banded):
+            begin, end = u[:, column], after[:, column]
+            first = self.columns + b * (2 * self.substeps - 1)
+            inner = u[:, first : first + 2 * self.substeps - 1]
+            course = np.column_stack([begin, inner, begin + (end - begin)])
+            for j in range(3):
+                out[:, :, 1 + b, j] = course[:, j : j + 2 * self.substeps : 2]
+        return out.reshape(len(u) * self.substeps, -1)
