@@ -92,7 +92,7 @@ class Prediction(Presented):
             if w.is_known:
                 out[w.where] = w.sd, None
                 continue
-            found = self.estimate.parameter(self.criterion.noisy.noise_name(w))
+            found = self.estimate.parameter(self.criterion.places.noise_name(w))
             sd = float(np.sqrt(found.value))
             error = found.std_error
             out[w.where] = sd, None if error is None or sd == 0.0 else error / (2 * sd)
@@ -203,7 +203,7 @@ def _scaled_noise(criterion: PredictionError, start: Mapping[str, float]) -> lis
     The gain does not change with a common factor on all variances: its optimum is known.
     """
     sources = criterion.noise
-    given = {criterion.noisy.noise_name(w) for w in sources} & set(start)
+    given = {criterion.places.noise_name(w) for w in sources} & set(start)
     if given or any(w.is_known for w in sources):
         return None
     ratio = _quadratic(criterion, criterion.start) / criterion.n_samples
@@ -295,7 +295,7 @@ def _unit(criterion: PredictionError, name: str, source: str) -> str:
 def _estimate(criterion: PredictionError, solution: Solution, wanted: Array) -> Estimate:
     """The estimate of a solution; `wanted` (n,) are the starts as they were given."""
     model, x = criterion.model, solution.x
-    builder = EstimateBuilder(model.name, model, criterion.noisy.linear.notes)
+    builder = EstimateBuilder(model.name, model, criterion.notes)
     rows = []
     for v, value, given in zip(criterion.variables, x.tolist(), wanted.tolist(), strict=True):
         note = "" if np.isclose(v.start, given, rtol=1e-3) else f"searched from {v.start:.2g}"

@@ -109,55 +109,32 @@ class Sampled:
     d_lead: Array
 
 
-class NoisyModel:
-    """A model, linear or linearised about its rest, with its noise.
+class NoisePlaces:
+    """Where the noise of a model enters: its outputs, and the places of process noise.
 
     Parameters
     ----------
     model : inputs that are unknown must be noise.
     noise : one `White` for each output, and for each source of process noise.
-    free : names of the parameters to differentiate in.
-    rest : state or input -> its value at rest, a number or an SX expression of the model's
-        parameters; 0 for what is not given.
 
     Raises
     ------
     ModelError
-        For noise that is missing, or enters nowhere; an input blended of two holds, or
-        band-limited; a model that cannot be linearised.
+        For noise that is missing, stated twice, or enters nowhere.
+
+    Attributes
+    ----------
+    process, measured : the sources on the process, and those of the outputs in their order.
+    driven : the model without its noise inputs: what a record has to hold.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        noise: Sequence[White] | White,
-        free: Sequence[str] = (),
-        rest: Mapping[str, Any] | None = None,
-    ) -> None:
-        self.rest = dict(rest or {})
-        self.model, self.noise, self.free = model, noise_sources(noise), tuple(free)
+    def __init__(self, model: Model, noise: Sequence[White] | White) -> None:
+        self.model, self.noise = model, noise_sources(noise)
         self.outputs = tuple(model.outputs)
         self._sort_noise()
-        for entry in model.inputs.values():
-            for blend in entry.blends:
-                raise ModelError(
-                    f"{model.name}: input {entry.name} blends two holds ({blend.parameter}), but "
-                    "the sampled system holds it or joins it by straight lines; leave that effect "
-                    "out and declare the hold (input(..., hold='zoh') or 'foh'), or use "
-                    "casid.identify"
-                )
-            if entry.hold == "bandlimited":
-                raise ModelError(
-                    f"{model.name}: input {entry.name} is band-limited, and the sampled system of "
-                    "a band-limited input has no finite order; declare hold='foh', or use "
-                    "casid.identify"
-                )
-        self.driven = model.copy()  # without its noise inputs: what a record has to hold
+        self.driven = model.copy()
         for source in self.process:
             self.driven.inputs.pop(source.where, None)
-        self.inputs = tuple(self.driven.inputs)
-        self.hold = [self.driven.inputs[name].hold for name in self.inputs]
-        self._matrices = self._linear()
 
     @property
     def sources(self) -> tuple[White, ...]:
@@ -167,6 +144,17 @@ class NoisyModel:
     def noise_name(self, w: White) -> str:
         """What its size is called among the variables: a variance, or a power spectral density."""
         return f"{'var' if w.held or w.where in self.outputs else 'psd'}({w.where})"
+
+    def with_inputs(self) -> tuple[Model, list[str]]:
+        """The model with an input for every source of process noise, and their names."""
+        model, names = self.model.copy(), []
+        for source in self.process:
+            names.append(source.where)
+            if source.where in model.balances:
+                names[-1] = f"noise of {source.where}"
+                unit = model.balances[source.where].unit
+                model.add_term(source.where, model.add_input(Input(names[-1], unit, "unknown")))
+        return model, names
 
     def _sort_noise(self) -> None:
         places = [w.where for w in self.noise]
@@ -196,20 +184,62 @@ class NoisyModel:
                     f"({', '.join(unknown) or 'none'})"
                 )
 
+
+class NoisyModel:
+    """A model, linear or linearised about its rest, with its noise.
+
+    Parameters
+    ----------
+    model : inputs that are unknown must be noise.
+    noise : one `White` for each output, and for each source of process noise.
+    free : names of the parameters to differentiate in.
+    rest : state or input -> its value at rest, a number or an SX expression of the model's
+        parameters; 0 for what is not given.
+
+    Raises
+    ------
+    ModelError
+        For noise that is missing, or enters nowhere; an input blended of two holds, or
+        band-limited; a model that cannot be linearised.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        noise: Sequence[White] | White,
+        free: Sequence[str] = (),
+        rest: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.rest = dict(rest or {})
+        self.places = NoisePlaces(model, noise)
+        self.model, self.free = model, tuple(free)
+        self.noise, self.outputs = self.places.noise, self.places.outputs
+        self.process, self.measured = self.places.process, self.places.measured
+        for entry in model.inputs.values():
+            for blend in entry.blends:
+                raise ModelError(
+                    f"{model.name}: input {entry.name} blends two holds ({blend.parameter}), but "
+                    "the sampled system holds it or joins it by straight lines; leave that effect "
+                    "out and declare the hold (input(..., hold='zoh') or 'foh'), or use "
+                    "casid.identify"
+                )
+            if entry.hold == "bandlimited":
+                raise ModelError(
+                    f"{model.name}: input {entry.name} is band-limited, and the sampled system of "
+                    "a band-limited input has no finite order; declare hold='foh', or use "
+                    "casid.identify"
+                )
+        driven = self.places.driven
+        self.inputs = tuple(driven.inputs)
+        self.hold = [driven.inputs[name].hold for name in self.inputs]
+        self._matrices = self._linear()
+
     def _linear(self) -> Any:
         """p (np,) -> the entries of A, B, C, D, of y, x, u at rest, and their derivatives."""
-        model = self.model.copy()
-        for source in self.process:
-            if source.where in model.balances:
-                unit = model.balances[source.where].unit
-                w = model.add_input(Input(f"noise of {source.where}", unit, "unknown"))
-                model.add_term(source.where, w)
+        model, names = self.places.with_inputs()
         at_inputs = {n: v for n, v in self.rest.items() if n in model.inputs}
         at_states = {n: v for n, v in self.rest.items() if n not in model.inputs}
         self.linear = linear = linearise(model, x=at_states, u=at_inputs)
-        names = [
-            f"noise of {s.where}" if s.where in model.balances else s.where for s in self.process
-        ]
         order = [linear.inputs.index(n) for n in (*self.inputs, *names)]
         rest = [linear.equilibrium[n] for n in (*linear.outputs, *linear.states, *self.inputs)]
         parts = [linear.A, linear.B[:, order], linear.C, linear.D[:, order], ca.vertcat(*rest)]

@@ -38,13 +38,13 @@ def predicting_model(criterion: PredictionError, x: Array, covariance: Array) ->
     at = dict(zip(criterion.names, x.tolist(), strict=True))
     sources = []
     for w in criterion.noise:
-        variance = at.get(criterion.noisy.noise_name(w), w.sd**2)
+        variance = at.get(criterion.places.noise_name(w), w.sd**2)
         sources.append(replace(w, sd=float(np.sqrt(max(variance, 0.0))), is_known=True))
     records = []
     for e, d in enumerate(criterion.data):
         own = {n: values[e][n] for n in values[e] if values[e][n] != values[0][n] or n in d.known}
         nodes = criterion.initial_state(x, e)[None, :]
-        known_by = fingerprint(criterion.noisy.driven, criterion.experiments[e].record)
+        known_by = fingerprint(criterion.places.driven, criterion.experiments[e].record)
         records.append(FittedRecord(d.name, d.Ts, float(d.t[0]), d.N, own, nodes, known_by))
     spread = np.std(np.concatenate([d.y for d in criterion.data]), axis=0)
     return FittedModel(

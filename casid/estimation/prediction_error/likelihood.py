@@ -113,8 +113,9 @@ class PredictionError:
                     f"{', '.join(model.states)}"
                 )
         self.noisy = NoisyModel(model, noise, self.free, rest)
-        self.inputs = self.noisy.inputs
-        self.data = [signals_of(self.noisy.driven, e) for e in experiments]
+        self.places, self.inputs = self.noisy.places, self.noisy.inputs
+        self.notes = tuple(self.noisy.linear.notes)
+        self.data = [signals_of(self.places.driven, e) for e in experiments]
         self._refuse_gaps()
         self.offset = 0.0  # the constant of (1)
         self._index = self._lay_out()  # per experiment: (nv,) NLP variable of each local one, or -1
@@ -142,12 +143,12 @@ class PredictionError:
             if not w.is_known:
                 # An output without noise has no predictor; a balance without noise is a balance.
                 low = 1e-8 * w.sd**2 if w.where in self.outputs else 0.0
-                key, size = self.noisy.noise_name(w), w.sd**2
+                key, size = self.places.noise_name(w), w.sd**2
                 unknowns.share(key, unknowns.add(key, w.where, size, (low, np.inf), size))
         for e in range(len(self.data)):
             place = unknowns.add_own(e)
             local = [place.get(f, -1) for f in self.free]
-            local += [place.get(self.noisy.noise_name(w), -1) for w in self.noisy.sources]
+            local += [place.get(self.places.noise_name(w), -1) for w in self.places.sources]
             for name, state in self.model.states.items():
                 if self.initial is not None or state.initial is not None:
                     local.append(-1)
@@ -206,7 +207,7 @@ class PredictionError:
         """All parameters (np,), variances of process and measurement noise, initial state (nx,)."""
         index = self._index[e]
         values = self.unknowns.parameters(x, e, index)
-        sources = self.noisy.sources
+        sources = self.places.sources
         at = len(self.free)
         variances = np.array(
             [
