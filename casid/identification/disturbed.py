@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from casid.arrays import TINY
+from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
-from casid.errors import CasidError, OutOfTimeError
+from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.estimate import Estimate
@@ -20,17 +20,31 @@ from casid.estimation.noise import NoiseModel, estimate_noise
 from casid.estimation.prediction_error.disturbances import (
     Disturbance,
     rest_of,
+    stationary_spread,
     with_disturbances,
+)
+from casid.estimation.prediction_error.extended_likelihood import (
+    ExtendedOptions,
+    ExtendedPredictionError,
 )
 from casid.estimation.prediction_error.likelihood import PredictionError
 from casid.estimation.simulation.fit import FitSettings, fit_model, one_over_errors
 from casid.estimation.simulation.minimization import Fit
-from casid.identification.grey_box import minimize_prediction_error
+from casid.estimation.simulation.signals import Signals, signals_of
+from casid.identification.grey_box import (
+    Criterion,
+    Prediction,
+    minimize_extended_prediction_error,
+    minimize_prediction_error,
+)
 from casid.linear.noisy_model import White
+from casid.model.model import Model
 from casid.time_limit import require_time, seconds_left
 
 SIZES = np.logspace(-1.5, 1.5, 7)
 """Of a disturbance, times the size that its share of the residual suggests."""
+ALL_SIZES = np.logspace(-4, 4, 17)
+"""The same, where no simulation suggests any."""
 CORNERS = 8
 """Frequencies, even in the logarithm, that the search looks at."""
 WIDTHS = (0.05, 0.3)
@@ -50,48 +64,40 @@ def identify_disturbed(
     start: Mapping[str, float] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Estimate:
-    """Estimate a linear model whose disturbances have a named place and a parametric spectrum.
+    """Estimate a model whose disturbances have a named place and a parametric spectrum.
 
-    The likelihood of the one-step prediction errors of a Kalman filter, exact gradients. The search
-    starts from least squares of the simulation error, with the sizes and frequencies that have the
-    best likelihood there among those of a grid.
+    The likelihood of the one-step prediction errors of a Kalman filter, an extended one where the
+    model is nonlinear or outputs miss samples; exact gradients. The search starts from least
+    squares of the simulation error, with the sizes and frequencies that have the best likelihood
+    there among those of a grid.
 
     Raises
     ------
     ModelError
-        For a model that is not linear, or a place where nothing can act.
+        For a place where nothing can act, or a white disturbance that an output feels at once.
     IdentifiabilityError
         For parameters or disturbances that these records do not determine.
     SolveError
         If no optimum was found; where that is for want of time, the estimate says so in `not_done`.
     """
-    rest = rest_of(problem.model)
-    model, sources = with_disturbances(problem.model, disturbances)
+    program = _Program(problem.model, experiments, disturbances, settings)
     progress("fit the model without disturbances")
-    fit = fit_model(problem.model, experiments, settings, start=start, throw=False)
-    errors = 1 / one_over_errors(fit)
-    outputs = [White(n, float(e)) for n, e in zip(model.outputs, errors, strict=True)]
-    noise = [*outputs, *sources]
-    first = PredictionError(model, experiments, noise, own=settings.own, rest=rest)
-    begin = {n: v for n, v in fit.values.items() if n in first.names} | dict(start or {})
+    fit = _simulated(problem, experiments, settings, start)
+    errors = _spreads(problem.model, experiments) if fit is None else 1 / one_over_errors(fit)
+    outputs = [White(n, float(e)) for n, e in zip(program.model.outputs, errors, strict=True)]
+    noise = [*outputs, *program.sources]
+    first = program.criterion(noise, 1 if fit is None else fit.criterion.substeps)
+    values = {} if fit is None else fit.values
+    begin = {n: v for n, v in values.items() if n in first.names} | dict(start or {})
     for d in disturbances:
         progress(f"search the spectrum of the disturbance in {d.place}")
-        begin |= _best_start(first, begin, d, _grid(problem, fit, d))
+        begin |= _best_start(first, begin, d, _grid(problem, fit, d, first.data))
     require_time(f"the prediction error of {problem.name}")
     progress("minimise the prediction error")
     sizes = {d.size: begin[d.size] for d in disturbances}
     for factor in AGAIN:  # a flat valley on the way may end a search
         begin |= {name: factor * size for name, size in sizes.items()}
-        found = minimize_prediction_error(
-            model,
-            experiments,
-            noise,
-            solver=settings.solver,
-            throw=False,
-            own=settings.own,
-            start=begin,
-            rest=rest,
-        )
+        found = program.minimum(noise, begin)
         if found.solution.is_converged or seconds_left() <= 0.0:
             break
     not_done = () if found.solution.is_converged else ("the end of the search",)
@@ -103,16 +109,99 @@ def identify_disturbed(
     return replace(found.estimate, problem=problem.name, method=method, trust=trust)
 
 
-def _grid(problem: Problem, fit: Fit, d: Disturbance) -> list[dict[str, float]]:
+def _simulated(
+    problem: Problem,
+    experiments: Sequence[Experiment],
+    settings: FitSettings,
+    start: Mapping[str, float] | None,
+) -> Fit | None:
+    """Least squares of the simulation error; None where a simulation says nothing or diverges."""
+    try:
+        fit = fit_model(
+            problem.model, experiments, settings, start=start, check_rank=False, throw=False
+        )
+    except OutOfTimeError:
+        raise
+    except (IdentifiabilityError, SolveError):
+        return None
+    return fit if np.all(np.isfinite(fit.x)) and np.isfinite(fit.solution.value) else None
+
+
+def _spreads(model: Model, experiments: Sequence[Experiment]) -> Array:
+    """(ny,) standard deviations of what was recorded of the outputs."""
+    data = [signals_of(model, e) for e in experiments]
+    return np.array(
+        [
+            float(np.std(np.concatenate([d.y[d.used[:, i], i] for d in data]))) or 1.0
+            for i in range(len(model.outputs))
+        ]
+    )
+
+
+class _Program:
+    """The criterion that a model with disturbances has, and its minimum.
+
+    Of the steady-state predictor of a linear model and records without gaps, or else of an extended
+    Kalman filter.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        experiments: Sequence[Experiment],
+        disturbances: Sequence[Disturbance],
+        settings: FitSettings,
+    ) -> None:
+        self.experiments, self.settings = experiments, settings
+        self.rest = rest_of(model)
+        self.model, self.sources = with_disturbances(model, disturbances)
+        gaps = any(n in e.record.missing for e in experiments for n in model.outputs)
+        self.is_extended = self.rest is None or gaps
+        self.spread = stationary_spread(self.model, disturbances)
+
+    def criterion(self, noise: Sequence[White], substeps: int) -> Criterion:
+        """The criterion from the starts of the model."""
+        own = self.settings.own
+        if not self.is_extended:
+            return PredictionError(self.model, self.experiments, noise, own=own, rest=self.rest)
+        return ExtendedPredictionError(
+            self.model, self.experiments, noise, own=own, initial=self.spread, substeps=substeps
+        )
+
+    def minimum(self, noise: Sequence[White], start: Mapping[str, float]) -> Prediction:
+        """The minimum that is found from a start."""
+        options: ExtendedOptions = {"own": self.settings.own, "start": start}
+        solver = self.settings.solver
+        if not self.is_extended:
+            return minimize_prediction_error(
+                self.model,
+                self.experiments,
+                noise,
+                solver=solver,
+                throw=False,
+                rest=self.rest,
+                own=self.settings.own,
+                start=start,
+            )
+        options["initial"] = self.spread
+        if self.settings.substeps is not None:
+            options["substeps"] = self.settings.substeps
+        return minimize_extended_prediction_error(
+            self.model, self.experiments, noise, solver=solver, throw=False, **options
+        )
+
+
+def _grid(
+    problem: Problem, fit: Fit | None, d: Disturbance, data: Sequence[Signals]
+) -> list[dict[str, float]]:
     """Starts of the parameters of one disturbance."""
-    data = fit.criterion.data
     low = max(2 * np.pi / (s.N * s.Ts) for s in data)
     high = 0.5 * np.pi / max(s.Ts for s in data)
     frequencies = np.geomspace(low, max(high, 2 * low), CORNERS).tolist()
-    size, seen = _seen(problem, fit, d)
+    size, seen = (1.0, None) if fit is None else _seen(problem, fit, d)
     if seen is not None:
         frequencies.append(seen.frequency)
-    sizes = [float(size * s) for s in SIZES]
+    sizes = [float(size * s) for s in (ALL_SIZES if fit is None else SIZES)]
     if d.spectrum == "white":
         root = float(np.sqrt(data[0].Ts))
         return [{d.size: s * root} for s in sizes]
@@ -148,7 +237,7 @@ def _seen(problem: Problem, fit: Fit, d: Disturbance) -> tuple[float, Disturbanc
 
 
 def _best_start(
-    criterion: PredictionError,
+    criterion: Criterion,
     begin: Mapping[str, float],
     d: Disturbance,
     grid: Sequence[Mapping[str, float]],
@@ -162,7 +251,11 @@ def _best_start(
         require_time(f"the search of the spectrum of the disturbance in {d.place}")
         sensors = {n: v * share**2 for n, v in noise.items()}
         values = {**base, **sensors, **point}
-        value = criterion.evaluate(np.array([values[n] for n in names])).value
+        at = np.array([values[n] for n in names])
+        if isinstance(criterion, ExtendedPredictionError):
+            value = criterion.value(at)
+        else:
+            value = criterion.evaluate(at).value
         if value < least:
             best, least = {**sensors, **point}, value
     return best

@@ -6,9 +6,9 @@ criterion (2.36)-(2.38) of Linder (2017), an NLP whose criterion is one pass ove
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Unpack
+from typing import Any, TypeAlias, Unpack
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.record import Record
-from casid.errors import DataError, IdentifiabilityError, SolveError
+from casid.errors import DataError, IdentifiabilityError, ModelError, SolveError
 from casid.estimation.estimate import Estimate, Estimated
 from casid.estimation.estimate_builder import EstimateBuilder, origin_of, solver_evidence
 from casid.estimation.fitted.fitted_model import FittedModel
@@ -25,12 +25,18 @@ from casid.estimation.local_rank import describe_null, local_rank
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Solution, not_converged
 from casid.estimation.nlp.solver import Solver, as_solver
+from casid.estimation.prediction_error.extended_likelihood import (
+    ExtendedOptions,
+    ExtendedPredictionError,
+)
 from casid.estimation.prediction_error.likelihood import CriterionOptions, PredictionError
+from casid.estimation.simulation.thresholds import STEPS
 from casid.identifiability.requirement import require_identifiable
 from casid.linear.kalman import Predictor
 from casid.linear.noisy_model import White
 from casid.model.model import Model
 from casid.presentation import Presented
+from casid.time_limit import seconds_left
 
 SOURCES = (
     "L. Ljung, System Identification, 2nd ed., Prentice Hall 1999: prediction error",
@@ -41,6 +47,15 @@ SOURCES = (
     "J. A. E. Andersson et al., Math. Program. Comput. 11 (2019) 1-36: CasADi",
 )
 """Papers behind the method."""
+
+EXTENDED_SOURCES = (
+    "N. R. Kristensen, H. Madsen, S. B. Jorgensen, Automatica 40 (2004) 225-237: estimation by an "
+    "extended Kalman filter",
+    "A. H. Jazwinski, Stochastic Processes and Filtering Theory, Academic Press 1970",
+)
+"""The same where the model is nonlinear."""
+
+Criterion: TypeAlias = PredictionError | ExtendedPredictionError
 
 _ROUGHLY = {"ipopt.tol": 1e-3, "ipopt.acceptable_iter": 0}
 _PRECISELY = {  # beyond this tolerance the rounding error of a long sum is met
@@ -63,7 +78,7 @@ class Prediction(Presented):
     """A minimum of the prediction-error criterion: the estimate and the predictors it gives."""
 
     estimate: Estimate
-    criterion: PredictionError
+    criterion: Criterion
     solution: Solution
     log_likelihood: float
 
@@ -99,7 +114,18 @@ class Prediction(Presented):
         return out
 
     def predictor(self, experiment: int = 0) -> Predictor:
-        """The steady-state predictor of one experiment, by its number from 0."""
+        """The steady-state predictor of one experiment, by its number from 0.
+
+        Raises
+        ------
+        ModelError
+            After an extended Kalman filter, whose gain has no steady state.
+        """
+        if not isinstance(self.criterion, PredictionError):
+            raise ModelError(
+                f"{self.criterion.model.name}: the gain of an extended Kalman filter has no steady "
+                "state; predict with the fitted model, model.predict(record, horizon)"
+            )
         return self.criterion.predictor(self.solution.x, self._number(experiment))
 
     def innovations(self, experiment: int = 0) -> Array:
@@ -167,29 +193,127 @@ def minimize_prediction_error(
         model = model.model
     given = [experiments] if isinstance(experiments, Experiment | Record) else list(experiments)
     chosen = [Experiment(e, {}, e.name) if isinstance(e, Record) else e for e in given]
-    criterion = PredictionError(model, chosen, noise, **options)
-    wanted = criterion.start  # as the user has it; the search may begin elsewhere
+
+    def criterion_of(sources: Sequence[White] | White) -> Criterion:
+        return PredictionError(model, chosen, sources, **options)
+
+    return _minimised(criterion_of, noise, options.get("start") or {}, solver, throw=throw)
+
+
+def minimize_extended_prediction_error(
+    model: Model,
+    experiments: Sequence[Experiment],
+    noise: Sequence[White] | White,
+    *,
+    solver: Solver | str | None = None,
+    throw: bool = True,
+    **options: Unpack[ExtendedOptions],
+) -> Prediction:
+    """Estimate a nonlinear model by the prediction errors of an extended Kalman filter.
+
+    Parameters
+    ----------
+    model, experiments, noise, solver : as for `minimize_prediction_error`; no noise is held, and
+        outputs may miss samples.
+    options : own, initial, start, substeps, as `ExtendedPredictionError`. By default substeps are
+        doubled until they no longer matter.
+
+    Raises
+    ------
+    ModelError, DataError, IdentifiabilityError, SolveError : as `minimize_prediction_error`.
+
+    Notes
+    -----
+    The likelihood where the model is linear; otherwise of the motion linearised about the predicted
+    states, which biases where these are uncertain on the scale of the curvature.
+    """
+    steps, start = options.get("substeps"), dict(options.get("start") or {})
+    options["substeps"] = steps or 1
+
+    def criterion_of(sources: Sequence[White] | White) -> ExtendedPredictionError:
+        return ExtendedPredictionError(model, experiments, sources, **options)
+
+    while steps is None and options["substeps"] < STEPS.most:
+        coarse, fine = criterion_of(noise), _finer(criterion_of(noise))
+        moved = abs(fine.value(fine.start) - coarse.value(coarse.start))
+        if moved <= STEPS.filter_at_start * coarse.n_samples:
+            break
+        options["substeps"] *= 2
+    wanted: Array | None = None
+    while True:
+        found = _minimised(criterion_of, noise, start, solver, throw=throw, wanted=wanted)
+        criterion = found.criterion
+        assert isinstance(criterion, ExtendedPredictionError)
+        if steps is not None or criterion.substeps >= STEPS.most or seconds_left() <= 0.0:
+            return found
+        if not found.solution.is_converged or not _filter_steps_matter(criterion, found.solution.x):
+            return found
+        options["substeps"] *= 2
+        wanted = criterion.start if wanted is None else wanted
+        values = dict(zip(criterion.names, found.solution.x.tolist(), strict=True))
+        start = options["start"] = values
+
+
+def _finer(c: ExtendedPredictionError) -> ExtendedPredictionError:
+    """The same criterion with half the step."""
+    return ExtendedPredictionError(
+        c.model,
+        c.experiments,
+        c.noise,
+        own=c.own,
+        initial=c.initial,
+        start=dict(zip(c.names, c.start.tolist(), strict=True)),
+        substeps=2 * c.substeps,
+    )
+
+
+def _filter_steps_matter(c: ExtendedPredictionError, x: Array) -> bool:
+    """True if halving the step would move the minimum by a share of its standard errors."""
+    at = _finer(c).evaluate(x)
+    if not np.isfinite(at.value):
+        return False
+    before = c.evaluate(x).gradient  # of variables at a bound, and what the solver left
+    moved = at.gradient - before
+    length = float(np.sqrt(abs(moved @ np.linalg.pinv(at.hessian, rcond=1e-12) @ moved)))
+    return length > STEPS.filter_at_end
+
+
+def _minimised(
+    criterion_of: Callable[[Sequence[White] | White], Criterion],
+    noise: Sequence[White] | White,
+    start: Mapping[str, float],
+    solver: Solver | str | None,
+    *,
+    throw: bool,
+    wanted: Array | None = None,
+) -> Prediction:
+    """The minimum of the criterion that a noise gives; `wanted` (n,) are starts to be shown."""
+    criterion = criterion_of(noise)
+    is_first = wanted is None  # of several with finer steps
+    if wanted is None:
+        wanted = criterion.start  # as the user has it; the search may begin elsewhere
     _refuse_no_predictor(criterion)
-    sources = _scaled_noise(criterion, options.get("start") or {})
+    sources = _scaled_noise(criterion, start)
     if sources is not None:
-        criterion = PredictionError(model, chosen, sources, **options)
+        criterion = criterion_of(sources)
     _refuse_undetermined(criterion)
     solution = _minimum(criterion, solver)
     if throw and not solution.is_converged:
-        raise not_converged(model.name, solution)
-    estimate = _estimate(criterion, solution, wanted)
-    structural = _structure(model, chosen, options.get("own", ()))
+        raise not_converged(criterion.model.name, solution)
+    estimate = _estimate(criterion, solution, wanted, is_first=is_first)
+    structural = _structure(criterion.model, criterion.experiments, criterion.own)
     estimate = replace(
         estimate, identifiability=replace(estimate.identifiability, structural=structural)
     )
     return Prediction(estimate, criterion, solution, criterion.log_likelihood(solution.x))
 
 
-def _refuse_no_predictor(criterion: PredictionError) -> None:
+def _refuse_no_predictor(criterion: Criterion) -> None:
     """Refuse a model without a predictor at the start, and records too short for the unknowns."""
     x0 = criterion.start
-    for e in range(len(criterion.data)):
-        criterion.predictor(x0, e)  # refuses with the reason where there is none
+    if isinstance(criterion, PredictionError):
+        for e in range(len(criterion.data)):
+            criterion.predictor(x0, e)  # refuses with the reason where there is none
     if criterion.n_samples <= len(x0):
         raise DataError(
             f"{criterion.data[0].name}: {criterion.n_samples} samples cannot pay for {len(x0)} "
@@ -197,7 +321,7 @@ def _refuse_no_predictor(criterion: PredictionError) -> None:
         )
 
 
-def _scaled_noise(criterion: PredictionError, start: Mapping[str, float]) -> list[White] | None:
+def _scaled_noise(criterion: Criterion, start: Mapping[str, float]) -> list[White] | None:
     """The noise sources with the best common factor, where no size is known nor in `start`.
 
     The gain does not change with a common factor on all variances: its optimum is known.
@@ -206,13 +330,13 @@ def _scaled_noise(criterion: PredictionError, start: Mapping[str, float]) -> lis
     given = {criterion.places.noise_name(w) for w in sources} & set(start)
     if given or any(w.is_known for w in sources):
         return None
-    ratio = _quadratic(criterion, criterion.start) / criterion.n_samples
+    ratio = criterion.quadratic(criterion.start) / criterion.n_samples
     if not (np.isfinite(ratio) and ratio > 0):
         return None
     return [replace(w, sd=w.sd * float(np.sqrt(ratio))) for w in sources]
 
 
-def _refuse_undetermined(criterion: PredictionError) -> None:
+def _refuse_undetermined(criterion: Criterion) -> None:
     """Refuse unknowns without information at the start."""
     x0, name = criterion.start, criterion.model.name
     first = criterion.evaluate(x0)
@@ -230,7 +354,7 @@ def _refuse_undetermined(criterion: PredictionError) -> None:
         )
 
 
-def _minimum(criterion: PredictionError, solver: Solver | str | None) -> Solution:
+def _minimum(criterion: Criterion, solver: Solver | str | None) -> Solution:
     """The optimum, roughly first, then precisely from there.
 
     The curvature in a variance changes by orders of magnitude on the way.
@@ -251,25 +375,15 @@ def _structure(model: Model, experiments: Sequence[Experiment], own: Sequence[st
         return f"without process noise: {refusal}"
 
 
-def _quadratic(criterion: PredictionError, x: Array) -> float:
-    """sum eps' F^-1 eps at `x`: as large as the number of samples where the noise is right."""
-    total = 0.0
-    for e in range(len(criterion.data)):
-        for part in criterion.predicted(x, e):
-            solved = np.linalg.solve(part.covariance, part.innovations[:, :, None])[:, :, 0]
-            total += float(np.sum(part.innovations * solved))
-    return total
-
-
 def _solve(
-    criterion: PredictionError, x: Array, solver: Solver | str | None, options: Mapping[str, Any]
+    criterion: Criterion, x: Array, solver: Solver | str | None, options: Mapping[str, Any]
 ) -> Solution:
     """Minimise from `x`; the constant of the criterion makes it half the sum of squares there.
 
     Convergence is judged relative to the criterion's value, which a density alone does not have.
     """
     criterion.offset = 0.0
-    criterion.offset = 0.5 * _quadratic(criterion, x) - criterion.evaluate(x).value
+    criterion.offset = 0.5 * criterion.quadratic(x) - criterion.evaluate(x).value
     nlp = Nlp(criterion.model.name)
     for v in criterion.variables:
         nlp.variable(v.name, v.start, lower=v.lower, upper=v.upper, scale=v.scale)
@@ -280,7 +394,7 @@ def _solve(
     return nlp.solve(solver, x.tolist(), throw=False, natural_scales=True)
 
 
-def _unit(criterion: PredictionError, name: str, source: str) -> str:
+def _unit(criterion: Criterion, name: str, source: str) -> str:
     model = criterion.model
     if source in model.parameters:
         return model.parameters[source].unit
@@ -292,27 +406,43 @@ def _unit(criterion: PredictionError, name: str, source: str) -> str:
     return f"({unit})^2" + (" s" if name.startswith("psd") else "")
 
 
-def _estimate(criterion: PredictionError, solution: Solution, wanted: Array) -> Estimate:
-    """The estimate of a solution; `wanted` (n,) are the starts as they were given."""
+def _estimate(
+    criterion: Criterion, solution: Solution, wanted: Array, *, is_first: bool
+) -> Estimate:
+    """The estimate of a solution; `wanted` (n,) are the starts as they were given.
+
+    Of the first search, a note says where it began from another one.
+    """
     model, x = criterion.model, solution.x
     builder = EstimateBuilder(model.name, model, criterion.notes)
     rows = []
     for v, value, given in zip(criterion.variables, x.tolist(), wanted.tolist(), strict=True):
-        note = "" if np.isclose(v.start, given, rtol=1e-3) else f"searched from {v.start:.2g}"
+        is_own = not is_first or np.isclose(v.start, given, rtol=1e-3)
+        note = "" if is_own else f"searched from {v.start:.2g}"
         unit = _unit(criterion, v.name, v.source)
         rows.append(Estimated(v.name, value, unit, False, None, given, note))
     uncertainty = builder.add_minimum(criterion, solution, rows, ASSUMES)
     for e, d in enumerate(criterion.data):
         error = criterion.innovations(x, e)
-        builder.add_fits(d.name, criterion.outputs, d.y, error)
+        builder.add_fits(d.name, criterion.outputs, np.where(d.used, d.y, np.nan), error)
         for i, name in enumerate(criterion.outputs):
             where = f"{d.name}/{name}" if len(criterion.data) > 1 else name
-            builder.add_whiteness(where, error[:, i], "whiteness of innovations")
-    gain = "steady-state" if criterion.initial is None else "time-varying"
+            found = error[d.used[:, i], i]
+            builder.add_whiteness(where, found, "whiteness of innovations")
+    is_extended = isinstance(criterion, ExtendedPredictionError)
+    sources = (*EXTENDED_SOURCES, *SOURCES) if is_extended else SOURCES
     return builder.build(
-        f"prediction error, {gain} Kalman predictor; rms errors are one sample ahead",
+        f"prediction error, {_gain(criterion)}; rms errors are one sample ahead",
         uncertainty,
         solver_evidence(solution),
-        origin_of(criterion.experiments, SOURCES),
+        origin_of(criterion.experiments, sources),
         model=predicting_model(criterion, x, uncertainty.covariance),
     )
+
+
+def _gain(criterion: Criterion) -> str:
+    """The predictor in words."""
+    if isinstance(criterion, ExtendedPredictionError):
+        return "extended Kalman filter"
+    gain = "steady-state" if criterion.initial is None else "time-varying"
+    return f"{gain} Kalman predictor"

@@ -199,7 +199,15 @@ class FittedModel(Saved, Exportable, Viewed):
             values, _ = self._values(given, known)
             start = None if given.fitted is None else given.fitted.nodes[0]
             experiment = Experiment(given.record, {}, given.name)
-            y = predicted(self.model, self.noise, experiment, values, start, int(horizon))
+            substeps = self._substeps(given.Ts)
+            y = predicted(
+                self.model.with_si_values(values),
+                self.noise,
+                experiment,
+                start,
+                int(horizon),
+                substeps,
+            )
         outputs = {name: y[:, i] for i, name in enumerate(self.model.outputs)}
         units = {name: unit for name, (_, unit) in self.model.outputs.items()}
         return self._record(given, outputs, units)

@@ -17,13 +17,17 @@ from casid.estimation.fitted.parts import (
     SimulationSettings,
     fingerprint,
 )
+from casid.estimation.prediction_error.extended_likelihood import ExtendedPredictionError
 from casid.estimation.prediction_error.likelihood import PredictionError
+from casid.linear.noisy_model import White
 
 STEP = 0.1
 """Largest Runge-Kutta step over the fastest mode: the error, (w h)^4 / 120, is below 1e-6."""
 
 
-def predicting_model(criterion: PredictionError, x: Array, covariance: Array) -> FittedModel:
+def predicting_model(
+    criterion: PredictionError | ExtendedPredictionError, x: Array, covariance: Array
+) -> FittedModel:
     """The model at `x` (n,) with its noise, of which every size is known.
 
     Parameters
@@ -56,14 +60,24 @@ def predicting_model(criterion: PredictionError, x: Array, covariance: Array) ->
         settings=SimulationSettings(
             _substeps(criterion, x), 1, 1 / np.where(spread > 0, spread, 1.0)
         ),
-        noise=NoiseModel(
-            tuple(sources), _numbers(criterion.noisy.rest, values[0]), criterion.initial
-        ),
+        noise=_noise_model(criterion, x, tuple(sources)),
     )
 
 
-def _substeps(criterion: PredictionError, x: Array) -> int:
-    """Runge-Kutta steps a sample that make up for the exact sampling of the predictor."""
+def _noise_model(
+    criterion: PredictionError | ExtendedPredictionError, x: Array, sources: tuple[White, ...]
+) -> NoiseModel:
+    """The noise of the first record, in numbers."""
+    if isinstance(criterion, ExtendedPredictionError):
+        return NoiseModel(sources, {}, criterion.initial_spread(x, 0), is_extended=True)
+    rest = _numbers(criterion.noisy.rest, criterion.parameters(x, 0))
+    return NoiseModel(sources, rest, criterion.initial)
+
+
+def _substeps(criterion: PredictionError | ExtendedPredictionError, x: Array) -> int:
+    """Runge-Kutta steps a sample: of the filter, or to make up for the exact sampling."""
+    if isinstance(criterion, ExtendedPredictionError):
+        return criterion.substeps
     system = criterion.sampled(x, 0).system
     if not system.nx:
         return 1

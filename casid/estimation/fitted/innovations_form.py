@@ -8,7 +8,6 @@ section 3.2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,30 +15,37 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.estimation.fitted.parts import NoiseModel
+from casid.estimation.prediction_error.extended_likelihood import ExtendedPredictionError
 from casid.estimation.prediction_error.likelihood import PredictionError
 from casid.linear.kalman import steady_state, time_varying
 from casid.model.model import Model
+
+NEWTON_STEPS = 8
+"""Towards the initial state of a record that was not fitted; for a linear model one is enough."""
 
 
 def predicted(
     model: Model,
     noise: NoiseModel,
     experiment: Experiment,
-    values: Mapping[str, float],
     start: Array | None,
     horizon: int,
+    substeps: int = 1,
 ) -> Array:
     """(N, ny) outputs predicted `horizon` samples ahead by (1).
 
     Parameters
     ----------
-    values : of every parameter.
+    model : every parameter with its value.
     start : (nx,) initial state; None estimates it.
+    substeps : Runge-Kutta steps a sample, of an extended Kalman filter.
 
     The first samples are predicted from the initial state: nothing was measured before.
     """
+    if noise.is_extended:
+        return _extended(model, noise, experiment, start, horizon, substeps)
     criterion = PredictionError(
-        model.with_si_values(values),
+        model,
         [experiment],
         noise.sources,
         initial=noise.initial,
@@ -68,7 +74,36 @@ def predicted(
     return np.asarray(z @ s.C.T + d.u @ s.D.T + at.offset)
 
 
-def _initial(criterion: PredictionError, start: Array | None) -> Array:
+def _extended(
+    model: Model,
+    noise: NoiseModel,
+    experiment: Experiment,
+    start: Array | None,
+    horizon: int,
+    substeps: int,
+) -> Array:
+    """The same by an extended Kalman filter, and simulations from its predicted states."""
+    criterion = ExtendedPredictionError(
+        model, [experiment], noise.sources, initial=noise.initial, substeps=substeps
+    )
+    x = criterion.start
+    if start is not None:
+        x = _initial(criterion, start)
+    else:
+        for _ in range(NEWTON_STEPS):
+            at = criterion.evaluate(x)
+            if not np.isfinite(at.value):
+                break
+            x = x - np.linalg.lstsq(at.hessian, at.gradient, rcond=None)[0]
+    found, d = criterion.filtered(x, 0), criterion.data[0]
+    y, states = found.predicted, found.x
+    values = np.array(list(criterion.parameters(x, 0).values()), dtype=float)
+    for _ in range(min(horizon, d.N) - 1):
+        y, states = criterion.filter_of(0).one_further(states, d.u, values)
+    return np.asarray(y)
+
+
+def _initial(criterion: PredictionError | ExtendedPredictionError, start: Array | None) -> Array:
     """The variables of the criterion (n,), which are initial states: given, or the best."""
     x = criterion.start
     if not len(x):

@@ -143,8 +143,11 @@ class NoiseModel:
     sources : each with its known standard deviation.
     rest : state or input -> its value at the rest that the model was linearised about, SI.
     initial : state -> standard deviation of its initial value; None for a steady-state predictor.
+    is_extended : predicted by an extended Kalman filter; states without a standard deviation in
+        `initial` then have none.
     """
 
     sources: tuple[White, ...]
     rest: Mapping[str, float] = field(default_factory=dict)
     initial: Mapping[str, float] | None = None
+    is_extended: bool = False

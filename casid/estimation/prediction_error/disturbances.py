@@ -71,6 +71,16 @@ class Disturbance:
         return f"width of disturbance in {self.place}"
 
     @property
+    def force(self) -> str:
+        """The state f or b of (1)."""
+        return f"disturbance in {self.place}"
+
+    @property
+    def integral(self) -> str:
+        """The state a of (1)."""
+        return f"integral of disturbance in {self.place}"
+
+    @property
     def source(self) -> str:
         """The white noise behind it, an unknown input of the model."""
         return f"source of disturbance in {self.place}"
@@ -107,6 +117,21 @@ def with_disturbances(
     return new, sources
 
 
+def stationary_spread(model: Model, disturbances: Sequence[Disturbance]) -> dict[str, Any]:
+    """State of a disturbance -> its stationary standard deviation, in the parameters of (1).
+
+    `model` is the one that `with_disturbances` returned. White ones have no state.
+    """
+    spread = {}
+    for d in disturbances:
+        if d.spectrum == "white":
+            continue
+        spread[d.force] = model.symbol(d.size)
+        if d.spectrum == "peak":
+            spread[d.integral] = model.symbol(d.size) / model.symbol(d.frequency)
+    return spread
+
+
 def _place(model: Model, place: str) -> str:
     """The balance, or the state with a rate of its own, that a place names."""
     if place in model.balances:
@@ -132,35 +157,28 @@ def _force(new: Model, d: Disturbance, unit: str) -> Any:
     size = new.parameter(d.size, unit, start=1.0, lower=0.0)
     white = new.unknown_input(d.source, "1/s^0.5")
     frequency = new.parameter(d.frequency, "rad/s", start=1.0, lower=1e-6, upper=1e6)
-    force = new.state(f"disturbance in {d.place}", unit)
+    force = new.state(d.force, unit)
     if d.spectrum == "first":
         new.derivative(force, -frequency * force + ca.sqrt(2 * frequency) * size * white)
         return force
     width = new.parameter(d.width, "1", start=0.1, lower=1e-3, upper=2.0)
-    integral = new.state(f"integral of disturbance in {d.place}", unit_quotient(unit, "s", -1))
+    integral = new.state(d.integral, unit_quotient(unit, "s", -1))
     new.derivative(integral, force)
     drive = ca.sqrt(4 * width * frequency) * size * white
     new.derivative(force, drive - 2 * width * frequency * force - frequency**2 * integral)
     return force
 
 
-def rest_of(model: Model) -> dict[str, Any]:
+def rest_of(model: Model) -> dict[str, Any] | None:
     """Where a linear model rests without inputs: state -> its value; empty where at zero.
 
-    Raises
-    ------
-    ModelError
-        For a model that is not linear in its states and inputs.
+    None for a model that is not linear in its states and inputs.
     """
     e = model.explicit()
     signals = ca.vertcat(e.x, e.u)
     slopes = ca.jacobian(ca.vertcat(e.f, e.h), signals)
     if ca.depends_on(slopes, signals):
-        raise ModelError(
-            f"{model.name} is not linear in its states and inputs, and disturbances are estimated "
-            "for linear models alone; linearise it, leave --disturbance out, or see what "
-            "casid diagnose says of disturbances"
-        )
+        return None
     at_zero = ca.substitute(e.f, signals, ca.SX.zeros(*signals.shape))
     if at_zero.is_zero() or not at_zero.nnz():
         return {}

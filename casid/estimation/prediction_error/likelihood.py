@@ -14,7 +14,6 @@ implicitly, sensitivity filters for the innovations.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypedDict
@@ -25,6 +24,7 @@ from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.errors import DataError, ModelError
 from casid.estimation.nlp.solution import Evaluation
+from casid.estimation.prediction_error.unknown_noise import NoisyUnknowns
 from casid.estimation.simulation.signals import signals_of
 from casid.estimation.unknowns import LastOf, Unknowns, Variable
 from casid.grouping import Grouped
@@ -106,20 +106,15 @@ class PredictionError:
             model, [(e.name, model.in_si(e.known)) for e in experiments], own, start
         )
         self.free, self.own = self.unknowns.free, self.unknowns.own
-        for name in self.initial or {}:
-            if name not in model.states:
-                raise ModelError(
-                    f"{model.name} has no state {name!r} to start in doubt; it has "
-                    f"{', '.join(model.states)}"
-                )
         self.noisy = NoisyModel(model, noise, self.free, rest)
         self.places, self.inputs = self.noisy.places, self.noisy.inputs
         self.notes = tuple(self.noisy.linear.notes)
         self.data = [signals_of(self.places.driven, e) for e in experiments]
         self._refuse_gaps()
         self.offset = 0.0  # the constant of (1)
-        self._index = self._lay_out()  # per experiment: (nv,) NLP variable of each local one, or -1
-        self._refuse_strangers(start or {})
+        doubted = () if initial is None else {**model.states, **initial}
+        self._laid_out = NoisyUnknowns(self.unknowns, self.places, self.data, doubted, start or {})
+        self._index = self._laid_out.index
         self._last: LastOf[list[Predicted]] = LastOf()
         self._near: dict[int, Array] = {}  # the last covariance, a start for the next
 
@@ -135,57 +130,6 @@ class PredictionError:
                     "between(t0, t1), fit the simulation error (identify), which takes gaps, or "
                     "interpolate the channel"
                 )
-
-    def _lay_out(self) -> list[Array]:
-        unknowns, index = self.unknowns, []
-        unknowns.add_shared()
-        for w in self.noise:
-            if not w.is_known:
-                # An output without noise has no predictor; a balance without noise is a balance.
-                low = 1e-8 * w.sd**2 if w.where in self.outputs else 0.0
-                key, size = self.places.noise_name(w), w.sd**2
-                unknowns.share(key, unknowns.add(key, w.where, size, (low, np.inf), size))
-        for e in range(len(self.data)):
-            place = unknowns.add_own(e)
-            local = [place.get(f, -1) for f in self.free]
-            local += [place.get(self.places.noise_name(w), -1) for w in self.places.sources]
-            for name, state in self.model.states.items():
-                if self.initial is not None or state.initial is not None:
-                    local.append(-1)
-                    continue
-                scale = abs(state.start) or self._size_of(state.unit)
-                bounds = state.lower, state.upper
-                tag = f"{name}(0){unknowns.label(e)}"
-                local.append(unknowns.add(tag, name, state.start, bounds, scale))
-            index.append(np.array(local))
-        return index
-
-    def _refuse_strangers(self, start: Mapping[str, float]) -> None:
-        """A start for what is no variable would be ignored."""
-        names = [*self.names, *self.own]
-        for name in start:
-            if name in names:
-                continue
-            what = f"{self.model.name}: start names {name!r}, "
-            if name in self.model.parameters:
-                known = "known" if self.model.parameters[name].is_known else "known in all records"
-                raise ModelError(
-                    f"{what}which is {known}: leave it out, or estimate it, "
-                    f"model.with_unknown({name!r}), and take it out of the experiments' values"
-                )
-            near = [n for n in names if f"({name})" in n]  # var(y) for y
-            near += difflib.get_close_matches(name, names, 1, 0.4)
-            raise ModelError(
-                f"{what}which is not a variable; there are {', '.join(names)}"
-                + (f"; did you mean {near[0]!r}?" if near else "; leave it out")
-            )
-
-    def _size_of(self, unit: str) -> float:
-        """The spread of the first output that has this unit, or one."""
-        for i, (_, other) in enumerate(self.model.outputs.values()):
-            if other == unit:
-                return float(np.std(self.data[0].y[:, i])) or 1.0
-        return 1.0
 
     variables: ClassVar[Grouped[list[Variable]]] = Grouped("unknowns")  # The NLP's variables
     names: ClassVar[Grouped[tuple[str, ...]]] = Grouped("unknowns")  # Names of the NLP's variables
@@ -205,26 +149,18 @@ class PredictionError:
 
     def _values(self, x: Array, e: int) -> tuple[Array, Array, Array]:
         """All parameters (np,), variances of process and measurement noise, initial state (nx,)."""
-        index = self._index[e]
-        values = self.unknowns.parameters(x, e, index)
-        sources = self.places.sources
-        at = len(self.free)
-        variances = np.array(
-            [
-                x[i] if i >= 0 else w.sd**2
-                for w, i in zip(sources, index[at : at + len(sources)], strict=True)
-            ]
-        )
+        laid_out = self._laid_out
+        values = laid_out.parameters(x, e)
         p = np.array([values[n] for n in self.noisy.linear.parameters], dtype=float)
-        return p, variances, self.unknowns.initial_state(x, index[at + len(sources) :])
+        return p, laid_out.variances(x, e), laid_out.initial_state(x, e)
 
     def parameters(self, x: Array, e: int) -> dict[str, float]:
         """Every parameter of the model in one experiment at `x`."""
-        return self.unknowns.parameters(x, e, self._index[e])
+        return self._laid_out.parameters(x, e)
 
     def initial_state(self, x: Array, e: int) -> Array:
         """Initial state (nx,) of one experiment at `x`."""
-        return self._values(x, e)[2]
+        return self._laid_out.initial_state(x, e)
 
     def sampled(self, x: Array, e: int) -> Sampled:
         """The sampled system of one experiment and its derivatives."""
@@ -384,6 +320,15 @@ class PredictionError:
             rows[:, self._index[e][keep]] = np.concatenate(parts)[:, keep]
             out.append(rows)
         return np.concatenate(out)
+
+    def quadratic(self, x: Array) -> float:
+        """sum eps' F^-1 eps at `x`: as large as the number of samples where the noise is right."""
+        total = 0.0
+        for e in range(len(self.data)):
+            for part in self.predicted(x, e):
+                solved = np.linalg.solve(part.covariance, part.innovations[:, :, None])[:, :, 0]
+                total += float(np.sum(part.innovations * solved))
+        return total
 
     def log_likelihood(self, x: Array) -> float:
         """log of the Gaussian density of all records."""

@@ -13,6 +13,7 @@ from casid.threshold_table import threshold as _is
 _BUDGET = "tests/identification/test_budget.py"
 _FIT = "tests/estimation/simulation/test_fit.py"
 _AGREEMENT = "tests/estimation/simulation/test_record_agreement.py"
+_FILTER = "tests/estimation/prediction_error/test_extended_likelihood.py"
 _GAPS = "tests/estimation/simulation/test_missing_samples.py"
 
 
@@ -57,6 +58,15 @@ class Steps:
         _FIT,
     )
     at_end: float = _is(0.01, "the same after a fit", _FIT)
+    filter_at_start: float = _is(
+        0.01,
+        "of the number of samples, by which halving the step of a Kalman filter may move the "
+        "logarithm of the likelihood before a fit",
+        _FILTER,
+    )
+    filter_at_end: float = _is(
+        0.05, "standard errors, by which the same may move the unknowns after a fit", _FILTER
+    )
     most: int = _is(16, "steps a sample, beyond which only what diverges is refined", _FIT)
     last: int = _is(64, "steps a sample, at most", _FIT)
 
