@@ -14,7 +14,9 @@ from casid.data.problem import Problem
 from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
-from casid.estimation.estimate import Estimate
+from casid.estimation.estimate import Agreement, Estimate
+from casid.estimation.fit_statistics import nrmse_fit, rms
+from casid.estimation.holdout import Split
 from casid.estimation.nlp.solution import not_converged
 from casid.estimation.noise import NoiseModel, estimate_noise
 from casid.estimation.prediction_error.disturbances import (
@@ -57,7 +59,7 @@ SHARES = (1.0, 0.1)
 
 def identify_disturbed(
     problem: Problem,
-    experiments: Sequence[Experiment],
+    split: Split,
     disturbances: Sequence[Disturbance],
     settings: FitSettings,
     *,
@@ -69,7 +71,7 @@ def identify_disturbed(
     The likelihood of the one-step prediction errors of a Kalman filter, an extended one where the
     model is nonlinear or outputs miss samples; exact gradients. The search starts from least
     squares of the simulation error, with the sizes and frequencies that have the best likelihood
-    there among those of a grid.
+    there among those of a grid. What `split` holds out is predicted one sample ahead.
 
     Raises
     ------
@@ -80,6 +82,7 @@ def identify_disturbed(
     SolveError
         If no optimum was found; where that is for want of time, the estimate says so in `not_done`.
     """
+    experiments = split.fitted
     program = _Program(problem.model, experiments, disturbances, settings)
     progress("fit the model without disturbances")
     fit = _simulated(problem, experiments, settings, start)
@@ -106,7 +109,29 @@ def identify_disturbed(
     named = ", ".join(f"{d.place} ({d.spectrum})" for d in disturbances)
     method = f"{found.estimate.method}; disturbances in {named}"
     trust = replace(found.estimate.trust, not_done=not_done)
-    return replace(found.estimate, problem=problem.name, method=method, trust=trust)
+    held_out = Agreement() if not_done else _held_out(found.estimate, split)
+    return replace(
+        found.estimate, problem=problem.name, method=method, trust=trust, held_out=held_out
+    )
+
+
+def _held_out(estimate: Estimate, split: Split) -> Agreement:
+    """RMS error and fit of predictions one sample ahead of what was held out."""
+    assert estimate.model is not None
+    names = list(estimate.units)
+    parts = [(e, mask) for e, mask in zip(split.whole, split.held, strict=True) if mask.any()]
+    parts += [(e, np.ones(e.record.N, dtype=bool)) for e in split.apart]
+    errors: dict[str, dict[str, float]] = {}
+    fits: dict[str, dict[str, float]] = {}
+    for e, mask in parts:
+        left, columns = estimate.model.residuals(e, 1), []
+        for name in names:
+            is_there = mask & ~e.record.is_missing(name)
+            columns.append(np.where(is_there, [e.record[name], left[name]], np.nan))
+        measured, error = np.stack(columns, axis=2)
+        for found, values in ((errors, rms(error)), (fits, nrmse_fit(measured, error))):
+            found[e.name] = dict(zip(names, values.tolist(), strict=True))
+    return Agreement(errors, fits)
 
 
 def _simulated(

@@ -436,6 +436,7 @@ def _estimate(
         uncertainty,
         solver_evidence(solution),
         origin_of(criterion.experiments, sources),
+        measured_by="Predictions one sample ahead against the measured outputs",
         model=predicting_model(criterion, x, uncertainty.covariance),
     )
 

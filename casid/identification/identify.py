@@ -83,9 +83,10 @@ def identify(
     intervals : "auto": normal, and by the profile of the criterion for parameters at a bound or
         where the criterion is not the parabola that a normal interval takes it for (the numbers
         are in `QUADRATIC_TEST`); "quick": normal; "profile"; "bootstrap": from simulated records.
-    disturbances : that act on a linear model, as "torque:peak": a balance or state, and "white",
+    disturbances : that act on the model, as "torque:peak": a balance or state, and "white",
         "first" (order) or "peak". Their sizes and frequencies are estimated with the parameters, by
-        prediction error; intervals are then normal, and nothing is held out.
+        the prediction error of a Kalman filter, an extended one for nonlinear models; intervals are
+        then normal, and what is held out is predicted one sample ahead.
 
     Returns
     -------
@@ -116,7 +117,7 @@ def identify(
     chosen = with_gaps_treated(problem.model, chosen)
     split = split_records(chosen, hold_out)
     settings = settings or FitSettings(starts=problem.starts)
-    undone, chosen_disturbances = Undone(), _disturbances(disturbances, split, settings, intervals)
+    undone, chosen_disturbances = Undone(), _disturbances(disturbances, settings, intervals)
     with until(began + fit_budget(problem.model, split.fitted, budget)):
         structural = "not checked, as there are constraints"
         if not settings.constraints:
@@ -125,7 +126,7 @@ def identify(
             )
         if chosen_disturbances:
             estimate = identify_disturbed(
-                problem, split.fitted, chosen_disturbances, settings, start=start, progress=say
+                problem, split, chosen_disturbances, settings, start=start, progress=say
             )
             return _completed(estimate, problem.model, structural)
         say(f"fit {', '.join(e.name for e in split.fitted)}")
@@ -160,14 +161,12 @@ def _completed(estimate: Estimate, model: Model, structural: str) -> Estimate:
 
 def _disturbances(
     disturbances: Sequence[Disturbance | str] | str,
-    split: Split,
     settings: FitSettings,
     intervals: str,
 ) -> list[Disturbance]:
     """The disturbances, and a refusal of what is not done with them."""
     given = [disturbances] if isinstance(disturbances, str) else list(disturbances)
     for name, is_given in (
-        ("hold_out (--hold-out)", not split.is_empty),
         ("segments (--segments)", settings.segments > 1),
         ("constraints", bool(settings.constraints)),
         (f"intervals={intervals!r} (--intervals)", intervals in ("profile", "bootstrap")),

@@ -43,6 +43,10 @@ _PROFILE = (
     "agrees with the standard error where it is a parabola; noise as the standard errors assume it"
 )
 _ROOT = "; the bias of the inputs' noise taken from the gradient as at the estimate"
+_NOT_NORMAL = (
+    "the interval of {name} is normal, though {why}: the bias of the inputs' noise is removed at "
+    "the estimate alone, and no profile can be taken; simulate (--intervals bootstrap)"
+)
 _SIMULATED = (
     "bias-corrected percentiles of {runs} estimates from records simulated with this estimate and "
     "noise like its residual"
@@ -186,12 +190,23 @@ def _profiles(
             return profile_interval(scaled, name)
 
         interval = undone.attempt(f"the profile of {name}", profiled)
-        if interval is not None:
+        if interval is None:
+            continue
+        if _is_of_root(scaled, name, interval):
+            chosen.warnings.append(_NOT_NORMAL.format(name=name, why=why))
+        else:
             _keep(chosen, name, interval, found)
     if not all_of_them and not found.fit.solution.constraint_jacobian.size:
         chosen.assumes["quick"] = _TESTED
     if chosen.kinds:
         chosen.assumes["profile"] = _PROFILE + (_ROOT if found.is_removed else "")
+
+
+def _is_of_root(scaled: ScaledCriterion, name: str, interval: ProfileInterval) -> bool:
+    """True for a profile that means nothing, as it ends far from a root of equations."""
+    ends = (interval.lower, interval.upper)
+    is_far = any(scaled.is_far(end, scaled.names.index(name)) for end in ends)
+    return scaled.is_root and (interval.lower_minimum is not None or is_far)
 
 
 def _keep(chosen: Chosen, name: str, interval: ProfileInterval, found: Corrected) -> None:

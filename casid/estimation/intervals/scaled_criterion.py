@@ -8,7 +8,9 @@ its matrix H and the covariance P of the estimate, whatever noise P allows for, 
 is chi squared with one degree of freedom at the true value (Kent 1982; the scaling of Chandler and
 Bate 2007). Of a criterion that is a parabola, its interval is that of the standard error. Where the
 estimate is the root of equations that differ from the gradient of V by a bias, that of noise on
-inputs, V is lessened by the bias of its gradient at the estimate times the way from there.
+inputs, V is lessened by the bias of its gradient at the estimate times the way from there. That
+means something near the estimate alone: further away the bias is another one, and V without a limit
+below. No unknown goes further there than so many of its standard errors.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.errors import OutOfTimeError, SolveError
+from casid.estimation.intervals.thresholds import PROFILE_SEARCH
 from casid.estimation.nlp.nlp import Nlp
 from casid.estimation.nlp.solution import Evaluation
 from casid.estimation.nlp.solver import Solver, as_solver
@@ -70,11 +73,17 @@ class ScaledCriterion:
         solver: Solver | str | None = None,
         constraints: Sequence[Constraint] = (),
     ) -> None:
-        self.names, self.x = fit.criterion.names, fit.x
+        self.names, self.x, self.is_root = fit.criterion.names, fit.x, is_root
         self.lower, self.upper = (
             np.array([getattr(v, side) for v in fit.criterion.variables])
             for side in ("lower", "upper")
         )
+        self._farthest = np.full(len(self.x), np.inf)
+        if is_root:
+            error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+            self._farthest = PROFILE_SEARCH.farthest_of_root * error
+            self.lower = np.maximum(self.lower, np.minimum(self.x, self.x - self._farthest))
+            self.upper = np.minimum(self.upper, np.maximum(self.x, self.x + self._farthest))
         solution = fit.solution
         held = {*solution.at_lower, *solution.at_upper}
         self.free = np.array([name not in held for name in self.names])
@@ -89,6 +98,10 @@ class ScaledCriterion:
         if solver.name == "ipopt":
             solver = replace(solver, options={**_WARM, **solver.options})
         self.solver = solver
+
+    def is_far(self, value: float, i: int) -> bool:
+        """True where an unknown is so far from a root that the criterion means nothing."""
+        return self.is_root and abs(value - self.x[i]) >= (1 - 1e-9) * self._farthest[i]
 
     def std_error(self, i: int) -> float:
         """Of an unknown by its place."""

@@ -38,6 +38,12 @@ class ProfileSearch:
         0.005, "of the root of the rise at an end: so much of the half length", _PROFILE
     )
     refits: int = _is(16, "refits for one end, at most", _PROFILE)
+    farthest_of_root: float = _is(
+        6.0,
+        "standard errors from a root of equations, beyond which the bias of the inputs' noise is "
+        "another one than at it: three times the half of a normal interval",
+        _CHOICE,
+    )
     growth: float = _is(3.0, "times as far for the next value outside, at most", _PROFILE)
 
 
