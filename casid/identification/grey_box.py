@@ -30,6 +30,7 @@ from casid.estimation.prediction_error.extended_likelihood import (
     ExtendedPredictionError,
 )
 from casid.estimation.prediction_error.likelihood import CriterionOptions, PredictionError
+from casid.estimation.simulation.step_length import moves_likelihood, moves_minimum
 from casid.estimation.simulation.thresholds import STEPS
 from casid.identifiability.requirement import require_identifiable
 from casid.linear.kalman import Predictor
@@ -235,8 +236,8 @@ def minimize_extended_prediction_error(
 
     while steps is None and options["substeps"] < STEPS.most:
         coarse, fine = criterion_of(noise), _finer(criterion_of(noise))
-        moved = abs(fine.value(fine.start) - coarse.value(coarse.start))
-        if moved <= STEPS.filter_at_start * coarse.n_samples:
+        both = coarse.value(coarse.start), fine.value(fine.start)
+        if not moves_likelihood(*both, coarse.n_samples):
             break
         options["substeps"] *= 2
     wanted: Array | None = None
@@ -273,9 +274,7 @@ def _filter_steps_matter(c: ExtendedPredictionError, x: Array) -> bool:
     if not np.isfinite(at.value):
         return False
     before = c.evaluate(x).gradient  # of variables at a bound, and what the solver left
-    moved = at.gradient - before
-    length = float(np.sqrt(abs(moved @ np.linalg.pinv(at.hessian, rcond=1e-12) @ moved)))
-    return length > STEPS.filter_at_end
+    return moves_minimum(at.gradient - before, at.hessian)
 
 
 def _minimised(
