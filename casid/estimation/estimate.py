@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -179,6 +180,10 @@ class SolverEvidence:
 Measure = Mapping[str, Mapping[str, float]]  # record -> output -> number
 
 
+INCOMPLETE = "autocorrelated: model or noise model incomplete"
+"""Remark on residuals with more than three of 20 lags outside the 95 % band of white noise."""
+
+
 @dataclass(frozen=True, slots=True)
 class Agreement:
     """How well model and measurements agree."""
@@ -187,6 +192,16 @@ class Agreement:
     nrmse: Measure = field(default_factory=dict)  # per cent
     whiteness: Mapping[str, str] = field(default_factory=dict)  # output -> sentence
     measured_by: str = "Free simulation against the measured outputs"
+
+    @property
+    def coloured(self) -> dict[str, str]:
+        """Outputs whose residual should be white and is not, with the lags outside the band."""
+        found = {k: re.search(r"\d+ of \d+ lags outside", v) for k, v in self.whiteness.items()}
+        return {
+            k: f"{m[0]} 95 %"
+            for k, m in found.items()
+            if m is not None and INCOMPLETE in self.whiteness[k]
+        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.estimation.covariance import sandwich, whiteness
 from casid.estimation.estimate import (
+    INCOMPLETE,
     Agreement,
     Estimate,
     Estimated,
@@ -28,9 +29,6 @@ from casid.estimation.nlp.solution import Solution
 from casid.estimation.unknowns import Variable
 from casid.model.model import Model
 from casid.versions import versions
-
-INCOMPLETE = "autocorrelated: model or noise model incomplete"
-"""Remark on residuals with more than three of 20 lags outside the 95 % band of white noise."""
 
 
 class Scored(Protocol):

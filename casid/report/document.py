@@ -20,6 +20,12 @@ class Code(str):
     __slots__ = ()
 
 
+class Identifier(str):
+    """The identifier of what stands beside it in words: small, for those who search a file."""
+
+    __slots__ = ()
+
+
 class Strong(str):
     """Text set in bold on a page."""
 
@@ -33,7 +39,7 @@ class Status(str):
 
 
 Inline = str | tuple[str, ...]
-"""Text of a line, or pieces of it, each of them text, `Code`, `Strong` or `Status`."""
+"""Text of a line, or pieces: each text, `Code`, `Identifier`, `Strong` or `Status`."""
 
 
 def plain(text: Inline) -> str:
@@ -208,8 +214,8 @@ Labelled = tuple[str, str]
 class Section:
     """Parts below a heading; without any content, a page leaves it out.
 
-    `look` is "cause" or "advice" for a frame around a section inside of another. A notebook folds
-    a section unless it `is_open`.
+    `look` is "cause" or "advice" for a frame around a section inside of another, "fold" for one
+    that unfolds there. Pages and notebooks fold the sections of a document that are not `is_open`.
     """
 
     heading: Inline

@@ -17,8 +17,7 @@ from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.record import Record
 from casid.errors import CasidError, DataError, ModelError
-from casid.estimation.estimate import Estimate
-from casid.estimation.estimate_builder import INCOMPLETE
+from casid.estimation.estimate import INCOMPLETE, Estimate
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.prediction_error.input_models import (
     as_known,

@@ -55,7 +55,7 @@ def test_an_executed_notebook_shows_every_kind_of_object(executed):
         "problem": ("<math", "Channels"),
         "record": ("<svg", "every Ts = 0.02 s", "<polyline"),
         "experiment": ("phi_0", "0.01"),
-        "estimate": ("converged", "95 % interval", "<svg", "measured"),
+        "estimate": ("The model reproduces", "95 % interval", "<svg", "measured"),
         "fitted model": ("<math", "std. error"),
         "assessment": ("rank", "identifiable", "verdict"),
         "diagnosis": ("deficient", "quadratic_damping", "<svg", "0.349"),

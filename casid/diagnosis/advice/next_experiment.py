@@ -21,7 +21,6 @@ from casid.data.problem import Problem
 from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.advice.isolability import (
     Key,
-    label,
     likeness,
     separation_energy,
 )
@@ -29,6 +28,7 @@ from casid.diagnosis.advice.planned_records import Planned, Planner, with_start
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
 from casid.diagnosis.thresholds import PLANNING, SCORES
+from casid.diagnosis.verdict.names import effect_words
 from casid.errors import CasidError, DataError, OutOfTimeError
 from casid.estimation.noise import NoiseModel
 from casid.estimation.noise_response import noise_response
@@ -272,9 +272,7 @@ class _Rule:
 
 
 def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal]) -> str:
-    who = " from ".join(label(k) for k in (tied[0], tied[1]))
-    if len(tied) > 2:
-        who = f"{label(tied[0])} from {', '.join(label(k) for k in tied[1:])}"
+    who = f"{effect_words(*tied[0])} from {', '.join(effect_words(*k) for k in tied[1:])}"
     able = [p for p in proposals if isfinite(p.record_length)]
     if not able:
         return (

@@ -13,7 +13,9 @@ from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import Cause, Verdict
+from casid.diagnosis.verdict.facts import decisive, improves
 from casid.diagnosis.verdict.judgement import Judgement
+from casid.diagnosis.verdict.names import effect_words
 from casid.diagnosis.verdict.sentences import separates
 
 
@@ -49,7 +51,10 @@ def recommend(
     elif planned is not None:
         text = planned.sentence
     else:
-        text = advice(judged.verdict, judged.causes, table, judged.why_undecided)
+        is_better = improves(decisive(judged.fitted, judged.held_out))
+        text = advice(
+            judged.verdict, judged.causes, table, judged.why_undecided, is_better=is_better
+        )
     if table is None:
         return Recommendation(text, None, (), planned.proposals if planned is not None else ())
     undetectable: tuple[Undetectable, ...] | None = ()
@@ -92,9 +97,19 @@ _REMEDIES = (": check ", ": fit ", ": diagnose ")
 
 
 def advice(
-    verdict: Verdict, causes: Sequence[Cause], table: ScoreTable | None, why_undecided: str
+    verdict: Verdict,
+    causes: Sequence[Cause],
+    table: ScoreTable | None,
+    why_undecided: str,
+    *,
+    is_better: bool = True,
 ) -> str:
-    """What to do next, in a sentence."""
+    """What to do next, in a sentence.
+
+    Parameters
+    ----------
+    is_better : whether including the causes lowers the error of what was held out.
+    """
     if verdict == "undecided":
         if any(remedy in why_undecided for remedy in _REMEDIES):
             return "Correct what the reason names, then diagnose again."
@@ -102,8 +117,16 @@ def advice(
     tied = [c for c in causes if c.alternatives]
     if tied:
         c = tied[0]
-        others = ", ".join(a.name for a in c.alternatives)
-        return f"To separate {c.kind} in {c.where} from {others}: {separates(c.kind)}."
+        others = ", ".join(
+            a.name if a.kind == "unknown" else effect_words(a.kind, a.where) for a in c.alternatives
+        )
+        return f"To separate {effect_words(c.kind, c.where)} from {others}: {separates(c.kind)}."
+    if verdict == "deficient" and not is_better:
+        return (
+            "Keep the model as it is for now: the extended one explains what was fitted and raises "
+            "the error of what was held out. Diagnose a further record, best with "
+            f"{separates(causes[0].kind)}."
+        )
     if verdict == "deficient":
         return (
             "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
@@ -114,7 +137,7 @@ def advice(
     seen = {s.effect.key for s in scores if s.is_visible}
     undetected = {s.effect.key for s in scores} - seen
     if undetected:
-        names = ", ".join(sorted(f"{k} in {w}" for k, w in undetected))
+        names = ", ".join(sorted(effect_words(k, w) for k, w in undetected))
         return f"The model may be used. Undetectable in this set-up: {names}."
     return "The model may be used for motions like those recorded."
 

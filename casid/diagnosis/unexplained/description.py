@@ -165,7 +165,11 @@ def unexplained(
         where=where,
         places=tuple(found),
         tests=tests,
-        sentences=tuple(_sentences(where, found, tests, occurrences, goes_with, is_something)),
+        sentences=(
+            (*_sentences(where, found, tests, alpha), *_in_time(found, occurrences, goes_with))
+            if is_something
+            else (f"The remainder is consistent with noise (p = {tests.adjusted:.2g}).",)
+        ),
         occurrences=occurrences,
         goes_with=goes_with,
         signals=signals,
@@ -238,57 +242,56 @@ def _when(
 
 
 def _sentences(
-    where: str,
-    found: Sequence[MissingForce],
-    tests: ResidualTests,
-    occurrences: Sequence[Occurrence],
-    goes_with: Sequence[tuple[str, float]],
-    is_something: bool,
+    where: str, found: Sequence[MissingForce], tests: ResidualTests, alpha: float
 ) -> list[str]:
+    """On what the remainder depends; where on nothing found, what it is like."""
     best = found[0]
-    if not is_something:
-        return [
-            f"The remainder is consistent with noise (p = {tests.adjusted:.2g}).".replace("..", ".")
+    if not best.dependences:
+        return _of_disturbance(where, tests, alpha)
+    what = f"a missing {best.place}" if best.is_balance else f"an error of {best.place}"
+    out = [
+        f"The remainder is {what} that depends on "
+        + "; and on ".join(d.words for d in best.dependences)
+        + f". This explains {100 * best.explained:.0f} % of it."
+    ]
+    rivals = best.dependences[0].rivals
+    if rivals:
+        listed = ", ".join(" times a function of ".join(r) for r in rivals)
+        out.append(f"In this record {listed} would explain nearly as much.")
+    near = [m for m in found[1:] if m.dependences and best.score - m.score < DESCRIPTION.apart]
+    if near:
+        out.append(
+            "The place is not certain: "
+            + ", ".join(m.place for m in near)
+            + " would explain it as well."
+        )
+    if best.independent_of and not rivals:
+        out.append(f"It does not depend on {', '.join(best.independent_of)}.")
+    return out
+
+
+def _of_disturbance(where: str, tests: ResidualTests, alpha: float) -> list[str]:
+    """Of what no function explains; a test may find that it depends on states all the same."""
+    kind = "The remainder resembles a disturbance"
+    if tests.verdict == IN_TIME:
+        kind = "The mean or the power of the remainder changes in time"
+    place = f", acting in {where}" if where else ""
+    out = [f"{kind}{place}: no function of states, inputs or recorded channels explains it."]
+    if tests.p_dependence < alpha:
+        out = [
+            f"{kind}{place}. It is not independent of states and inputs (p = "
+            f"{tests.p_dependence:.2g}), but no function of them explains enough of it to be named."
         ]
-    out = []
-    if best.dependences:
-        what = f"a missing {best.place}" if best.is_balance else f"an error of {best.place}"
+    b = tests.loudest
+    if b.p_value < DESCRIPTION.band_p:
         out.append(
-            f"The remainder is {what} that depends on "
-            + "; and on ".join(d.words for d in best.dependences)
-            + f". This explains {100 * best.explained:.0f} % of it."
+            f"Most of it lies between {b.low:.3g} and {b.high:.3g} Hz of {b.output}, "
+            f"{b.ratio:.2g} times the noise."
         )
-        rivals = best.dependences[0].rivals
-        if rivals:
-            listed = ", ".join(" times a function of ".join(r) for r in rivals)
-            out.append(f"In this record {listed} would explain nearly as much.")
-        near = [m for m in found[1:] if m.dependences and best.score - m.score < DESCRIPTION.apart]
-        if near:
-            out.append(
-                "The place is not certain: "
-                + ", ".join(m.place for m in near)
-                + " would explain it as well."
-            )
-        if best.independent_of and not rivals:
-            out.append(f"It does not depend on {', '.join(best.independent_of)}.")
-    else:
-        kind = {
-            IN_TIME: "The mean or the power of the remainder changes in time",
-        }.get(tests.verdict, "The remainder resembles a disturbance")
-        place = f", acting in {where}" if where else ""
-        out.append(
-            f"{kind}{place}: no function of states, inputs or recorded channels explains it."
-        )
-        b = tests.loudest
-        if b.p_value < DESCRIPTION.band_p:
-            out.append(
-                f"Most of it lies between {b.low:.3g} and {b.high:.3g} Hz of {b.output}, "
-                f"{b.ratio:.2g} times the noise."
-            )
-    return out + _sentences_in_time(found, occurrences, goes_with)
+    return out
 
 
-def _sentences_in_time(
+def _in_time(
     found: Sequence[MissingForce],
     occurrences: Sequence[Occurrence],
     goes_with: Sequence[tuple[str, float]],

@@ -101,6 +101,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         p_value=remainder.p_value if remainder is not None else None,
         test="kind of the residual: spectrum, dependence on states and inputs, change in time",
         false_alarm_rate=remainder.level if remainder is not None else false_alarm_rate,
+        coloured=(extended or baseline).fit.coloured,
     )
     bounds = bounds_met(problem, found.best_fit)
     if remainder is not None and remainder.unexplained is not None and not (bounds and not causes):
@@ -112,10 +113,9 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     if start.negated is not None:
         causes = with_the_sign(start.negated, causes, base_fit, found.best_fit)
     why_undecided = start.why_undecided or unlike_held_out(fitted, held)
-    if bounds and not why_undecided:
+    bounds = {} if why_undecided else bounds
+    if bounds:
         why_undecided = f"the fit holds {' and '.join(bounds.values())}"
-    else:
-        bounds = {}
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
     return Judgement(
         verdict=verdict,

@@ -119,6 +119,7 @@ def what_remains(
     p_value: float | None = None,
     test: str = "",
     false_alarm_rate: float = 0.05,
+    coloured: Mapping[str, str] | None = None,
 ) -> Remaining | None:
     """The remainder of the misfit, from the RMS errors of one part of the records.
 
@@ -130,6 +131,7 @@ def what_remains(
         under "baseline_rmse", "extended_rmse" (empty where nothing was named) and "noise_floor".
     p_value, test : of the test of the remaining residual, and the test's name.
     false_alarm_rate : below it, the test rejects that the remainder is noise.
+    coloured : output -> what its autocorrelated residual is like (`Agreement.coloured`).
 
     Returns
     -------
@@ -152,31 +154,38 @@ def what_remains(
         over_floor=over,
         p_value=p_value,
         test=test,
-        sentence=_sentence(explained, left, over, p_value, false_alarm_rate),
+        sentence=_sentence(explained, left, over)
+        + _kind_of_remainder(over, p_value, false_alarm_rate, coloured or {}),
     )
 
 
-def _sentence(
-    explained: tuple[Explained, ...],
-    left: float,
-    over: Mapping[str, float],
-    p_value: float | None,
-    alpha: float,
-) -> str:
+def _sentence(explained: tuple[Explained, ...], left: float, over: Mapping[str, float]) -> str:
+    """How much the causes explain, and how far the error ends above the floor."""
     worst = max(over, key=lambda o: over[o])
     ends = f"the error of {worst} ends at {over[worst]:.3g} times its noise floor"
-    if explained:
-        many = "causes explain" if len(explained) > 1 else "cause explains"
-        share = "more than 99.5 %" if 0 < left < JUDGING.nearly_all else f"{100 * (1 - left):.0f} %"
-        text = f"The named {many} {share} of the excess misfit, and {ends}."
-    else:
-        text = f"No cause is named; {ends}."
-    is_left = p_value is not None and p_value < alpha
-    if is_left:
-        return f"{text} The remainder is more than noise: part of the misfit is unexplained."
-    if over[worst] > JUDGING.at_floor:
+    if not explained:
+        return f"No cause is named; {ends}."
+    many = "causes explain" if len(explained) > 1 else "cause explains"
+    share = "more than 99.5 %" if 0 < left < JUDGING.nearly_all else f"{100 * (1 - left):.0f} %"
+    return f"The named {many} {share} of the excess misfit, and {ends}."
+
+
+def _kind_of_remainder(
+    over: Mapping[str, float], p_value: float | None, alpha: float, coloured: Mapping[str, str]
+) -> str:
+    """Whether the remainder is noise: one answer from the test, the floor and the whiteness."""
+    if p_value is not None and p_value < alpha:
+        return " The remainder is more than noise: part of the misfit is unexplained."
+    if max(over.values()) > JUDGING.at_floor:
         why = " that no effect of the catalogue explains" if p_value is not None else ""
-        return f"{text} An error above the floor remains{why}."
+        return f" An error above the floor remains{why}."
+    said = "; ".join(f"{output}: {text}" for output, text in coloured.items())
     if p_value is None:
-        return f"{text} No error remains above the floor."
-    return f"{text} The remainder is consistent with noise."
+        also = f", and the residual is autocorrelated ({said})" if said else ""
+        return f" No error remains above the floor{also}."
+    if not said:
+        return " The remainder is consistent with noise."
+    return (
+        " The remainder is consistent with the noise that was estimated, which is coloured: the "
+        f"residual is autocorrelated ({said}), as noise of measured inputs makes it."
+    )

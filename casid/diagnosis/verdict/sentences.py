@@ -12,7 +12,8 @@ from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import JUDGING
-from casid.diagnosis.verdict.cause import Cause, Verdict
+from casid.diagnosis.verdict.cause import Alternative, Cause, Verdict
+from casid.diagnosis.verdict.names import effect_words
 from casid.model.effects.effect import Effect
 
 _SAYS = {
@@ -185,7 +186,14 @@ def _says_cause(c: Cause) -> str:
         return c.sentence
     if all(a.kind == c.kind for a in c.alternatives):  # the place alone is open
         return f"{c.sentence} (or the same in {', '.join(a.where for a in c.alternatives)})"
-    return f"one of: {', '.join(c.tied)}"
+    names = dict.fromkeys(
+        [effect_words(c.kind, c.where), *(_alternative_words(a) for a in c.alternatives)]
+    )
+    return f"one of: {', '.join(names)}"
+
+
+def _alternative_words(a: Alternative) -> str:
+    return a.name if a.kind == "unknown" else effect_words(a.kind, a.where)
 
 
 def noise_text(at: Weighted) -> dict[str, str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from functools import cache
 
 from casid.report.document import Document, Figure, Section
 from casid.report.figures.style import visible_text
@@ -29,29 +30,36 @@ class _Page(Renderer):
         place = Html(drawing.place_html(figure))
         return element("figure", place + element("figcaption", figure.caption))
 
+    def outer(self, i: int, section: Section) -> Html:
+        """A section of the document itself: folded, unless it is open."""
+        content = self.parts(section.parts)
+        if not content:
+            return content
+        heading = element("h2", inline(section.heading)) if section.heading else Html("")
+        if section.is_open or not section.heading:
+            return element("section", heading + content, id=f"s{i}")
+        return element("details", element("summary", heading) + content, id=f"s{i}", class_="part")
+
 
 def html_page(document: Document) -> str:
-    """A document of sections as one HTML page; the same document gives the same page."""
+    """A document as one HTML page; the same document gives the same page.
+
+    What decides stands open: what is in no section, and the sections that are open. The others are
+    folded, in their order.
+    """
     page = _Page()
     sections = [s for s in document.parts if isinstance(s, Section)]
-    bodies = [(inline(s.heading), page.parts(s.parts)) for s in sections]
-    filled = [(f"s{i}", *body) for i, body in enumerate(b for b in bodies if b[1])]
-    links = join(
-        element("a", heading, href=f"#{anchor}") for anchor, heading, _ in filled if heading
-    )
-    main = join(
-        element("section", (element("h2", heading) if heading else "") + content, id=anchor)
-        for anchor, heading, content in filled
-    )
-    return _shell(document, links, main, page.data)
+    main = page.parts(p for p in document.parts if not isinstance(p, Section))
+    main += join(page.outer(i, section) for i, section in enumerate(sections))
+    return _shell(document, main, page.data)
 
 
-def _shell(document: Document, links: Html, main: Html, data: list[Html]) -> str:
+def _shell(document: Document, main: Html, data: list[Html]) -> str:
     """The page around its sections: head, policy, style, scripts."""
-    library, script = _script(drawing.library()), _script(drawing.DRAW)
+    script = _script(drawing.DRAW)
     policy = (
         "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
-        f"script-src {_hash(library)} {_hash(script)}; base-uri 'none'; form-action 'none'"
+        f"script-src {_library_hash()} {_hash(script)}; base-uri 'none'; form-action 'none'"
     )
     kicker = element("p", f"casid \u00b7 {document.kind}", class_="kicker")
     title = f"{document.kind} of {visible_text(document.title)}"
@@ -60,12 +68,12 @@ def _shell(document: Document, links: Html, main: Html, data: list[Html]) -> str
             "<!DOCTYPE html>",
             '<html lang="en"><head><meta charset="utf-8">',
             f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+            '<meta name="color-scheme" content="light dark">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             '<meta name="referrer" content="no-referrer">',
             element("title", f"{title} - casid"),
             f"<style>{STYLE}</style></head><body>",
             element("header", kicker + element("h1", document.title)),
-            element("nav", links, aria_label="Sections") if links else "",
             "<noscript><p>The figures need JavaScript; every number is also in a table."
             "</p></noscript>",
             element("main", main),
@@ -84,6 +92,11 @@ def _packed_library() -> str:
 def _script(text: str) -> str:
     """A script as the page's parser will see it: one kind of line end, no end tag inside."""
     return text.replace("\r\n", "\n").replace("\r", "\n").replace("</script", "<\\/script")
+
+
+@cache
+def _library_hash() -> str:
+    return _hash(_script(drawing.library()))
 
 
 def _hash(script: str) -> str:

@@ -16,6 +16,7 @@ from casid.report.document import (
     Code,
     Equations,
     Figure,
+    Identifier,
     Inline,
     Lines,
     Paragraph,
@@ -81,6 +82,9 @@ class Renderer(ABC):
         content = self.parts(section.parts)
         if not content:
             return content
+        if section.look == "fold":
+            summary = element("summary", inline(section.heading))
+            return element("details", summary + content, class_="fold")
         framed = element("h3", inline(section.heading)) + content
         if not section.look:
             return framed
@@ -94,6 +98,8 @@ def inline(text: Inline) -> Html:
     match text:
         case Code():
             return element("code", str(text))
+        case Identifier():
+            return element("code", str(text), class_="id")
         case Strong():
             return element("b", str(text))
         case Status():

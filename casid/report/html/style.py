@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 STYLE = """
-:root { --ink: #1b1f24; --soft: #57606a; --line: #d8dee4; --paper: #fff; --wash: #f6f8fa; }
+:root { color-scheme: light; --ink: #1b1f24; --soft: #57606a; --line: #d8dee4; --paper: #fff;
+  --wash: #f6f8fa; --link: #0550ae; --good: #005f47; --good-line: #00795a; --good-wash: #eaf6f1;
+  --bad: #963f00; --bad-line: #b84f00; --bad-wash: #fdf1e8; --none: #444559; --none-line: #5f6073;
+  --none-wash: #f3f3f7; --note-line: #d8b400; --note-wash: #fff8d6; --advice: #0072b2;
+  --shade: #0003; }
+@media screen and (prefers-color-scheme: dark) {
+  :root { color-scheme: dark; --ink: #d9dfe6; --soft: #9aa5b1; --line: #38414c; --paper: #14181d;
+    --wash: #1d232b; --link: #79b8ff; --good: #6fd3b0; --good-line: #2f9c78; --good-wash: #12261f;
+    --bad: #ffb07c; --bad-line: #d97b35; --bad-wash: #2b1d12; --none: #c3c5dc;
+    --none-line: #7d80a0; --none-wash: #1f202b; --note-line: #a98d1d; --note-wash: #2a250f;
+    --advice: #4aa3df; --shade: #0009; }
+}
 * { box-sizing: border-box; }
 html { -webkit-text-size-adjust: 100%; scroll-behavior: smooth; }
 body { margin: 0 auto; max-width: 1080px; padding: 0 20px 60px; background: var(--paper);
@@ -14,26 +25,32 @@ header { padding: 28px 0 6px; }
 h1 { margin: 2px 0 0; font-size: 30px; line-height: 1.2; }
 h2 { margin: 44px 0 12px; padding-top: 14px; border-top: 1px solid var(--line); font-size: 21px;
   line-height: 1.3; }
+section:first-of-type h2, h2:first-child { margin-top: 24px; }
+details.part { border-top: 1px solid var(--line); }
+details.part > summary, details.fold > summary { cursor: pointer; padding: 10px 0; }
+details.part > summary h2 { display: inline; margin: 0; padding: 0; border: 0; font-size: 18px; }
+details.part[open] { padding-bottom: 20px; }
+details.fold > summary { color: var(--link); font-size: 15px; }
+summary:focus-visible { outline: 2px solid var(--link); outline-offset: 2px; }
+code.id { font-size: .72em; font-weight: 400; color: var(--soft); background: none; }
 h3 { margin: 20px 0 6px; font-size: 17px; }
 p, ul, ol { margin: 8px 0; max-width: 76ch; }
 code { font: .92em/1.4 ui-monospace, SFMono-Regular, Menlo, Consolas, "DejaVu Sans Mono", monospace;
   background: var(--wash); border-radius: 4px; padding: 1px 4px; }
-nav { display: flex; flex-wrap: wrap; gap: 4px 16px; padding: 10px 0 4px; font-size: 14px; }
-a { color: #0550ae; }
-nav a { padding: 4px 0; }
+a { color: var(--link); }
 .banner { margin: 16px 0; padding: 16px 20px; border-radius: 10px; border: 1px solid;
   border-left-width: 8px; }
 .banner p { max-width: none; margin: 0; }
 .banner .word { color: var(--soft); }
-.banner .word b { display: inline-block; margin-right: 10px; font-size: 20px; color: inherit;
-  text-transform: capitalize; }
+.banner .word b { display: inline-block; margin-right: 10px; font-size: 20px; color: inherit; }
+.banner .word b::first-letter { text-transform: uppercase; }
 .banner .sentence { margin-top: 6px; font-size: 18px; line-height: 1.45; }
-.adequate { background: #eaf6f1; border-color: #00795a; }
-.adequate .word b { color: #005f47; }
-.deficient { background: #fdf1e8; border-color: #b84f00; }
-.deficient .word b { color: #963f00; }
-.undecided { background: #f3f3f7; border-color: #5f6073; }
-.undecided .word b { color: #444559; }
+.adequate { background: var(--good-wash); border-color: var(--good-line); }
+.adequate .word b { color: var(--good); }
+.deficient { background: var(--bad-wash); border-color: var(--bad-line); }
+.deficient .word b { color: var(--bad); }
+.undecided { background: var(--none-wash); border-color: var(--none-line); }
+.undecided .word b { color: var(--none); }
 .cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(240px, 100%), 1fr));
   gap: 12px; margin: 16px 0; }
 .card { border: 1px solid var(--line); border-radius: 10px; padding: 12px 16px; min-width: 0; }
@@ -42,23 +59,25 @@ nav a { padding: 4px 0; }
   font-variant-numeric: tabular-nums; }
 .card small { font-size: 14px; font-weight: 400; }
 .card .rest { font-size: 14px; font-weight: 400; color: var(--soft); }
-.notice { padding: 10px 16px 10px 34px; background: #fff8d6; border: 1px solid #d8b400;
+.notice { padding: 10px 16px 10px 34px; background: var(--note-wash);
+  border: 1px solid var(--note-line);
   border-radius: 10px; max-width: none; }
 .cause { border: 1px solid var(--line); border-radius: 10px; padding: 4px 18px 10px;
   margin: 12px 0; }
 .cause h3 { margin-top: 12px; }
 .facts { color: var(--soft); }
-.advice { border-left: 4px solid #0072b2; padding: 2px 0 2px 16px; margin: 16px 0; }
+.advice { border-left: 4px solid var(--advice); padding: 2px 0 2px 16px; margin: 16px 0; }
 .advice h3 { margin-top: 4px; }
 .table { margin: 12px 0; border: 1px solid var(--line); border-radius: 10px; overflow: hidden; }
 .caption { margin: 0; max-width: none; padding: 8px 9px; color: var(--soft); font-size: 14px;
   line-height: 1.4; background: var(--wash); }
 .scroll { overflow-x: auto; background:
-  linear-gradient(90deg, #fff 30%, #fff0) 0 0 / 40px 100% no-repeat local,
-  linear-gradient(270deg, #fff 30%, #fff0) 100% 0 / 40px 100% no-repeat local,
-  linear-gradient(90deg, #0003, #0000) 0 0 / 12px 100% no-repeat scroll,
-  linear-gradient(270deg, #0003, #0000) 100% 0 / 12px 100% no-repeat scroll, #fff; }
-.scroll:focus-visible { outline: 2px solid #0550ae; outline-offset: -2px; }
+  linear-gradient(90deg, var(--paper) 30%, transparent) 0 0 / 40px 100% no-repeat local,
+  linear-gradient(270deg, var(--paper) 30%, transparent) 100% 0 / 40px 100% no-repeat local,
+  linear-gradient(90deg, var(--shade), transparent) 0 0 / 12px 100% no-repeat scroll,
+  linear-gradient(270deg, var(--shade), transparent) 100% 0 / 12px 100% no-repeat scroll,
+  var(--paper); }
+.scroll:focus-visible { outline: 2px solid var(--link); outline-offset: -2px; }
 table { border-collapse: collapse; width: 100%; font-size: 14px; line-height: 1.4; }
 th, td { padding: 6px 9px; text-align: left; vertical-align: top; border-top: 1px solid
   var(--line); overflow-wrap: break-word; min-width: 4ch; max-width: 44ch; }
@@ -81,7 +100,7 @@ td code { background: none; padding: 0; }
 .equations .name { display: inline-block; min-width: 9ch; margin-right: 12px; color: var(--soft); }
 .equations .unit { margin-left: 18px; color: var(--soft); }
 .equations math { font-size: 1.1em; }
-.new { color: #0550ae; }
+.new { color: var(--link); }
 .lines { font-size: 14px; max-width: none; padding-left: 28px; }
 figure { margin: 16px 0; }
 .plot { width: 100%; overflow: hidden; }
@@ -99,8 +118,9 @@ figcaption { color: var(--soft); font-size: 14px; max-width: 90ch; margin-top: 4
   figcaption { margin-left: 6px; }
 }
 @media print {
+  details.part > summary, details.fold > summary { list-style: none; }
+  details::details-content { content-visibility: visible; height: auto; }
   body { max-width: none; padding: 0; font-size: 11pt; }
-  nav { display: none; }
   h2 { break-after: avoid; margin-top: 24px; }
   .card, .cause, .banner, figure, tr { break-inside: avoid; }
   .table { overflow: visible; }

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from casid.diagnosis.diagnosis import Cause, Diagnosis
+from casid.diagnosis.diagnosis import Cause, Diagnosis, Ranked
+from casid.diagnosis.verdict.facts import Facts
 from casid.estimation.estimate import Estimated
 from casid.report.document import (
     Bullets,
-    Code,
     Figure,
     Paragraph,
     Part,
@@ -17,7 +17,7 @@ from casid.report.document import (
     Table,
 )
 from casid.report.numbers import estimated_texts, number_text, p_text
-from casid.report.texts.diagnosis import effect_name
+from casid.report.texts.diagnosis import effect_in_words
 
 _SIZES = ("parameter", "estimate", "std. error", "95 % interval", "unit", "note")
 
@@ -27,10 +27,8 @@ def cause_part(i: int, c: Cause, by_record: Figure | None) -> Section:
 
     `by_record` shows the values by record; None where one value explains all.
     """
-    # A cause without a name is called so: no name of the catalogue may stand in its title.
-    name = effect_name(c.kind, c.where)
-    title = ("unknown cause", *name[1:]) if c.kind == "unknown" else name
-    facts = f"family-wise p {p_text(c.p_value)}"
+    title = effect_in_words(c.kind, c.where)
+    facts = f"p {p_text(c.p_value)}"
     if c.share > 0:
         facts += f"; removes {100 * c.share:.0f} % of the misfit"
     sizes = Table(
@@ -50,7 +48,7 @@ def cause_part(i: int, c: Cause, by_record: Figure | None) -> Section:
     if c.alternatives:
         others = [
             (
-                *effect_name(a.kind, a.where),
+                *effect_in_words(a.kind, a.where),
                 f" (p {p_text(a.p_value)} against the named one)" + (f": {a.why}" if a.why else ""),
             )
             for a in c.alternatives
@@ -66,7 +64,7 @@ def _others(c: Cause) -> Iterator[str]:
     for a in c.alternatives if c.tied else ():
         if (a.kind, a.where) not in seen:
             seen.add((a.kind, a.where))
-            yield from (", ", *effect_name(a.kind, a.where))
+            yield from (", ", *effect_in_words(a.kind, a.where))
 
 
 def _size(p: Estimated) -> Sequence[str]:
@@ -100,24 +98,45 @@ def no_cause(d: Diagnosis) -> str:
     return "None can be named: the record cannot support an answer."
 
 
-def ranking_table(d: Diagnosis) -> Table:
-    """The catalogue as tested in the first round."""
+_MOST = 10  # candidates of which more unfold
+
+
+def ranking_parts(d: Diagnosis) -> list[Part]:
+    """The catalogue as it was tested: ten candidates, then the others unfold."""
+    facts = Facts.of(d)
+    shown = [r for r in d.ranking if r.status != "not significant"]
+    first, others = shown[:_MOST], shown[_MOST:]
+    not_significant = [r for r in d.ranking if r.status == "not significant"]
+    return [
+        _candidates(first, facts, f"{P_VALUE} Gain: fall of the criterion after a refit"),
+        Section(f"{len(others)} more", [_candidates(others, facts, "Further candidates")], "fold"),
+        Section(
+            f"{len(not_significant)} not significant",
+            [_candidates(not_significant, facts, "Candidates that are not significant")],
+            "fold",
+        ),
+    ]
+
+
+P_VALUE = (
+    "p: the probability that noise alone makes one of all candidates look this strong "
+    "(family-wise)."
+)
+
+
+def _candidates(rows: Sequence[Ranked], facts: Facts, caption: str) -> Table:
     return Table(
-        ("", "effect", "where", "p", "family-wise p", "gain", "status", "why"),
+        ("candidate", "p", "gain", "status", "why"),
         [
             (
-                str(i),
-                Code(r.kind),
-                Code(r.where),
-                p_text(r.p_value),
-                p_text(r.adjusted),
+                effect_in_words(r.kind, r.where),
+                p_text(facts.p_value(r.kind, r.where)),
                 "\u2013" if r.gain is None else number_text(r.gain),
                 Status(r.status),
                 r.why,
             )
-            for i, r in enumerate(d.ranking, 1)
+            for r in rows
         ],
-        numbers=(3, 4, 5),
-        caption="Every candidate as tested in the first round. p: of the candidate alone; "
-        "family-wise: for the whole catalogue; gain: fall of the criterion after a refit",
+        numbers=(1, 2),
+        caption=caption,
     )

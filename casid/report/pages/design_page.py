@@ -15,7 +15,7 @@ from casid.report.document import (
     Table,
 )
 from casid.report.figures.designed_input import designed_input_figure
-from casid.report.numbers import value_text
+from casid.report.numbers import quantity_text, value_text
 from casid.report.pages.estimate_parts import provenance
 from casid.report.texts.designed_experiments import (
     learned_table,
@@ -28,7 +28,7 @@ from casid.report.texts.designed_experiments import (
 def design_report(found: DesignedExperiment) -> Document:
     """The input, what it is predicted to show, what it gains, and how it was found."""
     banner = Banner(
-        f"{found.duration:.4g} s",
+        quantity_text(found.duration, "s"),
         f"to {found.aim}",
         found.sentence,
         "adequate" if found.is_enough else "undecided",

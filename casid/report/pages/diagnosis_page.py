@@ -1,24 +1,29 @@
-"""The report of a diagnosis: the verdict first, then why, then everything it rests on."""
+"""The report of a diagnosis: what decides on one screen, then why, then everything it rests on."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from casid.diagnosis.diagnosis import Diagnosis
+from casid.diagnosis.verdict.facts import ErrorChange, Facts
 from casid.report.document import (
     Banner,
     Bullets,
     Card,
     Cards,
     Document,
+    Equations,
+    Inline,
+    Paragraph,
     Part,
     Section,
+    Table,
     figure_parts,
     mapping_table,
 )
 from casid.report.figures.diagnosis import diagnosis_figures
-from casid.report.numbers import change_text, number_text, plus_minus
-from casid.report.pages.cause_parts import cause_part, no_cause, ranking_table
+from casid.report.numbers import change_text, estimated_texts, p_text, quantity_texts, unit_text
+from casid.report.pages.cause_parts import P_VALUE, cause_part, no_cause, ranking_parts
 from casid.report.pages.estimate_parts import (
     error_bars,
     evidence_table,
@@ -42,24 +47,14 @@ from casid.report.pages.remainder_parts import (
     small_remainders,
 )
 from casid.report.pages.unexplained_parts import unexplained_parts
-from casid.report.texts.diagnosis import gain_rows
+from casid.report.texts.diagnosis import effect_in_words
 
 _VERDICTS = {
     "adequate": "The model explains this record",
     "deficient": "The model is missing something",
     "undecided": "This record cannot decide",
 }
-_OPEN = (  # in a notebook
-    "",
-    "Causes",
-    "Small remainders",
-    "Disturbances",
-    "Equations",
-    "Measured against simulated",
-    "Gain",
-)
 _FIGURE_NAMES = {
-    "simulation": "Measured against simulated",
     "residual_time": "Simulation error against time",
     "residual_against": "Simulation error against states and inputs",
     "residual_spectrum": "Simulation error in frequency",
@@ -71,38 +66,36 @@ def diagnosis_report(diagnosis: Diagnosis) -> Document:
     d = diagnosis
     figures = figure_parts(diagnosis_figures(d))
     figure, estimates = figures.get, d.estimates
-    warnings = [w for e in estimates.values() for w in e.warnings]
     causes: list[Part] = [
         cause_part(i, c, figure(f"by_record_{i}")) for i, c in enumerate(d.causes, 1)
     ]
-    advice = Section("Advice", [d.advice], look="advice")
     unknown = [f for name, f in figures.items() if name.startswith("unknown_")]
-    pairs = pairs_parts(d)
     noise = mapping_table(d.noise, ("channel", "what is known of its noise"))
-    sections: dict[str, list[Part]] = {
-        "": [_banner(d), Cards(list(_key_numbers(d))[:8]), notice(d.notes, warnings)],
-        "Causes": [*(causes or [no_cause(d)]), advice],
-        "Equations": equation_changes(d.model),
-        "Small remainders": small_remainders(d),
-        "Disturbances": disturbance_parts(d),
+    folded: dict[str, list[Part]] = {
+        "Causes in detail": [*(causes or [no_cause(d)]), *small_remainders(d)],
+        "Equations before and after": equation_changes(d.model),
+        "Gain": [gain_table(d), figure("gain")],
         "What remains": [*remaining_parts(d), figure("remaining")],
         "What is unknown": [*unexplained_parts(d), *unknown],
+        "Disturbances": disturbance_parts(d),
         "Parameters that moved": [moved_table(d), figure("moved")],
-        **{heading: [figure(name)] for name, heading in _FIGURE_NAMES.items()},
-        "Ranked candidates": [ranking_table(d), figure("ranking")],
         "Parameters": [parameter_table(estimates), figure("parameters"), *error_bars(estimates)],
-        "Gain": [gain_table(d), figure("gain")],
-        "What cannot be distinguished": [inseparable(d), figure("isolability"), *pairs],
-        "Undetectable in this set-up": undetectable_parts(d),
+        "What cannot be distinguished": [inseparable(d), figure("isolability"), *pairs_parts(d)],
         "Next experiment": [proposals_table(d)],
+        "Undetectable in this set-up": undetectable_parts(d),
+        "All candidates": [*ranking_parts(d), figure("ranking")],
+        **{heading: [figure(name)] for name, heading in _FIGURE_NAMES.items()},
+        "May the fits be trusted?": [evidence_table(estimates)],
         "Calibration": [*calibration_parts(d), figure("calibration")],
         "Noise": [noise],
-        "May the fits be trusted?": [evidence_table(estimates)],
+        "Notes": [Bullets(d.notes)],
     }
     return Document(
         d.problem,
         [
-            *(Section(h, parts, is_open=h in _OPEN) for h, parts in sections.items()),
+            *decision(d),
+            Section("Measured against simulated", [figure("simulation")], is_open=True),
+            *(Section(h, parts) for h, parts in folded.items()),
             provenance(d.provenance, d.settings, d.versions),
             Section("References", [Bullets(d.sources)]),
         ],
@@ -110,29 +103,70 @@ def diagnosis_report(diagnosis: Diagnosis) -> Document:
     )
 
 
-def _banner(d: Diagnosis) -> Banner:
+def decision(d: Diagnosis) -> list[Section]:
+    """What decides, on one screen: verdict, gain, how sure, what to change, what to do next."""
+    facts = Facts.of(d)
+    warnings = [w for e in d.estimates.values() for w in e.warnings]
     look = d.verdict if d.verdict in _VERDICTS else "undecided"
-    return Banner(d.verdict, _VERDICTS[look], d.sentence, look)
+    banner = Banner(d.verdict, _VERDICTS[look], d.sentence, look)
+    cards = Cards([*_gains(facts), *_how_sure(d, facts)][:8])
+    explained = Paragraph(P_VALUE, look="facts") if d.causes else None
+    change = [_changed_equations(d), _new_parameters(d)] if d.causes else []
+    return [
+        Section("", [banner, cards, explained, notice((), warnings)], is_open=True),
+        Section("What to change in the model", change, is_open=True),
+        Section("", [Section("What to do next", [d.advice], look="advice")], is_open=True),
+    ]
 
 
-def _key_numbers(d: Diagnosis) -> Iterator[Card]:
-    """Errors of what was held out, else of what was fitted, then sizes of the first cause.
+def _gains(facts: Facts) -> Iterator[Card]:
+    """Errors of what was held out, else of what was fitted."""
+    for c in facts.shown:
+        texts, unit = _in_one_unit(c)
+        value = " \u2192 ".join(texts[: 1 if c.after is None else 2])
+        rest = [f"error {change_text(c.before, c.after)}"] if c.after is not None else []
+        rest += [f"noise floor {texts[-1]} {unit}"] if c.floor is not None else []
+        yield Card(f"rms error of {c.output}, {c.part}", value, unit, "; ".join(rest))
 
-    A table further down has the rest.
-    """
-    shown = "held out" if d.held_out.get("baseline_rmse") else "fitted"
-    for part, output, before, after, floor in gain_rows(d):
-        if part != shown:
-            continue
-        value, rest = number_text(before), list[str]()
-        if after is not None:
-            value += f" \u2192 {number_text(after)}"
-            rest.append(f"error {change_text(before, after)}")
-        if floor is not None:
-            rest.append(f"noise floor {number_text(floor)}")
-        unit = d.output_units.get(output, "")
-        yield Card(f"rms error of {output}, {part}", value, unit, "; ".join(rest))
-    for c in d.causes[:1]:
-        for p in c.parameters[:2]:
-            where = f"{c.kind} in {c.where}"
-            yield Card(f"{p.name}, new parameter", plus_minus(p), p.unit, where)
+
+def _in_one_unit(c: ErrorChange) -> tuple[list[str], str]:
+    """Before, after (where there is one) and floor (where there is one)."""
+    numbers = [x for x in (c.before, c.after, c.floor) if x is not None]
+    return quantity_texts(numbers, c.unit)
+
+
+def _how_sure(d: Diagnosis, facts: Facts) -> Iterator[Card]:
+    for c in d.causes[:2]:
+        p = p_text(facts.p_value(c.kind, c.where))
+        text = p if p.startswith("<") else f"= {p}"
+        others = f"; not separated from {len(c.tied) - 1} other" if c.tied else ""
+        others += "s" if len(c.tied) > 2 else ""
+        yield Card("how sure", f"p {text}", "", "".join((*_words(c.kind, c.where), others)))
+
+
+def _words(kind: str, where: str) -> Inline:
+    return (effect_in_words(kind, where)[0],)
+
+
+def _changed_equations(d: Diagnosis) -> Equations | None:
+    """The equations that the causes changed, the new terms marked."""
+    model = d.model
+    if model is None or model.baseline is None:
+        return None
+    return Equations(model.equations().changed)
+
+
+def _new_parameters(d: Diagnosis) -> Table:
+    """The new parameters, with what they stand for."""
+    rows: list[tuple[Inline, ...]] = []
+    for c in d.causes:
+        for p in c.parameters:
+            value, error, between = estimated_texts(p)
+            words = effect_in_words(c.kind, c.where)
+            rows.append((p.name, value, error, between, unit_text(p.unit), words))
+    return Table(
+        ("new parameter", "estimate", "std. error", "95 % interval", "unit", "of"),
+        rows,
+        numbers=(1, 2, 3),
+        caption="Estimates of the new parameters",
+    )

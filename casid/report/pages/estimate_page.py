@@ -12,6 +12,7 @@ from casid.report.figures.estimates import parameter_figure
 from casid.report.figures.simulated import simulation_figure
 from casid.report.numbers import interval_lines, number_text
 from casid.report.pages.estimate_parts import evidence_table, notice, parameter_table, provenance
+from casid.report.verdicts import judged_estimate
 
 
 def estimate_report(estimate: Estimate, records: Sequence[RecordView] | None = None) -> Document:
@@ -28,29 +29,26 @@ def estimate_report(estimate: Estimate, records: Sequence[RecordView] | None = N
     if records:
         figures["simulation"] = simulation_figure(records)
     figure = figure_parts(figures).get
-    table = parameter_table({"estimate": e})
+    known = {p.name for p in e.parameters if p.known}
+    unknown = [n for n in e.names if n not in known]
     assumed = [f"Error bars: {e.assumes}", *(f"Intervals of {line}" for line in interval_lines(e))]
+    judged = judged_estimate(e)
+    advice = Section("What to do next", [judged.advice], look="advice")
+    banner = Banner(judged.word, judged.beside, judged.sentence, judged.look)
     return Document(
         e.problem,
         [
-            Section("", [_banner(e), notice((), (*e.suspects, *e.warnings))]),
-            Section("Parameters", [table, figure("parameters"), *assumed], is_open=True),
-            Section("Fit", [_fit_table(e), figure("simulation")], is_open=True),
-            Section("May the fit be trusted?", [evidence_table({"estimate": e})]),
+            Section("", [banner, notice((), (*e.suspects, *e.warnings)), advice], is_open=True),
+            Section("Parameters", [parameter_table({"estimate": e}, unknown)], is_open=True),
+            Section("Measured against simulated", [figure("simulation")], is_open=True),
+            Section("Fit", [_fit_table(e)]),
+            Section("Intervals", [figure("parameters"), *assumed]),
+            Section("Known values", [parameter_table({"estimate": e}, sorted(known))]),
+            Section("Solver, identifiability, residuals", [evidence_table({"estimate": e})]),
             provenance(e.provenance, {}, e.versions),
             Section("References", [Bullets(e.sources)]),
         ],
         kind="Estimate",
-    )
-
-
-def _banner(e: Estimate) -> Banner:
-    return Banner(
-        "converged" if e.is_converged else "NOT converged",
-        e.method,
-        f"{e.status} in {e.iterations} iterations; {e.starts_agreeing} of {e.starts_tried} starts "
-        "agree.",
-        "adequate" if e.is_converged else "deficient",
     )
 
 

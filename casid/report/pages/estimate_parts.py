@@ -15,10 +15,12 @@ def notice(notes: Sequence[str], warnings: Sequence[str]) -> Bullets:
     return Bullets([*warned, *notes], look="notice")
 
 
-def parameter_table(estimates: Mapping[str, Estimate]) -> Table:
-    """Estimates side by side by label, with standard errors and intervals."""
+def parameter_table(estimates: Mapping[str, Estimate], shown: Sequence[str] | None = None) -> Table:
+    """Estimates side by side by label, with standard errors and intervals; all, or those shown."""
     several = len(estimates) > 1
     names = dict.fromkeys(n for e in estimates.values() for n in e.names)
+    if shown is not None:
+        names = dict.fromkeys(shown)
     found = {
         label: {p.name: p for p in (*e.parameters, *e.initial_states)}
         for label, e in estimates.items()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from casid.diagnosis.advice.isolability import label
 from casid.diagnosis.diagnosis import Diagnosis
-from casid.report.document import Bullets, Code, Inline, Part, Table
-from casid.report.numbers import number_text
-from casid.report.texts.diagnosis import effect_name, pairs_table
+from casid.diagnosis.verdict.names import effect_words
+from casid.report.document import Bullets, Inline, Part, Table
+from casid.report.numbers import number_text, quantity_text
+from casid.report.texts.diagnosis import effect_in_words, pairs_table
 
 
 def inseparable(d: Diagnosis) -> Table | str | None:
@@ -16,22 +16,22 @@ def inseparable(d: Diagnosis) -> Table | str | None:
     rows: list[tuple[Inline, ...]] = []
     listed = set()
     for c in d.causes:
-        same = ("indistinguishable from ", *effect_name(c.kind, c.where))
+        same = ("indistinguishable from ", *effect_in_words(c.kind, c.where))
         for a in c.alternatives:
             listed.add((a.kind, a.where))
-            rows.append((Code(a.kind), Code(a.where), same, a.why))
+            rows.append((effect_in_words(a.kind, a.where), same, a.why))
     for r in d.ranking:
         if r.status == "cannot be rejected" and (r.kind, r.where) not in listed:
-            rows.append((Code(r.kind), Code(r.where), r.status, r.why))
+            rows.append((effect_in_words(r.kind, r.where), r.status, r.why))
     for r in d.ranking:
         if r.status == "invisible" and not d.undetectable:  # else they have a section of their own
-            rows.append((Code(r.kind), Code(r.where), "undetectable in this record", r.why))
+            rows.append((effect_in_words(r.kind, r.where), "undetectable in this record", r.why))
     if not rows:
         is_more = d.isolability is not None and d.isolability.groups
         nothing = "Nothing: every candidate was either named or rejected."
         return nothing if d.ranking and not is_more else None
     caption = "Effects that this record can neither name nor exclude"
-    return Table(("effect", "where", "what", "why"), rows, caption=caption)
+    return Table(("effect", "what", "why"), rows, caption=caption)
 
 
 def pairs_parts(d: Diagnosis) -> list[Part]:
@@ -40,10 +40,10 @@ def pairs_parts(d: Diagnosis) -> list[Part]:
     if found is None:
         return []
     same = [
-        "Indistinguishable in this record: " + ", ".join(map(label, group))
+        "Indistinguishable in this record: " + ", ".join(effect_words(*key) for key in group)
         for group in found.groups
     ]
-    return [Bullets(same), pairs_table(found)]
+    return [Bullets(same), pairs_table(found, in_words=True)]
 
 
 def undetectable_parts(d: Diagnosis) -> list[Part]:
@@ -52,8 +52,7 @@ def undetectable_parts(d: Diagnosis) -> list[Part]:
         return []
     rows = [
         (
-            Code(i.kind),
-            Code(i.where),
+            effect_in_words(i.kind, i.where),
             "any record of these channels" if i.is_structural else "this record",
             i.why,
             i.remedy,
@@ -63,7 +62,7 @@ def undetectable_parts(d: Diagnosis) -> list[Part]:
     caption = "Effects that do nothing to the outputs which the model's own parameters could not do"
     return [
         "That these were not found does not say that they are not there.",
-        Table(("effect", "where", "invisible in", "why", "remedy"), rows, caption=caption),
+        Table(("effect", "undetectable in", "why", "remedy"), rows, caption=caption),
     ]
 
 
@@ -74,19 +73,19 @@ def proposals_table(d: Diagnosis) -> Table:
             str(i),
             p.name,
             p.description,
-            (*effect_name(*p.pair[0]), " from ", *effect_name(*p.pair[1])),
-            f"{p.record_length:.3g}" if math.isfinite(p.record_length) else "never",
+            (*effect_in_words(*p.pair[0]), " from ", *effect_in_words(*p.pair[1])),
+            quantity_text(p.record_length, "s") if math.isfinite(p.record_length) else "never",
             f"{p.gain_factor:.3g}" if math.isfinite(p.gain_factor) else "\u2013",
             number_text(p.cosine),
         )
         for i, p in enumerate(d.proposals, 1)
     ]
     return Table(
-        ("", "experiment", "what to do", "separates", "seconds", "gain", "cosine"),
+        ("", "experiment", "what to do", "separates", "record needed", "gain", "cosine"),
         rows,
         numbers=(4, 5, 6),
         caption="What to record next, by how soon it separates the tied causes. Separates: the "
-        "hardest pair in it; seconds: of record needed; gain: how many times less visible the "
+        "hardest pair in it; gain: how many times less visible the "
         "misfit may be than in this record",
     )
 

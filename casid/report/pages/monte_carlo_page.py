@@ -6,10 +6,19 @@ from collections.abc import Sequence
 
 from casid.campaigns.accuracy import Accuracy
 from casid.campaigns.monte_carlo import MonteCarlo
-from casid.report.document import Bullets, Document, Section, Table, figure_parts, mapping_table
+from casid.report.document import (
+    Banner,
+    Bullets,
+    Document,
+    Section,
+    Table,
+    figure_parts,
+    mapping_table,
+)
 from casid.report.figures.histograms import histogram_figure
 from casid.report.numbers import number_text, value_text
 from casid.report.pages.estimate_parts import notice, provenance
+from casid.report.verdicts import judged_study
 from casid.time_limit import out_of_time_text
 
 
@@ -37,11 +46,22 @@ def monte_carlo_report(result: MonteCarlo) -> Document:
         if value not in (None, {}, [])
     }
     cut = [out_of_time_text(result.not_done)] if result.not_done else []
+    judged = judged_study(result)
     streams = "Run i has the random numbers of numpy.random.SeedSequence(seed).spawn(n)[i]."
     return Document(
         result.problem,
         [
-            Section("", [runs, notice((), cut), Bullets(remarks)]),
+            Section(
+                "",
+                [
+                    Banner(judged.word, judged.beside, judged.sentence, judged.look),
+                    notice((), cut),
+                    Section("What to do next", [judged.advice], look="advice"),
+                    runs,
+                    Bullets(remarks),
+                ],
+                is_open=True,
+            ),
             Section(
                 "Parameters",
                 [_accuracy(result.parameters), figure("histograms"), words],

@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
+import math
+
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.diagnosis.thresholds import JUDGING
+from casid.diagnosis.verdict.facts import Facts
 from casid.estimation.estimate import Estimated
-from casid.report.document import Code, Paragraph, Part, Table
-from casid.report.numbers import change_text, number_text, p_text, plus_minus
-from casid.report.texts.diagnosis import gain_rows
+from casid.report.document import Code, Inline, Paragraph, Part, Table
+from casid.report.numbers import (
+    change_text,
+    number_text,
+    p_text,
+    plus_minus,
+    quantity_text,
+    quantity_texts,
+)
+from casid.report.texts.diagnosis import effect_in_words
 
 
 def gain_table(d: Diagnosis) -> Table:
     """Rms errors before and after beside the noise floor."""
-    rows = [
-        (
-            part,
-            output,
-            d.output_units.get(output, ""),
-            number_text(before),
-            "\u2013" if after is None else number_text(after),
-            "\u2013" if after is None else change_text(before, after),
-            "\u2013" if floor is None else number_text(floor),
+    rows = []
+    for c in Facts.of(d).changes:
+        numbers = [c.before, c.after, c.floor]
+        texts, unit = quantity_texts([math.nan if x is None else x for x in numbers], c.unit)
+        before, after, floor = (
+            "\u2013" if x is None else text for x, text in zip(numbers, texts, strict=True)
         )
-        for part, output, before, after, floor in gain_rows(d)
-    ]
+        change = "\u2013" if c.after is None else change_text(c.before, c.after)
+        rows.append((c.part, c.output, unit, before, after, change, floor))
     return Table(
         ("part", "output", "unit", "before", "after", "change", "noise floor"),
         rows,
@@ -42,12 +49,12 @@ def remaining_parts(d: Diagnosis) -> list[Part]:
         test = r.test or "test of the remainder"
         parts.append(Paragraph(f"{test}: p {p_text(r.p_value)}", look="facts"))
     if r.explained:
-        rows = [
-            *((Code(e.kind), Code(e.where), _share(e.share)) for e in r.explained),
-            ("unexplained", "", _share(r.unexplained)),
+        rows: list[tuple[Inline, str]] = [
+            *((effect_in_words(e.kind, e.where), _share(e.share)) for e in r.explained),
+            ("unexplained", _share(r.unexplained)),
         ]
         caption = "Share of the excess misfit"
-        parts.append(Table(("cause", "where", "share"), rows, numbers=(2,), caption=caption))
+        parts.append(Table(("cause", "share"), rows, numbers=(1,), caption=caption))
     over = [(output, number_text(ratio)) for output, ratio in r.over_floor.items()]
     caption = "RMS error of the remainder, in units of the noise floor"
     return [*parts, Table(("output", "error over floor"), over, numbers=(1,), caption=caption)]
@@ -58,7 +65,7 @@ def small_remainders(d: Diagnosis) -> list[Part]:
     if not d.remainders:
         return []
     rows = [
-        (Code(c.kind), Code(c.where), _share(c.share), p_text(c.p_value), c.description)
+        (effect_in_words(c.kind, c.where), _share(c.share), p_text(c.p_value), c.description)
         for c in d.remainders
     ]
     caption = (
@@ -66,8 +73,8 @@ def small_remainders(d: Diagnosis) -> list[Part]:
         f"{100 * JUDGING.practical:g} % of the misfit. The extended model has it only where the "
         "size of a cause depends on it"
     )
-    head = ("effect", "where", "share of the misfit", "family-wise p", "description")
-    return [Table(head, rows, numbers=(2, 3), caption=caption)]
+    head = ("effect", "share of the misfit", "p", "description")
+    return [Table(head, rows, numbers=(1, 2), caption=caption)]
 
 
 def disturbance_parts(d: Diagnosis) -> list[Part]:
@@ -79,8 +86,8 @@ def disturbance_parts(d: Diagnosis) -> list[Part]:
             Code(each.where),
             number_text(each.std),
             each.unit,
-            "\u2013" if each.peak is None else f"{number_text(each.peak)} Hz",
-            "all frequencies" if each.bandwidth is None else f"{number_text(each.bandwidth)} Hz",
+            "\u2013" if each.peak is None else quantity_text(each.peak, "Hz"),
+            "all frequencies" if each.bandwidth is None else quantity_text(each.bandwidth, "Hz"),
             _share(each.share),
         )
         for each in d.disturbances

@@ -9,8 +9,10 @@ from casid.diagnosis.advice.isolability import Isolability, label
 from casid.diagnosis.advice.next_experiment import Advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Cause, Diagnosis
+from casid.diagnosis.verdict.facts import Facts
+from casid.diagnosis.verdict.names import effect_words
 from casid.estimation.estimate import Estimated
-from casid.report.document import Code, Document, Labelled, Table, labelled
+from casid.report.document import Code, Document, Identifier, Labelled, Table, labelled
 from casid.report.numbers import number_text
 
 _LISTED = 5  # of what the page has in full
@@ -53,19 +55,11 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
     return Document(f"Diagnosis of {d.problem}: {d.verdict}", parts)
 
 
-def gain_rows(d: Diagnosis) -> Iterator[tuple[str, str, float, float | None, float | None]]:
-    """Part, output, and its rms errors before and after and its noise floor, in its unit."""
-    for part, numbers in (("fitted", d.fitted), ("held out", d.held_out)):
-        for output, before in numbers.get("baseline_rmse", {}).items():
-            after = numbers.get("extended_rmse", {}).get(output)
-            yield part, output, before, after, numbers.get("noise_floor", {}).get(output)
-
-
 def _gain(d: Diagnosis) -> Table:
-    rows = [
-        (part, output, *("" if x is None else number_text(x) for x in numbers))
-        for part, output, *numbers in gain_rows(d)
-    ]
+    rows = []
+    for c in Facts.of(d).changes:
+        numbers = ("" if x is None else number_text(x) for x in (c.before, c.after, c.floor))
+        rows.append((c.part, c.output, *numbers))
     head = ("rms error", "output", "before", "after", "noise floor")
     return Table(head, rows, numbers=(2, 3, 4), widths=(22, 14, 12, 12, 13))
 
@@ -118,12 +112,13 @@ def isolability_document(found: Isolability) -> Document:
     )
 
 
-def pairs_table(found: Isolability) -> Table:
+def pairs_table(found: Isolability, *, in_words: bool = False) -> Table:
     """The pairs of causes that are hardest to distinguish, the hardest first."""
+    named = effect_in_words if in_words else effect_name
     rows = [
         (
-            effect_name(*p.first),
-            effect_name(*p.second),
+            named(*p.first),
+            named(*p.second),
             f"{p.cosine:+.3f}",
             number_text(p.energy) if p.energy < _NEVER else "never",
         )
@@ -142,6 +137,11 @@ def pairs_table(found: Isolability) -> Table:
 def effect_name(kind: str, where: str) -> tuple[str, ...]:
     """An effect and its place, as code."""
     return Code(kind), " in ", Code(where)
+
+
+def effect_in_words(kind: str, where: str) -> tuple[str, ...]:
+    """An effect and its place in words, and its identifier."""
+    return effect_words(kind, where), " ", Identifier(kind)
 
 
 def advice_document(advice: Advice) -> Document:

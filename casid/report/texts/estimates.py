@@ -16,6 +16,7 @@ from casid.identification.iterative_joint_instruments import IterativeJoint
 from casid.report.document import Document, Labelled, Table
 from casid.report.numbers import interval_lines, interval_text
 from casid.report.texts.moments import black_box_document, convergence_document
+from casid.report.verdicts import judged_estimate, judged_study
 from casid.time_limit import out_of_time_text
 
 _WIDEST, _LONGEST = 100, 14  # of a printed study, and of a parameter with its unit in it
@@ -27,6 +28,7 @@ def estimate_document(estimate: Estimate) -> Document:
     Warnings that spoil the numbers stand before them.
     """
     e, i = estimate, estimate.identifiability
+    judged = judged_estimate(e)
     status = (
         f"{e.status} in {e.iterations} iterations; largest scaled gradient "
         f"{e.scaled_gradient:.0e}; {e.starts_agreeing} of {e.starts_tried} starts agree"
@@ -51,6 +53,7 @@ def estimate_document(estimate: Estimate) -> Document:
     return Document(
         f"Estimate of {e.problem} from {', '.join(e.rmse)}, {e.method}",
         [
+            ("verdict", f"{judged.word}: {judged.sentence}"),
             *(("SUSPECT", s) for s in e.suspects),
             ("status", status),
             Table(head, rows, numbers=(2, 3, 4), widths=(18, 16, 13, 13, 13)),
@@ -206,11 +209,13 @@ def monte_carlo_document(result: MonteCarlo) -> Document:
             )
         )
     head = ("parameter", "truth", "mean", f"bias +- {'':7}", "spread", "std. err.", "coverage [%]")
-    failed = len(result.campaign.failures)
+    failed, judged = len(result.campaign.failures), judged_study(result)
     return Document(
         f"Monte Carlo study of {result.problem}: {result.campaign.runs} runs with seed "
         f"{result.campaign.seed}, method {result.method}, {failed} failed",
         [
+            ("verdict", f"{judged.word}: {judged.sentence}"),
+            ("advice", judged.advice),
             Table(head, rows, numbers=(1, 2, 3, 4, 5), widths=(width + 1, 11, 12, 20, 9, 10)),
             "  bias +- its Monte Carlo standard error; spread: standard deviation of the estimates",
             "  std. err.: mean of those reported; coverage of 95 % intervals [its interval]",

@@ -44,7 +44,7 @@ def test_a_rival_without_a_name_is_told_by_what_it_is_like():
     assert "from unknown in torque (p^3):" in advice("deficient", [NAMED], None, "")
     famous = replace(UNKNOWN, kind="coulomb_friction", description="friction")
     said = advice("deficient", [replace(NAMED, alternatives=(famous,))], None, "")
-    assert "from coulomb_friction in torque:" in said
+    assert "from dry friction in the torque balance:" in said
 
 
 def test_the_text_describes_what_has_no_name_and_tells_the_notes_of_a_calibration():

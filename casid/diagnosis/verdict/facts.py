@@ -1,0 +1,122 @@
+"""The facts of a diagnosis that more than one sentence, table or figure speaks of.
+
+Every one of them is decided here once: which p-value belongs to an effect, which errors the causes
+lower, whether the remainder is noise. What is displayed is derived from them, so that no two
+sentences of a report can contradict each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from casid.diagnosis.diagnosis import Diagnosis
+
+Errors = Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorChange:
+    """RMS error of one output before and after the causes were included, in its unit.
+
+    part : "fitted" or "held out".
+    after : None where nothing was included.
+    """
+
+    part: str
+    output: str
+    unit: str
+    before: float
+    after: float | None
+    floor: float | None
+
+    @property
+    def is_lower(self) -> bool:
+        """True if including the causes lowers the error."""
+        return self.after is not None and self.after < self.before
+
+
+def decisive(fitted: Errors, held_out: Errors) -> Errors:
+    """The errors that count: of the held-out part where there is one, else of the fitted part."""
+    return held_out if held_out.get("baseline_rmse") else fitted
+
+
+def improves(part: Errors) -> bool:
+    """True if including the causes lowers the squared error, outputs in units of their floor.
+
+    An output without a noise floor counts in units of its error before. True, too, where there is
+    nothing to compare.
+    """
+    before, after = part.get("baseline_rmse", {}), part.get("extended_rmse", {})
+    floor = part.get("noise_floor", {})
+    sums = [0.0, 0.0]
+    for output in after:
+        scale = floor.get(output) or before.get(output, 0.0)
+        if output in before and scale > 0 and math.isfinite(before[output] + after[output]):
+            sums[0] += (before[output] / scale) ** 2
+            sums[1] += (after[output] / scale) ** 2
+    return sums[1] <= sums[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a diagnosis found, each fact once.
+
+    Attributes
+    ----------
+    p_values : (kind, place) -> the family-wise p-value that is shown of it, everywhere.
+    changes : errors before and after, output by output.
+    coloured : outputs with an autocorrelated residual under the model that the report recommends,
+        and how many lags are outside.
+    tied : (kind, place) of everything that the record does not separate from a named cause.
+    """
+
+    verdict: str
+    p_values: Mapping[tuple[str, str], float]
+    changes: tuple[ErrorChange, ...]
+    coloured: Mapping[str, str]
+    tied: frozenset[tuple[str, str]]
+    improves: bool
+
+    @classmethod
+    def of(cls, d: Diagnosis) -> Facts:
+        """The facts of a diagnosis."""
+        p_values = {(r.kind, r.where): r.adjusted for r in d.ranking}
+        # A later round judges an effect beside the causes found before it: that is the one shown.
+        p_values |= {(c.kind, c.where): c.p_value for c in (*d.remainders, *d.causes)}
+        tied = [c for c in d.causes if c.tied]
+        others = {(a.kind, a.where) for c in tied for a in c.alternatives}
+        return cls(
+            verdict=d.verdict,
+            p_values=p_values,
+            changes=tuple(_changes(d)),
+            coloured=(d.extended or d.baseline).fit.coloured,
+            tied=frozenset(others | {(c.kind, c.where) for c in tied}),
+            improves=improves(decisive(d.fitted, d.held_out)),
+        )
+
+    @property
+    def shown(self) -> tuple[ErrorChange, ...]:
+        """The changes that count: of what was held out, else of what was fitted."""
+        held = tuple(c for c in self.changes if c.part == "held out")
+        return held or self.changes
+
+    def p_value(self, kind: str, where: str) -> float:
+        """The family-wise p-value of an effect; NaN where it was not tested."""
+        return self.p_values.get((kind, where), math.nan)
+
+
+def _changes(d: Diagnosis) -> Iterator[ErrorChange]:
+    for part, numbers in (("fitted", d.fitted), ("held out", d.held_out)):
+        for output, before in numbers.get("baseline_rmse", {}).items():
+            yield ErrorChange(
+                part,
+                output,
+                d.output_units.get(output, ""),
+                before,
+                numbers.get("extended_rmse", {}).get(output),
+                numbers.get("noise_floor", {}).get(output),
+            )

@@ -1,0 +1,196 @@
+"""Verdicts of results that estimate: may the numbers be used, why, and what to do next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from casid.campaigns.monte_carlo import MonteCarlo
+from casid.estimation.estimate import Estimate
+from casid.estimation.fit_statistics import POOR
+
+GOOD_FIT = 90.0
+"""Fit [%] of every output from which an estimate with a white residual is called good; a heuristic:
+the rms error is then a tenth of the output's standard deviation."""
+FEW_RUNS = 0.05
+"""Half the interval of the coverage from which a study has too few runs to judge 95 % intervals."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A verdict in plain words.
+
+    Attributes
+    ----------
+    word, beside : the answer, and what it means.
+    look : "adequate", "undecided" or "deficient".
+    advice : what to do next.
+    """
+
+    word: str
+    beside: str
+    look: str
+    sentence: str
+    advice: str
+
+
+def judged_estimate(e: Estimate) -> Judged:
+    """Whether an estimate and its error bars may be used, and why.
+
+    The answer is the worst of: convergence, identifiability, fit, suspects of the record, whiteness
+    of the residual. Each says what it is about.
+    """
+    spoilt = list(_spoilt(e))
+    if spoilt:
+        sentence, advice = spoilt[0]
+        more = "".join(f" {text}" for text, _ in spoilt[1:])
+        return Judged("do not use", _USELESS, "deficient", sentence + more, advice)
+    doubts = list(_doubts(e))
+    fit = _fit_text(e)
+    if doubts:
+        text = " ".join((fit, *(sentence for sentence, _ in doubts)))
+        return Judged("use with care", _DOUBTFUL, "undecided", text, doubts[0][1])
+    bars = "The estimates and their error bars can be used"
+    if not e.whiteness:
+        return Judged("usable", _GOOD, "adequate", f"{fit} {bars}.", _CONFIRM)
+    said = f"{fit} The residual is consistent with white noise. {bars}."
+    return Judged("usable", _GOOD, "adequate", said, _CONFIRM)
+
+
+_USELESS = "the numbers mean little"
+_DOUBTFUL = "the error bars do not contain every error"
+_GOOD = "nothing speaks against the estimates"
+_CONFIRM = "Confirm the model on a record of its own (--hold-out FILE) before you rely on it."
+
+
+def _spoilt(e: Estimate) -> Iterator[tuple[str, str]]:
+    """Why the values mean nothing, and what to do about each."""
+    if not e.is_converged:
+        yield (
+            f"The solver did not converge ({e.status}): the values are no optimum.",
+            "Give better starting values (start=) or more of them (--starts), or fit a shorter "
+            "window first.",
+        )
+    i = e.identifiability
+    if i.rank < i.unknowns:
+        yield (
+            f"The record determines {i.rank} of {i.unknowns} unknowns"
+            + (f"; not {i.undetermined}." if i.undetermined else "."),
+            "Give one of them a known value (--set), or see casid identifiability for the sensors "
+            "and experiments that would determine them.",
+        )
+    for text in e.suspects:
+        yield f"{text[:1].upper()}{text[1:]}.".replace("..", "."), "Correct the channel, fit again."
+    poor = {k: v for k, v in _fits(e).items() if v <= POOR}
+    if poor:
+        listed = ", ".join(f"{k} ({v:.0f} %)" for k, v in poor.items())
+        yield (
+            f"The model explains next to nothing of {listed}.",
+            "Check signs, units and the mapping of the channels; then ask casid diagnose what the "
+            "model is missing.",
+        )
+
+
+def _doubts(e: Estimate) -> Iterator[tuple[str, str]]:
+    """Why the error bars are not all there is to say, and what to do about each."""
+    coloured = e.fit.coloured
+    if coloured:
+        listed = "; ".join(f"{k}: {v}" for k, v in coloured.items())
+        yield (
+            f"The residual is autocorrelated ({listed}): the model or its noise is incomplete. The "
+            "error bars hold for coloured noise, but not the bias of what the model lacks.",
+            "Ask what the model is missing: casid diagnose.",
+        )
+    if any(v < GOOD_FIT for v in _fits(e).values()):
+        yield (
+            f"The fit is below {GOOD_FIT:.0f} %: noise, disturbances or a missing effect make up "
+            "the rest.",
+            "Compare the error with the noise of the sensors; casid diagnose does.",
+        )
+    bound = [p.name for p in e.parameters if "bound" in p.note]
+    if bound:
+        yield (
+            f"{', '.join(bound)} ended at a bound and has no standard error.",
+            "Widen the bound if it is not physical; if it is, the record prefers a value beyond.",
+        )
+    if e.starts_tried > 1 and e.starts_agreeing * 2 <= e.starts_tried:
+        yield (
+            f"Only {e.starts_agreeing} of {e.starts_tried} starts found this optimum: another may "
+            "be better.",
+            "Use more starts (--starts), or a shorter window first.",
+        )
+    if e.warnings and not coloured:
+        yield "A warning below bears on the numbers.", "Read the warning; it says what to do."
+
+
+def _fits(e: Estimate) -> dict[str, float]:
+    """Output -> its worst fit [%], held-out records included."""
+    worst: dict[str, float] = {}
+    for by_record in (e.nrmse_fit, e.held_out_fit):
+        for by_output in by_record.values():
+            for output, fit in by_output.items():
+                if math.isfinite(fit):
+                    worst[output] = min(fit, worst.get(output, math.inf))
+    return worst
+
+
+def _fit_text(e: Estimate) -> str:
+    fits: Mapping[str, float] = _fits(e)
+    if not fits:
+        return "The fit converged."
+    listed = ", ".join(f"{output} to {fit:.3g} %" for output, fit in fits.items())
+    return f"The model reproduces {listed}."
+
+
+def judged_study(m: MonteCarlo) -> Judged:
+    """Whether the error bars of an estimator keep what they promise."""
+    failed, runs = len(m.campaign.failures), m.campaign.runs
+    lost = f" {failed} of {runs} runs failed." if failed else ""
+    biased = [p.name for p in m.parameters if any("biased" in r for r in p.remarks)]
+    rarely = [p.name for p in m.parameters if any("too rarely" in r for r in p.remarks)]
+    often = [p.name for p in m.parameters if any("too often" in r for r in p.remarks)]
+    if biased or rarely:
+        said = [f"The estimates of {', '.join(biased)} are biased."] if biased else []
+        if rarely:
+            said.append(f"The 95 % intervals of {', '.join(rarely)} hold the truth too rarely.")
+        advice = (
+            "Do not rely on these error bars. A bias comes from a wrong model, from noise on "
+            "measured inputs, or from a nonlinear estimate of little data: look at the histogram; "
+            "then try a longer record, another method, or a model that has what is missing."
+        )
+        return Judged("not kept", _PROMISE, "deficient", " ".join(said) + lost, advice)
+    halves = [
+        0.5 * (p.coverage_interval[1] - p.coverage_interval[0])
+        for p in m.parameters
+        if p.coverage_interval is not None
+    ]
+    if not halves:
+        said_none = "Without the truth of the parameters the intervals cannot be judged."
+        advice = "Give the problem its truth (Problem(truth=...)), and run the study again."
+        return Judged("undecided", _PROMISE, "undecided", said_none + lost, advice)
+    if max(halves) > FEW_RUNS:
+        needed = math.ceil(0.95 * 0.05 * (1.96 / 0.03) ** 2)
+        few = (
+            f"In {runs} runs nothing contradicts the error bars, but so few runs know the coverage "
+            f"to {100 * max(halves):.0f} % only."
+        )
+        return Judged(
+            "so far kept",
+            _PROMISE,
+            "undecided",
+            few + lost,
+            f"Run more: {needed} runs know it to 3 % (--runs {needed}).",
+        )
+    wide = f" Those of {', '.join(often)} are wider than they need to be." if often else ""
+    return Judged(
+        "kept",
+        _PROMISE,
+        "adequate",
+        f"The estimates are unbiased and the 95 % intervals hold the truth as often as promised, "
+        f"as far as {runs} runs tell.{wide}{lost}",
+        "The error bars can be used for records like these.",
+    )
+
+
+_PROMISE = "the promise of the error bars"

@@ -1,0 +1,108 @@
+"""Verdicts of estimates and studies: what spoils the numbers is said before they are used."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from casid.estimation.estimate import Agreement, Identifiability
+from casid.report.numbers import quantity_text, quantity_texts, unit_text
+from casid.report.verdicts import judged_estimate, judged_study
+from tests.report.golden_results import monte_carlo
+from tests.support import samples
+
+
+def good():
+    """A fit of 97 %, white, with no parameter at its bound."""
+    e = samples.estimate(rmse=0.0101, held_out=0.0102)
+    return replace(e, parameters=tuple(p for p in e.parameters if not p.note))
+
+
+def fit_of(per_cent: float, outside: int = 2) -> Agreement:
+    white = {"gyro": samples.whiteness_of(outside)}
+    return Agreement({"a": {"gyro": 0.1}}, {"a": {"gyro": per_cent}}, white)
+
+
+def test_a_white_residual_and_a_good_fit_can_be_used():
+    judged = judged_estimate(good())
+    assert (judged.word, judged.look) == ("usable", "adequate")
+    assert "error bars can be used" in judged.sentence
+
+
+@pytest.mark.parametrize(
+    ("change", "look", "words"),
+    [
+        ({"fit": fit_of(60.0, 17)}, "undecided", "60 %. The residual is autocorrelated (gyro: 17"),
+        ({"fit": fit_of(60.0)}, "undecided", "The fit is below 90 %"),
+        ({"fit": fit_of(12.0)}, "deficient", "next to nothing of gyro (12 %)"),
+        (
+            {"identifiability": Identifiability(2, 3, 0.0, "k and d")},
+            "deficient",
+            "2 of 3 unknowns",
+        ),
+        ({"suspects": ("gyro has the wrong sign",)}, "deficient", "Gyro has the wrong sign."),
+    ],
+)
+def test_what_spoils_an_estimate_is_its_verdict(change, look, words):
+    """Converged or not, a fit of 60 % with a coloured residual is not green."""
+    e = good()
+    if "suspects" in change:
+        change = {"trust": replace(e.trust, **change)}
+    judged = judged_estimate(replace(e, held_out=Agreement(), **change))
+    assert judged.look == look
+    assert words in judged.sentence
+    assert judged.advice
+
+
+def test_a_fit_that_did_not_converge_is_not_to_be_used():
+    e = good()
+    judged = judged_estimate(replace(e, solver=replace(e.solver, is_converged=False)))
+    assert judged.look == "deficient"
+    assert "no optimum" in judged.sentence
+
+
+def test_a_parameter_at_its_bound_is_said_to_be_there():
+    judged = judged_estimate(samples.estimate(rmse=0.0101, held_out=0.0102))
+    assert "z_s ended at a bound" in judged.sentence
+
+
+def test_a_study_says_whether_the_error_bars_keep_their_promise():
+    study = monte_carlo()
+    biased = judged_study(study)
+    assert biased.look == "deficient"
+    assert "k" in biased.sentence
+    good = [replace(p, mean=p.truth, covered=round(0.95 * p.intervals)) for p in study.parameters]
+    few = judged_study(replace(study, parameters=tuple(replace(p, n=20) for p in good)))
+    assert few.look == "undecided"
+    assert "--runs 203" in few.advice
+    many = [replace(p, n=1000, intervals=1000, covered=950) for p in good]
+    assert judged_study(replace(study, parameters=tuple(many))).look == "adequate"
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (1.2e6, "s", "13.9 d"),
+        (5400.0, "s", "90 min"),
+        (7300.0, "s", "2.03 h"),
+        (12.0, "s", "12 s"),
+        (2.02e-4, "rad", "202 \u00b5rad"),
+        (0.034, "rad/s", "34 mrad/s"),
+        (2.1e11, "N/m", "210 GN/m"),
+        (0.0005, "m^3/s", "0.0005 m\u00b3/s"),
+        (0.0005, "kg", "0.0005 kg"),
+        (0.0005, "mm", "0.0005 mm"),
+        (20.0, "deg", "20 deg"),
+        (float("nan"), "m", "not finite m"),
+        (0.0, "m", "0 m"),
+    ],
+)
+def test_quantities_read_as_people_write_them(value, unit, text):
+    assert quantity_text(value, unit) == text
+
+
+def test_numbers_that_are_compared_share_their_prefix():
+    assert quantity_texts([0.00528, 0.000202], "rad") == (["5.28", "0.202"], "mrad")
+    assert unit_text("1/(rad^2 s^2)") == "1/(rad\u00b2 s\u00b2)"
+    assert unit_text("m^2.5/s") == "m^2.5/s"
