@@ -14,6 +14,7 @@ from casid.errors import DataError, SolveError, nearest
 from casid.experiment_design.aim import Aim
 from casid.experiment_design.designed_experiment import (
     DesignedExperiment,
+    Learned,
     LimitUse,
     SolverEvidence,
 )
@@ -70,7 +71,7 @@ def design_experiment(
     o = filled(options)
     nominal = nominal_of(source)
     own = limits_of(
-        nominal.model, limits, slew=o["slew"], max_energy=o["max_energy"], release=o["release"]
+        nominal.acting, limits, slew=o["slew"], max_energy=o["max_energy"], release=o["release"]
     )
     setup = _setup(nominal, own, duration, o)
     in_si = [nominal.model.in_si(s) for s in o["scenarios"]]
@@ -91,7 +92,7 @@ def design_experiment(
 
 def _setup(nominal: Nominal, limits: Limits, duration: float, o: DesignOptions) -> Setup:
     """What is done in the experiment, but for the values that are sought."""
-    model = nominal.model
+    model = nominal.acting
     excitation = _excitation(nominal, limits, duration, o)
     designed = tuple(n for n in model.inputs if n in limits.inputs)
     if not designed and not limits.release:
@@ -123,7 +124,14 @@ def _excitation(nominal: Nominal, limits: Limits, duration: float, o: DesignOpti
             f"a duration of {duration:g} s at a sample time of {Ts:g} s holds less than two "
             "samples; give a longer duration or a shorter sample time (Ts, --sample-time)"
         )
-    shape = o["shape"] or ("linear" if limits.slew else "constant")
+    felt = [n for n in nominal.unmeasured if n in limits.inputs]
+    shape = o["shape"] or ("linear" if limits.slew or felt else "constant")
+    if felt and shape == "constant":
+        raise DataError(
+            f"a piecewise constant {felt[0]} jumps, and so would the channel that stands for it in "
+            "the model, which is known at its samples alone; take shape='linear' or 'multisine' "
+            "(--shape)"
+        )
     if limits.slew and shape == "constant":
         raise DataError(
             f"a piecewise constant input jumps, and the slew rate of {next(iter(limits.slew))} is "
@@ -136,7 +144,7 @@ def _held(
     nominal: Nominal, limits: Limits, designed: Sequence[str], hold: Mapping[str, float]
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Values of the inputs that are not designed, and of the designed ones at rest; SI."""
-    model = nominal.model
+    model = nominal.acting
     for name in hold:
         if name not in model.inputs:
             raise DataError(
@@ -153,6 +161,8 @@ def _held(
                     f"hold of {name}: {hold[name]:g} {model.unit_of(name)} lies outside the limit "
                     "of this input; widen the limit, or hold it inside"
                 )
+        elif name in nominal.unmeasured:
+            constants[name] = given.get(name, 0.0)
         elif entry.kind != "generated":
             if name not in given:
                 raise DataError(
@@ -186,8 +196,9 @@ def _result(
     aim: Aim, search: Search, best: Found, standard: Found, seconds: float
 ) -> DesignedExperiment:
     setup = search.setup
-    model = setup.nominal.model
+    model = setup.nominal.acting
     records = predicted_records(setup, best)
+    parameters = learned(setup, best, standard)
     initial = dict(zip(model.states, setup.initial(model, best.release).tolist(), strict=True))
     return DesignedExperiment(
         problem=setup.nominal.name,
@@ -196,23 +207,23 @@ def _result(
         records=records,
         inputs=setup.designed,
         initial=model.in_declared_units(initial),
-        noise=dict(zip(model.outputs, setup.noise.tolist(), strict=True)),
+        noise=dict(zip(setup.nominal.model.outputs, setup.noise.tolist(), strict=True)),
         outcomes=outcomes(aim, search.question, best, standard),
-        parameters=learned(setup, best, standard),
+        parameters=parameters,
         standards=ranked_standards(setup, search.judged_standards, best),
         gain=float(np.exp(best.least - standard.least)),
         limits=_used(setup, best.prediction, best.u, best.release),
         solver=SolverEvidence(
             best.what, len(search.standards), best.iterations, search.steps, seconds, search.seed
         ),
-        units={n: model.unit_of(n) for n in (*model.inputs, *model.outputs)},
-        details={"notes": _notes(search, best), "versions": dict(versions())},
+        units={n: model.unit_of(n) for n in (*model.states, *model.inputs, *model.outputs)},
+        details={"notes": _notes(search, best, parameters), "versions": dict(versions())},
     )
 
 
 def _used(setup: Setup, prediction: Any, u: Array, release: Array) -> tuple[LimitUse, ...]:
     """Every limit with what the experiment takes of it, at ten times the sampling rate."""
-    model, out = setup.nominal.model, []
+    model, out = setup.nominal.acting, []
     for k, name in enumerate(setup.designed):
         taken = (*setup.limits.inputs[name], float(u[:, k].min()), float(u[:, k].max()))
         out.append(LimitUse(name, model.unit_of(name), *(model.shown(name, v) for v in taken)))
@@ -223,8 +234,26 @@ def _used(setup: Setup, prediction: Any, u: Array, release: Array) -> tuple[Limi
     return tuple(out)
 
 
-def _notes(search: Search, best: Found) -> list[str]:
+def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[str]:
     notes = []
+    lost = [
+        p.name
+        for p in parameters
+        if p.std_error is None or (p.value and p.std_error > abs(p.value))
+    ]
+    if lost:
+        notes.append(
+            f"This record does not determine {', '.join(lost)}: the standard error is larger than "
+            "the value. Check the duration, the limits and their units."
+        )
+    for name in search.setup.nominal.unmeasured:
+        if name not in search.setup.designed:
+            held = search.setup.nominal.acting.shown(name, search.setup.constants[name])
+            unit = search.setup.nominal.acting.unit_of(name)
+            notes.append(
+                f"{name}, which nobody measures, is taken as {held:.4g} {unit} while the record "
+                "lasts. The sensor that it was eliminated with takes up whatever it does."
+            )
     for effect, size in zip(search.question.effects, search.question.sizes, strict=True):
         values = ", ".join(f"{n} = {v:.4g}" for n, v in size.items())
         notes.append(f"{effect.kind} in {effect.key[1]} is taken with {values} (SI).")
@@ -233,7 +262,7 @@ def _notes(search: Search, best: Found) -> list[str]:
             "The program found nothing better than the best standard input, which this is."
         )
     notes.append(
-        "The noise of the outputs is taken as white and independent; noise of inputs and "
+        "The noise of the outputs is taken as white and independent; noise of measured inputs and "
         "disturbances are not in the prediction."
     )
     return notes

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import isfinite, sqrt
+from math import inf, isfinite, sqrt
 from pathlib import Path
 from typing import Any
 
+from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2, norm
 
 from casid.data.files import plain, plain_fields
@@ -45,6 +46,29 @@ def probability_of_detection(energy: float, false_alarm_rate: float) -> float:
     """Power of the likelihood-ratio test of one parameter, noncentral chi^2 with one degree."""
     limit = chi2.isf(false_alarm_rate, 1)
     return float(ncx2.sf(limit, 1, max(energy, 0.0)))
+
+
+def energy_for_name(power: float) -> float:
+    """The energy at which the right name has this probability."""
+    return float((2 * norm.ppf(power)) ** 2)
+
+
+def energy_for_detection(power: float, false_alarm_rate: float) -> float:
+    """The energy at which a detection has this power."""
+    top = (norm.isf(0.5 * false_alarm_rate) + norm.ppf(power) + 1.0) ** 2
+    return float(brentq(lambda e: probability_of_detection(e, false_alarm_rate) - power, 0.0, top))
+
+
+_TIMES = {"s": (1.0, 1e4), "h": (3600.0, 172_800.0), "days": (86_400.0, 3.2e9)}
+# Unit -> its length, and up to where times are given in it [s]: two days, a century.
+
+
+def time_text(seconds: float) -> str:
+    """A length of time as people read it: seconds, hours or days."""
+    for unit, (length, longest) in _TIMES.items():
+        if seconds < longest:
+            return f"{seconds / length:.4g} {unit}"
+    return "more than a century" if isfinite(seconds) else "never"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +112,11 @@ class Learned:
     value: float
     std_error: float | None
     standard: float | None
+
+    @property
+    def is_determined(self) -> bool:
+        """True where the standard error is smaller than the value."""
+        return self.std_error is not None and self.std_error <= (abs(self.value) or inf)
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers."""
@@ -209,24 +238,36 @@ class DesignedExperiment(Presented, Saved):
     @property
     def sentence(self) -> str:
         """The answer in words."""
-        text = f"{self.duration:.4g} s"
+        text = time_text(self.duration)
         if self.outcomes:
             what = "detects the cause" if self.aim.kind == "detect" else "names the right cause"
             text = f"A record of {text} {what} with a probability of {100 * self.power:.3g} %"
+            if not self.is_enough:
+                return f"{text}; {self._time_that_is_enough}."
         elif self.aim.kind == "identifiable":
             text = (
                 f"A record of {text} determines every parameter to "
                 f"{100 * self.aim.relative_error:.3g} %"
             )
+            return text + "."
         else:
             text = f"A record of {text} carries {self.gain:.3g} times the information"
             return f"{text} of the best standard input under the same limits."
-        if self.aim.kind == "identifiable":
-            return text + "."
-        longer = self.gain * self.duration
-        if not isfinite(longer) or self.gain <= 1.0:
-            return text + "; no standard input is worse."
-        return f"{text}; the best standard input needs {longer:.4g} s for the same."
+        if self.gain <= 1.0:
+            return text + "; the best standard input does the same."
+        return f"{text}; the best standard input needs {time_text(self.gain * self.duration)}."
+
+    @property
+    def _time_that_is_enough(self) -> str:
+        """How long to record for the usual power, energies growing with the record."""
+        wanted = energy_for_name(DESIGN.power)
+        if self.aim.kind == "detect":
+            wanted = energy_for_detection(DESIGN.power, self.aim.false_alarm_rate)
+        least = min(o.energy for o in self.outcomes)
+        if least <= 0:
+            return "nothing shows it"
+        longer = time_text(self.duration * wanted / least)
+        return f"{100 * DESIGN.power:.3g} % take about {longer} of it, or wider limits"
 
     def write_csv(self, path: str | Path, *, force: bool = False) -> Path:
         """Write time, designed inputs and predicted outputs in declared units; returns the path.

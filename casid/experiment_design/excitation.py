@@ -58,14 +58,25 @@ class Excitation:
         """(N, n) basis at the samples."""
         return np.asarray(self._at(np.arange(self.N) / self.per, None).toarray())
 
-    def points(self, steps: int) -> sp.csc_matrix:
-        """(intervals * (2 steps + 1), n): the basis within each interval, both its ends included.
+    @property
+    def inside(self) -> Array:
+        """(3, L): the input at begin, middle and end of a step, by its local values.
 
-        At 0, 1/(2 steps), ... of the interval: what Runge-Kutta steps need.
+        The local values are the constant, those at both ends, or, of a multisine, all three.
         """
-        k = np.repeat(np.arange(self.intervals), 2 * steps + 1)
-        part = np.tile(np.linspace(0, 1, 2 * steps + 1), self.intervals)
-        return self._at(k + part, k).tocsc()
+        if self.shape == "multisine":
+            return np.eye(3)
+        part = np.linspace(0, 1, 3)[:, None]
+        return np.ones((3, 1)) if self.shape == "constant" else np.hstack([1 - part, part])
+
+    def local(self, steps: int) -> sp.csr_matrix:
+        """(L * steps * intervals, n): local values of all steps, by the decision variables."""
+        k, j = np.divmod(np.arange(steps * self.intervals), steps)
+        if self.shape == "constant":
+            return self._at(k, k)
+        part = np.linspace(0, 1, len(self.inside.T))
+        place = (k + j / steps)[:, None] + part / steps
+        return self._at(place.ravel(), np.repeat(k, len(part)))
 
     def _at(self, place: Array, inside: Array | None) -> sp.csr_matrix:
         """Basis (M, n) at places in intervals; `inside` says which interval an end belongs to."""

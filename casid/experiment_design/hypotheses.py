@@ -33,12 +33,15 @@ class Hypothesis:
 
     Attributes
     ----------
+    acting : the direct model, its inputs what acts on the system: where no unknown input was
+        eliminated the model itself.
     free : parameters that are estimated where it is a rival.
     held : of these, the ones that a fit leaves at a bound, which take up no misfit.
     """
 
     name: str
     model: Model
+    acting: Model
     values: Mapping[str, float]
     free: tuple[str, ...]
     held: tuple[str, ...] = ()
@@ -47,6 +50,11 @@ class Hypothesis:
     def moving(self) -> tuple[str, ...]:
         """Free parameters that no bound holds."""
         return tuple(n for n in self.free if n not in self.held)
+
+    @property
+    def driven_by(self) -> list[str]:
+        """Measured channels that stand for inputs, unknown inputs being eliminated."""
+        return [n for n in self.model.inputs if n not in self.acting.inputs]
 
     @property
     def vector(self) -> Array:
@@ -73,7 +81,8 @@ class Comparison(NamedTuple):
 def nominal_hypothesis(nominal: Nominal, designed: Sequence[str], hold: str) -> Hypothesis:
     """The model without any cause."""
     model = held(nominal.model, designed, hold)
-    return Hypothesis("the model", model, dict(nominal.values), nominal.free)
+    acting = held(nominal.acting, designed, hold)
+    return Hypothesis("the model", model, acting, dict(nominal.values), nominal.free)
 
 
 def with_cause(base: Hypothesis, effect: Effect, sizes: Mapping[str, float]) -> Hypothesis:
@@ -104,7 +113,12 @@ def with_cause(base: Hypothesis, effect: Effect, sizes: Mapping[str, float]) -> 
         )
     values = {**base.values, **{n: float(model.parameters[n].start) for n in names}}
     free = [n for n in names if not model.parameters[n].is_known]
-    return Hypothesis(name_of(effect), model, values, (*base.free, *free))
+    acting = model
+    if base.driven_by:
+        designed = [n for n, e in base.acting.inputs.items() if n not in base.model.inputs]
+        hold = {base.acting.inputs[n].hold for n in designed}
+        acting = held(model.direct(), designed, hold.pop())
+    return Hypothesis(name_of(effect), model, acting, values, (*base.free, *free))
 
 
 def name_of(effect: Effect) -> str:
@@ -134,6 +148,7 @@ def effect_of(nominal: Nominal, cause: str | Effect, sizes: Sizes) -> Effect:
     if where and where not in places:
         raise DataError(f"{kind} does not act in {where!r}; it acts in {', '.join(places)}")
     if not where and len(places) > 1:
-        several = " or ".join(f"{kind}@{p}" for p in places)
+        written = [f"{kind}@{p}" for p in places]
+        several = " or ".join(f'"{w}"' if " " in w else w for w in written)
         raise DataError(f"{kind} may act in {', '.join(places)}; write {several}")
     return next(e for e in kinds if e.key[1] == (where or places[0]))

@@ -66,16 +66,17 @@ def learned(setup: Setup, best: Found, standard: Found) -> tuple[Learned, ...]:
 def predicted_records(setup: Setup, best: Found) -> dict[str, Record]:
     """Name of a hypothesis -> what it would record without noise, rivals as they fit best."""
     prediction, records = best.prediction, {}
+    at = best.u, best.release
+    sources = prediction.sources
     for i, h in enumerate(prediction.hypotheses):
-        name = h.name
-        if i not in prediction.possible:
-            c = next(c for c in prediction.comparisons if c.rival == i and c.truth is not None)
-            name = f"{h.name}, fitted to {prediction.hypotheses[c.truth or 0].name}"
-        course = prediction.course(i, best.u, best.release)
-        if name not in records:
-            model = setup.nominal.model if i in prediction.possible else h.model
-            record = record_of(prediction, best.u, course.y, model, name)
-            records[name] = record
+        if i in prediction.possible:
+            if h.name not in records:
+                y, acting = prediction.shown(i, *at), setup.nominal.acting
+                records[h.name] = record_of(prediction, best.u, y, acting, name=h.name)
+            continue
+        name = f"{h.name}, fitted to {prediction.hypotheses[sources[i]].name}"
+        y, measured = prediction.course(i, *at).y, prediction.measured(sources[i], *at)
+        records[name] = record_of(prediction, best.u, y, h.model, measured, name)
     return records
 
 

@@ -44,13 +44,14 @@ class Prediction:
     substeps: int = 1
     made: dict[Any, Any] = field(default_factory=dict, repr=False)  # simulators, kept by `replace`
 
-    def simulator(self, i: int, Ts: float) -> Simulator:
-        """The simulator of one hypothesis at a sample time, made once."""
+    def simulator(self, i: int, Ts: float, *, acting: bool = False) -> Simulator:
+        """The simulator of one hypothesis, or of its direct model, at a sample time, made once."""
         h = self.hypotheses[i]
-        key = id(h.model), h.moving, Ts, self.substeps
+        model, free = (h.acting, ()) if acting else (h.model, h.moving)
+        key = id(model), free, Ts, self.substeps
         if key not in self.made:
             # With the model, whose identity is the key.
-            self.made[key] = Simulator(h.model, Ts, h.moving, substeps=self.substeps), h.model
+            self.made[key] = Simulator(model, Ts, free, substeps=self.substeps), model
         found: Simulator = self.made[key][0]
         return found
 
@@ -65,6 +66,32 @@ class Prediction:
         wrong = {c.rival for c in self.comparisons if c.truth is not None}
         return [i for i in range(len(self.hypotheses)) if i not in wrong]
 
+    @property
+    def sources(self) -> list[int]:
+        """Of every hypothesis the one whose motion its sensors show: the truth, or itself."""
+        out = list(range(len(self.hypotheses)))
+        for c in self.comparisons:
+            out[c.rival] = c.rival if c.truth is None else c.truth
+        return out
+
+    def shown(self, i: int, u: Array, release: Array) -> Array:
+        """(N, outputs of the direct model): what all sensors show if hypothesis i is true."""
+        h, setup = self.hypotheses[i], self.setup
+        columns = setup.columns(h.acting, u, setup.Ts)
+        with np.errstate(all="ignore"):
+            run = self.simulator(i, setup.Ts, acting=True).simulate(
+                columns, h.vector, setup.initial(h.model, release)
+            )
+        return np.asarray(run.y)
+
+    def measured(self, i: int, u: Array, release: Array) -> dict[str, Array]:
+        """Channel -> (N,) of those that stand for inputs, as the truth i would show them."""
+        h = self.hypotheses[i]
+        if not h.driven_by:
+            return {}
+        y, outputs = self.shown(i, u, release), list(h.acting.outputs)
+        return {n: y[:, outputs.index(n)] for n in h.driven_by}
+
     def course(self, i: int, u: Array, release: Array, *, tangent: bool = False) -> Course:
         """Hypothesis i under the samples `u` (N, nu) of the designed inputs.
 
@@ -72,7 +99,9 @@ class Prediction:
         """
         h, setup = self.hypotheses[i], self.setup
         x0 = setup.initial(h.model, release)
-        simulator, columns = self.simulator(i, setup.Ts), setup.columns(h.model, u, setup.Ts)
+        measured = self.measured(self.sources[i], u, release)
+        columns = setup.columns(h.model, u, setup.Ts, measured)
+        simulator = self.simulator(i, setup.Ts)
         with np.errstate(all="ignore"):
             if not tangent:
                 run = simulator.simulate(columns, h.vector, x0)
@@ -118,9 +147,9 @@ class Prediction:
         Ts, fine = setup.Ts / finer, setup.finer(u, finer) if finer > 1 else u
         for i in self.possible:
             h = self.hypotheses[i]
-            columns = setup.columns(h.model, fine, Ts)
+            columns = setup.columns(h.acting, fine, Ts)
             with np.errstate(all="ignore"):
-                run = self.simulator(i, Ts).simulate(
+                run = self.simulator(i, Ts, acting=True).simulate(
                     columns, h.vector, setup.initial(h.model, release)
                 )
             if not np.all(np.isfinite(run.x)):
@@ -141,10 +170,10 @@ class Prediction:
         return np.asarray(np.where(np.isinf(found).any(axis=1), np.inf, np.maximum(over, 0.0)))
 
     def _limited(self, h: Hypothesis, x: Array, columns: Array) -> Array:
-        key = id(h.model), len(x)
+        key = id(h.acting), len(x)
         if key not in self.made:
-            function = signal_function(h.model.explicit(), list(self.setup.limits.signals))
-            self.made[key] = function.map(len(x)), h.model
+            function = signal_function(h.acting.explicit(), list(self.setup.limits.signals))
+            self.made[key] = function.map(len(x)), h.acting
         p = np.tile(h.vector[:, None], (1, len(x)))
         return np.asarray(self.made[key][0](x.T, columns.T, p)).T
 

@@ -13,6 +13,7 @@ from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import CasidError, DataError, IdentifiabilityError, ModelError, nearest
 from casid.experiment_design.aim import Aim
+from casid.experiment_design.base_input import based
 from casid.experiment_design.hypotheses import (
     Comparison,
     Hypothesis,
@@ -184,7 +185,7 @@ def _identifiable(setup: Setup, model: Model, free: Sequence[str]) -> None:
 
 def _usual_motion(setup: Setup, base: Hypothesis, seed: int) -> list[tuple[Array, Array]]:
     """Some of the usual inputs within the limits of the nominal model, or rest."""
-    prediction = Prediction(setup, [base], [])
+    prediction = based(Prediction(setup, [base], []))
     rng = np.random.default_rng((seed, 7))
     found = []
     for _ in range(DESIGN.usual):
@@ -192,7 +193,7 @@ def _usual_motion(setup: Setup, base: Hypothesis, seed: int) -> list[tuple[Array
         allowed = shrunk(prediction, u, release)
         if allowed is not None:
             found.append(allowed)
-    return found or [(np.tile(setup.at_rest, (setup.N, 1)), _middle(setup))]
+    return found or [prediction.setup.begun_at]
 
 
 def sizes_of(setup: Setup, base: Hypothesis, inputs: Sequence[tuple[Array, Array]]) -> Sizes:
@@ -248,10 +249,6 @@ def _as_visible(
             size = {effect.parameters[0].name: float(np.exp(0.5 * (most - per)))}
         out.append(size)
     return out
-
-
-def _middle(setup: Setup) -> Array:
-    return np.array([setup.start[n] for n in setup.released])
 
 
 def _size_of(setup: Setup, cause: str, effect: Effect, sizes: SizeOf) -> dict[str, float] | None:

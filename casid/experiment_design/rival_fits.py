@@ -21,11 +21,19 @@ from casid.model.model import Model
 
 
 def record_of(
-    prediction: Prediction, u: Array, y: Array, rival: Model, name: str = "designed"
+    prediction: Prediction,
+    u: Array,
+    y: Array,
+    rival: Model,
+    measured: Mapping[str, Array] | None = None,
+    name: str = "designed",
 ) -> Record:
-    """Outputs `y` (N, ny) with the inputs, as a record for the model of a rival."""
+    """Outputs `y` (N, ny) with the inputs, as a record for the model of a rival.
+
+    `measured` are channels (N,) that stand for inputs which nobody measures.
+    """
     setup = prediction.setup
-    columns = setup.columns(rival, u, setup.Ts)
+    columns = setup.columns(rival, u, setup.Ts, measured)
     recorded = [
         (k, n) for k, (n, entry) in enumerate(rival.inputs.items()) if entry.kind != "generated"
     ]
@@ -41,7 +49,8 @@ def imitation(
 ) -> tuple[float, Hypothesis]:
     """Energy (1) of `hypotheses`, and the rival at its minimiser."""
     y = prediction.course(truth, u, release).y
-    record = record_of(prediction, u, y, rival.model)
+    measured = prediction.measured(truth, u, release)
+    record = record_of(prediction, u, y, rival.model, measured)
     fitted = fitted_to(prediction, rival, record, release)
     if fitted is None:
         return np.inf, rival

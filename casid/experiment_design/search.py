@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casid.arrays import TINY, Array
-from casid.errors import IdentifiabilityError, SolveError
+from casid.errors import IdentifiabilityError
+from casid.experiment_design.base_input import based
 from casid.experiment_design.information import scores
 from casid.experiment_design.prediction import Prediction
 from casid.experiment_design.program import Program, Solved
@@ -61,6 +62,7 @@ class Search:
     def run(self) -> tuple[Found, Found]:
         """The designed input and the best standard one."""
         prediction = self._first_prediction()
+        self.setup = prediction.setup
         ranked = self._standards(prediction)
         first = ranked[: self.starts]
         best_of_kind = {s.kind: s for s in reversed(ranked)}
@@ -84,39 +86,32 @@ class Search:
 
     def _first_prediction(self) -> Prediction:
         q = self.question
-        prediction = Prediction(self.setup, q.hypotheses, q.comparisons)
+        prediction = based(Prediction(self.setup, q.hypotheses, q.comparisons))
         return replace_substeps(prediction, self._middling(prediction))
 
     def _middling(self, prediction: Prediction) -> tuple[Array, Array]:
         """Some input that keeps the limits, for what needs any motion."""
         rng = np.random.default_rng((self.seed, 1))
-        for _ in range(8):
-            _, _, u, release = drawn(self.setup, rng)
-            found = shrunk(prediction, u, release)
-            if found is not None:
-                return found
-        return self._feasible(prediction)
+        _, _, u, release = drawn(prediction.setup, rng)
+        return shrunk(prediction, u, release) or prediction.setup.begun_at
 
     def _standards(self, prediction: Prediction) -> list[StandardInput]:
         """The standard inputs, best first."""
         rng = np.random.default_rng((self.seed, 0))
-        found = []
+        found: list[StandardInput] = []
         most = 0.0
         self.progress(f"compare {self.candidates} standard inputs")
         for _ in range(self.candidates):
             kind, words, u, release = drawn(self.setup, rng)
             allowed = shrunk(prediction, u, release)
-            if allowed is None:
-                allowed = self._feasible(prediction)
-                kind, words = "feasible", "an input that keeps the limits"
+            if allowed is None or any(same(allowed, (s.u, s.release)) for s in found):
+                continue
             grams = prediction.grams(*allowed)
             if grams is None:
                 continue
             values, share = self._scores(grams)
             most = max(most, share)
             found.append(StandardInput(kind, words, *allowed, float(np.min(values))))
-            if kind == "feasible":
-                break
         if not any(np.isfinite(s.score) for s in found) or most < DESIGN.nothing:
             raise IdentifiabilityError(self._nothing())
         found.sort(key=lambda s: -s.score)
@@ -146,39 +141,6 @@ class Search:
         return (
             f"{name}: no standard input within the limits identifies every parameter; widen the "
             "limits, record longer, or give some parameters known values"
-        )
-
-    def _feasible(self, prediction: Prediction) -> tuple[Array, Array]:
-        """Some input that keeps the limits, where rest does not.
-
-        Raises
-        ------
-        SolveError
-            If there is none: which limit to relax, by how much.
-        """
-        setup = self.setup
-        margins = np.zeros(len(setup.limits.signals))
-        release = np.array([setup.start[n] for n in setup.released])
-        program = Program(prediction, self.question.targets, KEEPING.feasible, margins)
-        w = np.zeros((setup.excitation.n, len(setup.designed)))
-        solved = program.solve(w, release, elastic=True)
-        if prediction.is_allowed(solved.u, solved.release):
-            return solved.u, solved.release
-        over = np.maximum(prediction.excess(solved.u, solved.release), 0.0)
-        if not np.all(np.isfinite(over)):
-            raise SolveError(
-                f"{setup.nominal.name}: every simulation within the limits diverges; check the "
-                "parameters' values and the limits of the inputs"
-            )
-        model = setup.nominal.model
-        relaxed = [
-            f"{n} by {model.shown_size(n, 1.01 * v):.3g} {model.unit_of(n)}"
-            for n, v in zip(setup.limits.signals, over.tolist(), strict=True)
-            if v > 0
-        ]
-        raise SolveError(
-            f"{setup.nominal.name}: no input keeps every limit; relax the limit of "
-            f"{', and of '.join(relaxed)}, or start elsewhere (--x0)"
         )
 
     # -- improvement -------------------------------------------------------------------------
@@ -215,7 +177,7 @@ class Search:
             new = self.judged(
                 prediction, solved.u, solved.release, f"designed from: {start.what}", iterations
             )
-            promised = self._promised(prediction, solved)
+            promised = self._promised(prediction, solved.u, solved.release)
             best = new if new.least > best.least else best
             u, release, prediction = solved.u, solved.release, new.prediction
             self.progress(f"information times {np.exp(best.least - start.least):.3g}")
@@ -223,9 +185,9 @@ class Search:
                 break
         return best
 
-    def _promised(self, prediction: Prediction, solved: Solved) -> float:
-        """The smallest score of a solution, its rivals linearised as the program had them."""
-        grams = prediction.grams(solved.u, solved.release)
+    def _promised(self, prediction: Prediction, u: Array, release: Array) -> float:
+        """The smallest score of an input, its rivals linearised as the program had them."""
+        grams = prediction.grams(u, release)
         return -np.inf if grams is None else float(np.min(self._scores(grams)[0]))
 
     def cheapest(self, start: Found, floor: float) -> Found | None:
@@ -256,30 +218,37 @@ class Search:
         w, release = self._inside(prediction, w, release)
         self.steps = self._enough_steps(prediction, w, release)
         margins = KEEPING.inset * setup.limits.widths
-        iterations = 0
+        best, most, iterations = (u, release), -np.inf, 0
         for _ in range(KEEPING.rounds):
             program = Program(prediction, self.question.targets, self.steps, margins, floors)
             solved = program.solve(w, release, seconds=ends - processor_clock())
             iterations += solved.iterations
             kept = shrunk(prediction, solved.u, solved.release, finer=KEEPING.finer)
-            if kept is not None and self._moved(*kept) >= KEEPING.shrunk * self._moved(
-                solved.u, solved.release
-            ):
-                return solved._replace(u=kept[0], release=kept[1], iterations=iterations)
+            if kept is not None:
+                worth = self._promised(prediction, *kept)
+                if floors is not None:  # the least energy, once the floors are reached
+                    enough = np.min(floors) - np.log1p(2 * DESIGN.accuracy)
+                    worth = -self._moved(*kept) if worth >= enough else -np.inf
+                best, most = (kept, worth) if worth > most else (best, most)
+                if self._moved(*kept) >= KEEPING.shrunk * self._moved(solved.u, solved.release):
+                    break
             over = prediction.excess(solved.u, solved.release, finer=KEEPING.finer)
             if not np.all(np.isfinite(over)) or processor_clock() >= ends:
                 break
-            margins = margins + KEEPING.wider * over
-            w, release = excitation.nearest(solved.u - setup.at_rest), solved.release
-        kept = shrunk(prediction, solved.u, solved.release, finer=KEEPING.finer) or (u, release)
-        return solved._replace(u=kept[0], release=kept[1], iterations=iterations)
+            # Limits hold at the steps; where they do not hold between them, the steps are too long.
+            share = over / setup.limits.widths
+            if np.any(share > KEEPING.between) and self.steps < DESIGN.finest:
+                self.steps *= 2
+            else:
+                widest = KEEPING.widest * setup.limits.widths
+                margins = np.minimum(margins + KEEPING.wider * over, widest)
+            w, release = excitation.nearest(best[0] - setup.at_rest), best[1]
+        return solved._replace(u=best[0], release=best[1], iterations=iterations)
 
     def _moved(self, u: Array, release: Array) -> float:
-        """Size of what is done, measured from rest."""
-        start = np.array([self.setup.start[n] for n in self.setup.released])
-        return float(
-            np.hypot(np.linalg.norm(u - self.setup.at_rest), np.linalg.norm(release - start))
-        )
+        """Size of what is done, measured from the base."""
+        base, start = self.setup.begun_at
+        return float(np.hypot(np.linalg.norm(u - base), np.linalg.norm(release - start)))
 
     def _inside(self, prediction: Prediction, w: Array, release: Array) -> tuple[Array, Array]:
         """Decision variables (n, nu) whose input keeps the limits."""
@@ -303,13 +272,18 @@ class Search:
         while wanted is not None and steps < DESIGN.finest:
             program = Program(prediction, self.question.targets, steps, np.zeros(0))
             with np.errstate(all="ignore"):
-                information = program.rollout(w, release)[1]
+                information = program.rollout.outputs(w, release).information
             if np.all(np.isfinite(information)):
                 there = self._scores(program.grams(information))[0]
                 if np.all(np.abs(there - wanted) < DESIGN.accuracy):
                     break
             steps *= 2
         return steps
+
+
+def same(one: tuple[Array, Array], other: tuple[Array, Array]) -> bool:
+    """True where two experiments do the same."""
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 def replace_substeps(prediction: Prediction, at: tuple[Array, Array]) -> Prediction:

@@ -49,6 +49,16 @@ class Nominal:
     noise: Mapping[str, float] = field(default_factory=dict)
     Ts: float | None = None
     effects: Sequence[Any] = ()
+    acting: Model = field(init=False)
+
+    def __post_init__(self) -> None:
+        direct = self.model.direct() if self.model.eliminated_units else self.model
+        object.__setattr__(self, "acting", direct)
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Inputs that nobody measures, which the model has eliminated."""
+        return tuple(self.model.eliminated_units)
 
 
 def nominal_of(source: Source) -> Nominal:
@@ -64,12 +74,11 @@ def nominal_of(source: Source) -> Nominal:
     found = _of_problem(source) if isinstance(source, Problem) else _of_result(source)
     model = found.model
     unknown = [n for n, u in model.inputs.items() if u.kind == "unknown"]
-    if unknown or model.eliminated_units:
-        what = ", ".join(unknown or model.eliminated_units)
+    if unknown:
         raise ModelError(
-            f"{found.name}: {what} is an input that nobody measures, so nobody can choose it. "
-            "Design for the model in which what acts is a known input, with the actuator's "
-            "dynamics among its states"
+            f"{found.name}: the input {', '.join(unknown)} is not measured, and no record "
+            "determines a model in which it stands. Eliminate it with a sensor that feels it, "
+            "model.eliminate(...), or declare what acts as a known input"
         )
     if model.stages:
         kinds = ", ".join(f"{s.kind} of {s.channel}" for s in model.stages)
@@ -132,6 +141,7 @@ class Setup:
     rest : designed input -> its value where nothing is done.
     start : state -> initial value; those in `limits.release` are chosen.
     noise : (ny,) standard deviation of each output.
+    base : inputs (N, nu) and displacements (nr,) that keep the limits where rest does not.
     """
 
     nominal: Nominal
@@ -143,6 +153,7 @@ class Setup:
     start: Mapping[str, float]
     noise: Array
     duration: float
+    base: tuple[Array, Array] | None = None
 
     @property
     def Ts(self) -> float:
@@ -164,6 +175,14 @@ class Setup:
         """(nu,) the designed inputs where nothing is done."""
         return np.array([self.rest[n] for n in self.designed])
 
+    @property
+    def begun_at(self) -> tuple[Array, Array]:
+        """Inputs (N, nu) and displacements (nr,) from which amplitudes are measured: the base."""
+        if self.base is not None:
+            return self.base
+        start = np.array([self.start[n] for n in self.released])
+        return np.tile(self.at_rest, (self.N, 1)), start
+
     def initial(self, model: Model, release: Array) -> Array:
         """(nx,) initial state of a model under the chosen displacements (nr,)."""
         chosen = dict(zip(self.released, np.ravel(release).tolist(), strict=True))
@@ -171,11 +190,13 @@ class Setup:
             [chosen.get(n, self.start.get(n, s.start)) for n, s in model.states.items()]
         )
 
-    def others(self, model: Model, t: Array) -> dict[str, Array]:
+    def others(
+        self, model: Model, t: Array, measured: Mapping[str, Array] | None = None
+    ) -> dict[str, Array]:
         """Input -> (len(t),) of every input that is not designed."""
-        out = {}
+        out = dict(measured or {})
         for name, entry in model.inputs.items():
-            if name in self.designed:
+            if name in self.designed or name in out:
                 continue
             if entry.kind == "generated":
                 out[name] = np.zeros(len(t)) if entry.signal is None else entry.signal(t)
@@ -183,9 +204,14 @@ class Setup:
                 out[name] = np.full(len(t), self.constants[name])
         return out
 
-    def columns(self, model: Model, u: Array, Ts: float) -> Array:
-        """(N, inputs) of a model under the designed inputs `u` (N, nu)."""
-        others = self.others(model, Ts * np.arange(len(u)))
+    def columns(
+        self, model: Model, u: Array, Ts: float, measured: Mapping[str, Array] | None = None
+    ) -> Array:
+        """(N, inputs) of a model under the designed inputs `u` (N, nu).
+
+        `measured` are channels (N,) that stand for inputs which nobody measures.
+        """
+        others = self.others(model, Ts * np.arange(len(u)), measured or {})
         place = {n: i for i, n in enumerate(self.designed)}
         found = [u[:, place[n]] if n in place else others[n] for n in model.inputs]
         return np.column_stack(found) if found else np.zeros((len(u), 0))
@@ -203,7 +229,7 @@ class Setup:
 def held(model: Model, designed: Sequence[str], hold: Any) -> Model:
     """A copy whose designed inputs are exactly known, and between samples what the shape says."""
     new = model.copy()
-    for name in designed:
+    for name in set(designed) & set(new.inputs):
         new.inputs[name] = replace(new.inputs[name], kind="known", hold=hold, blends=())
     return new
 

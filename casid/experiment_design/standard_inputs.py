@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import log
+from math import log, sqrt
 
 import numpy as np
 
@@ -42,8 +42,12 @@ def drawn(setup: Setup, rng: np.random.Generator) -> tuple[str, str, Array, Arra
     start = np.array([setup.start[n] for n in setup.released])
     chosen = start + np.where(release > 0, release * (high - start), -release * (low - start))
     if not setup.designed:
-        what = "released from " + ", ".join(setup.released)
-        return "release", what, np.zeros((setup.N, 0)), chosen
+        shown = [
+            f"{n} = {setup.nominal.model.shown(n, v):.3g} {setup.nominal.model.unit_of(n)}"
+            for n, v in zip(setup.released, chosen.tolist(), strict=True)
+        ]
+        what = "released from " + ", ".join(shown)
+        return what, what, np.zeros((setup.N, 0)), chosen
     kind = str(rng.choice(list(_SHAPES)))
     columns, words = [], ""
     for name in setup.designed:
@@ -133,24 +137,22 @@ _SHAPES: dict[str, Callable[[Setup, np.random.Generator], tuple[Array, str]]] = 
 def shrunk(
     prediction: Prediction, u: Array, release: Array, *, finer: int = 1
 ) -> tuple[Array, Array] | None:
-    """The largest multiple of an input, measured from rest, that keeps all limits.
+    """The input nearest to a wished one, on the line from the set-up's base, that keeps all limits.
 
-    None where not even rest keeps them.
+    None where not even the base keeps them.
     """
     setup = prediction.setup
-    rest = np.broadcast_to(setup.at_rest, u.shape)
-    start = np.array([setup.start[n] for n in setup.released])
+    base, start = setup.begun_at
 
     def at(share: float) -> tuple[Array, Array]:
-        return rest + share * (u - rest), start + share * (release - start)
+        return base + share * (u - base), start + share * (release - start)
 
-    allowed, forbidden = 0.0, 1.0
-    largest = _energy_share(setup, u - rest)
+    largest = _energy_share(setup, base - setup.at_rest, u - base)
     if prediction.is_allowed(*at(largest), finer=finer):
         return at(largest)
     if not prediction.is_allowed(*at(0.0), finer=finer):
         return None
-    forbidden = largest
+    allowed, forbidden = 0.0, largest
     for _ in range(KEEPING.halvings):
         middle = 0.5 * (allowed + forbidden)
         if prediction.is_allowed(*at(middle), finer=finer):
@@ -160,11 +162,15 @@ def shrunk(
     return at(allowed)
 
 
-def _energy_share(setup: Setup, moved: Array) -> float:
-    """The largest multiple of (N, nu) deviations from rest that the limits of energy allow."""
+def _energy_share(setup: Setup, from_rest: Array, moved: Array) -> float:
+    """The largest share, at most 1, of (N, nu) motions that the limits of energy allow."""
     share = 1.0
     for name, most in setup.limits.energy.items():
-        spent = setup.Ts * float(np.sum(moved[:, setup.designed.index(name)] ** 2))
-        if spent > most:
-            share = min(share, (most / spent) ** 0.5)
+        k = setup.designed.index(name)
+        begun, more = from_rest[:, k], moved[:, k]
+        # |begun + share more|^2 Ts = most
+        a, b = float(more @ more), float(begun @ more)
+        c = float(begun @ begun) - most / setup.Ts
+        if a + 2 * b + c > 0:
+            share = min(share, max(0.0, (sqrt(max(b * b - a * c, 0.0)) - b) / a))
     return share

@@ -8,18 +8,39 @@ import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
+from casid.estimation.nlp.criterion import Callback
+from casid.experiment_design.rollout import Rollout
 from casid.experiment_design.setup import Setup
 
 
 class Statement:
-    """Variables and constraints of the program while it is put together, all scaled."""
+    """Variables and constraints of the program while it is put together, all scaled.
 
-    def __init__(self) -> None:
+    What is integrated is a symbol in objective and constraints, a function in the program.
+
+    Parameters
+    ----------
+    w0, release0 : where the search begins, (n, nu) and (nr,) in SI.
+    """
+
+    def __init__(self, rollout: Rollout, w0: Array, release0: Array) -> None:
+        setup = rollout.prediction.setup
+        self.rollout = rollout
         self._x: list[Any] = []
         self._sides: list[tuple[Array, Array, Array]] = []
         self._g: list[Any] = []
         self._ends: list[tuple[Array, Array]] = []
         self.problem: dict[str, Any] = {}
+        self.hessian: Any = None
+        self._keep: list[Any] = []
+        scales, released = input_scales(setup), release_scales(setup)
+        self.w, self.flat = inputs_stated(self, setup, w0, scales)
+        low, high = np.array(list(setup.limits.release.values())).reshape(-1, 2).T
+        begin = release0 / released
+        self.release = self.variable("r", begin, low / released, high / released) * released
+        self.scale = np.concatenate([np.repeat(scales, setup.excitation.n), released])
+        self.begun = rollout.outputs(w0, release0).column
+        self.outputs = ca.MX.sym("outputs", len(self.begun))
 
     def variable(self, name: str, start: Any, lower: Any = -np.inf, upper: Any = np.inf) -> Any:
         """A column of variables, begun inside its bounds."""
@@ -38,7 +59,59 @@ class Statement:
 
     def finish(self, objective: Any) -> None:
         """State the objective."""
-        self.problem = {"x": self.x, "f": objective, "g": ca.vertcat(*self._g)}
+        x, o, g = self.x, self.outputs, ca.vertcat(ca.MX(0, 1), *self._g)
+        n, nv, no = x.numel(), len(self.scale), o.numel()
+        dense = ca.Sparsity.dense
+
+        def slopes(point: Array, *_: Array) -> list[Any]:
+            found = self.rollout.slope(*self.parted(point)) * self.scale
+            return [np.hstack([found, np.zeros((no, n - nv))])]
+
+        def values(point: Array) -> list[Any]:
+            return [self.rollout.outputs(*self.parted(point)).column]
+
+        jac = Callback("jac_outputs", slopes, [n, no], [dense(no, n)])
+        call = Callback("outputs", values, [n], [dense(no, 1)], jac)
+        self._keep += [jac, call]
+        now = ca.substitute([objective, g], [o], [call(x)])
+        self.problem = {"x": x, "f": now[0], "g": now[1]}
+        self.hessian = self._hessian(objective, g)
+
+    def _hessian(self, objective: Any, g: Any) -> Callback:
+        """Second derivatives of the Lagrangian, upper triangle."""
+        x, o = self.x, self.outputs
+        n, nv = x.numel(), len(self.scale)
+        f, m = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
+        both = ca.vertcat(x, o)
+        lagrangian = f * objective + ca.dot(m, g)
+        slope = ca.jacobian(lagrangian, o)
+        outer = ca.hessian(lagrangian, both)[0]
+        function = ca.Function("outer", [x, o, f, m], [ca.densify(slope), outer])
+
+        def hessian(point: Array, _: Array, lam_f: Array, lam_g: Array) -> list[Any]:
+            place = self.parted(point)
+            column = self.rollout.outputs(*place).column
+            found = function(point, column, lam_f, lam_g)
+            weights, curved = np.asarray(found[0]).ravel(), found[1].sparse().tocsr()
+            own = self.rollout.slope(*place) * self.scale
+            out = curved[:n, :n].toarray()
+            inner = self.rollout.curvature(*place, weights) * np.outer(self.scale, self.scale)
+            out[:nv, :nv] += inner + own.T @ (curved[n:, n:] @ own)
+            mixed = np.asarray(curved[:n, n:] @ own)
+            out[:, :nv] += mixed
+            out[:nv, :] += mixed.T
+            return [np.triu(out)]
+
+        made = Callback("curvature", hessian, [n, 0, 1, g.numel()], [ca.Sparsity.upper(n)])
+        self._keep.append(function)
+        return made
+
+    def parted(self, x: Array) -> tuple[Array, Array]:
+        """Inputs' variables (n, nu) and displacements (nr,) of a point, SI."""
+        setup = self.rollout.prediction.setup
+        n, nu = setup.excitation.n, len(setup.designed)
+        v = x[: len(self.scale)] * self.scale
+        return np.ascontiguousarray(v[: n * nu].reshape(nu, n).T), v[n * nu :]
 
     @property
     def x(self) -> Any:
@@ -65,12 +138,12 @@ class Statement:
     @property
     def low(self) -> Array:
         """Lower limits of the constraints."""
-        return np.concatenate([a for a, _ in self._ends])
+        return np.concatenate([np.zeros(0), *(a for a, _ in self._ends)])
 
     @property
     def high(self) -> Array:
         """Upper limits of the constraints."""
-        return np.concatenate([b for _, b in self._ends])
+        return np.concatenate([np.zeros(0), *(b for _, b in self._ends)])
 
 
 def input_scales(setup: Setup) -> Array:

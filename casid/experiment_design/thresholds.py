@@ -62,7 +62,7 @@ class Keeping:
     """How limits are kept between samples."""
 
     finer: int = _is(10, "times the sampling rate, at which limits are checked", _LIMITS)
-    rounds: int = _is(3, "times that margins are widened, or rivals fitted anew", _LIMITS)
+    rounds: int = _is(4, "times that margins are widened, or rivals fitted anew", _LIMITS)
     inset: float = _is(1e-3, "of the width of a limit, kept off it from the beginning", _LIMITS)
     shrunk: float = _is(
         0.97,
@@ -70,8 +70,20 @@ class Keeping:
         _LIMITS,
     )
     wider: float = _is(1.5, "times a violation, by which a margin is widened", _LIMITS)
+    between: float = _is(
+        0.02,
+        "of a limit's width, by which it may be exceeded between steps of the program",
+        _LIMITS,
+    )
+    widest: float = _is(0.4, "of a limit's width, that a margin is at most", _LIMITS)
 
     halvings: int = _is(8, "of the interval in which the largest amplitude lies", _LIMITS)
+    room: float = _is(
+        0.25, "of a limit's width, that an input keeps off it at most where rest does not", _LIMITS
+    )
+    touched: float = _is(
+        1e-3, "of a limit's width, up to which it counts as touched and not exceeded", _LIMITS
+    )
     feasible: int = _is(
         4, "Runge-Kutta steps an interval, where only the limits are in question", _LIMITS
     )

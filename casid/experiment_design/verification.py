@@ -38,13 +38,14 @@ def verified(
         rng = np.random.default_rng((seed, 3, k))
         assert c.truth is not None
         y = prediction.course(c.truth, best.u, best.release).y
+        measured = prediction.measured(c.truth, best.u, best.release)
         right = 0
         for _ in range(runs):
             noisy = y + noise * rng.standard_normal(y.shape)
             errors = []
             for i in (c.truth, c.rival):
                 h = prediction.hypotheses[i]
-                record = record_of(prediction, best.u, noisy, h.model)
+                record = record_of(prediction, best.u, noisy, h.model, measured)
                 fitted = fitted_to(prediction, h, record, best.release)
                 errors.append(np.inf if fitted is None else fitted[0])
             right += bool(errors[1] - errors[0] > margin)

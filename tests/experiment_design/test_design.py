@@ -12,6 +12,7 @@ from scipy.stats import norm
 import casid
 from casid import Aim
 from casid.experiment_design.designed_experiment import (
+    energy_for_detection,
     probability_of_detection,
     probability_of_right_name,
 )
@@ -140,6 +141,41 @@ def test_the_design_for_the_worst_scenario_is_no_better_for_the_nominal_one() ->
     robust = casid.design_experiment(*arguments, scenarios=[{"c": 6.0}], **SMALL)
     errors = [found.parameters[-1].std_error for found in (alone, robust)]
     assert errors[0] <= errors[1] * 1.01
+
+
+def test_a_record_that_is_too_short_is_given_the_time_that_is_enough() -> None:
+    """Energies grow with the record: so much longer, that Phi(sqrt(energy) / 2) = 95 %."""
+    found = casid.design_experiment(
+        spring(y=0.1),
+        Aim.separate("quadratic_damping", "cubic_damping"),
+        {"u": (-2, 2)},
+        6.0,
+        sizes={"quadratic_damping": 0.5, "cubic_damping": 0.5},
+        **SMALL,
+    )
+    assert not found.is_enough
+    least = min(o.energy for o in found.outcomes)
+    enough = 6.0 * (2 * 1.6449) ** 2 / least
+    assert f"95 % take about {enough:.4g} s" in found.sentence
+    assert energy_for_detection(0.9, 0.05) == pytest.approx(10.507, abs=0.01)
+
+
+def test_the_displacements_that_a_decay_is_released_from_are_compared_each_once() -> None:
+    m = casid.Model("decay")
+    x = m.state("x", "m")
+    rate = m.parameter("a", "1/s", start=0.5, lower=0.0)
+    m.derivative(x, -rate * x)
+    m.output("y", x, "m")
+    found = casid.design_experiment(
+        casid.Problem("decay", m, noise={"y": 0.01}),
+        Aim.estimate("a"),
+        None,
+        6.0,
+        release={"x": (-2, 3)},
+        **{**SMALL, "candidates": 30},
+    )
+    assert len({s.description for s in found.standards}) == len(found.standards) > 3
+    assert "begins at" in str(found)
 
 
 def test_probabilities_are_those_of_their_tests() -> None:

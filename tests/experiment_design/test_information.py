@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
+import casid
+from casid.experiment_design.excitation import excitation_of
+from casid.experiment_design.hypotheses import Comparison, nominal_hypothesis
 from casid.experiment_design.information import Target, covariance, gradient_of, scores
+from casid.experiment_design.limits import limits_of
+from casid.experiment_design.prediction import Prediction
+from casid.experiment_design.rollout import Rollout
+from casid.experiment_design.setup import Setup, nominal_of
 
 
 @pytest.fixture(scope="module")
@@ -51,3 +59,45 @@ def test_the_order_of_the_columns_of_interest_does_not_matter(columns: np.ndarra
 
 def test_a_function_has_its_gradient() -> None:
     assert gradient_of("m * z^2", {"m": 3.0, "z": 2.0}) == {"m": 4.0, "z": 12.0}
+
+
+def test_the_derivatives_of_the_rollout_are_those_of_differences() -> None:
+    """Central differences with a step of 1e-6 are right to about 1e-7."""
+    m = casid.Model("pendulum")
+    phi, p, u = m.state("phi", "rad"), m.state("p", "rad/s"), m.input("u", "N m")
+    d = m.parameter("d", "N m s/rad", start=0.3)
+    k = m.parameter("k", "N m/rad", start=4.0)
+    m.derivative(phi, p)
+    m.balance(
+        p,
+        "torque",
+        inertia=m.constant("J", 1.0, "kg m^2"),
+        terms=[-d * p, -k * ca.sin(phi), u],
+        unit="N m",
+    )
+    m.output("phi", phi, "rad")
+    problem = casid.Problem("pendulum", m, noise={"phi": 0.01})
+    nominal = nominal_of(problem)
+    limits = limits_of(nominal.model, {"u": (-2, 2), "p": (-3, 3)}, release={"phi": (-1, 1)})
+    excitation = excitation_of("linear", 60, 0.1, intervals=12)
+    setup = Setup(nominal, excitation, limits, ("u",), {}, {"u": 0.0}, {}, np.array([0.01]), 6.0)
+    h = nominal_hypothesis(nominal, ("u",), "foh")
+    rollout = Rollout(Prediction(setup, [h], [Comparison(None, 0)]), 2)
+    rng = np.random.default_rng(0)
+    w, release = rng.standard_normal((excitation.n, 1)), np.array([0.4])
+    weights = rng.standard_normal(len(rollout.outputs(w, release).column))
+
+    def moved(k: int, by: float) -> tuple[np.ndarray, np.ndarray]:
+        v = np.append(w[:, 0], release)
+        v[k] += by
+        return v[:-1, None], v[-1:]
+
+    slope = rollout.slope(w, release)
+    curvature = rollout.curvature(w, release, weights)
+    for k in (0, 5, excitation.n):
+        above, below = moved(k, 1e-6), moved(k, -1e-6)
+        difference = rollout.outputs(*above).column - rollout.outputs(*below).column
+        assert slope[:, k] == pytest.approx(difference / 2e-6, abs=1e-6 * np.max(np.abs(slope)))
+        difference = weights @ (rollout.slope(*above) - rollout.slope(*below))
+        atol = 1e-6 * np.max(np.abs(curvature))
+        assert curvature[k] == pytest.approx(difference / 2e-6, abs=atol)

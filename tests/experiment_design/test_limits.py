@@ -126,3 +126,43 @@ def test_a_sensor_of_which_the_noise_is_not_known_is_refused() -> None:
     text = refusal(casid.Problem("rig", model), Aim.estimate(), U, 6.0)
     assert "noise of output phi is not known" in text
     assert "--noise phi=" in text
+
+
+def room() -> casid.Problem:
+    """A room that cools below its limit where nobody heats it."""
+    m = casid.Model("room")
+    T, P = m.state("T", "degC"), m.input("P", "kW")
+    C = m.parameter("C", "MJ/K", start=6.0, lower=0.1)
+    H = m.parameter("H", "W/K", start=70.0, lower=1.0)
+    m.balance(T, "heat", inertia=C, terms=[P, -H * (T - 273.15)])
+    m.output("T_room", T, "degC")
+    return casid.Problem("room", m, noise={"T_room": 0.05})
+
+
+def test_standard_inputs_vary_about_one_that_keeps_the_limits_where_rest_does_not() -> None:
+    """Unheated, 18 degC falls to 18 exp(-86400 / 85714) = 6.6 degC within the day."""
+    found = casid.design_experiment(
+        room(),
+        Aim.estimate(),
+        {"P": (0, 2), "T_room": (15, 25)},
+        86_400.0,
+        x0={"T": 18},
+        interval=3600.0,
+        Ts=900.0,
+        candidates=20,
+        starts=1,
+    )
+    assert {s.kind for s in found.standards} == {"step", "doublet", "chirp", "PRBS", "multisine"}
+    assert 1.0 < found.gain < 10.0
+    use = found.limits[-1]
+    assert 15.0 <= use.lowest < use.highest <= 25.0
+
+
+def test_limits_hold_between_long_intervals_in_which_the_state_swings() -> None:
+    """Three intervals a period: at their ends alone the angle would look smaller than it is."""
+    found = casid.design_experiment(
+        rig(), Aim.estimate("d"), {"phi": (-6, 6), "u": (-1, 1)}, 12.0, **{**SMALL, "intervals": 14}
+    )
+    phi = next(use for use in found.limits if use.name == "phi")
+    assert -6.0 <= phi.lowest < -5.0 < 5.0 < phi.highest <= 6.0
+    assert found.gain > 1.2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from casid.experiment_design.designed_experiment import DesignedExperiment
+from casid.experiment_design.designed_experiment import DesignedExperiment, time_text
 from casid.report.document import (
     Banner,
     Bullets,
@@ -15,7 +15,7 @@ from casid.report.document import (
     Table,
 )
 from casid.report.figures.designed_input import designed_input_figure
-from casid.report.numbers import quantity_text, value_text
+from casid.report.numbers import value_text
 from casid.report.pages.estimate_parts import provenance
 from casid.report.texts.designed_experiments import (
     learned_table,
@@ -28,7 +28,7 @@ from casid.report.texts.designed_experiments import (
 def design_report(found: DesignedExperiment) -> Document:
     """The input, what it is predicted to show, what it gains, and how it was found."""
     banner = Banner(
-        quantity_text(found.duration, "s"),
+        time_text(found.duration),
         f"to {found.aim}",
         found.sentence,
         "adequate" if found.is_enough else "undecided",
@@ -45,7 +45,8 @@ def design_report(found: DesignedExperiment) -> Document:
         "time": f"{s.seconds:.3g} s of the processor",
         "seed": str(s.seed),
     }
-    start = [(Code(n), value_text(v)) for n, v in found.initial.items()]
+    units = found.units
+    start = [(Code(n), value_text(v), units.get(n, "")) for n, v in found.initial.items()]
     return Document(
         found.problem,
         [
@@ -57,7 +58,10 @@ def design_report(found: DesignedExperiment) -> Document:
             Section("Standard inputs", [standard_table(found)], is_open=True),
             Section(
                 "Limits",
-                [limit_table(found), Table(("state", "initial value"), start, numbers=(1,))],
+                [
+                    limit_table(found),
+                    Table(("state", "initial value", "unit"), start, numbers=(1,)),
+                ],
                 is_open=True,
             ),
             Section("Notes", [Bullets(found.notes)]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import isfinite
 
-from casid.experiment_design.designed_experiment import DesignedExperiment, LimitUse
+from casid.experiment_design.designed_experiment import DesignedExperiment, LimitUse, time_text
 from casid.report.document import Document, Part, Table, labelled
 from casid.report.numbers import number_text, value_text
 
@@ -18,6 +18,7 @@ def design_document(found: DesignedExperiment) -> Document:
         learned_table(found),
         standard_table(found),
         limit_table(found),
+        *labelled("begins at", [start_text(found)] if any(found.initial.values()) else []),
         *labelled("note", found.notes),
     ]
     return Document(title, [p for p in parts if not isinstance(p, Table) or p.rows])
@@ -53,8 +54,8 @@ def learned_table(found: DesignedExperiment) -> Table:
 
 def standard_table(found: DesignedExperiment) -> Table:
     """A row a kind of standard input."""
-    rows = [(s.description, f"{s.information:.3g}", _seconds(s.seconds)) for s in found.standards]
-    head = ("standard input", "information", "seconds for the same")
+    rows = [(s.description, f"{s.information:.3g}", time_text(s.seconds)) for s in found.standards]
+    head = ("standard input", "information", "time for the same")
     caption = "The best of each kind under the same limits, relative to the designed input"
     return Table(head, rows, numbers=(1, 2), caption=caption)
 
@@ -64,6 +65,12 @@ def limit_table(found: DesignedExperiment) -> Table:
     rows = [(u.name, u.unit, _span(u.lower, u.upper), _span_used(u)) for u in found.limits]
     head = ("limit of", "unit", "allowed", "taken")
     return Table(head, rows, caption="Limits, and what the experiment takes of them")
+
+
+def start_text(found: DesignedExperiment) -> str:
+    """The state that the experiment begins at."""
+    units = found.units
+    return ", ".join(f"{n} = {v:.5g} {units.get(n, '')}".rstrip() for n, v in found.initial.items())
 
 
 def _span(low: float, high: float) -> str:
@@ -82,7 +89,3 @@ def _percent(share: float) -> str:
 
 def _error(error: float | None) -> str:
     return "\u2013" if error is None else f"{error:.2g}"
-
-
-def _seconds(value: float) -> str:
-    return f"{value:.4g}" if isfinite(value) else "never"
