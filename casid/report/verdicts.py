@@ -172,15 +172,15 @@ def judged_study(m: MonteCarlo) -> Judged:
     if max(halves) > FEW_RUNS:
         needed = math.ceil(0.95 * 0.05 * (1.96 / 0.03) ** 2)
         few = (
-            f"In {runs} runs nothing contradicts the error bars, but so few runs know the coverage "
-            f"to {100 * max(halves):.0f} % only."
+            f"Nothing in {runs} runs contradicts the error bars, but they determine the coverage "
+            f"only to within {100 * max(halves):.0f} %."
         )
         return Judged(
             "so far kept",
             _PROMISE,
             "undecided",
             few + lost,
-            f"Run more: {needed} runs know it to 3 % (--runs {needed}).",
+            f"Run more: {needed} runs determine it to within 3 % (--runs {needed}).",
         )
     wide = f" Those of {', '.join(often)} are wider than they need to be." if often else ""
     return Judged(

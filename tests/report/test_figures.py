@@ -56,7 +56,7 @@ def test_thinning_keeps_gaps_as_gaps_and_ignores_infinities(n):
 
 
 def test_simulation_shows_data_as_points_and_both_simulations_as_lines():
-    d = samples.deficient(N=3000)
+    d = samples.deficient(N=1500)
     v = d.records[0]
     figure = simulation_figure(d.records)
     measured, before, after = (trace(figure, n) for n in ("measured", "before", "after"))
@@ -88,7 +88,7 @@ def test_long_records_are_thinned_for_drawing_and_the_caption_says_so():
         assert len(t.x) <= POINTS + 2
     assert "from 6000 samples" in figure.layout.meta["caption"]
     assert (
-        "Thinned" not in simulation_figure(samples.deficient(N=3000).records).layout.meta["caption"]
+        "Thinned" not in simulation_figure(samples.deficient(N=1500).records).layout.meta["caption"]
     )
 
 
@@ -120,7 +120,7 @@ def test_a_simulation_that_runs_away_leaves_the_data_readable():
 
 
 def test_the_error_is_measured_minus_simulated():
-    v = samples.view(N=3000)
+    v = samples.view(N=1500)
     figure = residual_time_figure([v])
     expected = np.where(v.used[:, 0], v.measured[:, 0] - v.baseline[:, 0], np.nan)
     np.testing.assert_array_equal(np.asarray(trace(figure, "before").y, float), expected)

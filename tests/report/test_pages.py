@@ -123,6 +123,21 @@ def test_the_page_loads_nothing_and_carries_plotly_once(page):
     assert kinds == ["application/json"] * FIGURES["page"] + ["text/plain", ""]
 
 
+def test_a_page_weighs_less_than_a_megabyte(rich):
+    """Two records of 6000 samples, 15 figures, and plotly.js."""
+    assert 650_000 < len(rich.encode("utf-8")) < 1_000_000
+
+
+def test_what_decides_is_open_and_details_unfold(page):
+    """Verdict, gain, what to change and what to do next come before anything that unfolds."""
+    first, _, folded = page.partition("<details")
+    text = Seen(first).text
+    for word in ("deficient", "What to change in the model", "What to do next"):
+        assert word in text
+    assert "All candidates" in folded
+    assert "Provenance" in folded
+
+
 def test_the_page_has_language_title_viewport_and_a_name_for_every_figure(page):
     seen = Seen(page)
     assert ("html", {"lang": "en"}) in seen.tags

@@ -82,9 +82,10 @@ def view(*, N: int = 6000, seed: int = 3, name: str = "swing-07", d_2: float = 0
     before = pendulum(a, k=10.4, d=0.08 + 0.25 * (d_2 > 0), d_2=0.0, s=0.9)
     measured = x[:, 1:] + NOISE * rng.standard_normal((N, 1))
     used = np.ones((N, 1), dtype=bool)
-    if N > 2000:
+    if N > 1300:
         measured[1234, 0] += 3.0
         used[1234, 0] = False
+    if N > 2010:
         measured[2000:2010, 0] = np.nan
         used[2000:2010, 0] = False
     return RecordView(

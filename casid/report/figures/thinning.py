@@ -10,8 +10,8 @@ import numpy as np
 from casid.arrays import Array
 from casid.estimation.estimate import RecordView
 
-POINTS = 4000  # most points drawn in one trace
-MOST_POINTS = 60_000  # more, and a browser drags
+POINTS = 2000  # most points drawn in one trace: two a pixel of a wide figure
+MOST_POINTS = 4500  # of all its traces: a page of ten figures stays below 1 MB
 
 
 def thinned(values: Array, limit: int = POINTS) -> Array:
@@ -47,7 +47,7 @@ def thinned(values: Array, limit: int = POINTS) -> Array:
 
 def points_a_trace(traces: int) -> int:
     """Points drawn in each of so many traces, so that the figure stays light."""
-    return max(800, min(POINTS, MOST_POINTS // max(1, traces)))
+    return max(300, min(POINTS, MOST_POINTS // max(1, traces)))
 
 
 def thinning_note(views: Sequence[RecordView], limit: int) -> str:

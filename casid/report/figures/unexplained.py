@@ -20,7 +20,7 @@ from casid.report.figures.style import (
 )
 from casid.report.figures.thinning import thinned
 
-_POINTS = 3000
+_POINTS = 1000
 
 
 def dependence_figure(result: Unexplained) -> Any:

@@ -48,7 +48,12 @@ DRAW = """
       layout[key].zerolinecolor = look.zero;
       if (layout[key].minor) { layout[key].minor.gridcolor = look.fine; }
     });
-    (layout.updatemenus || []).forEach(function (menu) { menu.bgcolor = look.paper; });
+    function label(shape) { if (shape.label) { shape.label.font.color = look.ink; } }
+    (layout.shapes || []).forEach(label);
+    (layout.updatemenus || []).forEach(function (menu) {
+      menu.bgcolor = look.paper;
+      menu.buttons.forEach(function (button) { (button.args[1].shapes || []).forEach(label); });
+    });
     data.forEach(function (trace) {
       [trace.line, trace.marker].forEach(function (part) {
         if (part && (part.color === light.ink || part.color === dark.ink)) {
@@ -201,7 +206,7 @@ def packed_library() -> str:
 def place_html(figure: Figure) -> str:
     """The place that a figure is drawn in."""
     return (
-        f'<div class="plot" id="figure-{figure.name}" role="img" '
+        f'<div class="plot" id="figure-{figure.name}" role="group" '
         f'style="height:{_height(figure.drawing)}px" '
         f'aria-label="{html.escape(visible_text(figure.caption))}"></div>'
     )
