@@ -29,15 +29,17 @@ def design(model: str, settings: tuple[str, ...], seed: int, **given: Any) -> No
     """Design the next experiment: the input that answers a question soonest within limits.
 
     RESULT is the folder that casid identify or casid diagnose wrote, or a saved result. One of
-    --separate, --detect, --estimate, --variance-of and --identifiable is the question. Writes
-    input.csv (what a signal generator plays), design.json and report.html.
+    --separate, --detect, --estimate, --variance-of and --identifiable is the question; of a
+    diagnosis that ended in a tie, that tie by default. Writes input.csv (what a signal generator
+    plays), design.json and report.html.
 
     Example: casid design problems/tank.py --estimate c --limit q=0:1e-3 --limit level=0.1:0.5
     --noise level=1e-3 --x0 level=0.3 --duration 1200 --interval 60
     """
     output = taken(Output, given)
-    aim = taken(AimOptions, given).aim()
+    aims = taken(AimOptions, given)
     source, name = _source(model, settings)
+    aim = aims.aim(source)
     arguments = design_arguments(given)
     from casid.experiment_design.design import design_experiment
 

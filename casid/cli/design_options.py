@@ -62,7 +62,12 @@ AIM_OPTIONS = (
 )
 
 INPUT_OPTIONS = (
-    click.option("--duration", type=float, required=True, metavar="S", help="Of the record."),
+    click.option(
+        "--duration",
+        required=True,
+        metavar="S|FROM:TO",
+        help="Of the record [s]; of a range the shortest that decides with 95 %.",
+    ),
     _values(
         "--limit",
         "Range of an input, output or state, in its declared unit or the one given, as in "
@@ -145,13 +150,13 @@ class AimOptions:
     false_alarm_rate: float
     relative_error: float
 
-    def aim(self) -> Aim:
-        """The one aim that is given.
+    def aim(self, source: object) -> Aim:
+        """The one aim that is given; by default to separate what a diagnosis could not.
 
         Raises
         ------
         DataError
-            If there is none, or several.
+            If there are several, or none and the source is no diagnosis that ended in a tie.
         """
         from casid.experiment_design.aim import Aim
 
@@ -160,6 +165,8 @@ class AimOptions:
             for name in ("separate", "detect", "estimate", "variance_of", "identifiable")
             if getattr(self, name)
         ]
+        if not given and hasattr(source, "verdict"):
+            return Aim.of(source)
         if len(given) != 1:
             raise DataError(
                 f"{'no aim' if not given else ' and '.join(given)} given: one experiment has one "
@@ -180,7 +187,7 @@ class AimOptions:
 
 _NUMBERS = ("slew", "max_energy", "hold", "x0", "noise")
 _PLAIN = (
-    *("duration", "shape", "intervals", "interval", "Ts"),
+    *("shape", "intervals", "interval", "Ts"),
     *("candidates", "starts", "seconds", "verify"),
 )
 
@@ -202,6 +209,7 @@ def design_arguments(given: dict[str, Any]) -> dict[str, Any]:
     out["limits"] = _ranges("--limit", given.pop("limit"))
     out["release"] = _ranges("--release", given.pop("release"))
     out["band"] = _band(given.pop("band"))
+    out["duration"] = _duration(given.pop("duration"))
     return out
 
 
@@ -230,6 +238,19 @@ def _ranges(option: str, texts: Sequence[str]) -> dict[str, tuple[Any, ...]]:
             raise DataError(f"{option} names {name!r} twice; keep one of them")
         out[name] = (*ends, unit.strip()) if unit.strip() else ends
     return out
+
+
+def _duration(text: str) -> float | tuple[float, ...]:
+    try:
+        ends = tuple(float(part) for part in text.split(":"))
+    except ValueError:
+        ends = ()
+    if len(ends) not in (1, 2):
+        raise DataError(
+            f"--duration {text}: write seconds, or the shortest and the longest, for example "
+            "--duration 30 or --duration 5:60"
+        )
+    return ends if len(ends) > 1 else ends[0]
 
 
 def _band(text: str | None) -> tuple[float, float] | None:

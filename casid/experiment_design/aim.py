@@ -102,6 +102,25 @@ class Aim:
             raise DataError(f"a relative error of {relative_error:g}: give a positive number")
         return cls("identifiable", parameters, relative_error=relative_error)
 
+    @classmethod
+    def of(cls, diagnosis: object) -> Aim:
+        """Separate what a diagnosis could not: the first cause with alternatives, and these.
+
+        Raises
+        ------
+        DataError
+            If it has no such tie.
+        """
+        for cause in getattr(diagnosis, "causes", ()):
+            rivals = [cause, *getattr(cause, "alternatives", ())]
+            if len(rivals) > 1:
+                return cls.separate(*(f"{c.kind}@{c.where}" for c in rivals))
+        raise DataError(
+            f"{diagnosis!r} ended without a tie between causes; say what the next record is for: "
+            "Aim.separate(a, b), Aim.detect(a), Aim.estimate(m), or --separate, --detect, "
+            "--estimate"
+        )
+
     def __str__(self) -> str:
         """In words."""
         if self.kind == "separate":

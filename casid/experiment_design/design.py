@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import Any, Unpack
+from dataclasses import dataclass, replace
+from typing import Any, Unpack, cast
 
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.files import plain_fields
 from casid.errors import DataError, SolveError, nearest
 from casid.experiment_design.aim import Aim
 from casid.experiment_design.designed_experiment import (
@@ -17,15 +18,23 @@ from casid.experiment_design.designed_experiment import (
     Learned,
     LimitUse,
     SolverEvidence,
+    time_text,
 )
 from casid.experiment_design.excitation import Excitation, excitation_of
 from casid.experiment_design.limits import Limits, Range, limits_of
 from casid.experiment_design.options import DesignOptions, filled
 from casid.experiment_design.outcome import learned, outcomes, predicted_records, ranked_standards
-from casid.experiment_design.question import question_of
+from casid.experiment_design.question import Question, question_of
 from casid.experiment_design.search import Found, Search
 from casid.experiment_design.setup import Nominal, Setup, Source, noise_of, nominal_of, start_of
-from casid.experiment_design.thresholds import KEEPING
+from casid.experiment_design.shortest_record import (
+    Duration,
+    Tried,
+    ends_of,
+    shortest,
+    wanted,
+)
+from casid.experiment_design.thresholds import DURATION, KEEPING
 from casid.experiment_design.verification import verified
 from casid.versions import versions
 
@@ -34,7 +43,7 @@ def design_experiment(
     source: Source,
     aim: Aim,
     limits: Mapping[str, Range] | None = None,
-    duration: float = 0.0,
+    duration: Duration = 0.0,
     *,
     progress: Callable[[str], None] | None = None,
     **options: Unpack[DesignOptions],
@@ -49,7 +58,8 @@ def design_experiment(
         `Aim.detect("coulomb_friction")`, `Aim.identifiable()`.
     limits : input, output or state -> (lower, upper) in its declared unit, or (lower, upper, unit);
         None for an end that is open. Inputs with a limit are designed.
-    duration : of the record [s].
+    duration : of the record [s]; or (shortest, longest), between which the shortest is sought that
+        names or detects with 95 %, or makes identifiable.
     progress : called with a line of text before what may take seconds.
     options : by name, those of `casid.DesignOptions`: shape of the input, slew rates, energies,
         initial state, noise, sizes of the causes, scenarios, effort.
@@ -73,21 +83,76 @@ def design_experiment(
     own = limits_of(
         nominal.acting, limits, slew=o["slew"], max_energy=o["max_energy"], release=o["release"]
     )
-    setup = _setup(nominal, own, duration, o)
-    in_si = [nominal.model.in_si(s) for s in o["scenarios"]]
-    question = question_of(aim, setup, o["sizes"], in_si, o["seed"])
-    effort = o["candidates"], o["starts"], o["seconds"], o["seed"]
-    search = Search(setup, question, *effort, progress or (lambda _: None))
-    best, standard = search.run()
+    low, high = ends_of(duration)
+    say = progress or (lambda _: None)
+    first = _answer(nominal, own, aim, high, o, say)
+    answer = first
+    tried: tuple[Tried, ...] = ()
+    if low < high:
+        score = wanted(aim)
+
+        def design(length: float, begin: _Answer | None) -> _Answer:
+            return first if begin is None else _again(begin, own, aim, length, o)
+
+        answer, tried = shortest(design, (low, high), score, say)
+    search, best = answer.search, answer.best
     if aim.kind == "identifiable":
         best = _cheapest(search, aim, best)
-    found = _result(aim, search, best, standard, time.process_time() - began)
+    found = _result(aim, replace(answer, best=best), tried, time.process_time() - began)
     if not (o["verify"] and found.outcomes):
         return found
     checked = verified(
-        aim, question, best, found.outcomes, o["seed"], runs=o["verify"], progress=search.progress
+        aim, answer.question, best, found.outcomes, o["seed"], runs=o["verify"], progress=say
     )
     return replace(found, outcomes=checked)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Answer:
+    """What a design at one duration found."""
+
+    search: Search
+    best: Found
+    standard: Found
+
+    @property
+    def question(self) -> Question:
+        return self.search.question
+
+
+def _answer(
+    nominal: Nominal,
+    limits: Limits,
+    aim: Aim,
+    duration: float,
+    o: DesignOptions,
+    progress: Callable[[str], None],
+) -> _Answer:
+    """The design at one duration."""
+    setup = _setup(nominal, limits, duration, o)
+    in_si = [nominal.model.in_si(s) for s in o["scenarios"]]
+    question = question_of(aim, setup, o["sizes"], in_si, o["seed"])
+    effort = o["candidates"], o["starts"], o["seconds"], o["seed"]
+    search = Search(setup, question, *effort, progress)
+    return _Answer(search, *search.run())
+
+
+def _again(before: _Answer, limits: Limits, aim: Aim, duration: float, o: DesignOptions) -> _Answer:
+    """The same at another duration, begun at what was found: intervals and causes as they were."""
+    old, nominal = before.search.setup, before.search.setup.nominal
+    length = old.excitation.per * old.Ts
+    options: dict[str, Any] = {**o, "Ts": old.Ts, "interval": min(length, duration), "starts": 1}
+    setup = _setup(nominal, limits, duration, cast(DesignOptions, options))
+    sizes = dict(zip(aim.names, before.question.sizes, strict=False))
+    in_si = [nominal.model.in_si(s) for s in o["scenarios"]]
+    question = question_of(aim, setup, sizes, in_si, o["seed"])
+    u = before.best.u[: setup.N]
+    w = setup.excitation.nearest(u - setup.at_rest)
+    begin = setup.at_rest + setup.excitation.samples @ w, before.best.release
+    seconds = DURATION.share * o["seconds"]
+    say = before.search.progress
+    search = Search(setup, question, o["candidates"], 1, seconds, o["seed"], say, [begin])
+    return _Answer(search, *search.run())
 
 
 def _setup(nominal: Nominal, limits: Limits, duration: float, o: DesignOptions) -> Setup:
@@ -108,8 +173,6 @@ def _setup(nominal: Nominal, limits: Limits, duration: float, o: DesignOptions) 
 
 def _excitation(nominal: Nominal, limits: Limits, duration: float, o: DesignOptions) -> Excitation:
     """The shape of the input over the record."""
-    if not (np.isfinite(duration) and duration > 0):
-        raise DataError(f"a duration of {duration:g} s: give a positive number of seconds")
     intervals, interval = o["intervals"], o["interval"]
     if interval is not None:
         if not 0 < interval <= duration:
@@ -193,8 +256,9 @@ def _cheapest(search: Search, aim: Aim, best: Found) -> Found:
 
 
 def _result(
-    aim: Aim, search: Search, best: Found, standard: Found, seconds: float
+    aim: Aim, answer: _Answer, tried: Sequence[Tried], seconds: float
 ) -> DesignedExperiment:
+    search, best, standard = answer.search, answer.best, answer.standard
     setup = search.setup
     model = setup.nominal.acting
     records = predicted_records(setup, best)
@@ -217,7 +281,11 @@ def _result(
             best.what, len(search.standards), best.iterations, search.steps, seconds, search.seed
         ),
         units={n: model.unit_of(n) for n in (*model.states, *model.inputs, *model.outputs)},
-        details={"notes": _notes(search, best, parameters), "versions": dict(versions())},
+        details={
+            "notes": [*_notes(search, best, parameters), *_lengths_noted(tried)],
+            "durations": [plain_fields(t) for t in tried],
+            "versions": dict(versions()),
+        },
     )
 
 
@@ -232,6 +300,16 @@ def _used(setup: Setup, prediction: Any, u: Array, release: Array) -> tuple[Limi
         shown = [model.shown(name, float(v)) for v in (*ends, *found)]
         out.append(LimitUse(name, model.unit_of(name), *shown))
     return tuple(out)
+
+
+def _lengths_noted(tried: Sequence[Tried]) -> list[str]:
+    """What records of other durations give, where the shortest was sought."""
+    if not tried:
+        return []
+    words = [f"{time_text(t.duration)} {'enough' if t.share >= 1 else 'not enough'}" for t in tried]
+    if tried[-1].share < 1:
+        return [f"No record of up to {time_text(tried[-1].duration)} is long enough."]
+    return [f"Designs for other durations: {', '.join(words)}."]
 
 
 def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[str]:

@@ -46,6 +46,7 @@ class Search:
     ----------
     candidates : standard inputs drawn; `starts` of them are improved.
     seconds : of the processor, that may be spent on solving.
+    begin : other inputs (N, nu) with displacements (nr,) to begin from, before the standard ones.
     """
 
     setup: Setup
@@ -55,6 +56,7 @@ class Search:
     seconds: float = DESIGN.seconds
     seed: int = 0
     progress: Callable[[str], None] = lambda _: None
+    begin: Sequence[tuple[Array, Array]] = ()
     standards: list[StandardInput] = field(init=False, default_factory=list)
     judged_standards: list[tuple[str, Found]] = field(init=False, default_factory=list)
     steps: int = field(init=False, default=1)
@@ -64,14 +66,16 @@ class Search:
         prediction = self._first_prediction()
         self.setup = prediction.setup
         ranked = self._standards(prediction)
-        first = ranked[: self.starts]
+        first = ranked[: max(self.starts, DESIGN.judged)]
         best_of_kind = {s.kind: s for s in reversed(ranked)}
         chosen = [*first, *(s for s in best_of_kind.values() if s not in first)]
         # Rivals linearised at one input say little of another: they are fitted anew to each.
         judged = [self.judged(prediction, s.u, s.release, s.description) for s in chosen]
         self.judged_standards = list(zip([s.kind for s in chosen], judged, strict=True))
         judged.sort(key=lambda f: -f.least)
-        best_standard, begun, improved = judged[0], judged[: self.starts], []
+        allowed = [shrunk(prediction, *given) for given in self.begin]
+        given = [self.judged(prediction, *at, "another design") for at in allowed if at is not None]
+        begun, improved = [*given, *judged][: max(self.starts, len(given))], []
         ends = processor_clock() + self.seconds
         for k, start in enumerate(begun):
             left = (ends - processor_clock()) / (len(begun) - k)
@@ -79,8 +83,7 @@ class Search:
                 break
             self.progress(f"solve from: {start.what}")
             improved.append(self.improved(start, processor_clock() + left))
-        best = max([best_standard, *improved], key=lambda f: f.least)
-        return best, best_standard
+        return max([judged[0], *given, *improved], key=lambda f: f.least), judged[0]
 
     # -- standard inputs ---------------------------------------------------------------------
 

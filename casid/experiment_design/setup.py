@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -18,15 +18,6 @@ from casid.model.model import Model
 
 Source: TypeAlias = "Problem | Model | FittedModel | HasModel"
 """What an experiment can be designed for: a problem, or the result of a fit or a diagnosis."""
-
-
-class _HasFit(Protocol):
-    """An estimate, as far as its errors go."""
-
-    @property
-    def fit(self) -> Any:
-        """With `rmse`, output -> RMS error in its declared unit."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,12 +114,18 @@ def _of_result(result: Any) -> Nominal:
     )
 
 
-def _errors(result: _HasFit | Any, model: Model) -> dict[str, float]:
-    """RMS errors that the fit of a result left, SI: an upper bound on the sensors' noise."""
-    estimate = getattr(result, "extended", None) or getattr(result, "baseline", None) or result
-    rmse = getattr(getattr(estimate, "fit", None), "rmse", {})
-    known = {n: model.shown_size(n, 1.0) for n in rmse if n in model.outputs}
-    return {n: float(rmse[n]) / known[n] for n in known}
+def _errors(result: Any, model: Model) -> dict[str, float]:
+    """Noise of the outputs as a result has it, SI: its noise floor, or the RMS error of its fit.
+
+    The RMS error is an upper bound, and so is the floor where noise of measured inputs is in it.
+    """
+    found: dict[str, float] = dict((getattr(result, "fitted", None) or {}).get("noise_floor", {}))
+    by_record = getattr(getattr(result, "fit", None), "rmse", {})
+    for name in model.outputs:
+        errors = [e[name] for e in by_record.values() if name in e]
+        if errors and name not in found:
+            found[name] = float(np.sqrt(np.mean(np.square(errors))))
+    return {n: float(v) / model.shown_size(n, 1.0) for n, v in found.items() if n in model.outputs}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,7 @@ _TESTS = "tests/experiment_design"
 _LIMITS = f"{_TESTS}/test_limits.py"
 _DESIGN = f"{_TESTS}/test_design.py"
 _INFORMATION = f"{_TESTS}/test_information.py"
+_SHORTEST = f"{_TESTS}/test_shortest_record.py"
 _PUBLISHED = f"{_TESTS}/test_published_designs.py"
 
 
@@ -26,6 +27,9 @@ class Designing:
     usual: int = _is(8, "standard inputs that say how large signals are", _DESIGN)
     starts: int = _is(2, "of them, the best, from which the program is solved", _DESIGN)
     seconds: float = _is(45.0, "of the processor, for solving, where no time is given", _DESIGN)
+    judged: int = _is(
+        6, "standard inputs, the best by linearised rivals, to which rivals are fitted", _DESIGN
+    )
     iterations: int = _is(100, "of the solver from one start, at most", _DESIGN)
     accuracy: float = _is(
         0.02, "relative error of the criterion on the grid of the program, at most", _DESIGN
@@ -89,10 +93,25 @@ class Keeping:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Lengths:
+    """How the shortest record is sought."""
+
+    exact: float = _is(0.05, "relative error of the shortest duration", _SHORTEST)
+    designs: int = _is(9, "designs of different durations, at most", _SHORTEST)
+    inside: float = _is(
+        0.15, "of what encloses the duration, kept off both its ends by the next", _SHORTEST
+    )
+    share: float = _is(
+        0.4, "of the time for one design, for each that begins at another", _SHORTEST
+    )
+
+
 DESIGN = Designing()
+DURATION = Lengths()
 KEEPING = Keeping()
 
-GROUPS = (DESIGN, KEEPING)
+GROUPS = (DESIGN, DURATION, KEEPING)
 
 TABLE = entries(*GROUPS)
 """All of them."""
