@@ -11,8 +11,8 @@ from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import POOR
 
 GOOD_FIT = 90.0
-"""Fit [%] of every output from which an estimate with a white residual is called good; a heuristic:
-the rms error is then a tenth of the output's standard deviation."""
+"""Fit [%] of every output below which a residual that is not known to be white is remarked on; a
+heuristic: the rms error is then more than a tenth of the output's standard deviation."""
 FEW_RUNS = 0.05
 """Half the interval of the coverage from which a study has too few runs to judge 95 % intervals."""
 
@@ -54,7 +54,7 @@ def judged_estimate(e: Estimate) -> Judged:
     bars = "The estimates and their error bars can be used"
     if not e.whiteness:
         return Judged("usable", _GOOD, "adequate", f"{fit} {bars}.", _CONFIRM)
-    said = f"{fit} The residual is consistent with white noise. {bars}."
+    said = f"{fit} The rest is consistent with white noise. {bars}."
     return Judged("usable", _GOOD, "adequate", said, _CONFIRM)
 
 
@@ -102,7 +102,7 @@ def _doubts(e: Estimate) -> Iterator[tuple[str, str]]:
             "error bars hold for coloured noise, but not the bias of what the model lacks.",
             "Ask what the model is missing: casid diagnose.",
         )
-    if any(v < GOOD_FIT for v in _fits(e).values()):
+    if (coloured or not e.whiteness) and any(v < GOOD_FIT for v in _fits(e).values()):
         yield (
             f"The fit is below {GOOD_FIT:.0f} %: noise, disturbances or a missing effect make up "
             "the rest.",

@@ -34,7 +34,8 @@ def test_a_white_residual_and_a_good_fit_can_be_used():
     ("change", "look", "words"),
     [
         ({"fit": fit_of(60.0, 17)}, "undecided", "60 %. The residual is autocorrelated (gyro: 17"),
-        ({"fit": fit_of(60.0)}, "undecided", "The fit is below 90 %"),
+        ({"fit": fit_of(60.0, 17)}, "undecided", "The fit is below 90 %"),
+        ({"fit": fit_of(60.0)}, "adequate", "The rest is consistent with white noise"),
         ({"fit": fit_of(12.0)}, "deficient", "next to nothing of gyro (12 %)"),
         (
             {"identifiability": Identifiability(2, 3, 0.0, "k and d")},
