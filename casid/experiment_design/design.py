@@ -34,6 +34,7 @@ from casid.experiment_design.shortest_record import (
     shortest,
     wanted,
 )
+from casid.experiment_design.standard_inputs import kinds_of
 from casid.experiment_design.thresholds import DURATION, KEEPING
 from casid.experiment_design.verification import verified
 from casid.versions import versions
@@ -133,7 +134,7 @@ def _answer(
     in_si = [nominal.model.in_si(s) for s in o["scenarios"]]
     question = question_of(aim, setup, o["sizes"], in_si, o["seed"])
     effort = o["candidates"], o["starts"], o["seconds"], o["seed"]
-    search = Search(setup, question, *effort, progress)
+    search = Search(setup, question, *effort, progress, kinds=kinds_of(o["standards"]))
     return _Answer(search, *search.run())
 
 
@@ -141,7 +142,7 @@ def _again(before: _Answer, limits: Limits, aim: Aim, duration: float, o: Design
     """The same at another duration, begun at what was found: intervals and causes as they were."""
     old, nominal = before.search.setup, before.search.setup.nominal
     length = old.excitation.per * old.Ts
-    options: dict[str, Any] = {**o, "Ts": old.Ts, "interval": min(length, duration), "starts": 1}
+    options: dict[str, Any] = {**o, "Ts": old.Ts, "interval": min(length, duration)}
     setup = _setup(nominal, limits, duration, cast(DesignOptions, options))
     sizes = dict(zip(aim.names, before.question.sizes, strict=False))
     in_si = [nominal.model.in_si(s) for s in o["scenarios"]]
@@ -149,9 +150,15 @@ def _again(before: _Answer, limits: Limits, aim: Aim, duration: float, o: Design
     u = before.best.u[: setup.N]
     w = setup.excitation.nearest(u - setup.at_rest)
     begin = setup.at_rest + setup.excitation.samples @ w, before.best.release
-    seconds = DURATION.share * o["seconds"]
-    say = before.search.progress
-    search = Search(setup, question, o["candidates"], 1, seconds, o["seed"], say, [begin])
+    seconds, starts = DURATION.share * o["seconds"], min(1, o["starts"])
+    search = replace(
+        before.search,
+        setup=setup,
+        question=question,
+        seconds=seconds,
+        starts=starts,
+        begin=[begin] if starts else (),
+    )
     return _Answer(search, *search.run())
 
 
@@ -283,6 +290,10 @@ def _result(
         units={n: model.unit_of(n) for n in (*model.states, *model.inputs, *model.outputs)},
         details={
             "notes": [*_notes(search, best, parameters), *_lengths_noted(tried)],
+            "sizes": [
+                {"cause": name, "values": dict(values)}
+                for name, values in zip(aim.names, search.question.sizes, strict=False)
+            ],
             "durations": [plain_fields(t) for t in tried],
             "versions": dict(versions()),
         },
@@ -335,7 +346,7 @@ def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[s
     for effect, size in zip(search.question.effects, search.question.sizes, strict=True):
         values = ", ".join(f"{n} = {v:.4g}" for n, v in size.items())
         notes.append(f"{effect.kind} in {effect.key[1]} is taken with {values} (SI).")
-    if not best.iterations:
+    if not best.iterations and search.starts:
         notes.append(
             "The program found nothing better than the best standard input, which this is."
         )

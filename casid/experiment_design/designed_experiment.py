@@ -147,7 +147,8 @@ class Standard:
     ----------
     information : relative to the designed input's; of misfits, the ratio of energies, rivals fitted
         to what each would show.
-    seconds : of it that decide as much as the designed record.
+    seconds : of it that decide as much as the designed record, in repeated records of that length.
+        One record that long may decide sooner: in short ones most goes into nuisance parameters.
     """
 
     kind: str
@@ -194,8 +195,8 @@ class DesignedExperiment(Presented, Saved):
     initial : state -> initial value, in its declared unit; those released are chosen.
     noise : output -> standard deviation, SI.
     outcomes : of causes; `parameters` : of what is estimated.
-    gain : information over that of the best standard input: the same decision takes that one
-        `gain` times as long.
+    gain : information over that of the best standard input: the same decision takes so many records
+        of that one, each of this duration.
     units : channel -> declared unit.
     """
 
@@ -254,8 +255,8 @@ class DesignedExperiment(Presented, Saved):
             text = f"A record of {text} carries {self.gain:.3g} times the information"
             return f"{text} of the best standard input under the same limits."
         if self.gain <= 1.0:
-            return text + "; the best standard input does the same."
-        return f"{text}; the best standard input needs {time_text(self.gain * self.duration)}."
+            return text + "; so does the best standard input."
+        return f"{text}; the best standard input takes {self.gain:.3g} such records for as much."
 
     @property
     def _time_that_is_enough(self) -> str:
@@ -267,7 +268,7 @@ class DesignedExperiment(Presented, Saved):
         if least <= 0:
             return "nothing shows it"
         longer = time_text(self.duration * wanted / least)
-        return f"{100 * DESIGN.power:.3g} % take about {longer} of it, or wider limits"
+        return f"{100 * DESIGN.power:.3g} % take {longer} of it at most, or wider limits"
 
     def write_csv(self, path: str | Path, *, force: bool = False) -> Path:
         """Write time, designed inputs and predicted outputs in declared units; returns the path.

@@ -35,7 +35,8 @@ class DesignOptions(TypedDict, total=False):
     scenarios : parameter -> value in its unit, over the nominal ones: the design is the best for
         the worst of them, and the limits hold in all.
     candidates : standard inputs drawn under the same limits, to begin from and compare with.
-    starts : of the best of them from which the program is solved.
+    standards : their kinds, of step, doublet, chirp, PRBS and multisine; default all.
+    starts : of the best of them from which the program is solved; 0 compares them alone.
     seconds : of the processor, that may be spent on solving.
     seed : of everything random.
     verify : simulated records of each truth, to which truth and rival are fitted, as a check of the
@@ -56,6 +57,7 @@ class DesignOptions(TypedDict, total=False):
     sizes: SizeOf
     scenarios: Sequence[Mapping[str, float]]
     candidates: int
+    standards: Sequence[str]
     starts: int
     seconds: float
     seed: int
@@ -66,7 +68,7 @@ _DEFAULTS: Mapping[str, Any] = {
     **dict.fromkeys(("Ts", "shape", "interval", "band", "slew", "max_energy", "release")),
     **dict.fromkeys(("x0", "noise")),
     **dict.fromkeys(("hold", "sizes"), {}),
-    "scenarios": (),
+    **dict.fromkeys(("scenarios", "standards"), ()),
     "intervals": DESIGN.intervals,
     "candidates": DESIGN.candidates,
     "starts": DESIGN.starts,

@@ -46,6 +46,7 @@ class Search:
     ----------
     candidates : standard inputs drawn; `starts` of them are improved.
     seconds : of the processor, that may be spent on solving.
+    kinds : of the standard inputs; default all.
     begin : other inputs (N, nu) with displacements (nr,) to begin from, before the standard ones.
     """
 
@@ -57,6 +58,7 @@ class Search:
     seed: int = 0
     progress: Callable[[str], None] = lambda _: None
     begin: Sequence[tuple[Array, Array]] = ()
+    kinds: Sequence[str] = ()
     standards: list[StandardInput] = field(init=False, default_factory=list)
     judged_standards: list[tuple[str, Found]] = field(init=False, default_factory=list)
     steps: int = field(init=False, default=1)
@@ -105,7 +107,7 @@ class Search:
         most = 0.0
         self.progress(f"compare {self.candidates} standard inputs")
         for _ in range(self.candidates):
-            kind, words, u, release = drawn(self.setup, rng)
+            kind, words, u, release = drawn(self.setup, rng, self.kinds)
             allowed = shrunk(prediction, u, release)
             if allowed is None or any(same(allowed, (s.u, s.release)) for s in found):
                 continue
@@ -267,21 +269,27 @@ class Search:
         return setup.excitation.nearest(found[0] - setup.at_rest), found[1]
 
     def _enough_steps(self, prediction: Prediction, w: Array, release: Array) -> int:
-        """Runge-Kutta steps an interval with which the scores are right."""
+        """Runge-Kutta steps an interval with which the scores are right, or change no more."""
         u = self.setup.at_rest + self.setup.excitation.samples @ w
         grams = prediction.grams(u, release)
-        wanted = None if grams is None else self._scores(grams)[0]
-        steps = self.steps
-        while wanted is not None and steps < DESIGN.finest:
+        if grams is None:
+            return self.steps
+        wanted, before = self._scores(grams)[0], None
+        per = self.setup.excitation.per  # with these the steps end at the samples
+        tried = {per, *(2**k for k in range(int(np.log2(DESIGN.finest)) + 1))}
+        coarser = self.steps
+        for steps in sorted(n for n in tried if self.steps <= n <= DESIGN.finest):
             program = Program(prediction, self.question.targets, steps, np.zeros(0))
             with np.errstate(all="ignore"):
                 information = program.rollout.outputs(w, release).information
             if np.all(np.isfinite(information)):
                 there = self._scores(program.grams(information))[0]
                 if np.all(np.abs(there - wanted) < DESIGN.accuracy):
-                    break
-            steps *= 2
-        return steps
+                    return steps
+                if before is not None and np.all(np.abs(there - before) < DESIGN.accuracy):
+                    return coarser
+                before, coarser = there, steps
+        return coarser
 
 
 def same(one: tuple[Array, Array], other: tuple[Array, Array]) -> bool:

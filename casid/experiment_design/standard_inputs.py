@@ -5,13 +5,14 @@ They are what a designed input is compared with, and where its search begins.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import log, sqrt
 
 import numpy as np
 
 from casid.arrays import Array
+from casid.errors import DataError, nearest
 from casid.experiment_design.prediction import Prediction
 from casid.experiment_design.setup import Setup
 from casid.experiment_design.thresholds import KEEPING
@@ -35,8 +36,13 @@ class StandardInput:
     score: float = -np.inf
 
 
-def drawn(setup: Setup, rng: np.random.Generator) -> tuple[str, str, Array, Array]:
-    """One input of random kind and settings at full amplitude: kind, words, u, release."""
+def drawn(
+    setup: Setup, rng: np.random.Generator, kinds: Sequence[str] = ()
+) -> tuple[str, str, Array, Array]:
+    """One input of random kind and settings at full amplitude: kind, words, u, release.
+
+    `kinds` are those that it is drawn from, default all.
+    """
     release = np.array([rng.choice([0.0, 0.5, 1.0, -1.0, -0.5]) for _ in setup.released])
     low, high = _ends(setup)
     start = np.array([setup.start[n] for n in setup.released])
@@ -48,7 +54,7 @@ def drawn(setup: Setup, rng: np.random.Generator) -> tuple[str, str, Array, Arra
         ]
         what = "released from " + ", ".join(shown)
         return what, what, np.zeros((setup.N, 0)), chosen
-    kind = str(rng.choice(list(_SHAPES)))
+    kind = str(rng.choice(list(kinds or _SHAPES)))
     columns, words = [], ""
     for name in setup.designed:
         shape, words = _SHAPES[kind](setup, rng)
@@ -132,6 +138,23 @@ _SHAPES: dict[str, Callable[[Setup, np.random.Generator], tuple[Array, str]]] = 
     "PRBS": _prbs,
     "multisine": _multisine,
 }
+
+
+def kinds_of(given: Sequence[str]) -> tuple[str, ...]:
+    """The kinds of standard inputs that a caller names.
+
+    Raises
+    ------
+    DataError
+        For one that there is not.
+    """
+    for kind in given:
+        if kind not in _SHAPES:
+            raise DataError(
+                f"{kind!r} is no kind of standard input{nearest(kind, _SHAPES)}; there are "
+                f"{', '.join(_SHAPES)}"
+            )
+    return tuple(given)
 
 
 def shrunk(

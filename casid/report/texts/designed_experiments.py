@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from math import isfinite
 
-from casid.experiment_design.designed_experiment import DesignedExperiment, LimitUse, time_text
+from casid.experiment_design.designed_experiment import DesignedExperiment, LimitUse, Standard
+from casid.experiment_design.thresholds import DESIGN
 from casid.report.document import Document, Part, Table, labelled
 from casid.report.numbers import number_text, value_text
 
@@ -54,10 +55,14 @@ def learned_table(found: DesignedExperiment) -> Table:
 
 def standard_table(found: DesignedExperiment) -> Table:
     """A row a kind of standard input."""
-    rows = [(s.description, f"{s.information:.3g}", time_text(s.seconds)) for s in found.standards]
-    head = ("standard input", "information", "time for the same")
+    rows = [(s.description, f"{s.information:.3g}", _records(s)) for s in found.standards]
+    head = ("standard input", "information", "records for the same")
     caption = "The best of each kind under the same limits, relative to the designed input"
     return Table(head, rows, numbers=(1, 2), caption=caption)
+
+
+def _records(s: Standard) -> str:
+    return f"{1 / s.information:.3g}" if s.information > DESIGN.nothing else "never"
 
 
 def limit_table(found: DesignedExperiment) -> Table:

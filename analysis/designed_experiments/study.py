@@ -1,0 +1,197 @@
+"""Record lengths at which two causes are told apart with 95 %: designed inputs and searched ones.
+
+    python -m analysis.designed_experiments --out DIR [--pair "cart drag"] [--runs 200] [--jobs 1]
+                                            [--quick] [--summary]
+
+For each pair the shortest designed record is sought, and under the same limits the shortest of the
+best of 200 multisines and PRBS that are drawn at each length. The right names are counted in
+simulated records of the designed input, truth and rival fitted to each. Every finished pair is a
+line of DIR/pairs.jsonl at once: a run that was stopped goes on where it was. `--summary` judges the
+pairs that are there.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+from scipy.stats import binomtest
+
+import casid
+from analysis.common.case_file import Row, finished, last_rows
+from analysis.common.figures import Chart
+from analysis.common.output import Output
+from analysis.common.runner import Run, Study, jobs
+from analysis.common.targets import Target, holds
+from analysis.designed_experiments.pairs import PAIRS, Pair
+
+SEARCHED = ("PRBS", "multisine")
+LONGEST = 15.0  # times the designed record, up to where the searched inputs are tried
+PAIRS_WANTED, SYSTEMS_WANTED = 8, 5
+LEAST, OFTEN = 3.0, 5.0  # times as long: for every pair, for half of them
+LEVEL = 0.01  # of the test that shares agree with what was predicted, for all pairs together
+
+
+def compared(pair: Pair, *, runs: int, candidates: int, seconds: float) -> Row:
+    """Both record lengths of a pair, and the check of the designed one."""
+    began = time.process_time()
+    problem, aim = pair.problem(), casid.Aim.separate(*pair.causes)
+    designed = casid.design_experiment(
+        problem,
+        aim,
+        pair.limits,
+        pair.duration,
+        sizes=pair.sizes,
+        Ts=pair.Ts,
+        interval=pair.interval,
+        seconds=seconds,
+        verify=runs,
+    )
+    sizes = {entry["cause"]: entry["values"] for entry in designed.details["sizes"]}
+    searched = casid.design_experiment(
+        problem,
+        aim,
+        pair.limits,
+        (designed.duration, LONGEST * designed.duration),
+        sizes=sizes,
+        Ts=pair.Ts,
+        interval=pair.interval,
+        candidates=candidates,
+        standards=SEARCHED,
+        starts=0,
+    )
+    return {
+        "pair": pair.name,
+        "system": pair.system,
+        "closed_loop": pair.is_closed_loop,
+        "designed": designed.duration,
+        "is_enough": designed.is_enough,
+        "searched": searched.duration,
+        "searched_is_enough": searched.is_enough,
+        "ratio": searched.duration / designed.duration,
+        "gain": designed.gain,
+        "outcomes": [o.to_json() for o in designed.outcomes],
+        "durations": [designed.details["durations"], searched.details["durations"]],
+        "limits": [use.to_json() for use in designed.limits],
+        "input": designed.solver.begun_from,
+        "standard": searched.solver.begun_from,
+        "cpu": time.process_time() - began,
+    }
+
+
+def key_of(row: Row) -> str:
+    """What identifies a row."""
+    return str(row["pair"])
+
+
+def line_of(row: Row) -> str:
+    """One line for a finished pair."""
+    at_least = "" if row["searched_is_enough"] else "more than "
+    checked = ", ".join(f"{o['right']} of {o['runs']} ({o['power']:.3f})" for o in row["outcomes"])
+    return (
+        f"{row['pair']:<18} designed {row['designed']:8.4g} s  searched {at_least}"
+        f"{row['searched']:.4g} s  ratio {at_least}{row['ratio']:.3g}  right {checked}  "
+        f"{row['cpu']:.0f} s"
+    )
+
+
+def targets_of(rows: Sequence[Row], *, quick: bool) -> Iterator[Target]:
+    """What the study is to show."""
+    if not quick:
+        systems = {row["system"] for row in rows}
+        found = f"{len(rows)} on {len(systems)}"
+        enough = len(rows) >= PAIRS_WANTED and len(systems) >= SYSTEMS_WANTED
+        wanted = f">= {PAIRS_WANTED} on {SYSTEMS_WANTED}"
+        yield holds("pairs of causes, and systems", found, wanted, enough)
+        closed = sum(row["closed_loop"] for row in rows)
+        yield holds("pairs in closed loop", closed, ">= 1", closed >= 1)
+    for row in rows:
+        yield holds(
+            f"{row['pair']}: the designed record decides",
+            f"{min(o['power'] for o in row['outcomes']):.3f}",
+            ">= 0.95",
+            row["is_enough"],
+        )
+        kept = all(u["lower"] <= u["lowest"] and u["highest"] <= u["upper"] for u in row["limits"])
+        yield holds(f"{row['pair']}: every limit kept", kept, True, kept)
+        if not quick:
+            what = f"{row['pair']}: searched over designed length"
+            yield holds(what, f"{row['ratio']:.3g}", f">= {LEAST:g}", row["ratio"] >= LEAST)
+    if not quick:
+        often = sum(row["ratio"] >= OFTEN for row in rows)
+        yield holds(
+            f"pairs of ratio {OFTEN:g} and more", often, ">= half", 2 * often >= len(rows) > 0
+        )
+    yield from _agreement(rows)
+
+
+def _agreement(rows: Sequence[Row]) -> Iterator[Target]:
+    """Shares of right names against what was predicted, as one family of binomial tests."""
+    every = [(row["pair"], o) for row in rows for o in row["outcomes"] if o["runs"]]
+    for name, o in every:
+        p = float(binomtest(o["right"], o["runs"], o["power"]).pvalue)
+        yield holds(
+            f"{name}, {o['truth']}: right names",
+            f"{o['right']} of {o['runs']}, p = {p:.2g}",
+            f"{o['power']:.3f} predicted",
+            p >= LEVEL / len(every),
+        )
+
+
+def write(rows: Sequence[Row], output: Output) -> None:
+    """The table, and figures of ratios and of shares."""
+    if not rows:
+        return
+    flat = [{k: v for k, v in row.items() if not isinstance(v, list)} for row in rows]
+    output.table("pairs", flat)
+    chart = Chart("Record of the best searched input over the designed one, for the same decision")
+    names = [row["pair"] for row in rows]
+    chart.add("Bar", x=names, y=[row["ratio"] for row in rows], name="ratio of record lengths")
+    output.figure("ratios", chart.figure)
+    chart = Chart("Right names in simulated records against the predicted probability")
+    checked = [o for row in rows for o in row["outcomes"] if o["runs"]]
+    chart.add(
+        "Scatter",
+        x=[o["power"] for o in checked],
+        y=[o["right"] / o["runs"] for o in checked],
+        mode="markers",
+        name="share of right names",
+    )
+    chart.add("Scatter", x=[0.9, 1.0], y=[0.9, 1.0], mode="lines", name="as predicted")
+    output.figure("shares", chart.figure)
+
+
+def study(run: Run) -> Iterator[Target]:
+    """Run the pairs that the file lacks; targets, table and figures of all."""
+    options = run.options
+    chosen = {p.name: p for p in PAIRS if not options.pair or p.name in options.pair}
+    if run.quick:
+        chosen = {p.name: p for p in PAIRS if p.name == "cart friction"}
+    runs = run.runs(200, 10)
+    work = partial(
+        compared, runs=runs, candidates=20 if run.quick else 200, seconds=4.0 if run.quick else 30.0
+    )
+    with tempfile.TemporaryDirectory() as scratch:
+        file = (run.folder or Path(scratch)) / "pairs.jsonl"
+        if not options.summary:
+            for row in finished(file, key_of, chosen, work, options.jobs):
+                print(line_of(row), flush=True)
+        rows = last_rows(file, key_of)
+    write(rows, run.output)
+    yield from targets_of(rows, quick=run.quick)
+
+
+STUDY = Study(
+    study,
+    quick="one pair, few candidates and simulated records",
+    out="folder for pairs.jsonl, the table and figures",
+    options={
+        "--pair": {"action": "append", "choices": [p.name for p in PAIRS], "help": "default: all"},
+        "--runs": {"type": int, "help": "simulated records a truth (default 200, quick 10)"},
+        **jobs(1),
+        "--summary": {"action": "store_true", "help": "of the pairs there are; run none"},
+    },
+)
