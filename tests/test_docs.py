@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import subprocess
 import sys
@@ -20,10 +21,15 @@ EXTENSION = ROOT / "docs" / "extension"
 def manual():
     sys.path.insert(0, str(EXTENSION))
     try:
-        runner, pages = map(importlib.import_module, ("code_runner", "executed_pages"))
+        names = ("code_runner", "executed_pages", "downloads")
+        runner, pages, downloads = map(importlib.import_module, names)
     finally:
         sys.path.remove(str(EXTENSION))
-    return SimpleNamespace(executed=pages.executed, BlockError=runner.BlockError)
+    return SimpleNamespace(
+        executed=pages.executed,
+        BlockError=runner.BlockError,
+        write_downloads=downloads.write_downloads,
+    )
 
 
 def text(*lines: str) -> str:
@@ -90,6 +96,26 @@ def test_a_block_without_the_file_that_it_needs_is_shown_and_not_run(manual, tmp
     (tmp_path / "gone.csv").touch()
     with pytest.raises(manual.BlockError, match="ZeroDivisionError"):
         manual.executed(page, "p.md")
+
+
+GALLERY = sorted(p.stem for p in (ROOT / "docs" / "gallery").glob("*.md") if p.stem != "index")
+
+
+@pytest.mark.parametrize("name", GALLERY)
+def test_a_case_of_the_gallery_has_its_sections_asserts_its_numbers_and_is_a_script(
+    manual, name, tmp_path
+):
+    page = (ROOT / "docs" / "gallery" / f"{name}.md").read_text(encoding="utf-8")
+    headings = re.findall(r"^## (.*)$", page, re.MULTILINE)
+    assert headings[-1] == "What not to conclude"
+    assert re.search(r"^ *assert ", page, re.MULTILINE)
+    assert "plot()" in page or "figure" in page
+    links = manual.write_downloads(page, name, tmp_path)
+    assert f"gallery/{name}.py" in links
+    compile((tmp_path / f"{name}.py").read_text(encoding="utf-8"), name, "exec")
+    notebook = json.loads((tmp_path / f"{name}.ipynb").read_text(encoding="utf-8"))
+    code = [c for c in notebook["cells"] if c["cell_type"] == "code"]
+    assert len(code) == page.count("```python")
 
 
 @pytest.mark.parametrize(

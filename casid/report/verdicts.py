@@ -54,6 +54,9 @@ def judged_estimate(e: Estimate) -> Judged:
     bars = "The estimates and their error bars can be used"
     if not e.whiteness:
         return Judged("usable", _GOOD, "adequate", f"{fit} {bars}.", _CONFIRM)
+    if e.fit.autocorrelated:
+        said = f"{fit} The residual is autocorrelated, for which the error bars allow. {bars}."
+        return Judged("usable", _GOOD, "adequate", said, _CONFIRM)
     said = f"{fit} The rest is consistent with white noise. {bars}."
     return Judged("usable", _GOOD, "adequate", said, _CONFIRM)
 

@@ -1,6 +1,7 @@
 """A Sphinx extension: pages run when they are read, and show what their code prints and draws.
 
-The code runs in a folder of the page's own that holds a copy of `problems/`.
+The code runs in a folder of the page's own that holds a copy of `problems/`. Pages of the gallery
+can be had as scripts and notebooks, too.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from code_runner import BlockError, Output, run_block, split
+from downloads import write_downloads
 from sphinx.errors import ExtensionError
 
 from casid.report.document import Figure
@@ -49,9 +51,13 @@ def _add_scripts(app: Any, name: str, template: str, context: dict[str, Any], tr
 def _run_page(app: Any, name: str, source: list[str]) -> None:
     if name.startswith("reference/"):  # made from docstrings
         return
+    text = source[0]
     with _scratch(Path(app.srcdir).parent):
         try:
-            source[0] = executed(source[0], f"{name}.md")
+            source[0] = executed(text, f"{name}.md")
+            if name.startswith("gallery/") and name != "gallery/index":
+                folder = Path(app.outdir) / "_static" / "gallery"
+                source[0] += _raw(write_downloads(text, Path(name).name, folder))
         except BlockError as error:
             raise ExtensionError(f"the manual does not build: {error}") from error
 

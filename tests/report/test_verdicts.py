@@ -56,6 +56,15 @@ def test_what_spoils_an_estimate_is_its_verdict(change, look, words):
     assert judged.advice
 
 
+def test_a_residual_that_may_be_autocorrelated_is_not_called_white():
+    """Of instruments and equation errors: their error bars allow for it."""
+    said = {"force": "whiteness: 20 of 20 lags outside 95 %"}
+    judged = judged_estimate(replace(good(), fit=Agreement(good().rmse, good().nrmse_fit, said)))
+    assert judged.look == "adequate"
+    assert "autocorrelated, for which the error bars allow" in judged.sentence
+    assert "white" not in judged.sentence
+
+
 def test_a_fit_that_did_not_converge_is_not_to_be_used():
     e = good()
     judged = judged_estimate(replace(e, solver=replace(e.solver, is_converged=False)))

@@ -7,6 +7,7 @@ Tests of the residual decide whether it is more than noise, and of what kind (`r
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -265,8 +266,10 @@ def _sentences(
             + ", ".join(m.place for m in near)
             + " would explain it as well."
         )
-    if best.independent_of and not rivals:
-        out.append(f"It does not depend on {', '.join(best.independent_of)}.")
+    said = " ".join(d.words for d in best.dependences)
+    others = [v for v in best.independent_of if not re.search(rf"\b{re.escape(v)}\b", said)]
+    if others and not rivals:
+        out.append(f"It does not depend on {', '.join(others)}.")
     return out
 
 

@@ -185,7 +185,8 @@ def _says_cause(c: Cause) -> str:
     if not c.tied:
         return c.sentence
     if all(a.kind == c.kind for a in c.alternatives):  # the place alone is open
-        return f"{c.sentence} (or the same in {', '.join(a.where for a in c.alternatives)})"
+        places = dict.fromkeys(a.where for a in c.alternatives if a.where != c.where)
+        return f"{c.sentence} (or the same in {', '.join(places)})" if places else c.sentence
     names = dict.fromkeys(
         [effect_words(c.kind, c.where), *(_alternative_words(a) for a in c.alternatives)]
     )
