@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -12,11 +13,14 @@ from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.errors import CasidError, IdentifiabilityError, OutOfTimeError, SolveError
+from casid.estimation.covariance import sandwich
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.estimate import Agreement, Estimate
 from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.holdout import Split
+from casid.estimation.intervals.choice import Estimation, chosen_intervals
+from casid.estimation.intervals.of_estimate import with_intervals
 from casid.estimation.nlp.solution import not_converged
 from casid.estimation.noise import NoiseModel, estimate_noise
 from casid.estimation.prediction_error.disturbances import (
@@ -41,7 +45,7 @@ from casid.identification.grey_box import (
 )
 from casid.linear.noisy_model import White
 from casid.model.model import Model
-from casid.time_limit import require_time, seconds_left
+from casid.time_limit import Undone, no_time_limit, require_time, seconds_left
 
 SIZES = np.logspace(-1.5, 1.5, 7)
 """Of a disturbance, times the size that its share of the residual suggests."""
@@ -64,6 +68,7 @@ def identify_disturbed(
     settings: FitSettings,
     *,
     start: Mapping[str, float] | None = None,
+    intervals: str = "auto",
     progress: Callable[[str], None] = lambda _: None,
 ) -> Estimate:
     """Estimate a model whose disturbances have a named place and a parametric spectrum.
@@ -103,15 +108,38 @@ def identify_disturbed(
         found = program.minimum(noise, begin)
         if found.solution.is_converged or seconds_left() <= 0.0:
             break
-    not_done = () if found.solution.is_converged else ("the end of the search",)
-    if not_done and seconds_left() > 0.0:
+    undone, estimate = Undone(), found.estimate
+    if found.solution.is_converged:
+        estimation = _estimation(problem, found, settings)
+        estimate = with_intervals(
+            estimate, chosen_intervals(estimation, intervals, undone, progress)
+        )
+        with no_time_limit():  # one pass over what is held out
+            estimate = replace(estimate, held_out=_held_out(estimate, split))
+    elif seconds_left() > 0.0:
         raise not_converged(problem.name, found.solution)
+    else:
+        undone.add("the end of the search")
     named = ", ".join(f"{d.place} ({d.spectrum})" for d in disturbances)
-    method = f"{found.estimate.method}; disturbances in {named}"
-    trust = replace(found.estimate.trust, not_done=not_done)
-    held_out = Agreement() if not_done else _held_out(found.estimate, split)
-    return replace(
-        found.estimate, problem=problem.name, method=method, trust=trust, held_out=held_out
+    method = f"{estimate.method}; disturbances in {named}"
+    trust = replace(estimate.trust, not_done=tuple(undone.not_done))
+    return replace(estimate, problem=problem.name, method=method, trust=trust)
+
+
+def _estimation(problem: Problem, found: Prediction, settings: FitSettings) -> Estimation:
+    """The estimate as the search for its intervals takes it."""
+    criterion, solution, estimate = found.criterion, found.solution, found.estimate
+    rows = (*estimate.parameters, *estimate.initial_states)
+    at_bound = {*solution.at_lower, *solution.at_upper}
+    undetermined = [p.name for p in rows if p.std_error is None and p.name not in at_bound]
+    scores = criterion.scores(solution.x)
+
+    @cache
+    def covariance(free: tuple[bool, ...]) -> Array:
+        return sandwich(solution.hessian, scores, np.array(free))[0]
+
+    return Estimation(
+        found, lambda free: covariance(tuple(free.tolist())), settings, problem.noise, undetermined
     )
 
 

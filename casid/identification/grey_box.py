@@ -83,6 +83,11 @@ class Prediction(Presented):
     solution: Solution
     log_likelihood: float
 
+    @property
+    def x(self) -> Array:
+        """(n,) the unknowns at the minimum."""
+        return self.solution.x
+
     def parameter(self, name: str) -> Estimated:
         """The parameter, noise variance or initial state called `name`, with its error."""
         return self.estimate.parameter(name)

@@ -85,8 +85,8 @@ def identify(
         are in `QUADRATIC_TEST`); "quick": normal; "profile"; "bootstrap": from simulated records.
     disturbances : that act on the model, as "torque:peak": a balance or state, and "white",
         "first" (order) or "peak". Their sizes and frequencies are estimated with the parameters, by
-        the prediction error of a Kalman filter, an extended one for nonlinear models; intervals are
-        then normal, and what is held out is predicted one sample ahead.
+        the prediction error of a Kalman filter, an extended one for nonlinear models. What is held
+        out is then predicted one sample ahead, and no interval is bootstrapped.
 
     Returns
     -------
@@ -126,7 +126,13 @@ def identify(
             )
         if chosen_disturbances:
             estimate = identify_disturbed(
-                problem, split, chosen_disturbances, settings, start=start, progress=say
+                problem,
+                split,
+                chosen_disturbances,
+                settings,
+                start=start,
+                intervals=intervals,
+                progress=say,
             )
             return _completed(estimate, problem.model, structural)
         say(f"fit {', '.join(e.name for e in split.fitted)}")
@@ -169,7 +175,7 @@ def _disturbances(
     for name, is_given in (
         ("segments (--segments)", settings.segments > 1),
         ("constraints", bool(settings.constraints)),
-        (f"intervals={intervals!r} (--intervals)", intervals in ("profile", "bootstrap")),
+        (f"intervals={intervals!r} (--intervals)", intervals == "bootstrap"),
     ):
         if given and is_given:
             raise DataError(
@@ -199,7 +205,12 @@ def _estimation(
         return sandwich(tied.hessian, scores, mask, tied.constraint_jacobian)[0]
 
     return Estimation(
-        found, lambda free: covariance(tuple(free.tolist())), settings, problem.noise, undetermined
+        found.fit,
+        lambda free: covariance(tuple(free.tolist())),
+        settings,
+        problem.noise,
+        undetermined,
+        found,
     )
 
 

@@ -18,7 +18,7 @@ from casid.estimation.errors_in_variables.removal import Corrected
 from casid.estimation.intervals.bootstrap import Bootstrapped, bootstrapped
 from casid.estimation.intervals.profile import ProfileInterval, profile_interval
 from casid.estimation.intervals.quadratic_test import why_not_quadratic
-from casid.estimation.intervals.scaled_criterion import ScaledCriterion
+from casid.estimation.intervals.scaled_criterion import Minimum, ScaledCriterion
 from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS
 from casid.estimation.simulation.fit import FitSettings
 from casid.time_limit import Undone
@@ -78,23 +78,30 @@ class Estimation:
 
     Attributes
     ----------
-    found : the fit, and what became of noise on its inputs.
+    fit : the minimum, or the root of equations.
     covariance : of the estimate, for a mask (n,) of the unknowns that are free.
     settings : of the fit.
     noise : channel -> standard deviation of its white noise, where stated.
     undetermined : names of unknowns that have no interval.
+    found : what became of noise on the inputs of a fit by simulation; None of another one.
     """
 
-    found: Corrected
+    fit: Minimum
     covariance: Callable[[Array], Array]
     settings: FitSettings
     noise: Mapping[str, float]
     undetermined: Sequence[str] = ()
+    found: Corrected | None = None
+
+    @property
+    def is_root(self) -> bool:
+        """True if the estimate is no minimum, but without the bias of noise on inputs."""
+        return self.found is not None and self.found.is_removed
 
     @property
     def parameters(self) -> list[str]:
         """Those whose intervals are sought."""
-        c = self.found.fit.criterion
+        c = self.fit.criterion
         return [
             v.name
             for v in c.variables
@@ -137,9 +144,11 @@ def _bootstrap(
     estimation: Estimation, undone: Undone, chosen: Chosen, progress: Callable[[str], None]
 ) -> None:
     """All unknowns by simulation."""
+    found = estimation.found
+    assert found is not None
 
     def simulate() -> Bootstrapped | None:
-        return bootstrapped(estimation.found, estimation.settings, estimation.noise, progress)
+        return bootstrapped(found, estimation.settings, estimation.noise, progress)
 
     done = undone.attempt("the bootstrap", simulate)
     if done is None:
@@ -152,7 +161,7 @@ def _bootstrap(
         return
     if done.not_done:
         undone.add(f"{done.not_done} of {BOOTSTRAP_RUNS.runs} simulated records of the bootstrap")
-    for name, value in estimation.found.fit.values.items():
+    for name, value in found.fit.values.items():
         if name not in estimation.undetermined and "[" not in name:
             chosen.ends[name] = done.interval(name, value)
             chosen.kinds[name] = "bootstrap"
@@ -167,9 +176,9 @@ def _profiles(
     progress: Callable[[str], None],
 ) -> None:
     """The parameters by their profiles, all of them or where the quadratic test fails."""
-    found, failing = estimation.found, []
+    fit, failing = estimation.fit, []
     for name in estimation.parameters:
-        if found.is_removed and name not in _free_names(found):
+        if estimation.is_root and name not in _free_names(fit):
             continue  # a root of equations has no size of its own beyond a bound
 
         def tested(name: str = name) -> tuple[ScaledCriterion, str]:
@@ -195,11 +204,11 @@ def _profiles(
         if _is_of_root(scaled, name, interval):
             chosen.warnings.append(_NOT_NORMAL.format(name=name, why=why))
         else:
-            _keep(chosen, name, interval, found)
-    if not all_of_them and not found.fit.solution.constraint_jacobian.size:
+            _keep(chosen, name, interval, fit)
+    if not all_of_them and not fit.solution.constraint_jacobian.size:
         chosen.assumes["quick"] = _TESTED
     if chosen.kinds:
-        chosen.assumes["profile"] = _PROFILE + (_ROOT if found.is_removed else "")
+        chosen.assumes["profile"] = _PROFILE + (_ROOT if estimation.is_root else "")
 
 
 def _is_of_root(scaled: ScaledCriterion, name: str, interval: ProfileInterval) -> bool:
@@ -209,12 +218,12 @@ def _is_of_root(scaled: ScaledCriterion, name: str, interval: ProfileInterval) -
     return scaled.is_root and (interval.lower_minimum is not None or is_far)
 
 
-def _keep(chosen: Chosen, name: str, interval: ProfileInterval, found: Corrected) -> None:
+def _keep(chosen: Chosen, name: str, interval: ProfileInterval, fit: Minimum) -> None:
     chosen.ends[name] = (interval.lower, interval.upper)
     chosen.kinds[name] = "profile"
     if interval.lower_minimum is not None:
-        model = found.fit.criterion.model
-        source = found.fit.criterion.variables[found.fit.criterion.names.index(name)].source
+        model = fit.criterion.model
+        source = fit.criterion.variables[fit.criterion.names.index(name)].source
         there = model.shown(source, interval.lower_minimum)
         chosen.warnings.append(
             f"the criterion is lower than at the estimate where {name} is near {there:.4g}: the "
@@ -222,20 +231,20 @@ def _keep(chosen: Chosen, name: str, interval: ProfileInterval, found: Corrected
         )
 
 
-def _free_names(found: Corrected) -> list[str]:
-    held = {*found.fit.solution.at_lower, *found.fit.solution.at_upper}
-    return [name for name in found.fit.criterion.names if name not in held]
+def _free_names(fit: Minimum) -> list[str]:
+    held = {*fit.solution.at_lower, *fit.solution.at_upper}
+    return [name for name in fit.criterion.names if name not in held]
 
 
 def _scaled(estimation: Estimation, name: str) -> ScaledCriterion:
     """The criterion in units of an unknown's own error, which counts as free."""
-    found = estimation.found
-    free = set(_free_names(found)) | {name}
-    mask = np.array([n in free for n in found.fit.criterion.names])
+    fit = estimation.fit
+    free = set(_free_names(fit)) | {name}
+    mask = np.array([n in free for n in fit.criterion.names])
     return ScaledCriterion(
-        found.fit,
+        fit,
         estimation.covariance(mask),
-        is_root=found.is_removed,
+        is_root=estimation.is_root,
         solver=estimation.settings.solver,
         constraints=estimation.settings.constraints,
     )

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -24,20 +25,68 @@ from casid.arrays import TINY, Array
 from casid.errors import OutOfTimeError, SolveError
 from casid.estimation.intervals.thresholds import PROFILE_SEARCH
 from casid.estimation.nlp.nlp import Nlp
-from casid.estimation.nlp.solution import Evaluation
+from casid.estimation.nlp.solution import Evaluation, Solution
 from casid.estimation.nlp.solver import Solver, as_solver
-from casid.estimation.simulation.minimization import Constraint, Fit
-from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.simulation.minimization import Constraint
+from casid.estimation.unknowns import Variable
+from casid.model.model import Model
 
 _WARM = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-9}
 """A refit begins where it will end."""
+
+
+class Minimised(Protocol):
+    """A criterion over named unknowns."""
+
+    @property
+    def model(self) -> Model:
+        """The model."""
+        ...
+
+    @property
+    def variables(self) -> Sequence[Variable]:
+        """The unknowns, n of them."""
+        ...
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Of the unknowns."""
+        ...
+
+    @property
+    def n_constraints(self) -> int:
+        """Of its own."""
+        ...
+
+    def evaluate(self, x: Array) -> Evaluation:
+        """Value, gradient and matrix at x (n,)."""
+        ...
+
+
+class Minimum(Protocol):
+    """A minimum of a criterion: of simulation errors, or of prediction errors."""
+
+    @property
+    def criterion(self) -> Minimised:
+        """What was minimised."""
+        ...
+
+    @property
+    def solution(self) -> Solution:
+        """What the solver found."""
+        ...
+
+    @property
+    def x(self) -> Array:
+        """(n,) the unknowns."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tilted:
     """A criterion of which a point is a stationary one: without its slope (n,) there."""
 
-    criterion: SimulationError
+    criterion: Minimised
     x: Array
     slope: Array
 
@@ -66,14 +115,14 @@ class ScaledCriterion:
 
     def __init__(
         self,
-        fit: Fit,
+        fit: Minimum,
         covariance: Array,
         *,
         is_root: bool = False,
         solver: Solver | str | None = None,
         constraints: Sequence[Constraint] = (),
     ) -> None:
-        self.names, self.x, self.is_root = fit.criterion.names, fit.x, is_root
+        self.names, self.x, self.is_root = tuple(fit.criterion.names), fit.x, is_root
         self.lower, self.upper = (
             np.array([getattr(v, side) for v in fit.criterion.variables])
             for side in ("lower", "upper")
