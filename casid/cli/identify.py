@@ -69,7 +69,7 @@ class _Search:
     "disturbances",
     multiple=True,
     metavar="PLACE[:SPECTRUM]",
-    help="A disturbance in this balance or state, with the spectrum white (the "
+    help="A disturbance in this balance, state or unknown input, with the spectrum white (the "
     "default), first (order) or peak: size and frequency are estimated beside the parameters, by "
     "prediction error. Repeatable.",
 )

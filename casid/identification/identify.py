@@ -83,10 +83,11 @@ def identify(
     intervals : "auto": normal, and by the profile of the criterion for parameters at a bound or
         where the criterion is not the parabola that a normal interval takes it for (the numbers
         are in `QUADRATIC_TEST`); "quick": normal; "profile"; "bootstrap": from simulated records.
-    disturbances : that act on the model, as "torque:peak": a balance or state, and "white",
-        "first" (order) or "peak". Their sizes and frequencies are estimated with the parameters, by
-        the prediction error of a Kalman filter, an extended one for nonlinear models. What is held
-        out is then predicted one sample ahead, and no interval is bootstrapped.
+    disturbances : that act on the model, as "torque:peak": a balance, a state or an input that
+        nobody measures, and "white", "first" (order) or "peak". Their sizes and frequencies are
+        estimated with the parameters, by the prediction error of a Kalman filter, an extended one
+        for nonlinear models. What is held out is then predicted one sample ahead, and no interval
+        is bootstrapped.
 
     Returns
     -------
@@ -120,7 +121,10 @@ def identify(
     undone, chosen_disturbances = Undone(), _disturbances(disturbances, settings, intervals)
     with until(began + fit_budget(problem.model, split.fitted, budget)):
         structural = "not checked, as there are constraints"
-        if not settings.constraints:
+        unknown = [d for d in chosen_disturbances if d.place in problem.model.inputs]
+        if unknown:
+            structural = "not checked, as there are inputs that nobody measures"
+        elif not settings.constraints:
             structural = require_identifiable(
                 problem.model, split.fitted, own=settings.own, problem=problem, progress=progress
             )

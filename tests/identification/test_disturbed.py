@@ -123,6 +123,43 @@ def test_a_state_names_its_balance(place, spectrum):
     )
 
 
+def test_an_input_that_nobody_measures_may_be_the_disturbance():
+    """It stands in the balance beside the recorded force: the same model, the same estimate."""
+    m = mass().model
+    m.add_term("force", m.unknown_input("W", "N"))
+    problem = casid.Problem("mass", m, noise={"F": 0.0}, starts=1)
+    found = identify(problem, record(0), disturbances="W:peak")
+    for name in TRUTH:
+        same = estimate(0).parameter(name)
+        assert found[name.replace("in force", "in W")] == pytest.approx(same.value, rel=1e-4)
+    with pytest.raises(casid.ModelError, match="input W is unknown; let a disturbance stand for"):
+        identify(problem, record(0), disturbances="force:peak")
+
+
+def test_the_interval_of_a_size_is_that_of_its_likelihood():
+    """A standard deviation of some twenty independent values: longer above than below.
+
+    Its normal interval is none where the likelihood is no parabola; `quick` leaves it.
+    """
+    row = estimate(0).parameter("size of disturbance in force")
+    assert row.interval_kind == "profile"
+    low, high = row.interval
+    assert high - row.value > 1.1 * (row.value - low)
+    assert low < SIZE < high
+    quick = identify(mass(), record(0), disturbances="force:peak", intervals="quick")
+    row = quick.parameter("size of disturbance in force")
+    assert row.interval_kind == "quick"
+    half = 1.96 * row.std_error
+    assert row.interval == pytest.approx((row.value - half, row.value + half))
+
+
+def test_a_wrong_spectrum_is_warned_of():
+    """White noise in the place of a sea: what is left of the sea can be predicted."""
+    found = identify(mass(), record(0), disturbances="force:white")
+    assert any("innovations of x are autocorrelated" in w for w in found.warnings)
+    assert not any("innovations" in w for w in estimate(0).warnings)
+
+
 def test_a_linear_model_that_rests_elsewhere_gives_the_same():
     found = identify(mass(offset=0.7), record(0, offset=0.7), disturbances="force:peak")
     for name in TRUTH:
@@ -304,7 +341,7 @@ def test_a_simulation_that_diverges_does_not_keep_a_disturbance_from_being_estim
         ("force:peaks", {}, r"the spectrum is one of white, first, peak; did you mean 'peak'"),
         (["force", "v"], {}, "stated twice"),
         ("force", {"settings": FitSettings(segments=4)}, "is not done with disturbances"),
-        ("force", {"intervals": "profile"}, "is not done with disturbances"),
+        ("force", {"intervals": "bootstrap"}, "is not done with disturbances"),
     ],
 )
 def test_what_means_nothing_is_refused(given, more, what):

@@ -5,10 +5,11 @@
     peak     f = b, a' = b, b' = -2 zeta w_0 b - w_0^2 a + sqrt(4 zeta w_0) s w
                                                                    variance s^2, peak w_0       (1)
 
-with w white noise of unit density and f what is added to the terms of a balance, or to the rate of
-a state. The last is the usual linear model of a sea, without power at low frequencies (Fossen 2011,
-section 8.2.6): the band of `disturbance_spectrum`. Size s, frequency w_0 and half the relative
-width zeta are parameters of the model like any other.
+with w white noise of unit density and f what is added to the terms of a balance or to the rate of a
+state, or what stands for an input that nobody measures. The last is the usual linear model of a
+sea, without power at low frequencies (Fossen 2011, section 8.2.6): the band of
+`disturbance_spectrum`. Size s, frequency w_0 and half the relative width zeta are parameters of the
+model like any other.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ SPECTRA = ("white", "first", "peak")
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """Where it acts, a balance or a state, and what spectrum it has.
+    """Where it acts, a balance, a state or an unknown input, and what spectrum it has.
 
     Raises
     ------
@@ -94,27 +95,40 @@ def with_disturbances(
     Raises
     ------
     ModelError
-        For a place that is neither a balance nor a state, or is named twice.
+        For a place that is neither a balance, a state nor an unknown input, or is named twice; for
+        an unknown input that no disturbance stands for.
     """
     new, sources = model.copy(), []
     places = [_place(model, d.place) for d in disturbances]
     for place in places:
         if places.count(place) > 1:
             raise ModelError(f"{model.name}: disturbances in {place} stated twice; give one")
+    for name, entry in model.inputs.items():
+        if entry.kind == "unknown" and name not in places:
+            raise ModelError(
+                f"{model.name}: input {name} is unknown; let a disturbance stand for it as well "
+                f"(--disturbance {name}:first), or eliminate it with an output that feels it"
+            )
     for d, place in zip(disturbances, places, strict=True):
-        is_balance = place in model.balances
-        unit = (
-            model.balances[place].unit
-            if is_balance
-            else unit_quotient(model.states[place].unit, "s")
-        )
-        force = _force(new, d, unit)
-        if is_balance:
-            new.add_term(place, force)
+        if place in model.balances:
+            new.add_term(place, _force(new, d, model.balances[place].unit))
+        elif place in model.states:
+            new.add_rate(place, _force(new, d, unit_quotient(model.states[place].unit, "s")))
         else:
-            new.add_rate(place, force)
+            new.substitute_symbol(place, _force(new, d, model.inputs[place].unit))
+            del new.inputs[place]
         sources.append(White(d.source, 1.0, is_known=True))
     return new, sources
+
+
+def undisturbed(model: Model, disturbances: Sequence[Disturbance]) -> Model:
+    """The model without the unknown inputs that disturbances stand for: they are zero."""
+    new = model.copy()
+    for d in disturbances:
+        if d.place in model.inputs:
+            new.substitute_symbol(d.place, ca.SX(0))
+            del new.inputs[d.place]
+    return new
 
 
 def stationary_spread(model: Model, disturbances: Sequence[Disturbance]) -> dict[str, Any]:
@@ -139,12 +153,14 @@ def _place(model: Model, place: str) -> str:
     for balance in model.balances.values():
         if balance.rate == place:
             return balance.name
-    if place in model.states:
+    unknown = [n for n, entry in model.inputs.items() if entry.kind == "unknown"]
+    if place in model.states or place in unknown:
         return place
-    known = (*model.balances, *model.states)
+    known = (*model.balances, *model.states, *unknown)
     raise ModelError(
         f"{model.name}: a disturbance in {place!r} acts on nothing{nearest(place, known)}; name a "
-        f"balance ({', '.join(model.balances) or 'none'}) or a state ({', '.join(model.states)})"
+        f"balance ({', '.join(model.balances) or 'none'}), a state ({', '.join(model.states)}) or "
+        f"an unknown input ({', '.join(unknown) or 'none'})"
     )
 
 
