@@ -120,14 +120,7 @@ def identify(
     settings = settings or FitSettings(starts=problem.starts)
     undone, chosen_disturbances = Undone(), _disturbances(disturbances, settings, intervals)
     with until(began + fit_budget(problem.model, split.fitted, budget)):
-        structural = "not checked, as there are constraints"
-        unknown = [d for d in chosen_disturbances if d.place in problem.model.inputs]
-        if unknown:
-            structural = "not checked, as there are inputs that nobody measures"
-        elif not settings.constraints:
-            structural = require_identifiable(
-                problem.model, split.fitted, own=settings.own, problem=problem, progress=progress
-            )
+        structural = _structure(problem, split.fitted, settings, chosen_disturbances, progress)
         if chosen_disturbances:
             estimate = identify_disturbed(
                 problem,
@@ -160,6 +153,24 @@ def identify(
         ),
     )
     return _completed(estimate, problem.model, structural)
+
+
+def _structure(
+    problem: Problem,
+    experiments: Sequence[Experiment],
+    settings: FitSettings,
+    disturbances: Sequence[Disturbance],
+    progress: Callable[[str], None] | None,
+) -> str:
+    """What the equations determine, in words; a refusal where not all that is sought."""
+    if settings.constraints:
+        return "not checked, as there are constraints"
+    if any(d.place in problem.model.inputs for d in disturbances):
+        return "not checked, as there are inputs that nobody measures"
+    own = settings.own
+    return require_identifiable(
+        problem.model, experiments, own=own, problem=problem, progress=progress
+    )
 
 
 def _completed(estimate: Estimate, model: Model, structural: str) -> Estimate:
