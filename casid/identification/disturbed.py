@@ -112,12 +112,7 @@ def identify_disturbed(
         begin |= _best_start(first, begin, d, _grid(problem, fit, d, first.data))
     require_time(f"the prediction error of {problem.name}")
     progress("minimise the prediction error")
-    sizes = {d.size: begin[d.size] for d in disturbances}
-    for factor in AGAIN:  # a flat valley on the way may end a search
-        begin |= {name: factor * size for name, size in sizes.items()}
-        found = program.minimum(noise, begin)
-        if found.solution.is_converged or seconds_left() <= 0.0:
-            break
+    found = program.minimum_from(noise, begin, [d.size for d in disturbances])
     undone, estimate = Undone(), found.estimate
     if found.solution.is_converged:
         estimation = _estimation(problem, found, settings)
@@ -265,7 +260,17 @@ class _Program:
             self.model, self.experiments, noise, own=own, initial=self.spread, substeps=substeps
         )
 
-    def minimum(self, noise: Sequence[White], start: Mapping[str, float]) -> Prediction:
+    def minimum_from(
+        self, noise: Sequence[White], start: Mapping[str, float], sizes: Sequence[str]
+    ) -> Prediction:
+        """The minimum from a start, or one beside it: a flat valley on the way may end a search."""
+        for factor in AGAIN:
+            found = self._minimum(noise, {**start, **{n: factor * start[n] for n in sizes}})
+            if found.solution.is_converged or seconds_left() <= 0.0:
+                break
+        return found
+
+    def _minimum(self, noise: Sequence[White], start: Mapping[str, float]) -> Prediction:
         """The minimum that is found from a start."""
         options: ExtendedOptions = {"own": self.settings.own, "start": start}
         solver = self.settings.solver
