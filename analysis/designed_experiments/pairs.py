@@ -117,43 +117,54 @@ def cart() -> casid.Problem:
 FRICTION = ("coulomb_friction", "quadratic_damping")
 DRAG = ("quadratic_damping", "cubic_damping")
 
+PENDULUM = {"a_y": (-1, 1), "phi": (-10, 10, "deg")}
+ROLL = {"M": (-1, 1), "phi": (-15, 15)}
+CART = {"ref": (-100, 100), "x": (-100, 100)}
+
+
+def _pair(
+    name: str,
+    problem: Callable[[], casid.Problem],
+    causes: tuple[str, str],
+    size: float,
+    limits: Mapping[str, tuple[Any, ...]],
+    duration: tuple[float, float],
+    sampling: tuple[float, float],
+) -> Pair:
+    """A pair, the first parameter of the first cause of this size, its interval and sample time."""
+    interval, Ts = sampling
+    system = SYSTEMS[problem]
+    closed = problem is cart
+    sizes = {causes[0]: size}
+    return Pair(name, system, problem, causes, sizes, limits, duration, interval, Ts, closed)
+
+
+SYSTEMS = {
+    pendulum: "pendulum",
+    roll: "roll",
+    motor: "motor",
+    rig: "two-mass rig",
+    tank: "tanks",
+    cart: "positioned cart",
+}
+
+FRICTION = ("quadratic_damping", "coulomb_friction")
+DRY = ("coulomb_friction", "quadratic_damping")
+DRAG = ("quadratic_damping", "cubic_damping")
+COUPLING = ("cubic_stiffness@w1-w2", "quadratic_damping@w1-w2")
+OUTLET = ("quadratic_damping@upper", "cubic_damping@upper")
+RIG = {"M": (-3, 3), "twist": (-15, 15)}
+MOTOR = {"U": (-12, 12), "current": (-5000, 5000)}
+TANK = {"q": (0, 1), "x1": (0.1, 1), "x2": (0.1, 1)}
+
 PAIRS = (
-    Pair(
-        *("pendulum friction", "pendulum", pendulum, FRICTION, {"quadratic_damping": 0.2}),
-        *({"a_y": (-1, 1), "phi": (-10, 10, "deg")}, (1.0, 12.0), 0.15, 0.05),
-    ),
-    Pair(
-        *("pendulum drag", "pendulum", pendulum, DRAG, {"quadratic_damping": 0.5}),
-        *({"a_y": (-1, 1), "phi": (-10, 10, "deg")}, (1.0, 20.0), 0.2, 0.05),
-    ),
-    Pair(
-        *("roll drag", "roll", roll, DRAG, {"quadratic_damping": 0.6}),
-        *({"M": (-1, 1), "phi": (-15, 15)}, (4.0, 40.0), 0.5, 0.1),
-    ),
-    Pair(
-        *("roll friction", "roll", roll, FRICTION, {"quadratic_damping": 0.2}),
-        *({"M": (-1, 1), "phi": (-15, 15)}, (4.0, 30.0), 0.4, 0.1),
-    ),
-    Pair(
-        *("motor friction", "motor", motor, FRICTION, {"coulomb_friction": 5e-4}),
-        *({"U": (-12, 12), "current": (-5000, 5000)}, (0.2, 2.0), 0.03, 0.01),
-    ),
-    Pair(
-        *("rig coupling", "two-mass rig", rig),
-        *(("cubic_stiffness@w1-w2", "quadratic_damping@w1-w2"), {"cubic_stiffness@w1-w2": 10.0}),
-        *({"M": (-3, 3), "twist": (-15, 15)}, (0.2, 2.0), 0.03, 0.01),
-    ),
-    Pair(
-        *("tank outlet", "tanks", tank),
-        *(("quadratic_damping@upper", "cubic_damping@upper"), {"quadratic_damping@upper": 2e-4}),
-        *({"q": (0, 1), "x1": (0.1, 1), "x2": (0.1, 1)}, (200.0, 4000.0), 50.0, 10.0),
-    ),
-    Pair(
-        *("cart friction", "positioned cart", cart, FRICTION, {"coulomb_friction": 0.3}),
-        *({"ref": (-100, 100), "x": (-100, 100)}, (0.3, 5.0), 0.08, 0.02, True),
-    ),
-    Pair(
-        *("cart drag", "positioned cart", cart, DRAG, {"quadratic_damping": 8.0}),
-        *({"ref": (-100, 100), "x": (-100, 100)}, (0.3, 8.0), 0.1, 0.02, True),
-    ),
+    _pair("pendulum friction", pendulum, FRICTION, 0.2, PENDULUM, (1.0, 12.0), (0.15, 0.05)),
+    _pair("pendulum drag", pendulum, DRAG, 0.5, PENDULUM, (1.0, 20.0), (0.2, 0.05)),
+    _pair("roll drag", roll, DRAG, 0.6, ROLL, (4.0, 40.0), (0.5, 0.1)),
+    _pair("roll friction", roll, FRICTION, 0.2, ROLL, (4.0, 30.0), (0.4, 0.1)),
+    _pair("motor friction", motor, DRY, 5e-4, MOTOR, (0.2, 2.0), (0.03, 0.01)),
+    _pair("rig coupling", rig, COUPLING, 10.0, RIG, (0.2, 2.0), (0.03, 0.01)),
+    _pair("tank outlet", tank, OUTLET, 2e-4, TANK, (200.0, 4000.0), (50.0, 10.0)),
+    _pair("cart friction", cart, DRY, 0.3, CART, (0.3, 5.0), (0.08, 0.02)),
+    _pair("cart drag", cart, DRAG, 8.0, CART, (0.3, 8.0), (0.1, 0.02)),
 )

@@ -23,7 +23,7 @@ import numpy as np
 
 from casid.arrays import Array
 from casid.errors import DataError
-from casid.experiment_design.thresholds import DESIGN
+from casid.experiment_design.thresholds import NUMERICS
 from casid.model.expressions import parse
 
 
@@ -55,7 +55,7 @@ def score_function(n: int, target: Target, scale: Array) -> Any:
     g = ca.SX.sym("G", n, n)
     interest = [i % n for i in target.interest]
     order = [i for i in range(n) if i not in interest] + interest
-    a = g[order, order] + DESIGN.ridge * ca.SX.eye(n)
+    a = g[order, order] + NUMERICS.ridge * ca.SX.eye(n)
     r = ca.chol(a)
     q = len(interest)
     first, own = n - q, np.asarray(scale, dtype=float)[order][n - q :]
@@ -80,7 +80,7 @@ def _of_covariance(root: Any, target: Target, own: Array) -> Any:
     if target.kind == "A":
         return -ca.log(ca.sumsqr(relative) / q)
     power, exponent = relative @ relative.T, 1
-    while exponent < DESIGN.eigenvalue:
+    while exponent < NUMERICS.eigenvalue:
         power, exponent = power @ power, 2 * exponent
     return -ca.log(ca.trace(power)) / exponent
 
@@ -112,7 +112,7 @@ def covariance(gram: Array) -> Array:
     lost = scale == 0
     scale = np.where(lost, 1.0, scale)
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale) + np.diag(lost.astype(float)))
-    root = vectors / np.sqrt(np.maximum(values, DESIGN.ridge))
+    root = vectors / np.sqrt(np.maximum(values, NUMERICS.ridge))
     found = (root @ root.T) / np.outer(scale, scale)
     found[lost, lost] = np.inf
     return np.asarray(found)

@@ -275,9 +275,9 @@ class Search:
         if grams is None:
             return self.steps
         wanted, before = self._scores(grams)[0], None
-        per = self.setup.excitation.per  # with these the steps end at the samples
-        tried = {per, *(2**k for k in range(int(np.log2(DESIGN.finest)) + 1))}
-        coarser = self.steps
+        per: int = self.setup.excitation.per  # with these the steps end at the samples
+        tried: set[int] = {per, *(2**k for k in range(int(np.log2(DESIGN.finest)) + 1))}
+        coarser: int = self.steps
         for steps in sorted(n for n in tried if self.steps <= n <= DESIGN.finest):
             program = Program(prediction, self.question.targets, steps, np.zeros(0))
             with np.errstate(all="ignore"):

@@ -38,12 +38,6 @@ class Designing:
     refitted: float = _is(
         0.9, "of the energy predicted, below which a rival's fit is the new point", _DESIGN
     )
-    eigenvalue: int = _is(
-        8,
-        "power of the covariance whose trace stands for its largest eigenvalue",
-        _PUBLISHED,
-        "Kiefer 1974, phi_p",
-    )
     power: float = _is(0.95, "probability of the right answer that is enough", _DESIGN)
     relative_error: float = _is(
         0.1,
@@ -52,9 +46,6 @@ class Designing:
     )
     nothing: float = _is(
         1e-9, "of a misfit, that is left where a rival imitates a cause in every input", _DESIGN
-    )
-    ridge: float = _is(
-        1e-12, "of each column's own information, which keeps a factor regular", _INFORMATION
     )
     rounding: float = _is(
         0.01, "of the noise, by which finer integration may still move an output", _DESIGN
@@ -94,6 +85,21 @@ class Keeping:
 
 
 @dataclass(frozen=True, slots=True)
+class Numerics:
+    """How information is scored."""
+
+    eigenvalue: int = _is(
+        8,
+        "power of the covariance whose trace stands for its largest eigenvalue",
+        _PUBLISHED,
+        "Kiefer 1974, phi_p",
+    )
+    ridge: float = _is(
+        1e-12, "of each column's own information, which keeps a factor regular", _INFORMATION
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Lengths:
     """How the shortest record is sought."""
 
@@ -108,10 +114,11 @@ class Lengths:
 
 
 DESIGN = Designing()
+NUMERICS = Numerics()
 DURATION = Lengths()
 KEEPING = Keeping()
 
-GROUPS = (DESIGN, DURATION, KEEPING)
+GROUPS = (DESIGN, NUMERICS, DURATION, KEEPING)
 
 TABLE = entries(*GROUPS)
 """All of them."""
