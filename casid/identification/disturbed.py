@@ -104,8 +104,7 @@ def identify_disturbed(
     outputs = [White(n, float(e)) for n, e in zip(program.model.outputs, errors, strict=True)]
     noise = [*outputs, *program.sources]
     first = program.criterion(noise, 1 if fit is None else fit.criterion.substeps)
-    values = {} if fit is None else fit.values
-    begin = {n: v for n, v in values.items() if n in first.names}
+    begin = {n: v for n, v in (fit.values if fit else {}).items() if n in first.names}
     begin = _off_bounds(first, begin) | dict(start or {})
     for d in disturbances:
         progress(f"search the spectrum of the disturbance in {d.place}")
