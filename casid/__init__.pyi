@@ -17,6 +17,7 @@ from .data.templates.new_problem import NewProblem, new_problem
 from .diagnosis.calibration.false_alarm_rate import Calibration
 from .diagnosis.diagnose import diagnose
 from .diagnosis.diagnosis import Diagnosis
+from .diagnosis.investigation import Investigation, investigate
 from .errors import CasidError, DataError, IdentifiabilityError, ModelError, SolveError, UnitError
 from .estimation.estimate import Estimate
 from .estimation.fitted.fitted_model import FittedModel
@@ -148,6 +149,7 @@ __all__ = [
     "IdentifiabilityError",
     "InputMeasurement",
     "Instruments",
+    "Investigation",
     "LinearSignals",
     "Model",
     "ModelError",
@@ -218,6 +220,7 @@ __all__ = [
     "input_backlash",
     "instrumental_variables",
     "invariants",
+    "investigate",
     "known_initial_state",
     "known_parameter",
     "least_squares",

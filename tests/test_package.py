@@ -42,6 +42,7 @@ unknown_inputs: model algebra data linear estimation identifiability identificat
 campaigns: model data saving estimation identification
 experiment_design: model data saving linear estimation identifiability
 diagnosis: model algebra data saving linear estimation identifiability identification campaigns
+  experiment_design
 export: model data linear estimation
 report: model algebra data linear estimation identifiability identification unknown_inputs
   campaigns experiment_design diagnosis

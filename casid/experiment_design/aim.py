@@ -106,18 +106,20 @@ class Aim:
     def of(cls, diagnosis: object) -> Aim:
         """Separate what a diagnosis could not: the first cause with alternatives, and these.
 
+        Of the alternatives the likeliest are taken, and those that have a name: a mere shape is no
+        hypothesis to design for.
+
         Raises
         ------
         DataError
             If it has no such tie.
         """
-        for cause in getattr(diagnosis, "causes", ()):
-            rivals = [cause, *getattr(cause, "alternatives", ())]
-            if len(rivals) > 1:
-                return cls.separate(*(f"{c.kind}@{c.where}" for c in rivals))
+        found = tie_of(diagnosis)
+        if found:
+            return cls.separate(*found)
         raise DataError(
             f"{diagnosis!r} ended without a tie between causes; say what the next record is for: "
-            "Aim.separate(a, b), Aim.detect(a), Aim.estimate(m), or --separate, --detect, "
+            "Aim.separate(a, b), Aim.detect(a) or Aim.estimate(m), or --separate, --detect, "
             "--estimate"
         )
 
@@ -131,3 +133,13 @@ class Aim:
         if self.kind == "identifiable":
             return f"make identifiable {what}, each to {100 * self.relative_error:.3g} %"
         return f"estimate {what}" + ("" if self.function else f" ({self.optimality}-optimal)")
+
+
+def tie_of(diagnosis: object) -> tuple[str, ...]:
+    """The first cause of a diagnosis that has alternatives with a name, and these; or nothing."""
+    for cause in getattr(diagnosis, "causes", ()):
+        rivals = [c for c in (cause, *cause.alternatives) if c.kind != "unknown"]
+        names = tuple(dict.fromkeys(f"{c.kind}@{c.where}" for c in rivals))
+        if len(names) > 1:
+            return names[: DESIGN.rivals]
+    return ()

@@ -17,7 +17,7 @@ from casid.experiment_design.question import Question
 from casid.experiment_design.rival_fits import imitation
 from casid.experiment_design.setup import Setup
 from casid.experiment_design.standard_inputs import StandardInput, drawn, shrunk
-from casid.experiment_design.thresholds import DESIGN, KEEPING
+from casid.experiment_design.thresholds import DESIGN, KEEPING, NUMERICS
 from casid.time_limit import processor_clock
 
 
@@ -305,7 +305,7 @@ def replace_substeps(prediction: Prediction, at: tuple[Array, Array]) -> Predict
         after = [finer.course(i, *at).y for i in range(len(prediction.hypotheses))]
         noise = prediction.setup.noise
         if all(
-            np.all(np.abs(a - b) <= DESIGN.rounding * noise)
+            np.all(np.abs(a - b) <= NUMERICS.rounding * noise)
             for a, b in zip(before, after, strict=True)
         ):
             return prediction

@@ -22,6 +22,7 @@ _PUBLISHED = f"{_TESTS}/test_published_designs.py"
 class Designing:
     """How an input is searched, and what counts as enough."""
 
+    rivals: int = _is(3, "tied causes, the likeliest, that one experiment separates", _SHORTEST)
     intervals: int = _is(100, "intervals of an input where no number is given", _DESIGN)
     candidates: int = _is(60, "standard inputs that are drawn to begin from", _DESIGN)
     usual: int = _is(8, "standard inputs that say how large signals are", _DESIGN)
@@ -46,9 +47,6 @@ class Designing:
     )
     nothing: float = _is(
         1e-9, "of a misfit, that is left where a rival imitates a cause in every input", _DESIGN
-    )
-    rounding: float = _is(
-        0.01, "of the noise, by which finer integration may still move an output", _DESIGN
     )
 
 
@@ -96,6 +94,9 @@ class Numerics:
     )
     ridge: float = _is(
         1e-12, "of each column's own information, which keeps a factor regular", _INFORMATION
+    )
+    rounding: float = _is(
+        0.01, "of the noise, by which finer integration may still move an output", _DESIGN
     )
 
 
