@@ -113,8 +113,7 @@ def investigate(
     ----------
     records : at hand, at least one, in the problem's channels (SI).
     limits, duration, options : of every experiment, as `casid.design_experiment` takes them.
-    measure : takes the record of a designed experiment.
-    most : records that it may take.
+    measure : takes the record of a designed experiment; `most` of them.
     diagnosis : options of `casid.diagnose`, by name.
     progress : called with a line of text before what may take seconds.
 
@@ -141,7 +140,8 @@ def investigate(
     say = progress or (lambda _: None)
     diagnoses: list[Diagnosis] = []
     designs: list[DesignedExperiment] = []
-    while True:
+    ending = ""
+    while not ending:
         say(f"diagnose {len(taken)} record{'s' * (len(taken) > 1)}")
         found = diagnose(problem, taken, **{"advise": False, **(diagnosis or {})})
         diagnoses.append(found)
@@ -155,14 +155,17 @@ def investigate(
         except CasidError as error:
             ending = f"tied, and no experiment separates the causes: {error}"
             break
-        if measure is None:
-            ending = "tied; record the designed experiment, and call again with all records"
-            break
-        if len(designs) > most:
-            ending = f"tied after {most} record{'s' * (most > 1)} that it may take"
-            break
-        taken.append(_measured(measure, designs[-1], len(taken) + 1))
+        ending = _why_to_end(measure, len(designs), most)
+        if not ending and measure is not None:
+            taken.append(_measured(measure, designs[-1], len(taken) + 1))
     return Investigation(problem.name, tuple(taken), tuple(diagnoses), tuple(designs), ending)
+
+
+def _why_to_end(measure: Measure | None, designs: int, most: int) -> str:
+    """Why the last design is not recorded; empty where it is."""
+    if measure is None:
+        return "tied; record the designed experiment, and call again with all records"
+    return f"tied after {most} record{'s' * (most > 1)} that it may take" * (designs > most)
 
 
 def _measured(measure: Measure, design: DesignedExperiment, number: int) -> Record:

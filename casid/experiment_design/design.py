@@ -100,11 +100,19 @@ def design_experiment(
     if aim.kind == "identifiable":
         best = _cheapest(search, aim, best)
     found = _result(aim, replace(answer, best=best), tried, time.process_time() - began)
-    if not (o["verify"] and found.outcomes):
-        return found
-    checked = verified(
-        aim, answer.question, best, found.outcomes, o["seed"], runs=o["verify"], progress=say
-    )
+    return _checked(found, answer.question, best, o, say) if o["verify"] else found
+
+
+def _checked(
+    found: DesignedExperiment,
+    question: Question,
+    best: Found,
+    o: DesignOptions,
+    progress: Callable[[str], None],
+) -> DesignedExperiment:
+    """The same with right answers counted in simulated records."""
+    given = found.aim, question, best, found.outcomes, o["seed"]
+    checked = verified(*given, runs=o["verify"], progress=progress)
     return replace(found, outcomes=checked)
 
 

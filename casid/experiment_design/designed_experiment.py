@@ -33,13 +33,24 @@ SOURCES = (
 )
 
 
-def probability_of_right_name(energy: float) -> float:
+def probability_of_right_name(energy: float, alone: float = inf) -> float:
     """Probability that the truth fits better than a rival whose best fit misses by this energy.
 
-    With white noise of unit variance the difference of the sums of squares is normal with mean
-    lambda and variance 4 lambda (Vuong 1989), so that P = Phi(sqrt(lambda) / 2).
+    Parameters
+    ----------
+    energy : lambda, left of the truth where the rival is fitted, noise of unit variance.
+    alone : left where no cause is fitted at all; large where the rival imitates the truth well.
+
+    With theta the angle between what the two causes do (all other parameters fitted), lambda is
+    `alone` sin^2 theta, and the difference of the sums of squares is a product of two independent
+    normal numbers of mean sqrt(lambda) and variances 2 (1 -+ cos theta). The truth is named where
+    both have one sign. For small angles this is Phi(sqrt(lambda) / 2) (Vuong 1989).
     """
-    return float(norm.cdf(0.5 * sqrt(max(energy, 0.0))))
+    root = sqrt(max(energy, 0.0))
+    cosine = sqrt(max(1.0 - energy / alone, 0.0)) if alone > 0 else 0.0
+    wide = float(norm.cdf(root / sqrt(2 * (1 + cosine))))
+    narrow = float(norm.cdf(root / sqrt(2 * (1 - cosine)))) if cosine < 1 else 1.0
+    return wide * narrow + (1 - wide) * (1 - narrow)
 
 
 def probability_of_detection(energy: float, false_alarm_rate: float) -> float:
@@ -78,6 +89,7 @@ class Outcome:
     Attributes
     ----------
     energy : sum of squares, in units of the noise, that the rival's best fit leaves.
+    alone : the same of a fit without any cause; 0 of a detection, whose rival that is.
     power : probability that the record names the truth (of a detection: an alarm).
     standard : the same probability in the best standard input.
     right, runs : of so many simulated records, those with the right answer; 0 of 0 where none were
@@ -91,6 +103,7 @@ class Outcome:
     standard: float
     right: int = 0
     runs: int = 0
+    alone: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers."""

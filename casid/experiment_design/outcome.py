@@ -15,11 +15,11 @@ from casid.experiment_design.designed_experiment import (
     probability_of_detection,
     probability_of_right_name,
 )
-from casid.experiment_design.hypotheses import Comparison
+from casid.experiment_design.hypotheses import Comparison, nominal_hypothesis
 from casid.experiment_design.information import covariance
 from casid.experiment_design.prediction import Prediction
 from casid.experiment_design.question import Question
-from casid.experiment_design.rival_fits import record_of
+from casid.experiment_design.rival_fits import imitation, record_of
 from casid.experiment_design.search import Found
 from casid.experiment_design.setup import Setup
 
@@ -28,19 +28,30 @@ def outcomes(aim: Aim, question: Question, best: Found, standard: Found) -> tupl
     """Energies and powers of every comparison of causes."""
     if not question.effects:
         return ()
-
-    def power(energy: float) -> float:
-        if aim.kind == "detect":
-            return probability_of_detection(energy, aim.false_alarm_rate)
-        return probability_of_right_name(energy)
-
     found = []
-    for c, score, other in zip(question.comparisons, best.scores, standard.scores, strict=True):
+    for k, c in enumerate(question.comparisons):
         assert c.truth is not None
         truth, rival = (question.hypotheses[i].name for i in (c.truth, c.rival))
-        energy = float(np.exp(score))
-        found.append(Outcome(truth, rival, energy, power(energy), power(float(np.exp(other)))))
+        energy, other = (float(np.exp(f.scores[k])) for f in (best, standard))
+        alone = 0.0
+        if aim.kind == "detect":
+            rate = aim.false_alarm_rate
+            power, usual = (probability_of_detection(e, rate) for e in (energy, other))
+        else:
+            alone = _left_without_a_cause(best, c.truth)
+            power = probability_of_right_name(energy, alone)
+            usual = probability_of_right_name(other, _left_without_a_cause(standard, c.truth))
+        found.append(Outcome(truth, rival, energy, power, usual, alone=alone))
     return tuple(found)
+
+
+def _left_without_a_cause(found: Found, truth: int) -> float:
+    """Energy that the model without any cause leaves of a truth."""
+    prediction, setup = found.prediction, found.prediction.setup
+    base = nominal_hypothesis(setup.nominal, setup.designed, setup.excitation.hold)
+    own = prediction.hypotheses[truth].values
+    base = base.at({name: own[name] for name in base.values})
+    return imitation(prediction, truth, base, found.u, found.release)[0]
 
 
 def learned(setup: Setup, best: Found, standard: Found) -> tuple[Learned, ...]:

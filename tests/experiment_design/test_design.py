@@ -83,7 +83,11 @@ def test_the_energy_predicted_is_what_a_fit_of_the_rival_leaves(
     truth = course(1.0, 2.0, 0.0, 0.2)
     best = least_squares(lambda v: (truth - course(*v, 0.0)) / 0.01, [1.0, 2.0, 0.0])
     assert o.energy == pytest.approx(2 * best.cost, rel=0.02)
-    assert o.power == pytest.approx(norm.cdf(np.sqrt(o.energy) / 2))
+    without = least_squares(
+        lambda v: (truth - course(*v, 0.0, 0.0)) / 0.01, [1.0, 2.0], x_scale=[1.0, 1.0]
+    )
+    assert o.alone == pytest.approx(2 * without.cost, rel=0.02)
+    assert o.power >= norm.cdf(np.sqrt(o.energy) / 2)
 
 
 def test_the_power_predicted_is_the_share_of_right_names_in_simulated_records() -> None:
@@ -178,10 +182,23 @@ def test_the_displacements_that_a_decay_is_released_from_are_compared_each_once(
     assert "begins at" in str(found)
 
 
+def _named(energy: float, angle: float) -> float:
+    """Share of right names, two causes at an angle [deg] in the plane that they alone span."""
+    theta = np.radians(angle)
+    truth = np.array([np.cos(theta), np.sin(theta)])
+    shown = np.sqrt(energy) / np.sin(theta) * truth
+    data = shown + np.random.default_rng(0).standard_normal((100_000, 2))
+    left_by_rival = data[:, 1] ** 2  # the rival acts along the first axis
+    left_by_truth = np.sum(data**2, axis=1) - (data @ truth) ** 2
+    return float(np.mean(left_by_rival > left_by_truth))
+
+
 def test_probabilities_are_those_of_their_tests() -> None:
     """Without a misfit: a coin for two names, the false-alarm rate for a detection."""
     assert probability_of_right_name(0.0) == 0.5
     assert probability_of_right_name(4 * 1.6449**2) == pytest.approx(0.95, abs=1e-4)
+    assert probability_of_right_name(9.0, 9.0) == pytest.approx(_named(9.0, 90.0), abs=4e-3)
+    assert probability_of_right_name(9.0, 36.0) == pytest.approx(_named(9.0, 30.0), abs=4e-3)
     assert probability_of_detection(0.0, 0.05) == pytest.approx(0.05)
     # (1.96 + 1.2816)^2 for a power of 90 %, the other side of the test left out.
     assert probability_of_detection(10.507, 0.05) == pytest.approx(0.9, abs=1e-3)

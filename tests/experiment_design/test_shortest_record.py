@@ -77,7 +77,7 @@ def test_the_shortest_record_names_the_cause_and_a_shorter_one_does_not() -> Non
     assert 1.0 < found.duration < 12.0
     assert found.power >= 0.95
     least = min(o.energy for o in found.outcomes)
-    assert found.power == pytest.approx(norm.cdf(np.sqrt(least) / 2))
+    assert found.power >= norm.cdf(np.sqrt(least) / 2) >= 0.95
     tried = found.details["durations"]
     below = max(t["duration"] for t in tried if t["share"] < 1)
     assert found.duration <= below * (1 + 2 * DURATION.exact)
