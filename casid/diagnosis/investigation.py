@@ -131,12 +131,7 @@ def investigate(
     Source: Box and Hill, Discrimination among mechanistic models, Technometrics 9 (1967) 57-71:
     sequential design.
     """
-    taken = list(records)
-    if not taken:
-        raise DataError(
-            f"{problem.name}: no record to begin with; design the first experiment for the causes "
-            "that are possible, casid.design_experiment(problem, Aim.separate(a, b), ...)"
-        )
+    taken = _at_hand(problem, records)
     say = progress or (lambda _: None)
     diagnoses: list[Diagnosis] = []
     designs: list[DesignedExperiment] = []
@@ -159,6 +154,16 @@ def investigate(
         if not ending and measure is not None:
             taken.append(_measured(measure, designs[-1], len(taken) + 1))
     return Investigation(problem.name, tuple(taken), tuple(diagnoses), tuple(designs), ending)
+
+
+def _at_hand(problem: Problem, records: Sequence[Record]) -> list[Record]:
+    """The records to begin with; refuses none."""
+    if not len(records):
+        raise DataError(
+            f"{problem.name}: no record to begin with; design the first experiment for the causes "
+            "that are possible, casid.design_experiment(problem, Aim.separate(a, b), ...)"
+        )
+    return list(records)
 
 
 def _why_to_end(measure: Measure | None, designs: int, most: int) -> str:

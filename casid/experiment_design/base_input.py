@@ -38,6 +38,12 @@ def based(prediction: Prediction) -> Prediction:
 def _nearest(prediction: Prediction) -> tuple[Array, Array]:
     """An input with which no limit has to be relaxed."""
     setup = prediction.setup
+    ends = np.array([setup.limits.inputs[n] for n in setup.designed]).reshape(-1, 2).T
+    for share in np.linspace(0, 1, KEEPING.levels):
+        held = np.tile(ends[0] + share * (ends[1] - ends[0]), (setup.N, 1))
+        constant = held, setup.begun_at[1]
+        if not setup.limits.slew and prediction.is_allowed(*constant):
+            return constant
     solved = _solved(prediction, setup.begun_at, (0.0, np.inf))
     if prediction.is_allowed(*solved):
         return solved

@@ -87,8 +87,7 @@ def design_experiment(
     low, high = ends_of(duration)
     say = progress or (lambda _: None)
     first = _answer(nominal, own, aim, high, o, say)
-    answer = first
-    tried: tuple[Tried, ...] = ()
+    answer, tried = first, cast(tuple[Tried, ...], ())
     if low < high:
         score = wanted(aim)
 
@@ -96,9 +95,9 @@ def design_experiment(
             return first if begin is None else _again(begin, own, aim, length, o)
 
         answer, tried = shortest(design, (low, high), score, say)
-    search, best = answer.search, answer.best
+    best = answer.best
     if aim.kind == "identifiable":
-        best = _cheapest(search, aim, best)
+        best = _cheapest(answer.search, aim, best)
     found = _result(aim, replace(answer, best=best), tried, time.process_time() - began)
     return _checked(found, answer.question, best, o, say) if o["verify"] else found
 

@@ -104,6 +104,8 @@ class Program:
         """
         statement = self._stated(w, release, slack)
         options = limited(self.solver.nlpsol_options(), self.solver)
+        if slack is not None:  # how far limits are relaxed is wanted exactly
+            options = {k: v for k, v in options.items() if "acceptable" not in k}
         options["hess_lag"] = statement.hessian
         if np.isfinite(seconds) and self.solver.name == "ipopt":
             options["ipopt.max_cpu_time"] = max(seconds, 0.1) * time_factor()

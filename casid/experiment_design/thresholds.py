@@ -74,6 +74,9 @@ class Keeping:
     room: float = _is(
         0.25, "of a limit's width, that an input keeps off it at most where rest does not", _LIMITS
     )
+    levels: int = _is(
+        9, "constant inputs that are tried where rest does not keep the limits", _LIMITS
+    )
     touched: float = _is(
         1e-3, "of a limit's width, up to which it counts as touched and not exceeded", _LIMITS
     )
