@@ -112,7 +112,7 @@ def _of_result(
     from casid.cli.result_file import fitted_model
     from casid.estimation.fitted.simulation_inputs import clock, inputs_alone, problem_of
 
-    fitted = fitted_model(path)
+    fitted = fitted_model(path).without_noise()
     problem = problem_of(fitted)
     known = request.known(problem)
     start = _initial(fitted, x0)

@@ -62,7 +62,7 @@ def write_problem_file(fitted: FittedModel, path: Path) -> Path:
 
 def problem_text(fitted: FittedModel) -> str:
     """The text of a problem file."""
-    return _Writer(fitted).text()
+    return _Writer(fitted.without_noise()).text()
 
 
 def _without_stages(model: Model) -> Model:

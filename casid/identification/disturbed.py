@@ -18,6 +18,8 @@ from casid.estimation.disturbance_estimation import with_disturbance_spectra
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.estimate import Agreement, Estimate
 from casid.estimation.fit_statistics import nrmse_fit, rms
+from casid.estimation.fitted.fitted_model import FittedModel
+from casid.estimation.fitted.from_fit import channels_of
 from casid.estimation.holdout import Split
 from casid.estimation.intervals.choice import Estimation, chosen_intervals
 from casid.estimation.intervals.of_estimate import with_intervals
@@ -124,11 +126,25 @@ def identify_disturbed(
         raise not_converged(problem.name, found.solution)
     else:
         undone.add("the end of the search")
-    estimate = replace(estimate, warnings=(*estimate.warnings, *_coloured_innovations(found)))
+    estimate = replace(
+        estimate,
+        warnings=(*estimate.warnings, *_coloured_innovations(found)),
+        model=_finished(estimate.model, problem, tuple(program.spread)),
+    )
     named = ", ".join(f"{d.place} ({d.spectrum})" for d in disturbances)
     method = f"{estimate.method}; disturbances in {named}"
     trust = replace(estimate.trust, not_done=tuple(undone.not_done))
     return replace(estimate, problem=problem.name, method=method, trust=trust)
+
+
+def _finished(
+    model: FittedModel | None, problem: Problem, states: tuple[str, ...]
+) -> FittedModel | None:
+    """The model with the states of disturbances, and where the problem finds its signals."""
+    if model is None or model.noise is None:
+        return model
+    noise = replace(model.noise, shaped=states)
+    return replace(model, name=problem.name, noise=noise, channels=channels_of(problem))
 
 
 def _coloured_innovations(found: Prediction) -> list[str]:

@@ -291,6 +291,12 @@ class Model(NamedQuantities, Viewed):
         """Replace a parameter or input by an expression wherever it occurs (used by effects)."""
         self._swap(self._symbols[name], expression)
 
+    def take_out_at_zero(self, state: str) -> None:
+        """Take out a state that stays at zero (used on an own copy)."""
+        self._swap(self._symbols[state], 0)
+        del self.states[state], self._symbols[state], self._derivatives[state], self._rates[state]
+        self._explicit = None
+
     def _swap(self, old: Any, expression: Expr) -> None:
         stated = [t for b in self.balances.values() for t in (b.inertia, *b.terms)]
         stated += [*self._rates.values(), *(e for e, _ in self.outputs.values())]

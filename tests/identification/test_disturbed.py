@@ -20,6 +20,7 @@ from casid.cli.main import main
 from casid.estimation.prediction_error.disturbances import Disturbance, with_disturbances
 from casid.estimation.prediction_error.likelihood import PredictionError
 from casid.estimation.simulation.fit import FitSettings
+from casid.export.problem_file import problem_text
 from casid.identification.identify import identify
 from casid.linear.noisy_model import White
 
@@ -388,3 +389,25 @@ def test_the_command_takes_a_disturbance(tmp_path, monkeypatch):
     assert written["parameters"]["peak of disturbance in force"]["value"] == pytest.approx(
         estimate(0)["peak of disturbance in force"], rel=1e-3
     )
+
+
+def test_what_is_simulated_and_exported_is_without_the_disturbance(tmp_path):
+    """Its states, parameters and noise are gone; saved and loaded it is the same model."""
+    estimate = swung(0)
+    plain = estimate.model.without_noise()
+    assert list(plain.model.states) == ["a", "w"]
+    assert set(plain.values) == {"k", "d", "J"}
+    assert plain.noise is None
+    data = swing(0)
+    free = estimate.model.simulate(data, x0={"disturbance in torque": 0.0})
+    assert plain.simulate(data)["a"] == pytest.approx(free["a"], abs=1e-12)
+    estimate.save(tmp_path / "swing.casid")
+    again = casid.load(tmp_path / "swing.casid").model
+    before = estimate.model.residuals(data, 5)["a"]
+    assert again.residuals(data, 5)["a"] == pytest.approx(before, abs=1e-12)
+    text = problem_text(estimate.model)
+    assert "disturbance" not in text
+    namespace = {}
+    exec(compile(text, "swing.py", "exec"), namespace)
+    written = namespace["problem"].model
+    assert list(written.states) == ["a", "w"]

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
+import casadi as ca
 import numpy as np
 
 from casid.arrays import Array
@@ -44,6 +45,12 @@ class HasModel(Protocol):
     def model(self) -> FittedModel | None:
         """Its model."""
         ...
+
+
+def _met(model: Model) -> set[str]:
+    """Names of the symbols that the equations of a model hold."""
+    e = model.explicit()
+    return {s.name() for s in ca.symvar(ca.veccat(e.f, e.h))}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -300,6 +307,27 @@ class FittedModel(Saved, Exportable, Viewed):
     def equations(self) -> ModelEquations:
         """The equations: `print` shows text, `latex()` gives LaTeX, new terms marked in both."""
         return equations_of(self.model, None if self.baseline is None else self.baseline.model)
+
+    def without_noise(self) -> FittedModel:
+        """The same without the disturbances that drive it: what is simulated and exported."""
+        if self.noise is None:
+            return self
+        before, new = _met(self.model), self.model.copy()
+        for w in self.noise.sources:
+            if w.where in new.inputs:
+                new.substitute_symbol(w.where, 0)
+                del new.inputs[w.where]
+        for name in self.noise.shaped:
+            new.take_out_at_zero(name)
+        for balance in new.balances.values():
+            terms = tuple(term for term in balance.terms if not ca.SX(term).is_zero())
+            new.balances[balance.name] = replace(balance, terms=terms)
+        for name in before - _met(new):
+            new.parameters.pop(name, None)
+        new = new.copy()  # whose equations are solved anew
+        kept = [name in new.states for name in self.model.states]
+        records = tuple(replace(r, nodes=r.nodes[:, kept]) for r in self.records)
+        return replace(self, model=new, records=records, noise=None)
 
     # -- inside ------------------------------------------------------------------------------
 

@@ -145,9 +145,11 @@ class NoiseModel:
     initial : state -> standard deviation of its initial value; None for a steady-state predictor.
     is_extended : predicted by an extended Kalman filter; states without a standard deviation in
         `initial` then have none.
+    shaped : states of disturbances: zero where none acts.
     """
 
     sources: tuple[White, ...]
     rest: Mapping[str, float] = field(default_factory=dict)
     initial: Mapping[str, float] | None = None
     is_extended: bool = False
+    shaped: tuple[str, ...] = ()
