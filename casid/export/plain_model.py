@@ -176,8 +176,7 @@ def plain_model(fitted: FittedModel, *, what: str, without_delays: bool = False)
         If an input is unknown, or a function of the user's own.
     """
     fitted = fitted.without_noise()
-    model = fitted.model.copy()
-    values, initial = fitted.si_values, fitted.si_initial_states
+    model, values, initial = fitted.model.copy(), fitted.si_values, fitted.si_initial_states
     for name, entry in model.inputs.items():
         if entry.kind == "unknown":
             raise ModelError(

@@ -97,44 +97,40 @@ def identify_disturbed(
     SolveError
         If no optimum was found; where that is for want of time, the estimate says so in `not_done`.
     """
-    experiments = split.fitted
-    program = _Program(problem.model, experiments, disturbances, settings)
+    program = _Program(problem.model, split.fitted, disturbances, settings)
     problem = replace(problem, model=undisturbed(problem.model, disturbances))
     progress("fit the model without disturbances")
-    fit = _simulated(problem, experiments, settings, start)
-    errors = _spreads(problem.model, experiments) if fit is None else 1 / one_over_errors(fit)
-    outputs = [White(n, float(e)) for n, e in zip(program.model.outputs, errors, strict=True)]
-    noise = [*outputs, *program.sources]
+    fit = _simulated(problem, split.fitted, settings, start)
+    errors = _spreads(problem.model, split.fitted) if fit is None else 1 / one_over_errors(fit)
+    noise = [White(n, float(e)) for n, e in zip(program.model.outputs, errors, strict=True)]
+    noise += program.sources
     first = program.criterion(noise, 1 if fit is None else fit.criterion.substeps)
-    begin = {n: v for n, v in (fit.values if fit else {}).items() if n in first.names}
-    begin = _off_bounds(first, begin) | dict(start or {})
+    begin = _off_bounds(first, fit.values if fit else {}) | dict(start or {})
     for d in disturbances:
-        progress(f"search the spectrum of the disturbance in {d.place}")
-        begin |= _best_start(first, begin, d, _grid(problem, fit, d, first.data))
+        begin |= _best_start(first, begin, d, _grid(problem, fit, d, first.data), progress)
     require_time(f"the prediction error of {problem.name}")
     progress("minimise the prediction error")
     found = program.minimum_from(noise, begin, [d.size for d in disturbances])
     undone, estimate = Undone(), found.estimate
     if found.solution.is_converged:
         estimation = _estimation(problem, found, settings)
-        estimate = with_intervals(
-            estimate, chosen_intervals(estimation, intervals, undone, progress)
-        )
+        chosen = chosen_intervals(estimation, intervals, undone, progress)
+        estimate = with_intervals(estimate, chosen)
         with no_time_limit():  # one pass over what is held out
             estimate = replace(estimate, held_out=_held_out(estimate, split))
     elif seconds_left() > 0.0:
         raise not_converged(problem.name, found.solution)
     else:
         undone.add("the end of the search")
-    estimate = replace(
+    return replace(
         estimate,
+        problem=problem.name,
+        method=f"{estimate.method}; disturbances in "
+        + ", ".join(f"{d.place} ({d.spectrum})" for d in disturbances),
+        trust=replace(estimate.trust, not_done=tuple(undone.not_done)),
         warnings=(*estimate.warnings, *_coloured_innovations(found)),
         model=_finished(estimate.model, problem, tuple(program.spread)),
     )
-    named = ", ".join(f"{d.place} ({d.spectrum})" for d in disturbances)
-    method = f"{estimate.method}; disturbances in {named}"
-    trust = replace(estimate.trust, not_done=tuple(undone.not_done))
-    return replace(estimate, problem=problem.name, method=method, trust=trust)
 
 
 def _finished(
@@ -226,7 +222,7 @@ def _off_bounds(criterion: Criterion, values: Mapping[str, float]) -> dict[str, 
 
     A search that begins there has no size to scale by.
     """
-    out = dict(values)
+    out = {n: v for n, v in values.items() if n in criterion.names}
     for v in criterion.variables:
         if v.name in out:
             off = OFF_BOUND * min(v.scale, v.upper - v.lower)
@@ -358,8 +354,10 @@ def _best_start(
     begin: Mapping[str, float],
     d: Disturbance,
     grid: Sequence[Mapping[str, float]],
+    progress: Callable[[str], None],
 ) -> dict[str, float]:
     """The start with the best likelihood, among a grid and shares of the residual for sensors."""
+    progress(f"search the spectrum of the disturbance in {d.place}")
     names = criterion.names
     base = {**dict(zip(names, criterion.start.tolist(), strict=True)), **begin}
     noise = {n: base[n] for n in names if n.startswith("var(")}
