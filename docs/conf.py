@@ -20,6 +20,7 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "docstrings",  # before napoleon
+    "example_links",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "executed_pages",

@@ -98,6 +98,16 @@ def test_a_block_without_the_file_that_it_needs_is_shown_and_not_run(manual, tmp
         manual.executed(page, "p.md")
 
 
+def test_every_public_name_has_an_example_that_runs():
+    sys.path.insert(0, str(EXTENSION))
+    try:
+        links = importlib.import_module("example_links")
+    finally:
+        sys.path.remove(str(EXTENSION))
+    pages = links.pages_by_name(ROOT / "docs")
+    assert not [name for name in pages if not pages[name]]
+
+
 GALLERY = sorted(p.stem for p in (ROOT / "docs" / "gallery").glob("*.md") if p.stem != "index")
 
 

@@ -49,8 +49,6 @@ def _add_scripts(app: Any, name: str, template: str, context: dict[str, Any], tr
 
 
 def _run_page(app: Any, name: str, source: list[str]) -> None:
-    if name.startswith("reference/"):  # made from docstrings
-        return
     text = source[0]
     with _scratch(Path(app.srcdir).parent):
         try:

@@ -12,7 +12,7 @@ import pytest
 
 from casid.report.figures.diagnosis import diagnosis_figures
 from problems import ship
-from tests.report.golden_results import assessment
+from tests.report.golden_results import assessment, monte_carlo
 from tests.support import samples
 from tests.support.samples import page_of
 
@@ -23,6 +23,7 @@ in_browser = pytest.mark.skipif(
 )
 WIDTHS = (1280, 390)
 PROBE = """<script>window.addEventListener("load", function () {
+  document.querySelectorAll("details").forEach(function (d) { d.open = true; });
   var wide = Array.prototype.filter.call(document.querySelectorAll("body *"), function (e) {
     return e.getBoundingClientRect().right > innerWidth + 1 &&
       !e.closest(".scroll, .plot, .equations, svg svg");  // what scrolls by itself, or is clipped
@@ -90,7 +91,8 @@ def probed(page: str) -> str:
 @pytest.mark.parametrize("name", ["rich", "hostile"])
 def test_a_browser_draws_every_figure_without_a_complaint(name, request, tmp_path):
     path = tmp_path / "page.html"
-    path.write_text(request.getfixturevalue(name), encoding="utf-8")
+    page = request.getfixturevalue(name)
+    path.write_text(page.replace("<details", "<details open"), encoding="utf-8")
     dom, console = browse(path, tmp_path, "--window-size=1280,2000", "--dump-dom")
     assert console == []  # an error, a refused script or an uncaught exception would be a line
     plots = re.split(r'<div class="plot[ "]', dom)[1:]
@@ -104,12 +106,23 @@ def test_a_browser_draws_every_figure_without_a_complaint(name, request, tmp_pat
 
 
 def other_pages() -> list[str]:
-    """The pages of an estimate and an assessment, and equations in what a notebook shows."""
+    """Pages of an estimate, an assessment and a study, and equations in what a notebook shows."""
     viewport = '<meta name="viewport" content="width=device-width, initial-scale=1">'
     view = ship.problem._repr_html_() + samples.rich()._repr_html_()
     notebook = f"<!DOCTYPE html><html><head>{viewport}</head><body>{view}</body></html>"
     adequate = samples.adequate()
-    return [page_of(adequate.baseline, adequate.records), page_of(assessment()), notebook]
+    estimate = page_of(adequate.baseline, adequate.records)
+    return [estimate, page_of(assessment()), page_of(monte_carlo()), notebook]
+
+
+@in_browser
+def test_a_figure_is_drawn_when_its_section_unfolds(rich, tmp_path):
+    """The page opens with the one that decides; fifteen at once would take seconds."""
+    path = tmp_path / "page.html"
+    path.write_text(rich, encoding="utf-8")
+    dom, _ = browse(path, tmp_path, "--window-size=1280,2000", "--dump-dom")
+    plots = re.split(r'<div class="plot[ "]', dom)[1:]
+    assert ['class="main-svg"' in p for p in plots] == [True] + [False] * (len(plots) - 1)
 
 
 @in_browser

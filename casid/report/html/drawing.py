@@ -114,7 +114,7 @@ DRAW = """
     });
   }
   function attempt(place) {
-    if (place.dataset.state || !place.clientWidth) { return; }  // drawn, or folded away
+    if (place.dataset.state || place.closest("details:not([open])")) { return; }
     place.dataset.state = "drawn";
     try { draw(place); } catch (error) {
       console.error("error in " + place.id + ": " + error);

@@ -160,7 +160,7 @@ def test_stiffness_and_a_load_are_told_beside_the_resonance(at):
     assert best.gain_factor > 5
     assert best.is_clearer(advice.now)
     assert "both sides of the resonance" in advice.sentence
-    assert "parameter_jump in k from parameter_jump in m" in advice.sentence
+    assert "jump of k from jump of m" in advice.sentence
     same = by_name["larger amplitude"]
     assert same.gain_factor == pytest.approx(1.0, abs=0.05)
     assert same.record_length == pytest.approx(advice.now.record_length / 4, rel=0.1)
