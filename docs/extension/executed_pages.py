@@ -31,7 +31,8 @@ def setup(app: Any) -> dict[str, bool]:
     app.connect("builder-inited", _write_scripts)
     app.connect("source-read", _run_page)
     app.connect("html-page-context", _add_scripts)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}
+    # Worker processes of a page's own code do not end with a process that was forked to read it.
+    return {"parallel_read_safe": False, "parallel_write_safe": True}
 
 
 def _write_scripts(app: Any) -> None:

@@ -22,6 +22,7 @@ verdict: thresholds attempts settings evidence unexplained search
 advice: thresholds settings evidence search verdict
 calibration: thresholds evidence verdict
 diagnosis: evidence unexplained verdict advice calibration
+facts: verdict diagnosis
 diagnose: thresholds settings evidence search verdict advice calibration diagnosis
 """
 

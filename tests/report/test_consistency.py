@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 
 from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.diagnosis import Alternative, Cause, Diagnosis, Ranked
+from casid.diagnosis.facts import Facts
 from casid.diagnosis.thresholds import JUDGING
-from casid.diagnosis.verdict.facts import Facts, decisive, improves
+from casid.diagnosis.verdict.gain import decisive, improves
 from casid.diagnosis.verdict.names import _NAMES, effect_words
 from casid.diagnosis.verdict.remainder import what_remains
 from casid.diagnosis.verdict.sentences import verdict_sentence

@@ -13,7 +13,7 @@ from casid.diagnosis.evidence.score_tests import ScoreTable
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import Cause, Verdict
-from casid.diagnosis.verdict.facts import decisive, improves
+from casid.diagnosis.verdict.gain import decisive, improves
 from casid.diagnosis.verdict.judgement import Judgement
 from casid.diagnosis.verdict.names import effect_words
 from casid.diagnosis.verdict.sentences import separates

@@ -135,3 +135,29 @@ def errors_of(found: Findings, *, with_disturbances: bool = False) -> tuple[Erro
     floor = noise_floor(found.at, with_disturbances=with_disturbances)
     fitted["noise_floor"] = held["noise_floor"] = floor
     return fitted, {} if base.split.is_empty else held
+
+
+Part = Mapping[str, Mapping[str, float]]
+"""Of one part of the records: "baseline_rmse", "extended_rmse", "noise_floor" by output."""
+
+
+def decisive(fitted: Part, held_out: Part) -> Part:
+    """The errors that count: of the held-out part where there is one, else of the fitted part."""
+    return held_out if held_out.get("baseline_rmse") else fitted
+
+
+def improves(part: Part) -> bool:
+    """True if including the causes lowers the squared error, outputs in units of their floor.
+
+    An output without a noise floor counts in units of its error before. True, too, where there is
+    nothing to compare.
+    """
+    before, after = part.get("baseline_rmse", {}), part.get("extended_rmse", {})
+    floor = part.get("noise_floor", {})
+    sums = [0.0, 0.0]
+    for output in after:
+        scale = floor.get(output) or before.get(output, 0.0)
+        if output in before and scale > 0 and math.isfinite(before[output] + after[output]):
+            sums[0] += (before[output] / scale) ** 2
+            sums[1] += (after[output] / scale) ** 2
+    return sums[1] <= sums[0]

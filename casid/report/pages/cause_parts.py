@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from casid.diagnosis.diagnosis import Cause, Diagnosis, Ranked
-from casid.diagnosis.verdict.facts import Facts
+from casid.diagnosis.facts import Facts
 from casid.estimation.estimate import Estimated
 from casid.report.document import (
     Bullets,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from casid.diagnosis.diagnosis import Diagnosis
-from casid.diagnosis.verdict.facts import ErrorChange, Facts
+from casid.diagnosis.facts import ErrorChange, Facts
 from casid.report.document import (
     Banner,
     Bullets,

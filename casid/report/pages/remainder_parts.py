@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from casid.diagnosis.diagnosis import Diagnosis
+from casid.diagnosis.facts import Facts
 from casid.diagnosis.thresholds import JUDGING
-from casid.diagnosis.verdict.facts import Facts
 from casid.estimation.estimate import Estimated
 from casid.report.document import Code, Inline, Paragraph, Part, Table
 from casid.report.numbers import (

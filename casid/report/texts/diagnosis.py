@@ -9,7 +9,7 @@ from casid.diagnosis.advice.isolability import Isolability, label
 from casid.diagnosis.advice.next_experiment import Advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Cause, Diagnosis
-from casid.diagnosis.verdict.facts import Facts
+from casid.diagnosis.facts import Facts
 from casid.diagnosis.verdict.names import effect_words
 from casid.estimation.estimate import Estimated
 from casid.report.document import Code, Document, Identifier, Labelled, Table, labelled

@@ -10,12 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from casid.diagnosis.diagnosis import Diagnosis
-
-Errors = Mapping[str, Mapping[str, float]]
+from casid.diagnosis.diagnosis import Diagnosis
+from casid.diagnosis.verdict.gain import decisive, improves
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,28 +34,6 @@ class ErrorChange:
     def is_lower(self) -> bool:
         """True if including the causes lowers the error."""
         return self.after is not None and self.after < self.before
-
-
-def decisive(fitted: Errors, held_out: Errors) -> Errors:
-    """The errors that count: of the held-out part where there is one, else of the fitted part."""
-    return held_out if held_out.get("baseline_rmse") else fitted
-
-
-def improves(part: Errors) -> bool:
-    """True if including the causes lowers the squared error, outputs in units of their floor.
-
-    An output without a noise floor counts in units of its error before. True, too, where there is
-    nothing to compare.
-    """
-    before, after = part.get("baseline_rmse", {}), part.get("extended_rmse", {})
-    floor = part.get("noise_floor", {})
-    sums = [0.0, 0.0]
-    for output in after:
-        scale = floor.get(output) or before.get(output, 0.0)
-        if output in before and scale > 0 and math.isfinite(before[output] + after[output]):
-            sums[0] += (before[output] / scale) ** 2
-            sums[1] += (after[output] / scale) ** 2
-    return sums[1] <= sums[0]
 
 
 @dataclass(frozen=True, slots=True)
