@@ -128,8 +128,8 @@ def investigate(
     CasidError
         What the first diagnosis raises.
 
-    Source: Box and Hill, Discrimination among mechanistic models, Technometrics 9 (1967) 57-71:
-    sequential design.
+    Source: Box and Hill, Discrimination among mechanistic models, Technometrics 9 (1967) 57-71,
+    on sequential design.
     """
     taken = _at_hand(problem, records)
     say = progress or (lambda _: None)

@@ -24,6 +24,7 @@ calibration: thresholds evidence verdict
 diagnosis: evidence unexplained verdict advice calibration
 facts: verdict diagnosis
 diagnose: thresholds settings evidence search verdict advice calibration diagnosis
+investigation: diagnosis diagnose
 """
 
 FILES = sorted(p for p in ROOM.rglob("*.py") if p.name != "__init__.py")
