@@ -37,6 +37,7 @@ from casid.experiment_design.shortest_record import (
 from casid.experiment_design.standard_inputs import kinds_of
 from casid.experiment_design.thresholds import DURATION, KEEPING
 from casid.experiment_design.verification import verified
+from casid.model.units import from_si
 from casid.versions import versions
 
 
@@ -309,14 +310,19 @@ def _result(
 
 def _used(setup: Setup, prediction: Any, u: Array, release: Array) -> tuple[LimitUse, ...]:
     """Every limit with what the experiment takes of it, at ten times the sampling rate."""
-    model, out = setup.nominal.acting, []
-    for k, name in enumerate(setup.designed):
-        taken = (*setup.limits.inputs[name], float(u[:, k].min()), float(u[:, k].max()))
-        out.append(LimitUse(name, model.unit_of(name), *(model.shown(name, v) for v in taken)))
+    limits = setup.limits
+    taken: dict[str, tuple[float, ...]] = {
+        name: (*limits.inputs[name], float(u[:, k].min()), float(u[:, k].max()))
+        for k, name in enumerate(setup.designed)
+    }
     reached = prediction.ranges(u, release, finer=KEEPING.finer)
-    for (name, ends), found in zip(setup.limits.signals.items(), reached, strict=True):
-        shown = [model.shown(name, float(v)) for v in (*ends, *found)]
-        out.append(LimitUse(name, model.unit_of(name), *shown))
+    for (name, ends), found in zip(limits.signals.items(), reached, strict=True):
+        taken[name] = (*ends, *(float(v) for v in found))
+    out = []
+    for name, values in taken.items():
+        unit = limits.units.get(name, setup.nominal.acting.unit_of(name))
+        shown = [float(v) for v in from_si(values, unit)]
+        out.append(LimitUse(name, unit, *shown))
     return tuple(out)
 
 

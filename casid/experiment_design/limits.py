@@ -30,6 +30,7 @@ class Limits:
     slew : input -> largest |du/dt|.
     energy : input -> largest integral of (u - rest)^2 over the record.
     release : state -> (lower, upper) of an initial displacement that may be chosen.
+    units : name -> unit that its limit was given in.
     """
 
     inputs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -37,6 +38,7 @@ class Limits:
     slew: Mapping[str, float] = field(default_factory=dict)
     energy: Mapping[str, float] = field(default_factory=dict)
     release: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def widths(self) -> Array:
@@ -94,6 +96,7 @@ def limits_of(
         _positive(model, inputs, slew, "slew limit"),
         _positive(model, inputs, max_energy, "energy limit", power=2),
         released,
+        {n: str(v[2]) for n, v in (ranges or {}).items() if len(v) > 2},
     )
 
 

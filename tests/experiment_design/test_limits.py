@@ -50,6 +50,15 @@ def test_a_limit_holds_in_a_simulation_of_its_own() -> None:
     assert found.gain > 1.0
 
 
+def test_a_limit_is_shown_in_the_unit_that_it_was_given_in() -> None:
+    found = casid.design_experiment(
+        rig(), Aim.estimate(), {"phi": (-0.1, 0.1, "rad"), "u": (-1, 1)}, 6.0, **SMALL
+    )
+    phi = next(use for use in found.limits if use.name == "phi")
+    assert (phi.unit, phi.lower, phi.upper) == ("rad", pytest.approx(-0.1), pytest.approx(0.1))
+    assert 0.08 < phi.highest <= phi.upper
+
+
 def refusal(*arguments: Any, **settings: Any) -> str:
     with pytest.raises(casid.CasidError) as caught:
         casid.design_experiment(*arguments, **{**SMALL, **settings})
