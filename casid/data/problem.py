@@ -194,6 +194,8 @@ class Problem(Viewed):
             known = self.model.inputs.get(signal)
             if known is not None and known.kind == "generated":
                 continue
+            if known is not None and known.kind == "unknown" and signal not in merged:
+                continue  # nobody measures it
             if signal in computed or (signal not in own and signal not in needed):
                 continue
             text = merged.get(signal, signal)

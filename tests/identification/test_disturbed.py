@@ -137,6 +137,19 @@ def test_an_input_that_nobody_measures_may_be_the_disturbance():
         identify(problem, record(0), disturbances="force:peak")
 
 
+def test_a_file_needs_no_column_of_an_input_that_nobody_measures(tmp_path):
+    m = mass().model
+    m.add_term("force", m.unknown_input("W", "N"))
+    data = record(0, samples=40)
+    path = tmp_path / "run.csv"
+    columns = np.column_stack([data.t, data["F"], data["x"]])
+    np.savetxt(path, columns, delimiter=",", header="t,F,x", comments="")
+    read = casid.Problem("mass", m).read(path)
+    assert set(read.record.channels) == {"F", "x"}
+    with pytest.raises(casid.ModelError, match=r"input W is unknown; .*--disturbance W:first"):
+        identify(casid.Problem("mass", m), read)
+
+
 def test_the_interval_of_a_size_is_that_of_its_likelihood():
     """A standard deviation of some twenty independent values: longer above than below.
 
