@@ -275,10 +275,17 @@ class _Program:
         self, noise: Sequence[White], start: Mapping[str, float], sizes: Sequence[str]
     ) -> Prediction:
         """The minimum from a start, or one beside it: a flat valley on the way may end a search."""
+        found: Prediction | None = None
         for factor in AGAIN:
-            found = self._minimum(noise, {**start, **{n: factor * start[n] for n in sizes}})
+            try:
+                found = self._minimum(noise, {**start, **{n: factor * start[n] for n in sizes}})
+            except IdentifiabilityError:  # of the derivatives at that start alone, perhaps
+                if found is None and factor == AGAIN[-1]:
+                    raise
+                continue
             if found.solution.is_converged or seconds_left() <= 0.0:
                 break
+        assert found is not None
         return found
 
     def _minimum(self, noise: Sequence[White], start: Mapping[str, float]) -> Prediction:
