@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from casid.estimation.estimate import RecordView
 from casid.estimation.simulation.initial_state import fit_initial_state
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.signals import Signals, signals_of
+from casid.model.model import Model
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,11 +103,19 @@ def whole_simulation(fit: Fit, split: Split, index: int) -> tuple[Signals, Array
 
 
 def simulate_apart(
-    fit: Fit, experiment: Experiment, *, on_clock: bool = False
+    fit: Fit,
+    experiment: Experiment,
+    *,
+    on_clock: bool = False,
+    near: Mapping[str, float] | None = None,
 ) -> tuple[Signals, Array, Array]:
     """Simulate a record that was not fitted, its initial state estimated and nothing else.
 
-    `on_clock`: whether it has the clock of the records fitted, as the end of one of them does.
+    Parameters
+    ----------
+    on_clock : whether it has the clock of the records fitted, as the end of one of them does.
+    near : of such an end the state that the simulation of the whole record has there. The search
+        may begin at it, and what the model says of the state that records begin in says nothing.
     """
     old = fit.criterion
     known = {n: fit.values[n] for n in old.free if n in fit.values}
@@ -114,11 +123,29 @@ def simulate_apart(
         values = [v for k, v in fit.values.items() if k.startswith(f"{n}@")]
         known.setdefault(n, float(np.mean(values)) if values else fit.values.get(n, 0.0))
     model = old.model.with_known(**known)
+    if near is not None:
+        model, near = _begun_midway(model, near)
     criterion, point = fit_initial_state(
-        model, experiment, weights=old.weights, substeps=old.substeps, on_clock=on_clock
+        model, experiment, weights=old.weights, substeps=old.substeps, on_clock=on_clock, near=near
     )
     y, x, _ = criterion.simulate(point, 0)
     return criterion.data[0], y, x
+
+
+def _begun_midway(
+    model: Model, state: Mapping[str, float]
+) -> tuple[Model, Mapping[str, float] | None]:
+    """A copy whose record begins in the midst of the motion, in no state that the model states.
+
+    The second is `state` within the bounds of states, or None where the simulation had diverged.
+    """
+    new = model.copy()
+    for name, entry in model.states.items():
+        new.states[name] = replace(entry, initial=None)
+    if not np.all(np.isfinite(list(state.values()))):
+        return new, None
+    entries = new.states
+    return new, {n: float(np.clip(v, entries[n].lower, entries[n].upper)) for n, v in state.items()}
 
 
 def validation(fit: Fit, split: Split) -> list[HeldOut]:
@@ -142,15 +169,14 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
     held out does: a simulation that runs on gathers the errors of an integrator.
     """
     weights = fit.criterion.weights
-    tails = [
-        Experiment(_tail(e.record, mask), e.known, e.name)
-        for e, mask in zip(split.whole, split.held, strict=True)
-        if anew and mask.any()
-    ]
     parts = []
-    for tail in tails:
-        d, y, _ = simulate_apart(fit, tail, on_clock=True)
-        parts.append(np.where(d.used, d.y - y, np.nan) * weights)
+    for i, (e, mask) in enumerate(zip(split.whole, split.held, strict=True)):
+        if anew and mask.any():
+            tail = Experiment(_tail(e.record, mask), e.known, e.name)
+            there = whole_simulation(fit, split, i)[2][int(np.argmax(mask))]
+            near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
+            d, y, _ = simulate_apart(fit, tail, on_clock=True, near=near)
+            parts.append(np.where(d.used, d.y - y, np.nan) * weights)
     rest = Split([], [], [], split.apart) if anew else split
     parts += [(h.measured - h.simulated) * weights for h in validation(fit, rest)]
     return np.concatenate(parts) if parts else np.zeros((0, len(fit.criterion.outputs)))

@@ -98,7 +98,7 @@ def fit_model(
         except SolveError:
             # Too long a step makes a stable simulation diverge, too.
             is_last = fit is not None or not is_free or criterion.substeps >= STEPS.last
-            if is_last or np.isfinite(_value(criterion)):
+            if is_last or np.isfinite(value_at_start(criterion)):
                 raise
         criterion = _refined(criterion, start, fit)
     if throw:
@@ -125,10 +125,11 @@ def _refined(
     """The criterion with half the step, from where it is lower: the start, or the last fit."""
     at_start = _from(c, start, finer=2)
     near = at_start if fit is None else _from(c, fit.values, finer=2)
-    return at_start if _value(at_start) < _value(near) else near
+    return at_start if value_at_start(at_start) < value_at_start(near) else near
 
 
-def _value(criterion: SimulationError) -> float:
+def value_at_start(criterion: SimulationError) -> float:
+    """The criterion where its search begins, without derivatives where it can."""
     alone = criterion.value_alone
     return alone(criterion.start) if alone else float(criterion.evaluate(criterion.start).value)
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from casid.arrays import Array
 from casid.data.experiment import Experiment
+from casid.estimation.simulation.fit import value_at_start
 from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.model import Model
@@ -20,6 +22,7 @@ def fit_initial_state(
     weights: Array | None = None,
     substeps: int = 1,
     on_clock: bool = False,
+    near: Mapping[str, float] | None = None,
 ) -> tuple[SimulationError, Array]:
     """The criterion of one record, and its minimum (n,) over the initial state alone.
 
@@ -28,8 +31,17 @@ def fit_initial_state(
     model : every parameter known, there or in the experiment.
     on_clock : whether the record has the clock of the records fitted. A step at an instant of one
         record says nothing of another: there it has not happened.
+    near : a state of each name that the search may begin at, where that fits better than what was
+        measured first: a state that nobody measures has to fit the others.
     """
     criterion = SimulationError(model, [experiment], weights=weights, substeps=substeps)
+    if near is not None:
+        start = {f"{name}(0)": value for name, value in near.items()}
+        other = SimulationError(
+            model, [experiment], weights=weights, substeps=substeps, start=start
+        )
+        if not value_at_start(criterion) <= value_at_start(other):
+            criterion = other
     if not on_clock:
         d = criterion.data[0]
         of_clock = [entry.signal is not None for entry in model.inputs.values()]
