@@ -100,7 +100,7 @@ def make(case: Case, system: System) -> Hidden:
         low, high = np.log(ENERGIES[case.part])
         energy = float(np.exp(rng.uniform(low, high)))
         pool = unlisted_of(system, scales) if case.part == "unlisted" else catalogue
-        spoil = _chosen(hidden, pool, energy, rng)
+        spoil = _drawn_effect(hidden, pool, energy, rng)
     truth = (
         None
         if hidden.effect is None
@@ -191,8 +191,27 @@ def _record_of(
 # -- how large ------------------------------------------------------------------------------------
 
 
-def _chosen(hidden: Hidden, pool: list[Effect], energy: float, rng: np.random.Generator) -> str:
-    """Choose an effect that can show the energy; the kind of one that spoils samples, or ""."""
+def _drawn_effect(
+    hidden: Hidden, pool: list[Effect], energy: float, rng: np.random.Generator
+) -> str:
+    """Choose an effect that can show the energy, or the most of it that any can.
+
+    Returns
+    -------
+    the kind of an effect that spoils samples, or "".
+    """
+    while energy > ENERGIES["single"][0]:
+        spoil = _chosen(hidden, pool, energy, rng)
+        if spoil is not None:
+            return spoil
+        energy /= 3.0
+    raise RuntimeError(f"{hidden.bench.system.name}: no effect shows in this record")
+
+
+def _chosen(
+    hidden: Hidden, pool: list[Effect], energy: float, rng: np.random.Generator
+) -> str | None:
+    """One of forty draws of an effect that can show the energy; None where none can."""
     system = hidden.bench.system
     kinds = sorted({e.kind for e in pool})
     if hidden.case.part == "single":
@@ -212,7 +231,7 @@ def _chosen(hidden: Hidden, pool: list[Effect], energy: float, rng: np.random.Ge
             hidden.effect, hidden.size, hidden.hyper = effect, size, hyper
             hidden.kind, hidden.where, hidden.names = kind, effect.where, effect.names
             return ""
-    raise RuntimeError(f"{system.name}: no effect shows {energy:.0f}")
+    return None
 
 
 def size_for(
