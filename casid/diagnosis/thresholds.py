@@ -440,11 +440,13 @@ class Friction:
         0.9, "of the best gain beyond which other smoothing speeds are tried", _FRICTION
     )
     narrower: float = _is(1 / 3, "times the last speed tried", _FRICTION)
-    steps: int = _is(2, "speeds tried, at most: down to 1/9 of the first", _FRICTION)
+    steps: int = _is(3, "speeds tried, at most: down to 1/27 of the first", _FRICTION)
+    finer: int = _is(4, "times finer steps that a sharper reversal may take", _FRICTION)
+    samples: int = _is(20_000, "steps of a simulation up to which they are taken", _FRICTION)
     refits: int = _is(8, "refits between the neighbours of the best one", _FRICTION)
     exact: float = _is(0.05, "of the speed at which they end", _FRICTION)
     stable: float = _is(
-        0.5,
+        1.0,
         "steps over the friction's time constant at rest, at most: a sharper one costs many more",
         _FRICTION,
         "Runge-Kutta of order four is stable to 2.78 on the real axis",

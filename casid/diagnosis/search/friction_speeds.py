@@ -54,14 +54,15 @@ def sharper(
         again = refitting.again(at, replace(best, effect=effect))
         if again is None or not np.isfinite(again.gain):
             return -np.inf
-        if again.fit.criterion.substeps > found.fit.criterion.substeps:
+        if again.fit.criterion.substeps > finer * found.fit.criterion.substeps:
             return -np.inf  # finer steps make every fit to come as many times slower
         if again.gain > best.gain:
             best = replace(again, score=found.score)
         return again.gain
 
     start, step = float(np.log(found.effect.constants["speed"])), float(np.log(FRICTION.narrower))
-    floor = float(np.log(_sharpest(found)))
+    finer = _finer(found)
+    floor = float(np.log(_sharpest(found) / finer))
     if floor > start + step / 2:
         return found
     progress(f"choose how sharply the {found.effect.kind} in {where} reverses")
@@ -82,6 +83,13 @@ def sharper(
         options={"maxiter": FRICTION.refits, "xatol": FRICTION.exact},
     )
     return best
+
+
+def _finer(found: Candidate) -> int:
+    """How many times finer steps the record is short enough for."""
+    criterion = found.fit.criterion
+    steps = criterion.substeps * sum(d.N for d in criterion.data)
+    return int(np.clip(FRICTION.samples // steps, 1, FRICTION.finer))
 
 
 def _sharpest(found: Candidate) -> float:

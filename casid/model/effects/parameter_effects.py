@@ -11,11 +11,14 @@ import numpy as np
 from casid.model.clock_signals import RampOver, StepAt
 from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
-from casid.model.effects.effect import Effect, Sizes, Spread
-from casid.model.effects.place import is_mechanical
-from casid.model.effects.search_ranges import PARAMETER_JUMPS
+from casid.model.effects.effect import Effect, Motion, Sizes, Spread
+from casid.model.effects.place import is_mechanical, is_zero
+from casid.model.effects.search_ranges import PARAMETER_JUMPS, SATURATIONS
 from casid.model.model import Model
 from casid.model.units import unit_quotient
+
+_POWERS = (1, 2)
+"""Of the size of a state that a parameter falls or grows with."""
 
 
 def jump_times(window: tuple[float, float]) -> list[float]:
@@ -61,29 +64,46 @@ def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Eff
     return Effect("parameter_drift", name, (p,), apply, span=(-0.5, 0.5), constants=chosen)
 
 
-def state_scheduled_parameter(model: Model, name: str, state: str, mean: float) -> Effect:
-    """A parameter p that falls or grows with the size of a state x: p + s (|x| - mean).
+def state_scheduled_parameter(
+    model: Model, name: str, state: str, size: Motion, power: int = 1
+) -> Effect:
+    """A parameter p that falls or grows with the size of a state x.
 
-    Iron that saturates lowers a motor's constant or an inductance with the current. `mean` is that
-    of |x| in the records (x's unit), so that p stays what it is on average there.
+    Iron that saturates lowers a motor's constant or an inductance with the current, and the force
+    factor of a voice coil falls with its displacement. `size` is the motion of |x|^power in the
+    records (x's unit to that power), m its mean, so that p stays what it is there. With power 1 it
+    is p + s (|x| - m); with power 2 p (p - s m) / (p - s x^2), which is smooth where x is zero and
+    keeps the sign of p however far it falls.
     """
     old = model.parameters[name]
-    unit = unit_quotient(old.unit, model.states[state].unit, 1)
-    p = Parameter(f"slope_{name}_{state}", unit, 0.0)
-    centre = carrying_unit(mean)
+    unit = old.unit
+    for _ in range(power):
+        unit = unit_quotient(unit, model.states[state].unit, 1)
+    label = "slope" if power == 1 else "curvature"
+    p = Parameter(f"{label}_{name}_{state}", unit, 0.0)
+    m = carrying_unit(size.mean)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        moved = new.symbol(name) + new.symbol(names[0]) * (ca.fabs(new.symbol(state)) - centre)
+        x, value, s = new.symbol(state), new.symbol(name), new.symbol(names[0])
+        if power == 1:
+            moved = value + s * (ca.fabs(x) - m)
+        else:
+            moved = value * (value - s * m) / (value - s * x**2)
         new.substitute_symbol(name, moved)
 
+    # The slope at which p is zero, or near a pole, is p over minus these.
+    span = (-size.mean, size.mean)
+    if power != 1:
+        span = (-SATURATIONS.poles * size.high, size.mean / SATURATIONS.falls)
     return Effect(
         "scheduled_parameter",
         f"{name}~{state}",
         (p,),
         apply,
+        variant=float(power),
         priority=int(old.is_known),
-        span=(-mean, mean),
-        constants={"mean": mean},
+        span=span,
+        constants={"mean": size.mean, "power": float(power)},
     )
 
 
@@ -103,19 +123,46 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             for b in model.balances.values()
             if any(ca.which_depends(ca.SX(sum(b.terms[1:], b.terms[0])), symbol))
         }
-        shapes = [ca.jacobian(ca.SX(side), symbol) for side in inside.values()]
-        felt = {s.name() for shape in shapes for s in ca.symvar(shape) if s.name() in model.states}
-        rates = {b.rate for b in model.balances.values()}
-        several = sorted(felt & rates) if len(inside) > 1 and len(felt & rates) > 1 else []
-        heavy = [
-            b.rate
-            for b in model.balances.values()
-            if any(ca.which_depends(ca.SX(b.inertia), symbol)) and not is_mechanical(b.unit)
-        ]
-        for state in dict.fromkeys((*several, *heavy, *_shown(model, symbol, inside))):
-            mean = float(sizes.motion_of(ca.fabs(model.symbol(state))).mean)
-            if mean > 0.0:
-                yield state_scheduled_parameter(model, name, state, mean)
+        states = (
+            *_of_several(model, symbol, inside),
+            *_of_inertias(model, symbol),
+            *_shown(model, symbol, inside),
+        )
+        for state in dict.fromkeys(states):
+            for power in _POWERS:
+                size = sizes.motion_of(ca.fabs(model.symbol(state)) ** power)
+                if size.mean > 0.0:
+                    yield state_scheduled_parameter(model, name, state, size, power)
+
+
+def _of_several(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
+    """The rates that a parameter of several equations multiplies there, and their positions."""
+    shapes = [ca.jacobian(ca.SX(side), symbol) for side in inside.values()]
+    felt = {s.name() for shape in shapes for s in ca.symvar(shape) if s.name() in model.states}
+    rates = sorted(felt & {b.rate for b in model.balances.values()})
+    if len(inside) < 2 or len(rates) < 2:
+        return []
+    positions = [model.position_of(rate) for rate in rates]
+    return [*rates, *(p for p in positions if p is not None)]
+
+
+def _of_inertias(model: Model, symbol: Any) -> list[str]:
+    """The rates that a parameter is the inertia of, or divides as a whole; no masses."""
+    return [
+        b.rate
+        for b in model.balances.values()
+        if not is_mechanical(b.unit)
+        and (
+            any(ca.which_depends(ca.SX(b.inertia), symbol))
+            or _divides(sum(b.terms[1:], b.terms[0]), symbol)
+        )
+    ]
+
+
+def _divides(side: Any, symbol: Any) -> bool:
+    """True for a side p^-1 f, f without p: a rate that is stated divided by its inertia p."""
+    slope = ca.jacobian(ca.SX(side), symbol)
+    return bool(slope.nnz()) and is_zero(slope * symbol + side)
 
 
 def flow_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:

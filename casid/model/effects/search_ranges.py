@@ -35,6 +35,21 @@ class ParameterJumps:
 
 
 @dataclass(frozen=True, slots=True)
+class Saturations:
+    """The search for a parameter that falls with the square of a state, as iron saturates."""
+
+    poles: float = _is(
+        4.0,
+        "one over the slope, in units of the parameter over the largest square, beyond half of "
+        "which a parameter that grows is not searched: it is infinite at one",
+        "its definition",
+    )
+    falls: float = _is(
+        20.0, "times the slope at which a straight line is zero on average", "its definition"
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class MissingModes:
     """The search for a part that swings along."""
 
@@ -153,6 +168,7 @@ class UnnamedEffects:
 
 
 PARAMETER_JUMPS = ParameterJumps()
+SATURATIONS = Saturations()
 MISSING_MODES = MissingModes()
 PERIODIC_FORCES = PeriodicForces()
 SMOOTHING = Smoothing()
@@ -164,6 +180,7 @@ UNNAMED_EFFECTS = UnnamedEffects()
 
 GROUPS = (
     PARAMETER_JUMPS,
+    SATURATIONS,
     MISSING_MODES,
     PERIODIC_FORCES,
     SMOOTHING,
