@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
 import casid
@@ -70,6 +73,49 @@ def test_a_record_held_out_starts_from_an_initial_state_of_its_own():
     a = casid.identify(problem(), experiment(), hold_out=[other])
     assert a.held_out_rmse["other"]["position"] == pytest.approx(0.01, rel=0.1)
     assert set(a.rmse) == {"r"}
+
+
+def test_an_end_that_starts_anew_does_not_begin_in_the_known_state_of_the_record():
+    """The record begins at rest, its end in the midst of the motion."""
+    m = driven_mass()
+    m.states = {n: dataclasses.replace(s, initial=0.0) for n, s in m.states.items()}
+    split = split_records([experiment(x0=0.0)], 0.3)
+    fit = fit_model(m, split.fitted, FitSettings())
+    anew = held_out_error(fit, split, anew=True) / fit.criterion.weights
+    assert np.sqrt(np.mean(anew**2)) == pytest.approx(0.01, rel=0.15)
+
+
+def test_an_end_that_starts_anew_may_begin_in_the_state_simulated():
+    """Two masses, one of them measured: from rest, a stiff cubic spring between them diverges."""
+    m = casid.Model("two_masses")
+    x, v, y, w = (m.state(n, u) for n, u in (("x", "m"), ("v", "m/s"), ("y", "m"), ("w", "m/s")))
+    k = m.parameter("k", "N/m", start=100.0, lower=1.0)
+    F = m.input("F", "N", hold="zoh", known=True)
+    m.derivative(x, v)
+    m.derivative(y, w)
+    spring = k * (x - y) + 1e6 * (x - y) ** 3
+    m.balance(v, "first", inertia=1.0, terms=[F, -spring - (v - w)])
+    m.balance(w, "second", inertia=1.0, terms=[spring + v - w])
+    m.output("x", x, "m")
+    t = TS * np.arange(600)
+    force = np.sin(2.0 * t) + 0.2
+
+    def rates(at: float, s: np.ndarray) -> list[float]:
+        pull = 120.0 * (s[0] - s[2]) + 1e6 * (s[0] - s[2]) ** 3 + s[1] - s[3]
+        held = force[min(int(at / TS + 1e-9), t.size - 1)]
+        return [s[1], held - pull, s[3], pull]
+
+    found = solve_ivp(
+        rates, (0.0, t[-1]), np.zeros(4), "LSODA", t_eval=t, rtol=1e-8, atol=1e-10, max_step=TS / 4
+    )
+    simulated = found.y[0]
+    measured = simulated + 1e-3 * np.random.default_rng(4).standard_normal(t.size)
+    record = casid.Record({"F": force, "x": measured}, {"F": "N", "x": "m"}, Ts=TS, name="r")
+    split = split_records([casid.Experiment(record, {}, "r")], 0.3)
+    fit = fit_model(m, split.fitted, FitSettings())
+    assert abs(measured[420]) > 0.5
+    anew = held_out_error(fit, split, anew=True) / fit.criterion.weights
+    assert np.sqrt(np.mean(anew**2)) == pytest.approx(1e-3, rel=0.15)
 
 
 def test_a_share_that_leaves_nothing_to_fit_is_refused_with_a_better_one():

@@ -24,14 +24,14 @@ def slider() -> casid.Problem:
     return casid.Problem("slider", m, noise={"position": 2e-4})
 
 
-def record(lag: float = 0.0) -> casid.Record:
+def record(lag: float = 0.0, sharp: float = SHARP, TS: float = TS) -> casid.Record:
     """By SciPy: slow and fast motion, friction that reverses within 15 mm/s, a drive with a lag."""
     rng = np.random.default_rng(1)
-    t = TS * np.arange(2400)
+    t = TS * np.arange(round(12.0 / TS))
     F = 4.0 * np.sin(2 * np.pi * 0.41 * t) + 3.0 * np.sin(2 * np.pi * 0.13 * t)
 
     def slope(_: float, s: np.ndarray, force: float) -> list[float]:
-        return [s[1], force - 0.6 * s[1] - 12.0 * s[0] - FRICTION * np.tanh(s[1] / SHARP)]
+        return [s[1], force - 0.6 * s[1] - 12.0 * s[0] - FRICTION * np.tanh(s[1] / sharp)]
 
     def lagging(t: float, s: np.ndarray, force: float) -> list[float]:
         behind = s[2] * np.exp(-t / lag) if lag else 0.0
@@ -59,6 +59,14 @@ def test_the_size_of_dry_friction_is_within_its_error_and_nothing_is_invented():
     assert any("reverses" in line for line in lines)
     assert found.model is not None
     assert found.model.causes[0].constants["speed"] == pytest.approx(SHARP, rel=0.1)
+
+
+def test_a_short_record_is_simulated_in_finer_steps_for_a_sharper_reversal():
+    """0.8 m/s^2 over 5 mm/s is 6 times a step of 40 ms: one that coarse could not follow it."""
+    found = casid.diagnose(slider(), record(sharp=0.005, TS=0.04), advise=False)
+    assert [c.kind for c in found.causes] == ["coulomb_friction"]
+    assert found.model is not None
+    assert found.model.causes[0].constants["speed"] < 0.016
 
 
 @pytest.mark.parametrize("lag", [0.06, 0.2])
