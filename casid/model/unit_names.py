@@ -194,6 +194,21 @@ ALIASES: dict[str, str] = {
     "kelvin": "K",
     "percent": "%",
     "pct": "%",
+    # A concentration, density, share, molar mass or mass flow: what `g` alone may not say.
+    "g/L": "gram/L",
+    "g/l": "gram/L",
+    "g/mL": "gram/mL",
+    "g/ml": "gram/mL",
+    "g/m^3": "gram/m^3",
+    "g/cm^3": "gram/cm^3",
+    "g/kg": "gram/kg",
+    "g/mol": "gram/mol",
+    "g/s": "gram/s",
+    "g/min": "gram/min",
+    "g/h": "gram/h",
+    "lb/s": "lbm/s",
+    "lb/min": "lbm/min",
+    "lb/h": "lbm/h",
 }
 
 AMBIGUOUS: dict[str, str] = {

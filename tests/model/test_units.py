@@ -107,6 +107,16 @@ def test_a_name_with_two_readings_is_refused_with_the_choice_named(text, choices
     assert "Write which" in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "value", "si"),
+    [("g/L", 1.0, "kg/m^3"), ("g/cm^3", 1000.0, "kg/m^3"), ("g/mol", 1e-3, "kg/mol"),
+     ("g/h", 1e-3 / 3600.0, "kg/s"), ("lb/min", 0.45359237 / 60.0, "kg/s")],
+)  # fmt: skip
+def test_a_quotient_says_which_of_two_readings_it_is(text, value, si):
+    assert to_si(1.0, text) == pytest.approx(value)
+    assert same_dimension(text, si)
+
+
 def test_a_quotient_with_two_readings_is_refused_with_both_ways_of_writing_it():
     with pytest.raises(UnitError, match="two ways") as caught:
         parse_unit("N/m s")
