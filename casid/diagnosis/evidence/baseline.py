@@ -46,6 +46,8 @@ class Baseline:
     corrupted : samples left out.
     negated : a channel that probably has the wrong sign.
     why_undecided : why the records support no answer, or an empty text.
+    why_not_fitted : why `fit` is no minimum, or an empty text. A cause that is added may mend that;
+        where none does, the records support no answer.
     """
 
     split: Split
@@ -58,6 +60,7 @@ class Baseline:
     corrupted: CorruptedSamples = CorruptedSamples()
     negated: WrongSign | None = None
     why_undecided: str = ""
+    why_not_fitted: str = ""
     notes: tuple[str, ...] = ()
 
 
@@ -111,9 +114,10 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     say("estimate the noise")
     start = weighing.weigh(problem.model, fit)
     undecided = why_undecided(fit, start, partial(std_error, start.fit))
+    not_fitted = ""
     if not undecided and not fit.solution.is_converged:
         require_time("the fit of the model as it is")
-        undecided = (
+        not_fitted = (
             f"the model as it is could not be fitted ({fit.solution.ending}): {fit.solution.remedy}"
         )
     return Baseline(
@@ -127,6 +131,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         corrupted=corrupted,
         negated=negated,
         why_undecided=undecided,
+        why_not_fitted=not_fitted,
         notes=notes,
     )
 

@@ -27,6 +27,7 @@ from scipy.stats import gamma, norm
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.candidate_functions import regressions
+from casid.diagnosis.evidence.feedback import one_sample_late
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import Regression
 from casid.diagnosis.thresholds import RESIDUAL, SCORES
@@ -265,8 +266,12 @@ def _spectrum(
 
 
 def _changes(whitened: Sequence[Array], simulated: Sequence[Array]) -> tuple[float, float, float]:
-    """p-values of a changing mean, a changing power, and a power that goes with amplitude."""
-    e, y = np.concatenate(list(whitened)), np.concatenate(list(simulated))
+    """p-values of a changing mean, a changing power, and a power that goes with amplitude.
+
+    The amplitude is that of the sample before: in closed loop a sample's own noise may be in it.
+    """
+    e = np.concatenate(list(whitened))
+    y = np.concatenate([one_sample_late(part) for part in simulated])
     ny = e.shape[1]
     square = np.sum(e**2, axis=1)
     p_mean = min(1.0, ny * min(_bridge(e[:, i]) for i in range(ny)))

@@ -32,6 +32,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
+from casid.diagnosis.evidence.feedback import backward_slope, not_felt_yet
 from casid.diagnosis.thresholds import PREWHITENING, SCORES
 from casid.errors import ModelError, SolveError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
@@ -143,6 +144,7 @@ class _Columns:
     tangent: Sequence[int]  # columns of the baseline's own unknowns
     candidate: Sequence[int] = ()  # columns of the effects' first parameters
     clipped: Sequence[Effect] = ()  # effects without a derivative at their null value
+    late: Sequence[tuple[int, int]] = ()  # a delay's column, the output that it makes late
 
     def of_record(self, x: Array, k: int, added: Array | None = None) -> tuple[Array, Array, Array]:
         """Whitened residual (M,), baseline tangent and candidate signatures of one record.
@@ -167,6 +169,10 @@ class _Columns:
             psi[:, :, group] = _white(wide, at.jacobian[:, :, list(self.candidate[group])], k)
         psi[:, :, n:] = _white(wide, extra, k)
         tangent = at.jacobian[:, :, list(self.tangent)]
+        for column, output in self.late:
+            slope = np.zeros((*at.y.shape, 1))
+            slope[:, output, 0] = -backward_slope(at.y[:, output], d.Ts) * d.used[:, output]
+            psi[:, :, column] = _white(wide, slope, k)[:, :, 0]
         both = _white(wide, np.concatenate([at.residual[:, :, None], tangent], axis=2), k)
         both = both.reshape(-1, 1 + len(self.tangent))
         return both[:, 0].copy(), both[:, 1:].copy(), psi.reshape(len(both), psi.shape[2])
@@ -192,14 +198,23 @@ class _Columns:
 def _extended_columns(fit: Fit, effects: Sequence[Effect]) -> _Columns:
     """Columns of the fitted model with every effect in it, those of clippings last."""
     base = fit.criterion
-    model, names = extend_all(base.model, [e for e in effects if e.test == "score"])
+    scored = [e for e in effects if e.test == "score"]
+    model, names = extend_all(base.model, scored)
     wide = widened(fit, model)
     position = {n: i for i, n in enumerate(wide.names)}
+    late = [
+        (i, wide.outputs.index(e.where))
+        for i, e in enumerate(scored)
+        if e.kind in ("time_delay", "sensor_lag")
+        and e.where in wide.outputs
+        and not_felt_yet(base.model, e.where)
+    ]
     return _Columns(
         wide,
         [position[n] for n in base.names],
         [position[n] for n in names],
         [e for e in effects if e.test == "clip"],
+        late,
     )
 
 

@@ -26,6 +26,11 @@ from scipy.stats import f as fisher
 
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
+from casid.diagnosis.evidence.feedback import (
+    backward_slope,
+    not_felt_yet,
+    one_sample_late,
+)
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.errors import ModelError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
@@ -246,7 +251,10 @@ def variables_of(
     for i, name in enumerate(model.inputs):
         if not name.startswith("slope of "):
             out[name] = signals.u[:, i]
-            out[f"slope of {name}"] = np.gradient(signals.u[:, i], signals.Ts)
+            # In closed loop the next command is made of the noise of the next sample.
+            is_held = "zoh" in model.inputs[name].holds
+            slope = backward_slope if is_held else np.gradient
+            out[f"slope of {name}"] = slope(signals.u[:, i], signals.Ts)
     for name in recorded:
         out.setdefault(name, np.asarray(experiments[experiment].record[name]))
     before = sum(d.N * d.Ts for d in criterion.data[:experiment])
@@ -308,17 +316,6 @@ def splines(values: Array, knots: Array) -> Array:
     return np.asarray(CubicSpline(knots, np.eye(len(knots)))(values))
 
 
-def _not_felt_yet(model: Model, output: str) -> list[str]:
-    """Inputs that reach an output through states alone: a sample feels the values before it.
-
-    In closed loop the value at the sample is made of that sample's noise.
-    """
-    e = model.explicit()
-    h = e.h[e.outputs.index(output)]
-    inputs = [name for name, entry in model.inputs.items() if entry.kind != "generated"]
-    return [n for n in inputs if not any(ca.which_depends(h, e.u[e.inputs.index(n)]))]
-
-
 # -- the regression -------------------------------------------------------------------------------
 
 
@@ -371,7 +368,7 @@ class Regression:
         self.linearised = linearised or Linearised(criterion, x)
         self.ny = len(criterion.outputs)
         sd = np.array([input_sd.get(n, 0.0) for n in model.inputs])
-        self._late = _not_felt_yet(model, place) if place in criterion.outputs else []
+        self._late = not_felt_yet(model, place) if place in criterion.outputs else []
         parts, drawn = [], []
         for motions in self.linearised.motions(sd, seed):
             own, *noisy = (self._stack(motion) for motion in motions)
@@ -393,8 +390,11 @@ class Regression:
         table = dict(variables_of(criterion, self.experiments, self.recorded, k, at, d))
         if self.place in criterion.outputs:
             y = at.y[:, criterion.outputs.index(self.place)]
-            table |= {self.place: y, f"slope of {self.place}": np.gradient(y, d.Ts)}
-            table |= {name: np.append(table[name][:1], table[name][:-1]) for name in self._late}
+            slope = backward_slope if self._late else np.gradient
+            table |= {self.place: y, f"slope of {self.place}": slope(y, d.Ts)}
+            table |= {name: one_sample_late(table[name]) for name in self._late}
+            of_late = {f"slope of {name}": name for name in self._late}
+            table |= {k: backward_slope(table[n], d.Ts) for k, n in of_late.items() if k in table}
         made = [group.columns(table) for group in self.groups]
         self._widths = [m.shape[1] for m in made]
         signal = np.hstack(made) if made else np.zeros((d.N, 0))

@@ -162,6 +162,7 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
     if not base.why_undecided:
         poor = poor_fit_text((judged.extended or judged.baseline).fit.nrmse)
         notes += [poor] if poor else []
+        notes += (base.why_not_fitted,) if base.why_not_fitted else ()
         notes += disagreements(found.best_fit)
         notes += weak_parameters(found.at, partial(std_error, found.at.fit))
     if negated is not None and negated.reference:

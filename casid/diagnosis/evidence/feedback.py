@@ -1,0 +1,36 @@
+"""What the error of a sensor may be said to depend on in closed loop.
+
+A controller makes the command of a sample, and with it all that follows, of what the sensor gave
+there, noise included. What comes after a sample thus goes with its noise, whatever the model.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from casid.arrays import Array
+from casid.model.model import Model
+
+
+def not_felt_yet(model: Model, output: str) -> list[str]:
+    """Inputs that reach an output through states alone: a sample feels the values before it."""
+    e = model.explicit()
+    h = e.h[e.outputs.index(output)]
+    inputs = [name for name, entry in model.inputs.items() if entry.kind != "generated"]
+    return [n for n in inputs if not any(ca.which_depends(h, e.u[e.inputs.index(n)]))]
+
+
+def one_sample_late(values: Array) -> Array:
+    """(N, ...) what a sample feels of an input that reaches it through states alone."""
+    return np.concatenate([values[:1], values[:-1]])
+
+
+def backward_slope(values: Array, Ts: float) -> Array:
+    """(N,) slope of the parabola through a sample and the two before it, at the sample.
+
+    Exact to second order as the slope between the neighbours is, and made of nothing that follows.
+    """
+    before = np.concatenate([3 * values[:1] - 2 * values[1:2], 2 * values[:1] - values[1:2]])
+    long = np.concatenate([before, values])
+    return np.asarray((1.5 * long[2:] - 2.0 * long[1:-1] + 0.5 * long[:-2]) / Ts)
