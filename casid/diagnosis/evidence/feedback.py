@@ -26,11 +26,14 @@ def one_sample_late(values: Array) -> Array:
     return np.concatenate([values[:1], values[:-1]])
 
 
-def backward_slope(values: Array, Ts: float) -> Array:
-    """(N,) slope of the parabola through a sample and the two before it, at the sample.
+def slope(values: Array, Ts: float, *, backward: bool) -> Array:
+    """(N,) slope at the samples: between the neighbours, or of what came before alone.
 
-    Exact to second order as the slope between the neighbours is, and made of nothing that follows.
+    The latter is that of the parabola through a sample and the two before it. Both are exact to
+    second order.
     """
+    if not backward:
+        return np.asarray(np.gradient(values, Ts))
     before = np.concatenate([3 * values[:1] - 2 * values[1:2], 2 * values[:1] - values[1:2]])
     long = np.concatenate([before, values])
     return np.asarray((1.5 * long[2:] - 2.0 * long[1:-1] + 0.5 * long[:-2]) / Ts)

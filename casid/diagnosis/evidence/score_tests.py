@@ -32,7 +32,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.feedback import backward_slope, not_felt_yet
+from casid.diagnosis.evidence.feedback import not_felt_yet, slope
 from casid.diagnosis.thresholds import PREWHITENING, SCORES
 from casid.errors import ModelError, SolveError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
@@ -170,9 +170,10 @@ class _Columns:
         psi[:, :, n:] = _white(wide, extra, k)
         tangent = at.jacobian[:, :, list(self.tangent)]
         for column, output in self.late:
-            slope = np.zeros((*at.y.shape, 1))
-            slope[:, output, 0] = -backward_slope(at.y[:, output], d.Ts) * d.used[:, output]
-            psi[:, :, column] = _white(wide, slope, k)[:, :, 0]
+            late = np.zeros((*at.y.shape, 1))
+            behind = -slope(at.y[:, output], d.Ts, backward=True)
+            late[:, output, 0] = behind * d.used[:, output]
+            psi[:, :, column] = _white(wide, late, k)[:, :, 0]
         both = _white(wide, np.concatenate([at.residual[:, :, None], tangent], axis=2), k)
         both = both.reshape(-1, 1 + len(self.tangent))
         return both[:, 0].copy(), both[:, 1:].copy(), psi.reshape(len(both), psi.shape[2])

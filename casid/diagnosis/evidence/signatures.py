@@ -27,9 +27,9 @@ from scipy.stats import f as fisher
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.feedback import (
-    backward_slope,
     not_felt_yet,
     one_sample_late,
+    slope,
 )
 from casid.diagnosis.thresholds import FUNCTIONS, SCORES
 from casid.errors import ModelError
@@ -253,8 +253,7 @@ def variables_of(
             out[name] = signals.u[:, i]
             # In closed loop the next command is made of the noise of the next sample.
             is_held = "zoh" in model.inputs[name].holds
-            slope = backward_slope if is_held else np.gradient
-            out[f"slope of {name}"] = slope(signals.u[:, i], signals.Ts)
+            out[f"slope of {name}"] = slope(signals.u[:, i], signals.Ts, backward=is_held)
     for name in recorded:
         out.setdefault(name, np.asarray(experiments[experiment].record[name]))
     before = sum(d.N * d.Ts for d in criterion.data[:experiment])
@@ -390,11 +389,13 @@ class Regression:
         table = dict(variables_of(criterion, self.experiments, self.recorded, k, at, d))
         if self.place in criterion.outputs:
             y = at.y[:, criterion.outputs.index(self.place)]
-            slope = backward_slope if self._late else np.gradient
-            table |= {self.place: y, f"slope of {self.place}": slope(y, d.Ts)}
+            own = slope(y, d.Ts, backward=bool(self._late))
+            table |= {self.place: y, f"slope of {self.place}": own}
             table |= {name: one_sample_late(table[name]) for name in self._late}
             of_late = {f"slope of {name}": name for name in self._late}
-            table |= {k: backward_slope(table[n], d.Ts) for k, n in of_late.items() if k in table}
+            table |= {
+                k: slope(table[n], d.Ts, backward=True) for k, n in of_late.items() if k in table
+            }
         made = [group.columns(table) for group in self.groups]
         self._widths = [m.shape[1] for m in made]
         signal = np.hstack(made) if made else np.zeros((d.N, 0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import casid
-from casid.diagnosis.evidence.feedback import backward_slope, not_felt_yet, one_sample_late
+from casid.diagnosis.evidence.feedback import not_felt_yet, one_sample_late, slope
 
 TS = 0.01
 
@@ -37,10 +37,10 @@ def controlled(seed: int) -> casid.Record:
 
 def test_a_slope_of_what_came_before_is_exact_for_parabolas_and_knows_nothing_that_follows():
     t = TS * np.arange(50)
-    assert backward_slope(3 * t**2 - t, TS)[2:] == pytest.approx(6 * t[2:] - 1)
-    assert backward_slope(2 * t, TS) == pytest.approx(np.full(50, 2.0))
+    assert slope(3 * t**2 - t, TS, backward=True)[2:] == pytest.approx(6 * t[2:] - 1)
+    assert slope(2 * t, TS, backward=True) == pytest.approx(np.full(50, 2.0))
     changed = np.where(np.arange(50) > 20, 7.0, t)
-    assert backward_slope(changed, TS)[:21] == pytest.approx(backward_slope(t, TS)[:21])
+    assert slope(changed, TS, backward=True)[:21] == pytest.approx(slope(t, TS, backward=True)[:21])
 
 
 def test_an_output_feels_an_input_late_that_acts_through_states_alone():
