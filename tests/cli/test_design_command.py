@@ -50,8 +50,9 @@ def test_a_design_becomes_a_page_a_table_and_numbers(
         *("design.json", "report.html", "input.csv", "result.casid")
     }
     assert (out / "input.csv").read_text().splitlines()[:2] == ["t,u,y", "s,N,mm"]
-    assert printed["limits"][1]["upper"] == pytest.approx(500)  # in mm, as it is declared
-    assert printed["limits"][1]["highest"] <= 500
+    y = printed["limits"][1]
+    assert (y["unit"], y["upper"]) == ("m", pytest.approx(0.5))  # as it was given, not as declared
+    assert y["highest"] <= 0.5
 
 
 @pytest.mark.parametrize(

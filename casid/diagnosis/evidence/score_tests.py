@@ -146,16 +146,26 @@ class _Columns:
     clipped: Sequence[Effect] = ()  # effects without a derivative at their null value
     late: Sequence[tuple[int, int]] = ()  # a delay's column, the output that it makes late
 
-    def of_record(self, x: Array, k: int, added: Array | None = None) -> tuple[Array, Array, Array]:
-        """Whitened residual (M,), baseline tangent and candidate signatures of one record.
+    @property
+    def judged(self) -> list[int]:
+        """The column that each effect is scored by: for delays in closed loop a later one."""
+        plain = len(self.candidate) + len(self.clipped)
+        order = list(range(plain))
+        for i, (column, _) in enumerate(self.late):
+            order[column] = plain + i
+        return order
 
-        Samples by outputs are stacked; `added` (N, nu) is noise on the inputs.
+    def of_record(self, x: Array, k: int, added: Array | None = None) -> tuple[Array, Array, Array]:
+        """Whitened residual (M,), baseline tangent and signatures of one record.
+
+        Samples by outputs are stacked; `added` (N, nu) is noise on the inputs. Signatures are those
+        of the candidates, of the clippings, and of the delays by slopes of what came before.
         """
         wide, d = self.wide, self.wide.data[k]
         if added is not None:
             d = replace(d, u=d.u + added)
         at = wide.simulated(x, k, signals=d)
-        extra = np.zeros((*at.y.shape, len(self.clipped)))
+        extra = np.zeros((*at.y.shape, len(self.clipped) + len(self.late)))
         for j, effect in enumerate(self.clipped):
             if effect.variant is None:
                 raise ModelError(f"{effect!r} has no level to test at")
@@ -163,17 +173,14 @@ class _Columns:
             y = at.y[:, i]
             extra[:, i, j] = (np.clip(y, -effect.variant, effect.variant) - y) * d.used[:, i]
         ny, n = len(wide.outputs), len(self.candidate)
-        psi = np.empty((len(at.y), ny, n + len(self.clipped)))
+        for j, (_, i) in enumerate(self.late, len(self.clipped)):
+            extra[:, i, j] = -slope(at.y[:, i], d.Ts, backward=True) * d.used[:, i]
+        psi = np.empty((len(at.y), ny, n + extra.shape[2]))
         for first in range(0, n, GROUP):
             group = slice(first, min(first + GROUP, n))
             psi[:, :, group] = _white(wide, at.jacobian[:, :, list(self.candidate[group])], k)
         psi[:, :, n:] = _white(wide, extra, k)
         tangent = at.jacobian[:, :, list(self.tangent)]
-        for column, output in self.late:
-            late = np.zeros((*at.y.shape, 1))
-            behind = -slope(at.y[:, output], d.Ts, backward=True)
-            late[:, output, 0] = behind * d.used[:, output]
-            psi[:, :, column] = _white(wide, late, k)[:, :, 0]
         both = _white(wide, np.concatenate([at.residual[:, :, None], tangent], axis=2), k)
         both = both.reshape(-1, 1 + len(self.tangent))
         return both[:, 0].copy(), both[:, 1:].copy(), psi.reshape(len(both), psi.shape[2])
@@ -231,6 +238,14 @@ class _Projected:
     visible: Array  # (K,) bool
     lags: int
     n: int  # samples
+
+    def taken(self, order: Sequence[int]) -> _Projected:
+        """The columns of these numbers."""
+        k, both = list(order), np.ix_(order, order)
+        return _Projected(
+            *(self.z[k], self.left[k], self.size[k], self.gram[both], self.covariance[both]),
+            *(self.visible[k], self.lags, self.n),
+        )
 
 
 def _projected(
@@ -307,7 +322,9 @@ def score_test(
     # The order of the columns.
     effects = [e for test in ("score", "clip") for e in effects if e.test == test]
     name = fit.criterion.model.name
-    at = _projected(name, _extended_columns(fit, effects), input_sd, seed)
+    columns = _extended_columns(fit, effects)
+    both = _projected(name, columns, input_sd, seed)
+    at = both.taken(columns.judged)
     z, left, size, visible = at.z, at.left, at.size, at.visible
     sd_z = np.sqrt(np.maximum(np.diag(at.covariance), TINY))
     possible = _between_samples(fit.criterion, effects, np.abs(at.gram) * size)
@@ -316,12 +333,13 @@ def score_test(
     one = np.array([eff.sided == "positive" or eff.test == "clip" for eff in effects])
     # P(|t + b| > |z|) at the largest bias b, whichever its sign.
     near, far = np.abs(ratio) - bias, np.abs(ratio) + bias
-    both = student.sf(near, freedom) + student.sf(far, freedom)
-    p = np.where(one, student.sf(ratio - bias, freedom), np.minimum(both, 1.0))
+    two = student.sf(near, freedom) + student.sf(far, freedom)
+    p = np.where(one, student.sf(ratio - bias, freedom), np.minimum(two, 1.0))
     p = np.where(visible, np.clip(p, TINY, 1.0), 1.0)
     family = _family_of(at.covariance, visible, one, freedom, draws, seed)
     adjusted = np.where(visible, [family(float(each)) for each in p], 1.0)
-    norms = np.sqrt(np.maximum(left, TINY))
+    plain = both.taken(range(len(effects)))
+    norms = np.sqrt(np.maximum(plain.left, TINY))
     scores = tuple(
         Score(
             effect=eff,
@@ -337,7 +355,7 @@ def score_test(
         )
         for j, eff in enumerate(effects)
     )
-    return ScoreTable(scores, at.gram / np.outer(norms, norms), at.lags, family)
+    return ScoreTable(scores, plain.gram / np.outer(norms, norms), at.lags, family)
 
 
 def _between_samples(
@@ -413,6 +431,7 @@ def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
     rest = rest / np.sqrt(np.maximum(np.einsum("ij,ij->j", rest, rest), TINY))
     q, _ = np.linalg.qr(rest)
     e = e - q @ (q.T @ e)
+    psi = psi[:, : len(effects)]
     _take_out(psi, q, q.T @ psi)
     size = np.maximum(np.einsum("ij,ij->j", psi, psi), TINY)
     return np.asarray(e @ e - (psi.T @ e) ** 2 / size)

@@ -17,9 +17,6 @@ from casid.model.effects.search_ranges import PARAMETER_JUMPS, SATURATIONS
 from casid.model.model import Model
 from casid.model.units import unit_quotient
 
-_POWERS = (1, 2)
-"""Of the size of a state that a parameter falls or grows with."""
-
 
 def jump_times(window: tuple[float, float]) -> list[float]:
     """The instants that a jump is first searched at."""
@@ -129,7 +126,7 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             *_shown(model, symbol, inside),
         )
         for state in dict.fromkeys(states):
-            for power in _POWERS:
+            for power in range(1, SATURATIONS.powers + 1):
                 size = sizes.motion_of(ca.fabs(model.symbol(state)) ** power)
                 if size.mean > 0.0:
                     yield state_scheduled_parameter(model, name, state, size, power)

@@ -18,6 +18,7 @@ _CHANNELS = f"{_TESTS}/test_channel_effects.py"
 _ACTUATORS = f"{_TESTS}/test_actuator_effects.py"
 _CONTACT = f"{_TESTS}/test_contact_effects.py"
 _FRICTION = f"{_TESTS}/test_friction_effects.py"
+_SCHEDULED = f"{_TESTS}/test_scheduled_parameter.py"
 _STRUCTURE = f"{_TESTS}/test_structure_effects.py"
 _UNNAMED = f"{_TESTS}/test_unnamed_effects.py"
 
@@ -42,11 +43,12 @@ class Saturations:
         4.0,
         "one over the slope, in units of the parameter over the largest square, beyond half of "
         "which a parameter that grows is not searched: it is infinite at one",
-        "its definition",
+        _SCHEDULED,
     )
     falls: float = _is(
-        20.0, "times the slope at which a straight line is zero on average", "its definition"
+        20.0, "times the slope at which a straight line is zero on average", _SCHEDULED
     )
+    powers: int = _is(2, "highest power of a state that a parameter falls with", _SCHEDULED)
 
 
 @dataclass(frozen=True, slots=True)
