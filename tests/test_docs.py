@@ -11,6 +11,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from casid.errors import DataError
+from casid.gallery.case import Case
 from tests.support.shared import ROOT
 
 pytest.importorskip("sphinx")
@@ -21,14 +23,13 @@ EXTENSION = ROOT / "docs" / "extension"
 def manual():
     sys.path.insert(0, str(EXTENSION))
     try:
-        names = ("code_runner", "executed_pages", "downloads")
-        runner, pages, downloads = map(importlib.import_module, names)
+        runner, pages = map(importlib.import_module, ("code_runner", "executed_pages"))
     finally:
         sys.path.remove(str(EXTENSION))
     return SimpleNamespace(
         executed=pages.executed,
         BlockError=runner.BlockError,
-        write_downloads=downloads.write_downloads,
+        write_downloads=pages.write_downloads,
     )
 
 
@@ -79,13 +80,13 @@ def test_commands_run_and_what_they_print_is_shown(manual):
     [
         (["# T", "```python", "x = 1", "assert x == 2", "```"], r"p\.md, line 4: AssertionError"),
         (["# T", "```python", "1 / 0", "```"], r"p\.md, line 3: ZeroDivisionError"),
-        (["# T", "```python", "x = 1"], r"not closed; end it with"),
+        (["# T", "```python", "x = 1"], r"line 2: the block is not closed; end it with"),
         (["# T", "```python", "x = (", "```"], r"p\.md, line 3: SyntaxError"),
         (["# T", "```console", "$ casid check no.csv", "```"], r"p\.md, line 3: casid check no"),
     ],
 )
 def test_a_page_that_does_not_run_is_refused_with_its_line(manual, lines, what):
-    with pytest.raises(manual.BlockError, match=what):
+    with pytest.raises((manual.BlockError, DataError), match=what):
         manual.executed(text(*lines), "p.md")
 
 
@@ -120,7 +121,7 @@ def test_a_case_of_the_gallery_has_its_sections_asserts_its_numbers_and_is_a_scr
     assert headings[-1] == "What not to conclude"
     assert re.search(r"^ *assert ", page, re.MULTILINE)
     assert "plot()" in page or "figure" in page
-    links = manual.write_downloads(page, name, tmp_path)
+    links = manual.write_downloads(Case(name, page), tmp_path)
     assert f"gallery/{name}.py" in links
     compile((tmp_path / f"{name}.py").read_text(encoding="utf-8"), name, "exec")
     notebook = json.loads((tmp_path / f"{name}.ipynb").read_text(encoding="utf-8"))

@@ -44,10 +44,11 @@ experiment_design: model data saving linear estimation identifiability
 diagnosis: model algebra data saving linear estimation identifiability identification campaigns
   experiment_design
 export: model data linear estimation
+gallery: data
 report: model algebra data linear estimation identifiability identification unknown_inputs
   campaigns experiment_design diagnosis
 cli: model algebra data linear estimation identifiability identification unknown_inputs campaigns
-  experiment_design diagnosis export report saving
+  experiment_design diagnosis export gallery report saving
 __main__: cli
 """
 

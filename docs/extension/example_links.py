@@ -11,9 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from code_runner import Block, split
-
 import casid
+from casid.gallery.blocks import Block, split
 
 _MOST = 4  # links
 

@@ -15,10 +15,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from code_runner import BlockError, Output, run_block, split
-from downloads import write_downloads
+from code_runner import BlockError, Output, run_block
 from sphinx.errors import ExtensionError
 
+from casid.errors import DataError
+from casid.gallery.blocks import split
+from casid.gallery.case import Case
 from casid.report.document import Figure
 from casid.report.html import drawing
 
@@ -56,8 +58,8 @@ def _run_page(app: Any, name: str, source: list[str]) -> None:
             source[0] = executed(text, f"{name}.md")
             if name.startswith("gallery/") and name != "gallery/index":
                 folder = Path(app.outdir) / "_static" / "gallery"
-                source[0] += _raw(write_downloads(text, Path(name).name, folder))
-        except BlockError as error:
+                source[0] += _raw(write_downloads(Case(Path(name).name, text), folder))
+        except (BlockError, DataError) as error:
             raise ExtensionError(f"the manual does not build: {error}") from error
 
 
@@ -71,6 +73,19 @@ def _scratch(root: Path) -> Iterator[None]:
             yield
 
 
+def write_downloads(case: Case, folder: Path) -> str:
+    """Write a case's script and notebook into `folder`; returns the links for the page's end."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{case.name}.py").write_text(case.script, encoding="utf-8")
+    (folder / f"{case.name}.ipynb").write_text(case.notebook, encoding="utf-8")
+    where = f"../_static/gallery/{case.name}"
+    return (
+        f'<p class="downloads">This page as a <a href="{where}.py" download>script</a> and as a '
+        f'<a href="{where}.ipynb" download>notebook</a>; <code>casid gallery {case.name} --out '
+        f"{case.name}</code> writes both, with the problem files that they read.</p>"
+    )
+
+
 def executed(text: str, page: str) -> str:
     """The page with the output of its code in it.
 
@@ -78,6 +93,8 @@ def executed(text: str, page: str) -> str:
     ------
     BlockError
         If a block does not run.
+    DataError
+        If a block is not closed.
     """
     namespace: dict[str, Any] = {"__name__": "__main__"}
     out, figures = [], 0

@@ -1,0 +1,1 @@
+"""Worked cases as pages, scripts and notebooks."""
