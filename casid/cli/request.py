@@ -271,11 +271,12 @@ def read_experiment(
 
     from casid.data.reading.columns import resolve
     from casid.data.reading.opening import open_table
+    from casid.data.reading.several_clocks import on_one_clock
     from casid.diagnosis.evidence.recorded_channels import left_out_by_clock, refuse_shared_columns
 
     reading = reading or ReadingRequest()
     form = reading.form if problem.form is None else problem.form.updated(reading.form)
-    table = open_table(source.path, form)
+    table = on_one_clock(open_table(source.path, form), problem.time)
     _, clock = resolve(table, {}, problem.time)
     problem = refuse_shared_columns(
         problem, mapping, table.columns, None if clock is None else clock.column

@@ -83,6 +83,9 @@ class ChannelCheck:
     bandwidth_hz: float | None = None
 
 
+OWN_CLOCK = 3.0
+"""Times its usual interval, that the longest of an irregular clock without a gap takes."""
+
 _CONSTANT, _CLIPPED = "constant at", "possibly clipped."
 
 
@@ -139,14 +142,16 @@ def channel_quality(record: Record, name: str) -> tuple[ChannelCheck, list[Findi
     findings += equal
     if step is not None and step > (high - low) / 200 and not few:
         findings.append(_coarse(name, unit, step, high - low))
-    spikes = np.array([], dtype=np.intp) if few else _spikes(x, mask)
+    own = np.flatnonzero(~mask) if gone > record.N // 2 else np.arange(record.N)  # on its own clock
+    spikes = np.array([], dtype=np.intp) if few else own[_spikes(x[own], mask[own])]
     if spikes.size:
         findings.append(_spiked(record, name, spikes))
     if unit == "rad" and high - low < 6.6:
         findings += _wrapped(record, name)
     drift, trend = _trend(record, name)
     findings += trend
-    noise, bandwidth, reaches = _spectrum(x - mean, record.Ts)
+    interval = record.Ts * float(own[-1] - own[0]) / max(own.size - 1, 1)
+    noise, bandwidth, reaches = _spectrum(x[own] - mean, interval)
     if reaches and not few:
         findings.append(_wide_band(name))
     numbers = ChannelCheck(
@@ -199,6 +204,17 @@ def _some_missing(record: Record, name: str) -> Finding:
             name,
             f"has a value in one row of {gaps.rate} alone: a clock of its own, of "
             f"{gaps.rate * record.Ts:.6g} s.",
+            "An output counts at its own instants; an input is held or joined between them, as "
+            "the model declares.",
+        )
+    steps = np.diff(np.flatnonzero(~record.is_missing(name)))
+    if gaps.missing > record.N // 2 and steps.size and steps.max() <= OWN_CLOCK * np.median(steps):
+        return Finding(
+            "note",
+            name,
+            f"a clock of its own: {steps.size + 1} samples, {record.Ts * steps.min():.4g} to "
+            f"{record.Ts * steps.max():.4g} s apart, {record.Ts * np.median(steps):.4g} s as a "
+            "rule.",
             "An output counts at its own instants; an input is held or joined between them, as "
             "the model declares.",
         )

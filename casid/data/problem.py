@@ -18,6 +18,7 @@ from casid.data.reading.file_format import FileFormat
 from casid.data.reading.frames import open_frame
 from casid.data.reading.opening import open_table
 from casid.data.reading.record_file import record_of
+from casid.data.reading.several_clocks import on_one_clock
 from casid.data.reading.sources import source_of
 from casid.data.reading.survey import ReadingOptions
 from casid.data.reading.tables import Table
@@ -290,6 +291,7 @@ class Problem(Viewed):
         ignore: Collection[str] = (),
     ) -> tuple[Record, dict[str, str]]:
         """The record of an open table, and its channels that the problem does not use."""
+        table = on_one_clock(table, self.time)
         specs = self._present(table.columns, self.columns(mapping), mapping or {})
         unused = self._unused(table, specs, ignore)
         record = record_of(table, {**specs, **unused.specs}, options)

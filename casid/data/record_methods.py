@@ -15,6 +15,7 @@ from casid.presentation import present
 
 if TYPE_CHECKING:
     import pandas as pd
+    from numpy.typing import ArrayLike
 
 
 def _of(module: str, function: str) -> Any:
@@ -99,6 +100,34 @@ class RecordMethods:
                 time=time, name=name, resample=resample, Ts=Ts, mark_missing=mark_missing
             ),
         )
+        return record
+
+    @classmethod
+    def from_signals(
+        cls,
+        signals: Mapping[str, tuple[ArrayLike, ArrayLike]],
+        units: Mapping[str, str],
+        *,
+        name: str = "record",
+    ) -> Self:
+        """A record of channels that have time vectors of their own; nothing is interpolated.
+
+        Several rates, uneven clocks and clocks that start apart are one record so: every sample
+        counts at its own instant, to within a tenth of its channel's interval.
+
+        Parameters
+        ----------
+        signals : channel -> times (n,) [s], increasing, and values (n,).
+        units : channel -> unit of its values; kept in SI.
+
+        Raises
+        ------
+        DataError
+            For lengths that differ, or times that do not increase.
+        UnitError
+            For a unit that cannot be read.
+        """
+        record: Self = _of("reading.frames", "record_of_signals")(signals, units, name=name)
         return record
 
     def to_frame(self) -> pd.DataFrame:

@@ -9,16 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from casid.arrays import BoolArray, FloatArray
-from casid.data.reading.clocks import OFF_GRID
+from casid.data.reading.clocks import OFF_GRID, jitter_text
 from casid.data.sampling import gaps_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 SPARSEST = 20
 """Samples of an even clock for one row, at most: more would be a record of missing samples."""
 FINEST = 5
 """Steps in the median interval of an irregular clock, at most: half of one is `OFF_GRID`."""
+FINEST_COMMON = 10
+"""The same of the fastest of several clocks: how late one is to another is a bias."""
+SHIFT = 0.01
+"""Of a channel's own interval, that its samples lie off on average where a clock can be had so."""
+CLOSEST = 0.05
+"""Of a channel's samples, at most, that come so soon after another that both have one place."""
+MOST = 0.95
+"""Of the rows: a channel with more of them has the clock of the file, and no other one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,12 +39,17 @@ class EvenClock:
     places : (rows,) the sample of each row.
     off : s that a stamp lies off its sample, at most.
     is_finer : whether its step is chosen for stamps that run unevenly.
+    is_common : whether it is that of channels with clocks of their own; two rows of different
+        channels may then have the same place.
+    first : s from the first row's stamp to the first sample.
     """
 
     Ts: float
     places: NDArray[np.intp]
     off: float
     is_finer: bool = False
+    is_common: bool = False
+    first: float = 0.0
 
     @property
     def N(self) -> int:
@@ -53,23 +66,36 @@ class EvenClock:
     def spread(
         self, values: Mapping[str, FloatArray], missing: Mapping[str, BoolArray]
     ) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
-        """Channels (rows,) on every sample of the clock, (N,), with what is missing of them."""
-        absent = self.absent
+        """Channels (rows,) on every sample of the clock, (N,), with what is missing of them.
+
+        A channel that has two rows at one place has their mean there.
+        """
         channels, masks = {}, {}
         for name, column in values.items():
-            channels[name] = np.full(self.N, np.nan)
-            channels[name][self.places] = column
-            masks[name] = absent.copy()
-            if name in missing:
-                masks[name][self.places] = missing[name]
+            there = ~missing[name] if name in missing else np.ones(column.size, dtype=bool)
+            places = self.places[there]
+            count = np.bincount(places, minlength=self.N)
+            total = np.bincount(places, column[there], minlength=self.N)
+            channels[name] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+            masks[name] = count == 0
         return channels, masks
 
     def __str__(self) -> str:
         found = gaps_of(self.absent)
+        if self.is_common:
+            return (
+                "the channels have clocks of their own: every sample counts at its own instant, "
+                f"to within {self.off:.2g} s, on an even clock of {self.Ts:.6g} s"
+            )
         if self.is_finer:
             return (
                 "the clock is irregular: every sample counts at its own instant, to within "
                 f"{self.off:.2g} s, on an even clock of {self.Ts:.6g} s"
+            )
+        if not found.missing:
+            return (
+                f"the stamps run unevenly, up to {self.off:.2g} s off an even clock of "
+                f"{self.Ts:.6g} s: read as even"
             )
         return (
             f"{found.missing} of {self.N} rows are absent from an even clock of {self.Ts:.6g} s, "
@@ -77,13 +103,18 @@ class EvenClock:
         )
 
 
-def even_clock(times: FloatArray) -> EvenClock | None:
+def even_clock(times: FloatArray, there: Mapping[str, BoolArray] | None = None) -> EvenClock | None:
     """The even clock that stamps (N,) [s] lie on with rows absent; None where there is none.
 
     Every interval is a whole number of the shortest usual one, and every stamp lies within a tenth
     of it of its place (`OFF_GRID`, as for a clock without absent rows). Stamps that run otherwise
-    lie as near to a finer clock, of up to a fifth of the median interval, each at a place of its
-    own: what is measured then counts where it was measured, and a simulation has steps between.
+    lie as near to a finer clock, of up to a fifth of the median interval: what is measured then
+    counts where it was measured, and a simulation has steps between.
+
+    Parameters
+    ----------
+    there : channel -> (N,) rows in which it has a value. Where channels have clocks of their own,
+        each lies so near to a common clock by its own interval, of up to a tenth of the fastest's.
     """
     intervals = np.diff(times)
     if not intervals.size or not (intervals > 0).all():
@@ -97,20 +128,52 @@ def even_clock(times: FloatArray) -> EvenClock | None:
         off = float(np.abs(times - times[0] - first - slope * places).max())
         if slope > 0 and off <= OFF_GRID * slope:  # with or without rows that are absent
             return EvenClock(float(slope), places, off)
-    median = float(np.median(intervals))
-    for parts in range(1, FINEST + 1):
-        found = _on(times, median / parts, OFF_GRID * median)
-        if found is not None:
-            return found
-    return None
+    own = [] if there is None else _own_clocks(times, list(there.values()))
+    return _finer(times, own) if len(own) > 1 else _finer(times, [times])
 
 
-def _on(times: FloatArray, Ts: float, nearest: float) -> EvenClock | None:
-    """The clock of step `Ts` if all stamps lie so near to a sample of it, each to another."""
-    if times[-1] - times[0] > SPARSEST * times.size * Ts:
-        return None
-    places = np.round((times - times[0]) / Ts).astype(np.intp)
-    off = float(np.abs(times - times[0] - Ts * places).max())
-    if off > nearest * (1 + 1e-9) or not (np.diff(places) > 0).all():
-        return None
-    return EvenClock(Ts, places, off, is_finer=True)
+def _own_clocks(times: FloatArray, there: Sequence[BoolArray]) -> list[FloatArray]:
+    """The different sets of stamps of channels with more than two, the fastest first."""
+    rows = {t.tobytes(): t for t in there if t.sum() > 2}
+    if any(t.mean() > MOST for t in rows.values()):
+        return []  # the clock is that channel's, and others miss samples
+    return sorted((times[t] for t in rows.values()), key=_interval)
+
+
+def _interval(times: FloatArray) -> float:
+    """The interval [s] of a clock: its mean where it is even."""
+    if jitter_text(times) is not None:
+        return float(times[-1] - times[0]) / (times.size - 1)
+    return float(np.median(np.diff(times)))
+
+
+def _finer(times: FloatArray, own: Sequence[FloatArray]) -> EvenClock | None:
+    """The clock that each of several, or the only one, lies near to; None where there is none.
+
+    It runs from a stamp of the fastest. Of those that are near enough it is the coarsest, with
+    several clocks that on which no channel is late by more than `SHIFT` on average, or else that
+    with the least.
+    """
+    step, intervals = _interval(own[0]), [_interval(t) for t in own]
+    best, least = None, np.inf
+    for parts in range(1, (FINEST if len(own) == 1 else FINEST_COMMON) + 1):
+        Ts = step / parts
+        if times[-1] - times[0] > SPARSEST * times.size * Ts:
+            break
+        start = own[0][0] - Ts * np.ceil((own[0][0] - times[0]) / Ts - OFF_GRID)
+        places = [np.round((t - start) / Ts) for t in own]
+        errors = [t - start - Ts * p for t, p in zip(own, places, strict=True)]
+        off = [float(np.abs(e).max()) for e in errors]
+        if any((np.diff(p) < 1).mean() > CLOSEST for p in places) or any(
+            e > OFF_GRID * dt * (1 + 1e-9) for e, dt in zip(off, intervals, strict=True)
+        ):
+            continue
+        shift = max(abs(float(e.mean())) / dt for e, dt in zip(errors, intervals, strict=True))
+        if shift < least:
+            at = np.round((times - start) / Ts).astype(np.intp)
+            first = float(start - times[0] + Ts * at[0])
+            kind = {"is_finer": True, "is_common": len(own) > 1}
+            best, least = EvenClock(Ts, at - at[0], max(off), first=first, **kind), shift
+        if least <= SHIFT or len(own) == 1:
+            break
+    return best

@@ -157,7 +157,7 @@ def _time_column(table: Table, time: Time) -> ColumnSpec | None:
                     f"{table.path.name}: channel t from column {spec.column!r}: {error}"
                 ) from None
         return ColumnSpec(spec.column, unit, "s", "given")
-    named = [c for c in table.columns if _is_time_name(table, c)]
+    named = [c for c in table.columns if is_time_name(table, c)]
     pair = _date_and_clock(table)
     if pair is not None and pair[1] not in named[:1]:
         named = [pair[1], *named]
@@ -189,7 +189,8 @@ def time_unit(table: Table, column: str) -> str | None:
     return unit
 
 
-def _is_time_name(table: Table, column: str) -> bool:
+def is_time_name(table: Table, column: str) -> bool:
+    """Whether a column is called time, in one of the ways of `_TIME_NAMES`."""
     found = unit_of_column(table, column)
     text = re.sub(r"#\d+$", "", column)
     if found is not None and found.is_sure and column not in table.units:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from casid.data.reading.columns import Columns
 from casid.data.reading.file_format import FileFormat
@@ -72,6 +73,54 @@ def record_of_frame(
     options = options or ReadingOptions()
     table = open_frame(frame, units, name=options.name, form=options.format)
     return sound_record(survey(table, columns, options, describe=False))
+
+
+def record_of_signals(
+    signals: Mapping[str, tuple[ArrayLike, ArrayLike]],
+    units: Mapping[str, str],
+    *,
+    name: str = "record",
+) -> Record:
+    """A record of channels that have time vectors of their own.
+
+    Every sample counts at its own instant, on an even clock that all of them lie near to
+    (`even_clock`); a channel misses the samples between. Nothing is interpolated.
+
+    Parameters
+    ----------
+    signals : channel -> times (n,) [s], increasing, and values (n,); NaN where there is none.
+    units : channel -> unit of its values; kept in SI.
+
+    Raises
+    ------
+    DataError
+        For times and values of different lengths, times that do not increase, or clocks that are
+        too far apart in rate to be one record.
+    UnitError
+        For a unit that cannot be read.
+    """
+    import pandas as pd
+
+    columns = []
+    for channel, (t, values) in signals.items():
+        times, column = (np.asarray(v, dtype=np.float64) for v in (t, values))
+        if times.shape != column.shape or times.ndim != 1:
+            raise DataError(
+                f"{name}: {channel} has times of shape {times.shape} and values of shape "
+                f"{column.shape}. Give two arrays of one length, (n,)."
+            )
+        columns.append(pd.Series(column, index=times, name=channel))
+        if not np.isfinite(times).all() or not (np.diff(times) > 0).all():
+            raise DataError(
+                f"{name}: the times of {channel} do not increase from sample to sample. "
+                "Sort them, and leave out doubled ones."
+            )
+    if not columns:
+        raise DataError(f"{name}: no signals. Give {{'phi': (times, values)}}.")
+    frame = pd.concat(columns, axis=1, sort=True)
+    frame.index.name = next(n for n in ("t", "time", "timestamp") if n not in signals)
+    options = ReadingOptions(name=name, takes_gaps=True)
+    return record_of_frame(frame, None, units, options)
 
 
 def open_frame(

@@ -20,6 +20,7 @@ from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.opening import open_table
 from casid.data.reading.resampling import resampled
+from casid.data.reading.several_clocks import UnitedTable, on_one_clock, united_rows
 from casid.data.reading.sources import limit_text, sha256, source_of
 from casid.data.reading.tables import Table
 from casid.data.record import Record
@@ -35,7 +36,7 @@ class ReadingOptions:
     """How a file is read: `time` to `form` of `casid.read_record`.
 
     `takes_gaps`: empty cells are missing samples, and rows that an even clock leaves out as well;
-    otherwise either is a fault.
+    otherwise either is a fault. Then, and with `mark_missing`, channels may have own clocks.
     """
 
     time: Time = None
@@ -84,6 +85,8 @@ def survey(
     opened = _opened(found, table, columns, options, describe=describe)
     if opened is None:
         return found
+    if isinstance(opened.table, UnitedTable):
+        options = replace(options, takes_gaps=True)
     N = len(opened.frame)
     if N < 2:
         count = f"{N} sample{'' if N == 1 else 's'}"
@@ -91,9 +94,10 @@ def survey(
         return found.with_fault(Fault("length", text, "Give a longer file."))
     steps = [f"read {source.name}{_digest(source)}, {N} samples"]
     _read_clock(opened, found, steps, is_chosen=options.time is not None)
+    opened = _with_united_rows(opened, found, options, describe=describe)
     if describe:
         found.columns = column_surveys(opened.table, opened.frame, found.clock, found.times)
-    rows: NDArray[np.intp] = np.arange(N)
+    rows: NDArray[np.intp] = np.arange(len(opened.frame))
     if found.times is not None and window is not None:
         inside = window_rows(source.name, found.times, window, found)
         found.times = None if inside is None else found.times[inside]
@@ -102,14 +106,13 @@ def survey(
             steps.append(f"window {_window_text(window)} s: {rows.size} samples")
     channels = _channels(opened, rows, found, steps, options, skip_text=columns is None)
     steps += [f"remark: {note}" for note in found.notes]
-    clock = _with_absent_rows(found, options)
+    clock = _with_absent_rows(found, channels, options)
     if found.times is None or not (clock or _is_even(opened, rows, found, resample)):
         return found
     if not channels.values:
         return found
-    label = options.name or _stem(source) + (
-        f"@{_window_text(window)}" if window is not None else ""
-    )
+    part = f"@{_window_text(window)}" if window is not None else ""
+    label = options.name or f"{_stem(source)}{part}"
     found.record = _record(channels, found, resample, label, steps, clock)
     return found
 
@@ -134,6 +137,8 @@ def _opened(
     """The table, its cells, the channels to read and the clock; None, with a fault noted, else."""
     try:
         table = open_table(found.path, options.format) if table is None else table
+        if options.takes_gaps or options.mark_missing:
+            table = on_one_clock(table, options.time)
         found.notes += table.remarks
         frame = table.read(table.columns) if describe else None
     except DataError as error:
@@ -167,6 +172,31 @@ def _read_clock(opened: _Opened, found: Survey, steps: list[str], *, is_chosen: 
     if is_chosen or found.times is None:
         return
     _compare_clocks(table, frame, clock, found.times, found)
+
+
+def _with_united_rows(
+    opened: _Opened, found: Survey, options: ReadingOptions, *, describe: bool
+) -> _Opened:
+    """Rows that share a stamp as one, where each of them holds other channels."""
+    times, clock = found.times, opened.clock
+    if not options.takes_gaps or times is None or clock is None or (np.diff(times) > 0).all():
+        return opened
+    table, frame = opened.table, opened.frame
+    columns = [
+        c
+        for c in (table.columns if describe else [s.column for s in opened.specs.values()])
+        if c != clock.column
+    ]
+    united = united_rows(table, frame, times, columns)
+    if united is None:
+        return opened
+    found.notes.append(
+        f"rows of their own for the channels: {times.size} rows are {united.times.size} instants"
+    )
+    found.times = united.times
+    united.frame.insert(0, clock.column, united.times)
+    united.columns.insert(0, clock.column)
+    return opened._replace(table=united, frame=united.frame)
 
 
 def _compare_clocks(
@@ -341,7 +371,8 @@ def _record(
         found.notes.append(str(clock))
         values, missing = clock.spread(values, missing)
         steps = [*steps, f"remark: {clock}"]
-        return Record(values, units, clock.Ts, float(times[0]), name, missing, tuple(steps))
+        t0 = float(times[0]) + clock.first
+        return Record(values, units, clock.Ts, t0, name, missing, tuple(steps))
     if resample is None:
         if text := jitter_text(times):
             found.notes.append(text)
@@ -357,14 +388,17 @@ def _record(
         return None
 
 
-def _with_absent_rows(found: Survey, options: ReadingOptions) -> EvenClock | None:
+def _with_absent_rows(
+    found: Survey, channels: _Channels, options: ReadingOptions
+) -> EvenClock | None:
     """The even clock that the file leaves rows out of, where that is no fault."""
     if found.times is None or not options.takes_gaps or options.resample is not None:
         return None
     if jitter_text(found.times) is not None:  # even as it is
         return None
-    clock = even_clock(found.times)
-    return clock if clock is not None and clock.absent.any() else None
+    N = found.times.size
+    there = {n: ~channels.missing.get(n, np.zeros(N, dtype=bool)) for n in channels.values}
+    return even_clock(found.times, there)
 
 
 def conversion_text(unit: str) -> str:

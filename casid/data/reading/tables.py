@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import re
+import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -102,13 +104,15 @@ class Table(ABC):
                 f"{what}={self.twice[column][0]} (there are {', '.join(self.twice[column])})."
             )
         folded = {c.casefold(): c for c in self.columns}
-        near = difflib.get_close_matches(column.casefold(), list(folded), n=1, cutoff=0.4)
+        name = column.casefold()
+        near = [c for c in folded if re.fullmatch(rf"{re.escape(name)}\s*[\[(/].*", c)]
+        near = near or difflib.get_close_matches(name, list(folded), n=1, cutoff=0.4)
+        option = f"{what}={folded[near[0]] if near else self.columns[-1]}"
         raise DataError(
             f"{self.path.name}: no column {column!r} for {what}. "
             + (f"Did you mean {folded[near[0]]!r}? " if near else "")
             + f"The file holds {', '.join(self.columns)}. "
-            f"Map the channel to one of them, as in "
-            f"--map {what}={folded[near[0]] if near else self.columns[-1]}."
+            f"Map the channel to one of them, as in --map {shlex.quote(option)}."
         )
 
 
