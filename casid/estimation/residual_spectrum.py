@@ -116,18 +116,22 @@ def autoregression(residuals: Sequence[Array]) -> Autoregression:
     return best
 
 
+Weighted = Sequence[tuple[Array, Array]]
+"""Of one record: an output's residual (M,) and sensitivities (M, n), at the samples it has."""
+
+
 def restricted(
-    models: Sequence[Autoregression], records: Sequence[tuple[Array, Array]]
+    models: Sequence[Autoregression], records: Sequence[Weighted]
 ) -> list[Autoregression]:
     """Autoregressions of the same orders at the minimum of (2); of high ones, their variances.
 
     Parameters
     ----------
     models : one an output, where the search starts.
-    records : residual (N, ny) and sensitivities (N, ny, n) of each.
+    records : residual and sensitivities of each output.
     """
-    count = sum(r.size for r, _ in records)
-    share = count / max(count - records[0][1].shape[2], 1)
+    count = sum(r.size for record in records for r, _ in record)
+    share = count / max(count - records[0][0][1].shape[1], 1)
     models = [replace(m, variance=m.variance * share) for m in models]
     orders = [m.order for m in models]
     if not 0 < sum(orders) <= RESTRICTED:
@@ -150,16 +154,13 @@ def restricted(
     return at(found.x) if found.fun < value(first) else models
 
 
-def _restricted_likelihood(
-    models: Sequence[Autoregression], records: Sequence[tuple[Array, Array]]
-) -> float:
+def _restricted_likelihood(models: Sequence[Autoregression], records: Sequence[Weighted]) -> float:
     """Half of (2)."""
     value, parts = 0.0, []
-    for r, t in records:
-        stack = np.concatenate([r[:, :, None], t], axis=2)
-        for i, m in enumerate(models):
+    for record in records:
+        for m, (r, t) in zip(models, record, strict=True):
             value += 0.5 * m.log_determinant(len(r))
-            parts.append(m.whiten(stack[:, i]))
+            parts.append(m.whiten(np.column_stack([r, t])))
     whole = np.concatenate(parts)
     e, tangent = whole[:, 0], whole[:, 1:]
     size = np.sqrt(np.sum(tangent**2, axis=0))
@@ -170,84 +171,90 @@ def _restricted_likelihood(
     return value + float(np.sum(logs)) + 0.5 * float(left @ left)
 
 
-def residual_autoregressions(fit: Fit, free: Array) -> tuple[list[Autoregression], Array] | None:
+def residual_autoregressions(fit: Fit, free: Array) -> tuple[list[Autoregression], Array]:
     """Of the weighted residual of each output of a fit, and the correlation of their innovations.
 
-    None where samples are missing: they are those of all samples.
+    Missing samples of an output are passed over, as if the others followed one another. Outputs
+    that do not have the same samples are taken for independent.
 
     Parameters
     ----------
     free : (n,) bool, False at active bounds.
     """
-    if not all(d.used.all() for d in fit.criterion.data):
-        return None
-    weighted = _weighted(fit)
-    return None if weighted is None else _autoregressions(weighted, free)
+    return _autoregressions(fit, _weighted(fit), free)
 
 
-def _weighted(fit: Fit) -> list[tuple[Array, Array]] | None:
-    """Weighted residuals (M, ny) and sensitivities of the samples that there are of each record.
+def has_same_samples(fit: Fit) -> bool:
+    """Whether all outputs of a fit have the same samples."""
+    return all(bool((d.used == d.used[:, :1]).all()) for d in fit.criterion.data)
 
-    None where some outputs miss samples that others have.
-    """
-    out = []
+
+def _weighted(fit: Fit) -> list[Weighted]:
+    """Weighted residuals and sensitivities of the samples that there are of each record."""
+    out: list[Weighted] = []
     for e, d in enumerate(fit.criterion.data):
-        there = d.used.any(axis=1)
-        if not d.used[there].all():
-            return None
         r, t = fit.criterion.columns(fit.x, e)
-        out.append((r, t) if there.all() else (r[there], t[there]))
+        there = [d.used[:, i] for i in range(r.shape[1])]
+        out.append([(r[k, i], t[k, i]) for i, k in enumerate(there)])
     return out
 
 
 def _autoregressions(
-    weighted: Sequence[tuple[Array, Array]], free: Array
+    fit: Fit, weighted: Sequence[Weighted], free: Array
 ) -> tuple[list[Autoregression], Array]:
-    outputs = range(weighted[0][0].shape[1])
-    models = [autoregression([r[:, i] for r, _ in weighted]) for i in outputs]
-    models = restricted(models, [(r, t[:, :, free]) for r, t in weighted])
-    return models, _innovations([r for r, _ in weighted], models)
+    models = [
+        autoregression([record[i][0] for record in weighted]) for i in range(len(weighted[0]))
+    ]
+    models = restricted(models, [[(r, t[:, free]) for r, t in record] for record in weighted])
+    if not has_same_samples(fit):
+        return models, np.eye(len(models))
+    together = [np.column_stack([r for r, _ in record]) for record in weighted]
+    return models, _innovations(together, models)
 
 
 def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] | None:
-    """(1) of a fit and the orders of its autoregressions.
+    """(1) of a fit and the orders of its autoregressions; None where every residual is white.
 
-    Samples that are missing in all outputs are passed over, as if the others followed one another.
-    None where every residual is white, or some outputs miss samples that others have.
+    Missing samples are passed over as in `residual_autoregressions`.
 
     Parameters
     ----------
     free : (n,) bool, False at active bounds: those rows and columns are zero.
     """
     weighted = _weighted(fit)
-    if weighted is None:
-        return None
-    models, together = _autoregressions(weighted, free)
+    models, together = _autoregressions(fit, weighted, free)
     if not any(m.order for m in models):
         return None
-    outputs = range(len(models))
     n, index = len(fit.x), np.flatnonzero(free)
     matrix, meat = np.zeros((n, n)), np.zeros((n, n))
-    for _, t in weighted:
-        flat = t.reshape(-1, n)
-        matrix += flat.T @ flat
-        size = next_fast_len(2 * len(t), real=True)
-        both = np.full(size // 2 + 1, 2.0)
-        both[0] = 1.0
-        if size % 2 == 0:
-            both[-1] = 1.0
-        roots = [m.root_spectrum(size)[:, None].conj() * rfft(t[:, i], size, axis=0)
-                 for i, m in zip(outputs, models, strict=True)]  # fmt: skip
-        for i in outputs:
-            for j in outputs:
-                part = (roots[i].conj().T @ (both[:, None] * roots[j])).real / size
-                meat += together[i, j] * part
+    for record in weighted:
+        for _, t in record:
+            matrix += t.T @ t
+        meat += _meat(record, models, together)
     part = matrix[np.ix_(index, index)]
     d = 1 / np.sqrt(np.maximum(np.diag(part), TINY))
     inverse = np.outer(d, d) * np.linalg.pinv(part * np.outer(d, d), rcond=1e-13)
     out = np.zeros((n, n))
     out[np.ix_(index, index)] = inverse @ meat[np.ix_(index, index)] @ inverse
     return out, tuple(m.order for m in models)
+
+
+def _meat(record: Weighted, models: Sequence[Autoregression], together: Array) -> Array:
+    """(n, n) T' Gamma T of one record."""
+    n = record[0][1].shape[1]
+    size = next_fast_len(2 * max(len(t) for _, t in record), real=True)
+    both = np.full(size // 2 + 1, 2.0)
+    both[0] = 1.0
+    if size % 2 == 0:
+        both[-1] = 1.0
+    roots = [
+        m.root_spectrum(size)[:, None].conj() * rfft(t, size, axis=0)
+        for m, (_, t) in zip(models, record, strict=True)
+    ]
+    out = np.zeros((n, n))
+    for i, j in zip(*np.nonzero(together), strict=True):
+        out += together[i, j] * (roots[i].conj().T @ (both[:, None] * roots[j])).real / size
+    return out
 
 
 def _innovations(residuals: Sequence[Array], models: Sequence[Autoregression]) -> Array:

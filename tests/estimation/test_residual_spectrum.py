@@ -10,6 +10,7 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 import casid
+from casid.arrays import Array
 from casid.estimation.residual_spectrum import (
     Autoregression,
     autoregression,
@@ -61,7 +62,7 @@ def test_what_the_unknowns_take_out_of_a_residual_is_not_missing_in_its_spectrum
         r = noise(n, seed)
         r -= q @ (q.T @ r)
         plain = Autoregression(autoregression([r]).reflections[:2], 1.0)
-        found = restricted([plain], [(r[:, None], q[:, None, :])])[0]
+        found = restricted([plain], [[(r, q)]])[0]
         radius.append([np.sqrt(m.coefficients[1]) for m in (plain, found)])
     low, mended = np.mean(radius, axis=0) - 0.97
     error = np.std(radius, axis=0)[1] / np.sqrt(60)
@@ -146,3 +147,59 @@ def test_missing_samples_are_passed_over() -> None:
         found.append(covariance)
     assert found[0][1] == found[1][1]
     assert found[0][0] == pytest.approx(found[1][0], rel=1e-3)
+
+
+def gains(*names: str) -> casid.Model:
+    """Outputs that are gains times a known state, the integral of a known input."""
+    m = casid.Model("gains")
+    x, u = m.state("x", "m", initial=0.0), m.input("u", "m/s", hold="zoh", known=True)
+    m.derivative(x, u)
+    for name in names:
+        m.output(name, m.parameter(f"k_{name}", "1", start=0.5) * x, "m")
+    return m
+
+
+def coloured_gains(n: int, there: dict[str, np.ndarray], seed: int) -> tuple[casid.Record, Array]:
+    """Gains of 1, with AR(1) noise of pole 0.9 on the samples that each output has; and x."""
+    rng = np.random.default_rng(seed)
+    u = 0.01 * np.cos(2 * np.pi * np.arange(n) / 400)
+    x = np.concatenate([[0.0], np.cumsum(u)[:-1]])
+    channels, missing = {"u": u}, {}
+    for name, samples in there.items():
+        white = rng.standard_normal(int(samples.sum()) + 500)
+        channels[name] = x.copy()
+        channels[name][samples] += 0.1 * lfilter([1.0], [1.0, -0.9], white)[500:]
+        missing[name] = ~samples
+    units = {"u": "m/s", **dict.fromkeys(there, "m")}
+    return casid.Record(channels, units, Ts=1.0, missing=missing), x
+
+
+def test_outputs_of_two_rates_have_a_spectrum_each() -> None:
+    """One of them in every fourth sample alone, either with coloured noise of its own.
+
+    Both gains have the error that (1) has for the true covariance of each output's own samples.
+    """
+    n = 8000
+    there = {"a": np.ones(n, dtype=bool), "b": np.arange(n) % 4 == 0}
+    record, x = coloured_gains(n, there, 5)
+    estimate = casid.identify(gains(*there), record, settings=FitSettings(starts=1))
+    assert "autoregression of order 1 and 1" in estimate.assumes
+    for name, samples in there.items():
+        t = x[samples]
+        gamma = 0.01 * toeplitz(0.9 ** np.arange(len(t))) / (1 - 0.9**2)
+        error = np.sqrt(t @ gamma @ t) / (t @ t)
+        # sd^2 / (1 - a)^2 of 2000 samples, a known to sqrt((1 - a^2) / 2000) = 0.0097: 10 %.
+        assert estimate.parameter(f"k_{name}").std_error == pytest.approx(error, rel=3 * 0.1)
+
+
+def test_bootstrapped_intervals_of_a_record_with_gaps_are_those_of_the_standard_error() -> None:
+    """Noise is drawn with the colour of the residual there, too: white noise gives a third.
+
+    The length of an interval of 400 draws has an error of 7 %.
+    """
+    record, _ = coloured_gains(3000, {"a": np.arange(3000) % 3 != 1}, 6)
+    settings = FitSettings(starts=1)
+    p = casid.identify(gains("a"), record, settings=settings, intervals="bootstrap").parameters[0]
+    assert p.interval is not None
+    low, high = p.interval
+    assert high - low == pytest.approx(2 * 1.96 * p.std_error, rel=4 * 0.07)

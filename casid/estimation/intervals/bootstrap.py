@@ -16,7 +16,7 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from casid.arrays import Array
+from casid.arrays import Array, BoolArray
 from casid.data.experiment import Experiment
 from casid.data.record import Record
 from casid.errors import CasidError, OutOfTimeError
@@ -113,21 +113,13 @@ class _Draw:
         self.models = None
         if self.output_sd is None:
             self.models = residual_autoregressions(found.fit, free)
-            self.output_sd = self._white()
-
-    def _white(self) -> Array:
-        """(ny,) RMS residual of each output, with the degrees of freedom of the unknowns."""
-        square = sum(np.sum(s.residual**2, axis=0) for s in self.clean)
-        count = sum(d.used.sum(axis=0) for d in self.criterion.data)
-        left = count * (1 - len(self.x) / max(self.criterion.n_samples, len(self.x) + 1))
-        return np.asarray(np.sqrt(square / np.maximum(left, 1)))
 
     def __call__(self, rng: np.random.Generator) -> list[Experiment]:
         """The experiments of the fit with other outputs, and inputs where these have noise."""
         out = []
         for e, experiment in enumerate(self.criterion.experiments):
             record = experiment.record
-            y = self.clean[e].y + self._noise(len(self.clean[e].y), rng)
+            y = self.clean[e].y + self._noise(self.criterion.data[e].used, rng)
             for i, name in enumerate(self.criterion.outputs):
                 record = _with(record, name, y[:, i])
             for name, sd in self.input_sd.items():
@@ -135,21 +127,22 @@ class _Draw:
             out.append(replace(experiment, record=record))
         return out
 
-    def _noise(self, samples: int, rng: np.random.Generator) -> Array:
-        """(N, ny) noise of the outputs."""
-        assert self.output_sd is not None
-        ny = len(self.output_sd)
+    def _noise(self, used: BoolArray, rng: np.random.Generator) -> Array:
+        """(N, ny) noise of the outputs at the samples that they have, 0 elsewhere."""
+        samples, ny = used.shape
         if self.models is None:
+            assert self.output_sd is not None
             return np.asarray(self.output_sd * rng.standard_normal((samples, ny)))
         models, together = self.models
         before = min(samples, 1000)  # from which a decaying start has gone
         root = np.linalg.cholesky(together + 1e-12 * np.eye(ny))
         white = rng.standard_normal((samples + before, ny)) @ root.T
-        columns = [
-            lfilter([np.sqrt(m.variance)], np.concatenate([[1.0], m.coefficients]), white[:, i])
-            for i, m in enumerate(models)
-        ]
-        return np.asarray(np.column_stack(columns)[before:] / self.criterion.weights)
+        out = np.zeros(used.shape)
+        for i, m in enumerate(models):
+            a = np.concatenate([[1.0], m.coefficients])
+            column = lfilter([np.sqrt(m.variance)], a, white[:, i])[before:]
+            out[used[:, i], i] = column[: int(used[:, i].sum())]
+        return np.asarray(out / self.criterion.weights)
 
 
 def _with(record: Record, name: str, values: Array) -> Record:
