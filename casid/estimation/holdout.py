@@ -95,11 +95,42 @@ def split_records(
 
 
 def whole_simulation(fit: Fit, split: Split, index: int) -> tuple[Signals, Array, Array]:
-    """A fitted record simulated to its end: signals, outputs (N, ny), states (N, nx)."""
+    """A fitted record simulated to its end: signals, outputs (N, ny), states (N, nx).
+
+    The end of a record of an unstable model, fitted in segments, is simulated `in_windows`.
+    """
     d = signals_of(fit.criterion.model, split.whole[index])
     with np.errstate(all="ignore"):
         y, x, _ = fit.criterion.simulate(fit.x, index, signals=d)
+    held = split.held[index]
+    if fit.criterion.segments > 1 and held.any():
+        tail = Experiment(_tail(split.whole[index].record, held), split.whole[index].known, "")
+        _, y[held], x[held] = in_windows(fit, tail)
     return d, y, x
+
+
+def in_windows(fit: Fit, experiment: Experiment) -> tuple[Signals, Array, Array]:
+    """A record that was not fitted, simulated window by window as long as a segment of the fit.
+
+    Each begins in a state estimated from the window alone. A simulation of an unstable model over
+    more than that says nothing: it leaves the record whatever the parameters are.
+    """
+    model, record = fit.criterion.model, experiment.record
+    d = signals_of(model, experiment)
+    y, x = np.empty(d.y.shape), np.empty((d.N, len(model.states)))
+    windows = max(d.N // window_length(fit), 1)
+    for part in np.array_split(np.arange(d.N), windows):
+        first, last = record.t0 + (part[[0, -1]] + [-0.5, 0.5]) * record.Ts
+        ends = (first if part[0] else -np.inf, last if part[-1] < d.N - 1 else np.inf)
+        piece = Experiment(record.between(*ends), experiment.known, experiment.name)
+        nowhere = dict.fromkeys(model.states, np.nan)
+        _, y[part], x[part] = _simulated_apart(fit, piece, on_clock=True, near=nowhere)
+    return d, y, x
+
+
+def window_length(fit: Fit) -> int:
+    """Samples of a segment of the fit."""
+    return max(max(d.N for d in fit.criterion.data) // fit.criterion.segments, 2)
 
 
 def simulate_apart(
@@ -117,6 +148,14 @@ def simulate_apart(
     near : of such an end the state that the simulation of the whole record has there. The search
         may begin at it, and what the model says of the state that records begin in says nothing.
     """
+    if fit.criterion.segments > 1:
+        return in_windows(fit, experiment)
+    return _simulated_apart(fit, experiment, on_clock=on_clock, near=near)
+
+
+def _simulated_apart(
+    fit: Fit, experiment: Experiment, *, on_clock: bool, near: Mapping[str, float] | None
+) -> tuple[Signals, Array, Array]:
     old = fit.criterion
     known = {n: fit.values[n] for n in old.free if n in fit.values}
     for n in old.own:

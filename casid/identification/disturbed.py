@@ -47,6 +47,7 @@ from casid.identification.grey_box import (
     minimize_extended_prediction_error,
     minimize_prediction_error,
 )
+from casid.identification.unstable import fit_unstable
 from casid.linear.noisy_model import White
 from casid.model.model import Model
 from casid.time_limit import Undone, no_time_limit, require_time, seconds_left
@@ -59,6 +60,8 @@ CORNERS = 8
 """Frequencies, even in the logarithm, that the search looks at."""
 WIDTHS = (0.05, 0.3)
 """Of a peak."""
+HIGHEST = 2.5
+"""Corner or frequency times the sample time, at most: a Runge-Kutta step is stable up to 2.78."""
 LAGS_OUTSIDE = 6
 """Of 20 autocorrelations outside the 95 % band: of white innovations one in 30 000 has more."""
 PROFILED = {"ipopt.tol": 1e-4, "ipopt.acceptable_tol": 1e-3, "ipopt.acceptable_iter": 1}
@@ -207,6 +210,10 @@ def _simulated(
 ) -> Fit | None:
     """Least squares of the simulation error; None where a simulation says nothing or diverges."""
     try:
+        once = replace(settings, starts=1)
+        in_segments = fit_unstable(problem, experiments, once, start, lambda _: None)
+        if in_segments is not None:
+            return in_segments
         fit = fit_model(
             problem.model, experiments, settings, start=start, check_rank=False, throw=False
         )
@@ -261,6 +268,15 @@ class _Program:
         gaps = any(n in e.record.missing for e in experiments for n in model.outputs)
         self.is_extended = self.rest is None or gaps
         self.spread = stationary_spread(self.model, disturbances)
+        self._bound_frequencies(disturbances)
+
+    def _bound_frequencies(self, disturbances: Sequence[Disturbance]) -> None:
+        """Keep spectra to what samples show: above that a disturbance is white, and steps break."""
+        highest = HIGHEST / min(e.record.Ts for e in self.experiments)
+        for d in disturbances:
+            if d.spectrum != "white":
+                parameter = self.model.parameters[d.frequency]
+                self.model.parameters[d.frequency] = replace(parameter, upper=highest)
 
     def criterion(self, noise: Sequence[White], substeps: int) -> Criterion:
         """The criterion from the starts of the model."""
@@ -320,7 +336,7 @@ def _grid(
     frequencies = np.geomspace(low, max(high, 2 * low), CORNERS).tolist()
     size, seen = (1.0, None) if fit is None else _seen(problem, fit, d)
     if seen is not None:
-        frequencies.append(seen.frequency)
+        frequencies.append(float(np.clip(seen.frequency, low, max(high, 2 * low))))
     sizes = [float(size * s) for s in (ALL_SIZES if fit is None else SIZES)]
     if d.spectrum == "white":
         root = float(np.sqrt(data[0].Ts))
@@ -338,7 +354,7 @@ def _seen(problem: Problem, fit: Fit, d: Disturbance) -> tuple[float, Disturbanc
     place = balances.get(d.place, d.place)
     moves = [np.std(criterion.simulated(fit.x, e).x) for e in range(len(criterion.data))]
     fallback = float(max(moves)) or 1.0
-    if place not in model.balances:
+    if place not in model.balances or criterion.segments > 1:
         return fallback, None
     try:
         noise: NoiseModel = estimate_noise(criterion, fit.x, known=problem.noise)

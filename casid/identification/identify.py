@@ -16,7 +16,13 @@ from casid.errors import DataError, IdentifiabilityError, OutOfTimeError, SolveE
 from casid.estimation.covariance import sandwich
 from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
 from casid.estimation.estimate import Estimate, Estimated, Trust, Uncertainty
-from casid.estimation.holdout import Split, record_views, split_records, validation
+from casid.estimation.holdout import (
+    Split,
+    record_views,
+    split_records,
+    validation,
+    window_length,
+)
 from casid.estimation.intervals.choice import (
     Estimation,
     chosen_intervals,
@@ -27,6 +33,7 @@ from casid.estimation.prediction_error.disturbances import Disturbance
 from casid.estimation.residual_spectrum import coloured_covariance
 from casid.estimation.simulation.budget import fit_budget
 from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.input_feedback import feedback_notes
 from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_estimate import (
@@ -42,6 +49,7 @@ from casid.estimation.simulation.simulation_estimate import (
 from casid.identifiability.requirement import require_identifiable
 from casid.identification.disturbed import identify_disturbed
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
+from casid.identification.unstable import fit_unstable
 from casid.model.model import Model
 from casid.time_limit import (
     Undone,
@@ -134,9 +142,10 @@ def identify(
             return _completed(estimate, problem.model, structural)
         say(f"fit {', '.join(e.name for e in split.fitted)}")
         fit, suspect = _fit(problem, split.fitted, settings, start, (say, undone))
+        settings = replace(settings, segments=fit.criterion.segments)
         found = _corrected(problem, fit, settings, undone)
         with no_time_limit():  # a few passes over the record, without which there is no result
-            notes = channel_notes(problem.model, chosen)
+            notes = channel_notes(problem.model, chosen) + feedback_notes(found.fit)
             estimate = _estimate(problem, found, split, notes)
             records = record_views(found.fit, None, split)
         if estimate.is_converged:
@@ -263,6 +272,9 @@ def _cut_off(estimate: Estimate) -> Estimate:
 def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[str]) -> Estimate:
     """The estimate, with what became of the bias that noise on measured inputs gives."""
     fit, method, bars = found.fit, method_of(found.fit), ErrorBars(ASSUMES)
+    if fit.criterion.segments > 1 and not split.is_empty:
+        length = window_length(fit) * max(d.Ts for d in fit.criterion.data)
+        method = f"{method}; held out in windows of {length:.2g} s"
     if found.is_removed:
         method = f"{method}, without the bias of input noise"
         bars = ErrorBars(CORRECTED, found.covariance, found.whiten)
@@ -306,6 +318,10 @@ def _fit(
     """
     say, undone = to
     checks_signs = not settings.constraints and settings.segments == 1
+    if checks_signs:
+        in_segments = fit_unstable(problem, experiments, settings, start, say)
+        if in_segments is not None:
+            return in_segments, None
     try:
         fit = fit_model(problem.model, experiments, settings, start=start)
     except OutOfTimeError as error:

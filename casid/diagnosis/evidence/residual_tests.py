@@ -27,11 +27,11 @@ from scipy.stats import gamma, norm
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.candidate_functions import regressions
-from casid.diagnosis.evidence.feedback import one_sample_late
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.signatures import Regression
 from casid.diagnosis.thresholds import RESIDUAL, SCORES
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
+from casid.estimation.feedback import one_sample_late
 
 ResidualKind = Literal[
     "noise as estimated",

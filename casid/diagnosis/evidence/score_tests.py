@@ -32,10 +32,10 @@ import numpy as np
 from scipy.stats import t as student
 
 from casid.arrays import TINY, Array
-from casid.diagnosis.evidence.feedback import not_felt_yet, slope
 from casid.diagnosis.thresholds import PREWHITENING, SCORES
 from casid.errors import ModelError, SolveError
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
+from casid.estimation.feedback import not_felt_yet, slope
 from casid.estimation.innovations import GROUP
 from casid.estimation.simulation.minimization import Fit, widened
 from casid.estimation.simulation.simulation_error import SimulationError

@@ -26,14 +26,14 @@ from scipy.stats import f as fisher
 
 from casid.arrays import TINY, Array
 from casid.data.experiment import Experiment
-from casid.diagnosis.evidence.feedback import (
+from casid.diagnosis.thresholds import FUNCTIONS, SCORES
+from casid.errors import ModelError
+from casid.estimation.covariance import bartlett_lags, long_run_covariance
+from casid.estimation.feedback import (
     not_felt_yet,
     one_sample_late,
     slope,
 )
-from casid.diagnosis.thresholds import FUNCTIONS, SCORES
-from casid.errors import ModelError
-from casid.estimation.covariance import bartlett_lags, long_run_covariance
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.first_order_lags import lag_columns
 from casid.estimation.simulation.sensor_dynamics import delay_columns

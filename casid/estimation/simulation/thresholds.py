@@ -14,6 +14,8 @@ _BUDGET = "tests/identification/test_budget.py"
 _FIT = "tests/estimation/simulation/test_fit.py"
 _AGREEMENT = "tests/estimation/simulation/test_record_agreement.py"
 _FILTER = "tests/estimation/prediction_error/test_extended_likelihood.py"
+_UNSTABLE = "tests/identification/test_unstable.py"
+_LOOP = "tests/estimation/test_feedback.py"
 _GAPS = "tests/estimation/simulation/test_missing_samples.py"
 
 
@@ -94,13 +96,55 @@ class InputGaps:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Instability:
+    """When a model is cut into shooting segments without request; see `instability.py`."""
+
+    growth: float = _is(
+        7.0,
+        "exponent of the growth of an error over the record, at least: a thousandth of the initial "
+        "state is then as large as the motion",
+        _UNSTABLE,
+    )
+    per_segment: float = _is(3.0, "the same over a segment: 20 times", _UNSTABLE)
+    samples: int = _is(10, "of a segment, at least", _UNSTABLE)
+    most: int = _is(200, "segments a record: each has initial states to estimate", _UNSTABLE)
+
+
+@dataclass(frozen=True, slots=True)
+class InputAnswers:
+    """When an input is said to follow what disturbs the system; see `input_feedback.py`."""
+
+    level: float = _is(1e-4, "level of the test, over all lags: a warning has to be rare", _LOOP)
+    lags: int = _is(20, "samples after which a controller has answered", _LOOP)
+    steps: float = _is(
+        3.0, "standard deviations that an innovation counts, at most: steps hide answers", _LOOP
+    )
+    coloured: int = _is(
+        6,
+        "of 20 autocorrelations of the residual outside the 95 % band, beyond which it is no white "
+        "noise: of white noise one in 30 000 has more, and white noise is no bias in a loop",
+        _LOOP,
+    )
+
+
 RECORD_AGREEMENT = RecordAgreement()
 FIT_BUDGET = FitBudget()
 STEPS = Steps()
 ERROR_WEIGHTS = ErrorWeights()
 INPUT_GAPS = InputGaps()
+INSTABILITY = Instability()
+INPUT_ANSWERS = InputAnswers()
 
-GROUPS = (RECORD_AGREEMENT, FIT_BUDGET, STEPS, ERROR_WEIGHTS, INPUT_GAPS)
+GROUPS = (
+    RECORD_AGREEMENT,
+    FIT_BUDGET,
+    STEPS,
+    ERROR_WEIGHTS,
+    INPUT_GAPS,
+    INSTABILITY,
+    INPUT_ANSWERS,
+)
 
 TABLE = entries(*GROUPS)
 """All of them."""
