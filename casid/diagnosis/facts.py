@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.diagnosis.verdict.gain import decisive, improves
+from casid.model.quantities import quantity_texts
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,18 @@ class Facts:
         """The changes that count: of what was held out, else of what was fitted."""
         held = tuple(c for c in self.changes if c.part == "held out")
         return held or self.changes
+
+    def change_texts(self) -> Iterator[tuple[ErrorChange, list[str], str]]:
+        """The changes as texts of before, after and floor ("" where there is none), and their unit.
+
+        Errors of one output have one unit throughout.
+        """
+        for c in self.changes:
+            numbers = [c.before, c.after, c.floor]
+            beside = [x for o in self.changes if o.output == c.output for x in (o.before, o.after)]
+            values = [math.nan if x is None else x for x in (*numbers, *beside)]
+            texts, unit = quantity_texts(values, c.unit)
+            yield c, ["" if x is None else t for x, t in zip(numbers, texts, strict=False)], unit
 
     def p_value(self, kind: str, where: str) -> float:
         """The family-wise p-value of an effect; NaN where it was not tested."""

@@ -331,7 +331,7 @@ def test_a_user_sees_verdict_cause_and_gain_in_the_text():
     _, d = on_the_pendulum("quadratic_damping", 1.2, 100)
     text = str(d)
     assert "deficient" in text
-    assert "quadratic_damping in torque" in text
+    assert "quadratic damping in the torque balance [quadratic_damping]" in text
     assert "noise floor" in text
     assert repr(d) == "<Diagnosis pendulum: deficient, quadratic_damping(torque)>"
 

@@ -29,8 +29,10 @@ from casid.report.html.page import html_page
 from casid.report.numbers import p_text
 from casid.report.pages.cause_parts import cause_part, ranking_parts
 from casid.report.pages.diagnosis_page import decision
+from casid.report.pages.limit_parts import pairs_parts
 from casid.report.pages.remainder_parts import gain_table, remaining_parts
 from tests.support import samples
+from tests.support.sample_parts import isolability
 
 MODEL = SimpleNamespace(unit_of=lambda _: "rad/s", shown_size=lambda _, size: size)
 PROBLEM = SimpleNamespace(model=MODEL)
@@ -101,6 +103,7 @@ def diagnoses(draw: st.DrawFn) -> Diagnosis:
         held_out=held,
         fitted=held,
         moved=(),
+        isolability=draw(st.none() | st.just(isolability())),
         advice=advice(verdict, causes, None, why, is_better=improves(decisive(held, held))),
         remaining=what_remains(
             named, held, p_value=draw(st.none() | p_values), test="kind of the residual",
@@ -117,6 +120,7 @@ def shown(d: Diagnosis) -> str:
         gain_table(d),
         *remaining_parts(d),
         *ranking_parts(d),
+        *pairs_parts(d),
     ]
     page = html_page(Document(d.problem, parts, kind="Diagnosis"))
     body = page.split("</header>", 1)[1].split("<script", 1)[0]
@@ -130,6 +134,7 @@ def test_no_sentence_of_a_diagnosis_contradicts_another(d: Diagnosis) -> None:
         _verdict_agrees_with_causes(d, text)
         _remainder_agrees_with_its_tests(d, text)
         _gain_agrees_with_advice(d, text)
+        _what_is_named_alone_is_not_said_to_be_indistinguishable(d, text)
     _every_effect_has_one_p_value(d)
 
 
@@ -167,6 +172,13 @@ def _gain_agrees_with_advice(d: Diagnosis, text: str) -> None:
     for c in changes.values():
         if c.after is not None and not math.isclose(c.after, c.before, rel_tol=0.01):
             assert (f"error {'−' if c.is_lower else '+'}" in shown(d)) or len(changes) > 1
+
+
+def _what_is_named_alone_is_not_said_to_be_indistinguishable(d: Diagnosis, text: str) -> None:
+    """Signatures may be nearly alike all the same: a large misfit separates them."""
+    is_open = any(c.alternatives for c in d.causes)
+    assert ("ndistinguishable" in text) == is_open
+    assert ("To separate" in text) <= is_open
 
 
 def _every_effect_has_one_p_value(d: Diagnosis) -> None:

@@ -176,7 +176,8 @@ def test_what_a_rich_diagnosis_knows_stands_in_the_text(rich):
         "0.3300 \u00b1 0.0040",  # d before,
         "0.0810 \u00b1 0.0040",  # and after
         "-62.2",  # standard errors
-        "Indistinguishable in this record: delay of gyro, lag of gyro",
+        "Nearly alike in this record, so that only a large misfit separates them: "
+        "delay of gyro, lag of gyro",
         *(i.why for i in d.undetectable),
         *(i.remedy for i in d.undetectable),
         "any record of these channels",
@@ -194,7 +195,7 @@ def test_a_cause_without_a_name_is_told_by_what_it_does(rich):
     cause = samples.rich().causes[1]
     frame = re.findall(r"<article class=\"cause\">(.*?)</article>", rich, re.S)[1]
     text = Seen(frame).text
-    assert "unknown cause in torque" in text
+    assert "unidentified term in torque" in text
     assert cause.description in text
     assert "Something that the catalogue has no name for acts in the torque balance." in text
     for kind, _ in sample_parts.KEYS:
@@ -208,13 +209,13 @@ def test_the_text_of_a_rich_diagnosis_is_compact():
         "remains",
         "unknown",
         "moved",
-        "invisible",
+        "undetectable",
         "false alarms",
         "next",
     ):
         assert any(line.startswith(f"  {start}") for line in lines), start
     assert len(lines) < 45
-    assert "2. unknown in torque (p = 4.0e-07): It depends on p" in text
+    assert "2. unidentified term in torque [unknown] (p = 4.0e-07): It depends on p" in text
     assert "swing-10: h = 0.112 +- 0.008" in text
 
 

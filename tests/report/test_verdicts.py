@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from casid.estimation.estimate import Agreement, Identifiability
-from casid.report.numbers import quantity_text, quantity_texts, unit_text
+from casid.model.quantities import quantity_text, quantity_texts, unit_text
 from casid.report.verdicts import judged_estimate, judged_study
 from tests.report.golden_results import monte_carlo
 from tests.support import samples
@@ -100,7 +100,7 @@ def test_a_study_says_whether_the_error_bars_keep_their_promise():
         (2.02e-4, "rad", "202 \u00b5rad"),
         (0.034, "rad/s", "34 mrad/s"),
         (2.1e11, "N/m", "210 GN/m"),
-        (0.0005, "m^3/s", "0.0005 m\u00b3/s"),
+        (0.0005, "m^3/s", "0.0005 m^3/s"),
         (0.0005, "kg", "0.0005 kg"),
         (0.0005, "mm", "0.0005 mm"),
         (20.0, "deg", "20 deg"),

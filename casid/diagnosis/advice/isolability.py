@@ -165,11 +165,6 @@ class Isolability(Presented):
         return present(self, "figure")
 
 
-def label(key: Key) -> str:
-    """A cause as tables name it."""
-    return f"{key[0]} in {key[1]}"
-
-
 def strongest_variants(table: ScoreTable) -> list[int]:
     """Places in the table, one a kind and place: the variant with the largest plain score.
 

@@ -28,7 +28,7 @@ from casid.diagnosis.advice.planned_records import Planned, Planner, with_start
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
 from casid.diagnosis.thresholds import PLANNING, SCORES
-from casid.diagnosis.verdict.names import effect_words
+from casid.diagnosis.verdict.names import effect_words, either_words
 from casid.errors import CasidError, DataError, OutOfTimeError
 from casid.estimation.noise import NoiseModel
 from casid.estimation.noise_response import noise_response
@@ -272,7 +272,7 @@ class _Rule:
 
 
 def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal]) -> str:
-    who = f"{effect_words(*tied[0])} from {', '.join(effect_words(*k) for k in tied[1:])}"
+    who = f"{effect_words(*tied[0])} from {either_words(effect_words(*k) for k in tied[1:])}"
     able = [p for p in proposals if isfinite(p.record_length)]
     if not able:
         return (
@@ -292,10 +292,7 @@ def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal])
     if isfinite(now.record_length):
         text += f", where the same experiment would need {_seconds(now.record_length)}"
     if best.gain_factor > PLANNING.notable:
-        text += (
-            f"; the energy needed falls by a factor of {best.gain_factor:.2g} (cosine "
-            f"{best.cosine:.2f}, not {now.cosine:.2f})"
-        )
+        text += f"; a misfit of {1 / best.gain_factor:.2g} times the energy would be enough there"
     return text + "."
 
 

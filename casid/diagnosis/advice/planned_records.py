@@ -20,6 +20,7 @@ from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.thresholds import EXPERIMENTS
 from casid.errors import CasidError
 from casid.model.model import Model
+from casid.model.quantities import quantity_text
 
 Change = Callable[[Array], Array]  # (N,) of one input, less its mean -> (M,)
 
@@ -220,7 +221,8 @@ class Planner:
             made.append(Experiment(record, old.known, old.name))
         return Planned(
             f"sensor of {name}",
-            f"the same with a sensor of {name}, as exact as those there (noise {sd:.2g} {unit})",
+            f"the same experiment with a sensor of {name}, as exact as those there are (noise "
+            f"{quantity_text(sd, unit)})",
             tuple(made),
             self.again().initial,
             model,

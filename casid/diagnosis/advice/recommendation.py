@@ -15,7 +15,7 @@ from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import Cause, Verdict
 from casid.diagnosis.verdict.gain import decisive, improves
 from casid.diagnosis.verdict.judgement import Judgement
-from casid.diagnosis.verdict.names import effect_words
+from casid.diagnosis.verdict.names import effect_words, either_words
 from casid.diagnosis.verdict.sentences import separates
 
 
@@ -117,9 +117,7 @@ def advice(
     tied = [c for c in causes if c.alternatives]
     if tied:
         c = tied[0]
-        others = ", ".join(
-            a.name if a.kind == "unknown" else effect_words(a.kind, a.where) for a in c.alternatives
-        )
+        others = either_words(a.words for a in c.alternatives)
         return f"To separate {effect_words(c.kind, c.where)} from {others}: {separates(c.kind)}."
     if verdict == "deficient" and not is_better:
         return (
@@ -130,8 +128,7 @@ def advice(
     if verdict == "deficient":
         return (
             "Use the extended model; confirm it on a record of its own (--hold-out FILE), best "
-            f"with "
-            f"{separates(causes[0].kind)}."
+            f"with {separates(causes[0].kind)}."
         )
     scores = table.scores if table is not None else ()
     seen = {s.effect.key for s in scores if s.is_visible}

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from casid.data.files import plain_fields
+from casid.diagnosis.verdict.names import effect_words
 from casid.estimation.estimate import Estimated
 from casid.model.units import parse_unit, si_unit
 
@@ -28,6 +29,15 @@ class Alternative:
         """Kind and place; what has no name, with its description."""
         like = f" ({self.description})" if self.kind == "unknown" and self.description else ""
         return f"{self.kind} in {self.where}{like}"
+
+    @property
+    def words(self) -> str:
+        """As an engineer says it."""
+        if self.kind == "unknown" and self.description:
+            what = self.description.removeprefix("a term ")
+            like = f" {what}" if what != self.description else f" ({what})"
+            return f"{effect_words(self.kind, self.where)}{like}"
+        return effect_words(self.kind, self.where)
 
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` has it."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from casid.arrays import TINY
+from casid.data.reading.columns import ColumnSpec
 from casid.diagnosis.evidence.corrupted_samples import confirmed
 from casid.diagnosis.evidence.plateaus import Plateaus
 from casid.diagnosis.evidence.spikes import Spikes
@@ -25,7 +26,7 @@ from casid.model.effects.effect import SWITCHED, Effect
 
 
 def causes_of(
-    found: Findings, estimate: Estimate, columns: Mapping[str, str] | None = None
+    found: Findings, estimate: Estimate, columns: Mapping[str, ColumnSpec] | None = None
 ) -> list[Cause]:
     """Causes in the order of their contribution: the misfit that returns when one is taken out.
 
@@ -77,7 +78,7 @@ def remainders_of(found: Findings) -> tuple[Cause, ...]:
 
 
 def _adopted(
-    found: Findings, adopted: Adopted, estimate: Estimate, columns: Mapping[str, str]
+    found: Findings, adopted: Adopted, estimate: Estimate, columns: Mapping[str, ColumnSpec]
 ) -> Cause:
     """An effect of the catalogue, without its share."""
     effect = adopted.candidate.effect
@@ -92,13 +93,14 @@ def _adopted(
         for r in adopted.rivals
     )
     by_record = {s.key: s.by_record for s in found.specific}
+    column = columns.get(effect.where)
     return Cause(
         kind=effect.kind,
         where=effect.where,
         p_value=adopted.p_value,
         parameters=_parameters_of(adopted.candidate, estimate),
         alternatives=(*alternatives, *_aliases(found.search, effect)),
-        sentence=says(effect, columns.get(effect.where, "")),
+        sentence=says(effect, column.column if column is not None else ""),
         description=effect.description,
         by_record=by_record.get(effect.key, {}),
     )

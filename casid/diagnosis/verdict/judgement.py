@@ -20,6 +20,7 @@ from casid.diagnosis.verdict.gain import (
     unlike_held_out,
     views,
 )
+from casid.diagnosis.verdict.names import effect_words
 from casid.diagnosis.verdict.open_set import (
     Remainder,
     described,
@@ -94,7 +95,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     disturbances = remainder.disturbances if remainder is not None else ()
     fitted, held = errors_of(found, with_disturbances=bool(disturbances))
     part = held if held.get("extended_rmse") else fitted
-    causes = causes_of(found, extended or baseline, problem.channels)
+    causes = causes_of(found, extended or baseline, problem.columns())
     remaining = what_remains(
         [(c.kind, c.where, c.share) for c in causes],
         part,
@@ -177,7 +178,7 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         for channel in search.references or ()
     ]
     notes += [
-        f"{c.effect.kind} in {c.effect.where} was significant but refused: {why}"
+        f"{effect_words(c.effect.kind, c.effect.where)} is significant but was not accepted: {why}"
         for c, why in search.refused
     ]
     notes += [why for why in search.refitting.left_out.values() if why]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 _NAMES = {
     "quadratic_damping": "quadratic damping in {place}",
     "cubic_damping": "cubic damping in {place}",
@@ -33,7 +35,7 @@ _NAMES = {
     "hold": "motion of {where} between samples",
     "actuator_lag": "actuator lag of {where}",
     "actuator_saturation": "saturation of the command {where}",
-    "unknown": "unknown cause in {where}",
+    "unknown": "unidentified term",
 }
 
 
@@ -46,7 +48,18 @@ def effect_words(kind: str, where: str, channels: frozenset[str] = frozenset()) 
     """
     if kind not in _NAMES:
         return f"{kind} in {where}"
-    is_balance = where.isidentifier() and where not in channels
-    place = f"the {where} balance" if is_balance else where
-    own, _, source = where.partition("~")
-    return _NAMES[kind].format(place=place, where=where, own=own, source=source)
+    if kind == "unknown":
+        at, _, shape = where.partition(": ")
+        return f"unidentified term like {shape} in {at}" if shape else f"unidentified term in {at}"
+    at, _, variant = where.partition(": ")
+    is_balance = at.isidentifier() and at not in channels
+    place = f"the {at} balance" if is_balance else at
+    own, _, source = at.partition("~")
+    words = _NAMES[kind].format(place=place, where=at, own=own, source=source or "the state")
+    return f"{words} ({variant})" if variant else words
+
+
+def either_words(names: Iterable[str]) -> str:
+    """`a`, `a or b`, `a, b or c`: one of them, each once."""
+    *first, last = dict.fromkeys(names)
+    return f"{', '.join(first)} or {last}" if first else last

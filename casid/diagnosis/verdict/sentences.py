@@ -12,9 +12,10 @@ from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import JUDGING
-from casid.diagnosis.verdict.cause import Alternative, Cause, Verdict
-from casid.diagnosis.verdict.names import effect_words
+from casid.diagnosis.verdict.cause import Cause, Verdict
+from casid.diagnosis.verdict.names import effect_words, either_words
 from casid.model.effects.effect import Effect
+from casid.model.quantities import quantity_text, quantity_texts
 
 _SAYS = {
     "quadratic_damping": "damping that grows with the rate squared acts in {place}",
@@ -170,9 +171,10 @@ def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) 
     raised: list[str] = []
     for output, before in part.get("baseline_rmse", {}).items():
         after = part.get("extended_rmse", {}).get(output, before)
-        new, old = (f"{problem.model.shown_size(output, e):.3g}" for e in (after, before))
+        sizes = [problem.model.shown_size(output, e) for e in (before, after)]
+        (old, new), unit = quantity_texts(sizes, problem.model.unit_of(output))
         if new != old:
-            changed = f"{output} from {old} to {new} {problem.model.unit_of(output)}"
+            changed = f"{output} from {old} to {new} {unit}"
             (lowered if after < before else raised).append(changed)
     if lowered:
         more = f", and raises that of {', '.join(raised)}" if raised else ""
@@ -185,23 +187,18 @@ def _says_cause(c: Cause) -> str:
     if not c.tied:
         return c.sentence
     if all(a.kind == c.kind for a in c.alternatives):  # the place alone is open
-        places = dict.fromkeys(a.where for a in c.alternatives if a.where != c.where)
-        return f"{c.sentence} (or the same in {', '.join(places)})" if places else c.sentence
-    names = dict.fromkeys(
-        [effect_words(c.kind, c.where), *(_alternative_words(a) for a in c.alternatives)]
-    )
-    return f"one of: {', '.join(names)}"
-
-
-def _alternative_words(a: Alternative) -> str:
-    return a.name if a.kind == "unknown" else effect_words(a.kind, a.where)
+        places = [a.where for a in c.alternatives if a.where != c.where]
+        same = f" (this record does not separate it from the same in {either_words(places)})"
+        return c.sentence + same if places else c.sentence
+    rivals = either_words(a.words for a in c.alternatives)
+    return f"missing is {effect_words(c.kind, c.where)} or, indistinguishable here, {rivals}"
 
 
 def noise_text(at: Weighted) -> dict[str, str]:
     """Channel or balance -> what the noise found there is."""
 
     def text_of(name: str, sd: float) -> str:
-        return f"{at.model.shown_size(name, sd):.3g} {at.model.unit_of(name)}"
+        return quantity_text(at.model.shown_size(name, sd), at.model.unit_of(name))
 
     out = {
         name: f"white output noise {text_of(name, sd)}"

@@ -26,7 +26,7 @@ _STYLE = """
 .casid .card .rest { font-weight: 400; }
 .casid .cause, .casid .advice { border-left: 3px solid #0072b2; padding: 0 0 0 12px;
   margin: 8px 0; }
-.casid h3 { font-size: 14px; margin: 8px 0 2px; }
+.casid h3, .casid .advice h2 { font-size: 14px; margin: 8px 0 2px; }
 .casid details { margin: 4px 0; }
 .casid summary { cursor: pointer; font-weight: 600; }
 .casid figure { margin: 8px 0; }

@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import groupby
 
 from casid.estimation.fitted.equations import ModelEquation
+from casid.model.quantities import unit_text
 from casid.report.document import (
     Banner,
     Bullets,
@@ -85,7 +86,8 @@ class Renderer(ABC):
         if section.look == "fold":
             summary = element("summary", inline(section.heading))
             return element("details", summary + content, class_="fold")
-        framed = element("h3", inline(section.heading)) + content
+        level = "h2" if section.look == "advice" else "h3"
+        framed = element(level, inline(section.heading)) + content
         if not section.look:
             return framed
         return element("article" if section.look == "cause" else "div", framed, class_=section.look)
@@ -112,7 +114,7 @@ def _equation(e: ModelEquation) -> Html:
     """The equation in MathML, which browsers draw themselves; as code where it has none."""
     is_named = e.name not in (e.left, f"output {e.left}") and not e.note
     name = element("span", e.name, class_="name") if is_named else ""
-    words = [f"[{e.unit}]" if e.unit else "", e.note]
+    words = [f"[{unit_text(e.unit)}]" if e.unit else "", e.note]
     beside = element("span", " ".join(filter(None, words)), class_="unit") if any(words) else ""
     if not e.left_mathml or not all(term.mathml for term in e.terms):
         return element("div", name + element("code", str(replace(e, unit="", note=""))) + beside)
@@ -150,10 +152,7 @@ def _labelled_table(rows: Iterable[tuple[str, str]]) -> Html:
 
 def _table(table: Table) -> Html:
     """The table under its caption, which scrolls by itself where it is wider than the page."""
-    head = join(
-        element("th", h, class_="n" if i in table.numbers else "", scope="col")
-        for i, h in enumerate(table.header)
-    )
+    head = join(_heading(h, i in table.numbers) for i, h in enumerate(table.header))
     body = join(element("tr", _cells(row, table)) for row in table.rows)
     caption = table.caption or " ".join(h for h in table.header if h)
     content = element(
@@ -169,17 +168,25 @@ def _table(table: Table) -> Html:
     return element("div", above + scroll, class_="table")
 
 
+def _heading(text: str, is_number: bool) -> Html:
+    """A column's heading; where it has none, an empty cell, which nobody reads out."""
+    look = {"class_": "n" if is_number else ""}
+    return element("th", text, **look, scope="col") if text else element("td", "", **look)
+
+
 def _cells(row: Sequence[Inline] | str, table: Table) -> Html:
     if isinstance(row, str):
         return element("td", row, colspan=str(len(table.header)))
     return join(
-        element(
-            "td",
-            "\u2013" if cell == "--" else inline(cell),
-            **_class("n" if i in table.numbers else ""),
-        )
+        element("td", _cell(cell, table.header[i]), **_class("n" if i in table.numbers else ""))
         for i, cell in enumerate(row)
     )
+
+
+def _cell(cell: Inline, heading: str) -> Html:
+    if cell == "--":
+        return safe("\u2013")
+    return safe(unit_text(cell)) if heading == "unit" and isinstance(cell, str) else inline(cell)
 
 
 def _bullets(bullets: Bullets) -> Html:
@@ -191,16 +198,17 @@ def _banner(banner: Banner) -> Html:
     return element(
         "div",
         element("p", element("b", banner.word) + safe(banner.beside), class_="word")
-        + element("p", banner.sentence, class_="sentence"),
+        + element("p", unit_text(banner.sentence), class_="sentence"),
         class_=f"banner {banner.look}",
         role="status",
     )
 
 
 def _card(card: Card) -> Html:
-    value = safe(f"{card.value} ") + element("small", card.unit) if card.unit else card.value
+    unit, rest = unit_text(card.unit), unit_text(card.rest)
+    value = safe(f"{card.value} ") + element("small", unit) if unit else card.value
     return element(
         "div",
-        element("dt", card.title) + element("dd", value) + element("dd", card.rest, class_="rest"),
+        element("dt", card.title) + element("dd", value) + element("dd", rest, class_="rest"),
         class_="card",
     )

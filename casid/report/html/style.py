@@ -67,7 +67,7 @@ a { color: var(--link); }
 .cause h3 { margin-top: 12px; }
 .facts { color: var(--soft); }
 .advice { border-left: 4px solid var(--advice); padding: 2px 0 2px 16px; margin: 16px 0; }
-.advice h3 { margin-top: 4px; }
+section div.advice h2 { margin: 4px 0 6px; padding: 0; border: 0; font-size: 17px; }
 .table { margin: 12px 0; border: 1px solid var(--line); border-radius: 10px; overflow: hidden; }
 .caption { margin: 0; max-width: none; padding: 8px 9px; color: var(--soft); font-size: 14px;
   line-height: 1.4; background: var(--wash); }

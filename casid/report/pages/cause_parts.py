@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from casid.diagnosis.diagnosis import Cause, Diagnosis, Ranked
 from casid.diagnosis.facts import Facts
+from casid.diagnosis.verdict.names import effect_words
 from casid.estimation.estimate import Estimated
 from casid.report.document import (
     Bullets,
@@ -35,7 +36,7 @@ def cause_part(i: int, c: Cause, by_record: Figure | None) -> Section:
         _SIZES,
         [_size(p) for p in c.parameters],
         numbers=(1, 2, 3),
-        caption="Parameters of this effect",
+        caption=f"Parameters of {effect_words(c.kind, c.where)}",
     )
     parts: list[Part] = [
         _as_sentence(c.sentence),

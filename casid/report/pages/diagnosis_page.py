@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from casid.diagnosis.diagnosis import Diagnosis
-from casid.diagnosis.facts import ErrorChange, Facts
+from casid.diagnosis.facts import Facts
 from casid.report.document import (
     Banner,
     Bullets,
@@ -22,7 +22,7 @@ from casid.report.document import (
     mapping_table,
 )
 from casid.report.figures.diagnosis import diagnosis_figures
-from casid.report.numbers import change_text, estimated_texts, p_text, quantity_texts, unit_text
+from casid.report.numbers import change_text, estimated_texts, p_text
 from casid.report.pages.cause_parts import P_VALUE, cause_part, no_cause, ranking_parts
 from casid.report.pages.estimate_parts import (
     error_bars,
@@ -121,18 +121,13 @@ def decision(d: Diagnosis) -> list[Section]:
 
 def _gains(facts: Facts) -> Iterator[Card]:
     """Errors of what was held out, else of what was fitted."""
-    for c in facts.shown:
-        texts, unit = _in_one_unit(c)
-        value = " \u2192 ".join(texts[: 1 if c.after is None else 2])
+    for c, (before, after, floor), unit in facts.change_texts():
+        if c not in facts.shown:
+            continue
+        value = " \u2192 ".join(filter(None, (before, after)))
         rest = [f"error {change_text(c.before, c.after)}"] if c.after is not None else []
-        rest += [f"noise floor {texts[-1]} {unit}"] if c.floor is not None else []
+        rest += [f"noise floor {floor} {unit}"] if floor else []
         yield Card(f"rms error of {c.output}, {c.part}", value, unit, "; ".join(rest))
-
-
-def _in_one_unit(c: ErrorChange) -> tuple[list[str], str]:
-    """Before, after (where there is one) and floor (where there is one)."""
-    numbers = [x for x in (c.before, c.after, c.floor) if x is not None]
-    return quantity_texts(numbers, c.unit)
 
 
 def _how_sure(d: Diagnosis, facts: Facts) -> Iterator[Card]:
@@ -163,7 +158,7 @@ def _new_parameters(d: Diagnosis) -> Table:
         for p in c.parameters:
             value, error, between = estimated_texts(p)
             words = effect_in_words(c.kind, c.where)
-            rows.append((p.name, value, error, between, unit_text(p.unit), words))
+            rows.append((p.name, value, error, between, p.unit, words))
     return Table(
         ("new parameter", "estimate", "std. error", "95 % interval", "unit", "of"),
         rows,

@@ -50,11 +50,12 @@ def parameter_table(estimates: Mapping[str, Estimate], shown: Sequence[str] | No
     kinds = (
         "95 % intervals, normal where no other kind is named" if others else "normal 95 % intervals"
     )
+    is_known = all(p.known for e in found.values() for name, p in e.items() if name in names)
     return Table(
         header,
         rows,
         numbers=range(2, 3 + 3 * len(estimates)),
-        caption=f"Estimates with standard errors and {kinds}",
+        caption="Known values" if is_known else f"Estimates with standard errors and {kinds}",
     )
 
 

@@ -6,8 +6,9 @@ import math
 
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.diagnosis.verdict.names import effect_words
+from casid.model.quantities import quantity_text
 from casid.report.document import Bullets, Inline, Part, Table
-from casid.report.numbers import number_text, quantity_text
+from casid.report.numbers import number_text
 from casid.report.texts.diagnosis import effect_in_words, pairs_table
 
 
@@ -35,12 +36,13 @@ def inseparable(d: Diagnosis) -> Table | str | None:
 
 
 def pairs_parts(d: Diagnosis) -> list[Part]:
-    """Causes that are the same in this record, and the pairs that are hardest to distinguish."""
+    """Causes that act nearly alike in this record, and the pairs hardest to distinguish."""
     found = d.isolability
     if found is None:
         return []
     same = [
-        "Indistinguishable in this record: " + ", ".join(effect_words(*key) for key in group)
+        "Nearly alike in this record, so that only a large misfit separates them: "
+        + ", ".join(effect_words(*key) for key in group)
         for group in found.groups
     ]
     return [Bullets(same), pairs_table(found, in_words=True)]

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.diagnosis.facts import Facts
 from casid.diagnosis.thresholds import JUDGING
 from casid.estimation.estimate import Estimated
+from casid.model.quantities import quantity_text
 from casid.report.document import Code, Inline, Paragraph, Part, Table
 from casid.report.numbers import (
     change_text,
     number_text,
     p_text,
     plus_minus,
-    quantity_text,
-    quantity_texts,
 )
 from casid.report.texts.diagnosis import effect_in_words
 
@@ -23,12 +20,8 @@ from casid.report.texts.diagnosis import effect_in_words
 def gain_table(d: Diagnosis) -> Table:
     """Rms errors before and after beside the noise floor."""
     rows = []
-    for c in Facts.of(d).changes:
-        numbers = [c.before, c.after, c.floor]
-        texts, unit = quantity_texts([math.nan if x is None else x for x in numbers], c.unit)
-        before, after, floor = (
-            "\u2013" if x is None else text for x, text in zip(numbers, texts, strict=True)
-        )
+    for c, texts, unit in Facts.of(d).change_texts():
+        before, after, floor = (text or "\u2013" for text in texts)
         change = "\u2013" if c.after is None else change_text(c.before, c.after)
         rows.append((c.part, c.output, unit, before, after, change, floor))
     return Table(

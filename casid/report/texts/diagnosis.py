@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from casid.diagnosis.advice.isolability import Isolability, label
+from casid.diagnosis.advice.isolability import Isolability
 from casid.diagnosis.advice.next_experiment import Advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Cause, Diagnosis
@@ -36,16 +36,19 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
     parts += [("moved", line) for line in _moved(d)]
     if d.isolability is not None:
         # Of causes that act alike here, those that a named one is among; the page has them all.
+        # The size of the misfit may separate them all the same: rivals stand beside their cause.
         named = {(c.kind, c.where) for c in d.causes}
         groups = [g for g in d.isolability.groups if named & set(g)]
-        parts += [("the same here", _first([label(k) for k in g])) for g in groups]
+        parts += [("nearly alike", _first([effect_words(*k) for k in g])) for g in groups]
     parts += [("noise", f"{k}: {v}") for k, v in d.noise.items()]
     for is_structural, record in ((True, "any record of these channels"), (False, "this record")):
         names = [
-            label((i.kind, i.where)) for i in d.undetectable if i.is_structural == is_structural
+            effect_words(i.kind, i.where)
+            for i in d.undetectable
+            if i.is_structural == is_structural
         ]
         if names:
-            parts.append(("invisible", f"in {record}: {_first(names)}"))
+            parts.append(("undetectable", f"in {record}: {_first(names)}"))
     if d.calibration is not None:
         parts += labelled("false alarms", (d.calibration.sentence, *d.calibration.notes))
     parts += [("note", n) for n in d.notes]
@@ -57,9 +60,8 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
 
 def _gain(d: Diagnosis) -> Table:
     rows = []
-    for c in Facts.of(d).changes:
-        numbers = ("" if x is None else number_text(x) for x in (c.before, c.after, c.floor))
-        rows.append((c.part, c.output, *numbers))
+    for c, texts, unit in Facts.of(d).change_texts():
+        rows.append((c.part, f"{c.output} [{unit}]" if unit else c.output, *texts))
     head = ("rms error", "output", "before", "after", "noise floor")
     return Table(head, rows, numbers=(2, 3, 4), widths=(22, 14, 12, 12, 13))
 
@@ -67,19 +69,21 @@ def _gain(d: Diagnosis) -> Table:
 def _cause(i: int, c: Cause) -> Iterator[str]:
     values = ", ".join(_value(p) for p in c.parameters)
     yield (
-        f"  {i}. {'one of: ' if c.tied else ''}{c.kind} in {c.where} (p = {c.p_value:.1e})"
+        f"  {i}. {'one of: ' if c.tied else ''}{effect_words(c.kind, c.where)} [{c.kind}] "
+        f"(p = {c.p_value:.1e})"
         + (f": {c.description.rstrip('.')}" if c.description else "")
         + (f"{';' if c.description else ':'} {values}" if values else "")
     )
     for record, found in c.by_record.items():
         yield f"     {record}: " + ", ".join(_value(p) for p in found.values())
     for a in c.alternatives:
-        yield f"     or {a.name} (p = {a.p_value:.2g}): {a.why}"
+        yield f"     or {a.words} [{a.kind}] (p = {a.p_value:.2g}): {a.why}"
 
 
 def _remainder(c: Cause) -> Iterator[str]:
     like = f" ({c.description.rstrip('.')})" if c.kind == "unknown" and c.description else ""
-    yield f"{c.kind} in {c.where}{like}: {100 * c.share:.2g} % of the misfit, p = {c.p_value:.1e}"
+    words = effect_words(c.kind, c.where)
+    yield f"{words}{like}: {100 * c.share:.2g} % of the misfit, p = {c.p_value:.1e}"
 
 
 def _value(p: Estimated) -> str:
@@ -101,13 +105,13 @@ def _first(names: list[str]) -> str:
 
 
 def isolability_document(found: Isolability) -> Document:
-    """The pairs of causes that are hardest to separate, and groups that cannot be separated."""
+    """The pairs of causes that are hardest to separate, and groups that act nearly alike."""
     return Document(
         f"Hardest to distinguish: energy for a margin of {found.margin:g} BIC with probability "
         f"{found.power:g}",
         [
             pairs_table(found),
-            *(f"  the same here: {', '.join(label(k) for k in g)}" for g in found.groups),
+            *(f"  nearly alike: {', '.join(effect_words(*k) for k in g)}" for g in found.groups),
         ],
     )
 
@@ -156,7 +160,7 @@ def advice_document(advice: Advice) -> Document:
     ]
     head = ("experiment", "cosine", "energy needed", "gain", "seconds")
     return Document(
-        f"To separate {' / '.join(label(k) for k in advice.tied)}",
+        f"To separate {' / '.join(effect_words(*k) for k in advice.tied)}",
         [
             Table(head, rows, numbers=(1, 2, 3, 4), widths=(26, 8, 15, 8, 10)),
             f"  {advice.sentence}",

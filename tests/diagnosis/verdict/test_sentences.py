@@ -41,7 +41,7 @@ NAMED = Cause(
 
 
 def test_a_rival_without_a_name_is_told_by_what_it_is_like():
-    assert "from unknown in torque (p^3):" in advice("deficient", [NAMED], None, "")
+    assert "from unidentified term in torque (p^3):" in advice("deficient", [NAMED], None, "")
     famous = replace(UNKNOWN, kind="coulomb_friction", description="friction")
     said = advice("deficient", [replace(NAMED, alternatives=(famous,))], None, "")
     assert "from dry friction in the torque balance:" in said
@@ -61,7 +61,7 @@ def test_the_text_describes_what_has_no_name_and_tells_the_notes_of_a_calibratio
         is_interrupted=True,
     )
     text = str(changed(small(), causes=(NAMED, unknown), calibration=calibration))
-    assert "or unknown in torque (p^3) (p = 0.2): explains as much" in text
-    assert "2. unknown in torque (p = 1.0e-09): a torque like p^3" in text
+    assert "or unidentified term in torque (p^3) [unknown] (p = 0.2): explains as much" in text
+    assert "2. unidentified term in torque [unknown] (p = 1.0e-09): a torque like p^3" in text
     assert "interrupted: 40 of 200 null records were done" in text
     assert "3 null records were undecided, which is no alarm" in text

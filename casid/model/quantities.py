@@ -1,0 +1,50 @@
+"""Values with their units as people read them: prefixes, and times in minutes, hours, days."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+_PREFIXED = re.compile(r"(rad|Hz|Pa|[mNVAWJ])(?![\w^])")
+"""Units that take a prefix where they stand first, to the power of one."""
+_PREFIXES = {-3: "n", -2: "\u00b5", -1: "m", 0: "", 1: "k", 2: "M", 3: "G"}
+_TIMES = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"))
+_POWERS = {"^2": "\u00b2", "^3": "\u00b3"}
+
+
+def unit_text(unit: str) -> str:
+    """A unit as it is read: m^2 with a raised 2."""
+    return re.sub(r"\^[23](?![.\d])", lambda m: _POWERS[m[0]], unit)
+
+
+def quantity_texts(values: Sequence[float], unit: str) -> tuple[list[str], str]:
+    """Values of one quantity with a common prefix of their unit, and that unit.
+
+    The prefix is that of the largest value; a time longer than two minutes is in minutes, hours or
+    days. Units that take no prefix (deg, kg, %) keep their values.
+    """
+    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    scale, shown = 1.0, unit
+    if unit == "s":
+        scale, shown = next(((s, n) for s, n in _TIMES if largest >= 2 * s), (1.0, unit))
+    elif _PREFIXED.match(unit) and largest > 0:
+        steps = math.floor(math.log10(largest) / 3)
+        steps = min(max(steps, -3), 3) if largest < 0.1 or largest >= 1e4 else 0
+        scale, shown = 1000.0**steps, _PREFIXES[steps] + unit
+    return [_three_digits(v / scale) for v in values], shown
+
+
+def quantity_text(value: float, unit: str) -> str:
+    """A value with its unit as people read it: 1.2e6 s is 13.9 d, 0.0002 rad is 0.2 mrad."""
+    (number,), shown = quantity_texts([value], unit)
+    return f"{number} {shown}".rstrip()
+
+
+def _three_digits(value: float) -> str:
+    """Three digits; the smaller ones of a common prefix without an exponent."""
+    if not math.isfinite(value):
+        return "not finite"
+    if 1000 <= abs(value) < 1e5:
+        return f"{value:.0f}"
+    return f"{value:.3g}"
