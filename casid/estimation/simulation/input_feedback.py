@@ -73,10 +73,15 @@ def follows(pairs: list[tuple[Array, Array]], *, first: int = 1) -> bool:
 def _innovations(signals: list[Array]) -> list[Array]:
     """What the past of signals (N,) does not predict, by one autoregression of all.
 
-    Steps, as of a reference, count no more than some standard deviations of the rest.
+    Steps, as of a reference, count no more than some standard deviations of the rest, whose past is
+    taken out of them once more: between its steps a level shows in every sample.
     """
+    white = _whitened(signals)
+    size = INPUT_ANSWERS.steps * float(np.median(np.abs(np.concatenate(white)))) / norm.isf(0.25)
+    return _whitened([np.clip(e, -size, size) for e in white]) if size > 0.0 else white
+
+
+def _whitened(signals: list[Array]) -> list[Array]:
     centred = [s - s.mean() for s in signals]
     model = autoregression(centred)
-    white = [model.whiten(s[:, None])[:, 0] for s in centred]
-    size = INPUT_ANSWERS.steps * float(np.median(np.abs(np.concatenate(white)))) / norm.isf(0.25)
-    return [np.clip(e, -size, size) if size > 0.0 else e for e in white]
+    return [model.whiten(s[:, None])[:, 0] for s in centred]
