@@ -42,6 +42,7 @@ from .experiment_design.aim import Aim
 from .experiment_design.design import design_experiment
 from .experiment_design.designed_experiment import DesignedExperiment
 from .experiment_design.options import DesignOptions
+from .fleets.fleet import Fleet, fleet
 from .identifiability.assessment import Assessment
 from .identifiability.equations.equation_file import EquationFile, parse_system, read_equations
 from .identifiability.equations.system import System
@@ -146,6 +147,7 @@ __all__ = [
     "FirstStage",
     "FitSettings",
     "FittedModel",
+    "Fleet",
     "IdentifiabilityError",
     "InputMeasurement",
     "Instruments",
@@ -212,6 +214,7 @@ __all__ = [
     "estimate_from_moments",
     "estimate_module",
     "feedforward",
+    "fleet",
     "hold",
     "identify",
     "immerse",

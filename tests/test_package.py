@@ -43,12 +43,13 @@ campaigns: model data saving estimation identification
 experiment_design: model data saving linear estimation identifiability
 diagnosis: model algebra data saving linear estimation identifiability identification campaigns
   experiment_design
+fleets: model data saving estimation identification campaigns diagnosis
 export: model data linear estimation
 gallery: data
 report: model algebra data linear estimation identifiability identification unknown_inputs
-  campaigns experiment_design diagnosis
+  campaigns experiment_design diagnosis fleets
 cli: model algebra data linear estimation identifiability identification unknown_inputs campaigns
-  experiment_design diagnosis export gallery report saving
+  experiment_design diagnosis fleets export gallery report saving
 __main__: cli
 """
 

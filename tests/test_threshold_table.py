@@ -18,6 +18,7 @@ from casid.estimation.errors_in_variables import thresholds as input_noise_thres
 from casid.estimation.intervals import thresholds as interval_thresholds
 from casid.estimation.simulation import thresholds as simulation_thresholds
 from casid.experiment_design import thresholds as design_thresholds
+from casid.fleets import thresholds as fleet_thresholds
 from casid.model.effects import search_ranges
 from casid.threshold_table import Entry
 
@@ -29,6 +30,7 @@ TABLES = {
     "estimation/errors_in_variables": input_noise_thresholds,
     "estimation/intervals": interval_thresholds,
     "experiment_design": design_thresholds,
+    "fleets": fleet_thresholds,
 }
 ENTRIES = [e for table in TABLES.values() for e in table.TABLE]
 GROUPS = [g for table in TABLES.values() for g in table.GROUPS]

@@ -174,7 +174,7 @@ class Parts:
         self.runs: set[int] = set()  # that have a row
         if folder is None:
             return
-        with _explained(folder, "nothing was begun"):
+        with explained(folder, "nothing was begun"):
             (folder / _PARTS).parent.mkdir(parents=True, exist_ok=True)
             if not resume:
                 self._delete()
@@ -198,7 +198,7 @@ class Parts:
         table = table_of(rows)
         if self.folder is not None:
             n = len(self.runs)
-            with _explained(self.folder, f"{n} runs are kept there, these {len(rows)} are not"):
+            with explained(self.folder, f"{n} runs are kept there, these {len(rows)} are not"):
                 (self.folder / _PARTS).mkdir(exist_ok=True)
                 first = int(table[RUN][0].as_py())
                 _write(self.folder / _PARTS / f"{first:09d}.parquet", _parquet(table))
@@ -211,7 +211,7 @@ class Parts:
         if self.folder is not None and (
             (self.folder / _PARTS).exists() or not (self.folder / _RESULTS).exists()
         ):
-            with _explained(self.folder, f"all {whole.num_rows} runs are kept there in parts"):
+            with explained(self.folder, f"all {whole.num_rows} runs are kept there in parts"):
                 _write(self.folder / _RESULTS, _parquet(whole))
                 self._delete(_PARTS)
         self.tables = [whole]
@@ -279,7 +279,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 @contextlib.contextmanager
-def _explained(folder: Path, state: str) -> Iterator[None]:
+def explained(folder: Path, state: str) -> Iterator[None]:
     """Turn what the disk refuses into what is kept and how to go on."""
     try:
         yield

@@ -20,6 +20,7 @@ from casid.cli.design import design
 from casid.cli.diagnose import diagnose
 from casid.cli.example import example
 from casid.cli.export import export
+from casid.cli.fleet import fleet
 from casid.cli.gallery import gallery
 from casid.cli.identifiability import identifiability
 from casid.cli.identify import identify
@@ -106,7 +107,7 @@ def main(context: click.Context) -> None:
 
 
 COMMANDS = (
-    *(new, check, diagnose, identify, identifiability, montecarlo),
+    *(new, check, diagnose, identify, identifiability, montecarlo, fleet),
     *(simulate, design, export, example, gallery),
 )
 for command in COMMANDS:

@@ -58,6 +58,12 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
     "Experiment": {"view": "pages.model_page.experiment_view"},
     "FirFilter": {"document": "texts.records.filter_document"},
     "FittedModel": {"view": "pages.model_page.fitted_view"},
+    "Fleet": {
+        "document": "texts.fleets.fleet_document",
+        "figure": "figures.fleets.cause_figure",
+        "figures": "figures.fleets.fleet_figures",
+        "report": "pages.fleet_page.fleet_report",
+    },
     "Invariants": {"document": "texts.moments.invariants_document"},
     "Isolability": {
         "document": "texts.diagnosis.isolability_document",
@@ -113,6 +119,7 @@ JSON_FILES = {
     "Assessment": "identifiability.json",
     "DesignedExperiment": "design.json",
     "Diagnosis": "diagnosis.json",
+    "Fleet": "fleet.json",
     "MonteCarlo": "montecarlo.json",
 }
 """Name of a class -> file beside its page."""

@@ -81,7 +81,7 @@ class Weighing:
         Where sensors and measured inputs leave much unexplained, misfit would pass for a
         disturbance and mask its own cause: the fit is then made under the sensors' noise alone.
         """
-        found = self._estimated(fit)
+        found = self.estimated(fit)
         if found.noise_absorbs_misfit:
             at = self._without_bias(found)
             if at is None or at.noise_absorbs_misfit:
@@ -91,7 +91,7 @@ class Weighing:
             found = at
         for _ in range(rounds):
             criterion = self.criterion(model, found.full, found.fit.values, fit.criterion)
-            found = self._estimated(self.minimum(criterion))
+            found = self.estimated(self.minimum(criterion))
         at = self._without_bias(found) or found
         criterion = self.criterion(model, at.full, found.fit.values, fit.criterion)
         return replace(
@@ -121,7 +121,7 @@ class Weighing:
             moved = replace(at.fit, criterion=criterion, solution=replace(at.fit.solution, x=x))
             if not np.isfinite(criterion.evaluate(x).value):
                 return None
-            at = self._estimated(moved)
+            at = self.estimated(moved)
             if length < PREWHITENING.converged:
                 return at
             first = length if k == 0 else first
@@ -135,7 +135,7 @@ class Weighing:
                 return None
         return None
 
-    def _estimated(self, fit: Fit) -> Weighted:
+    def estimated(self, fit: Fit) -> Weighted:
         """A fit with the noise that its residual shows."""
         full = self.noise(fit)
         input_sd = self.input_sd(full, fit.criterion)

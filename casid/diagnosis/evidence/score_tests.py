@@ -137,14 +137,25 @@ class Family:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Columns:
-    """What the simulation of an extended model gives: residual, tangent and signatures."""
+class Columns:
+    """What the simulation of an extended model gives: residual, tangent and signatures.
 
-    wide: SimulationError  # with every effect at its null value
-    tangent: Sequence[int]  # columns of the baseline's own unknowns
-    candidate: Sequence[int] = ()  # columns of the effects' first parameters
-    clipped: Sequence[Effect] = ()  # effects without a derivative at their null value
-    late: Sequence[tuple[int, int]] = ()  # a delay's column, the output that it makes late
+    Attributes
+    ----------
+    wide : the criterion with every effect at its null value.
+    tangent : columns of the model's own unknowns.
+    candidate : columns of the effects' first parameters.
+    clipped : effects without a derivative at their null value.
+    late : a delay's column, and the output that it makes late.
+    effects : all of them, those of clippings last.
+    """
+
+    wide: SimulationError
+    tangent: Sequence[int]
+    candidate: Sequence[int] = ()
+    clipped: Sequence[Effect] = ()
+    late: Sequence[tuple[int, int]] = ()
+    effects: Sequence[Effect] = ()
 
     @property
     def judged(self) -> list[int]:
@@ -203,9 +214,10 @@ class _Columns:
         return up
 
 
-def _extended_columns(fit: Fit, effects: Sequence[Effect]) -> _Columns:
+def extended_columns(fit: Fit, effects: Sequence[Effect]) -> Columns:
     """Columns of the fitted model with every effect in it, those of clippings last."""
     base = fit.criterion
+    effects = [e for test in ("score", "clip") for e in effects if e.test == test]
     scored = [e for e in effects if e.test == "score"]
     model, names = extend_all(base.model, scored)
     wide = widened(fit, model)
@@ -217,12 +229,13 @@ def _extended_columns(fit: Fit, effects: Sequence[Effect]) -> _Columns:
         and e.where in wide.outputs
         and not_felt_yet(base.model, e.where)
     ]
-    return _Columns(
+    return Columns(
         wide,
         [position[n] for n in base.names],
         [position[n] for n in names],
         [e for e in effects if e.test == "clip"],
         late,
+        effects,
     )
 
 
@@ -248,9 +261,7 @@ class _Projected:
         )
 
 
-def _projected(
-    name: str, columns: _Columns, input_sd: Mapping[str, float], seed: int
-) -> _Projected:
+def _projected(name: str, columns: Columns, input_sd: Mapping[str, float], seed: int) -> _Projected:
     """(1) for every signature of a model by name, with the covariance of all."""
     wide = columns.wide
     x, ny = wide.start, len(wide.outputs)
@@ -319,15 +330,31 @@ def score_test(
     """
     if not effects:
         return ScoreTable((), np.empty((0, 0)), 0, Family(np.empty(0), 0))
-    # The order of the columns.
-    effects = [e for test in ("score", "clip") for e in effects if e.test == test]
-    name = fit.criterion.model.name
-    columns = _extended_columns(fit, effects)
-    both = _projected(name, columns, input_sd, seed)
+    columns = extended_columns(fit, effects)
+    return scores_of(columns, fit.criterion, input_sd=input_sd, draws=draws, seed=seed)
+
+
+def scores_of(
+    columns: Columns,
+    criterion: SimulationError,
+    *,
+    input_sd: Mapping[str, float],
+    draws: int = SCORES.draws,
+    seed: int = 0,
+) -> ScoreTable:
+    """`score_test` of columns that are at hand, at the start of their criterion.
+
+    Parameters
+    ----------
+    criterion : of the model without the effects.
+    draws : 0: the family's p is Bonferroni's bound.
+    """
+    effects = columns.effects
+    both = _projected(criterion.model.name, columns, input_sd, seed)
     at = both.taken(columns.judged)
     z, left, size, visible = at.z, at.left, at.size, at.visible
     sd_z = np.sqrt(np.maximum(np.diag(at.covariance), TINY))
-    possible = _between_samples(fit.criterion, effects, np.abs(at.gram) * size)
+    possible = _between_samples(criterion, effects, np.abs(at.gram) * size)
     ratio, bias = (np.where(visible, a / sd_z, 0.0) for a in (z, possible))
     freedom = max(SCORES.freedom_per_lag * at.n / (at.lags + 1), SCORES.least_freedom)
     one = np.array([eff.sided == "positive" or eff.test == "clip" for eff in effects])
@@ -384,7 +411,7 @@ def step_without_bias(
     step is held short rather than turned round.
     """
     n = len(x)
-    columns = _Columns(criterion, range(n))
+    columns = Columns(criterion, range(n))
     gradient, matrix, noise = np.zeros(n), np.zeros((n, n)), np.zeros((n, n))
     sd = np.array([input_sd.get(name, 0.0) for name in criterion.model.inputs])
     rng = np.random.default_rng(seed)
@@ -420,7 +447,7 @@ def scan(fit: Fit, own: str, effects: Sequence[Effect]) -> Array:
     Linear in the effects, about a fit that already has one of their kind: the residual with that
     one taken out is regressed on each candidate's sensitivity and the other unknowns'.
     """
-    base, columns = fit.criterion, _extended_columns(fit, effects)
+    base, columns = fit.criterion, extended_columns(fit, effects)
     wide = columns.wide
     parts = [columns.of_record(wide.start, k) for k in range(len(wide.data))]
     e, t_all, psi = (_joined([part[i] for part in parts]) for i in range(3))
@@ -462,8 +489,8 @@ def _family_of(
 ) -> Family:
     """The smallest p among the visible candidates in Gaussian draws (Romano and Wolf 2005)."""
     index = np.flatnonzero(visible)
-    if not index.size:
-        return Family(np.zeros(0), 0)
+    if not index.size or not draws:
+        return Family(np.zeros(0), len(index))
     sd = np.sqrt(np.maximum(np.diag(covariance)[index], TINY))
     correlation = covariance[np.ix_(index, index)] / np.outer(sd, sd)
     values, vectors = np.linalg.eigh(correlation)

@@ -10,6 +10,7 @@ Gauss-Newton matrix; nothing in the NLP grows with the number of samples.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -78,25 +79,60 @@ class SimulationError:
         substeps: int = 1,
         start: Mapping[str, float] | None = None,
     ) -> None:
+        self.model, self.segments, self.substeps = model, segments, substeps
+        self.outputs = tuple(model.outputs)
+        self._simulators: dict[float, Simulator] = {}
+        self._take(experiments, own, weights, whiten, start)
+
+    def of_records(
+        self,
+        experiments: Sequence[Experiment],
+        *,
+        weights: Array | None = None,
+        whiten: Whitener | None = None,
+        start: Mapping[str, float] | None = None,
+    ) -> SimulationError:
+        """The same criterion of other records; what was built of the model is used again.
+
+        Raises
+        ------
+        DataError
+            If the records know other parameters than these do.
+        """
+        other = copy.copy(self)
+        other._take(experiments, self.own, weights, whiten, start)
+        return other
+
+    def _take(
+        self,
+        experiments: Sequence[Experiment],
+        own: Sequence[str],
+        weights: Array | None,
+        whiten: Whitener | None,
+        start: Mapping[str, float] | None,
+    ) -> None:
+        """Lay out the variables of these records, and simulators at their sample times."""
         if not experiments:
             raise DataError("no experiment to fit; give at least one record")
-        self.model, self.experiments = model, list(experiments)
+        model = self.model
+        self.experiments = list(experiments)
         self.data = [signals_of(model, e) for e in experiments]
         self.whiten = whiten
-        self.segments = segments
         self._refuse_more_segments_than_samples()
         self.unknowns = Unknowns(model, [(d.name, d.known) for d in self.data], own, start)
         self.free, self.own = self.unknowns.free, self.unknowns.own
-        self._simulators: dict[float, Simulator] = {}
         pinned = {p.name: p.lower for p in model.parameters.values() if p.lower == p.upper}
         pinned = {n: v for n, v in pinned.items() if n in self.free}
         for d in self.data:
             if d.Ts not in self._simulators:
                 self._simulators[d.Ts] = Simulator(
-                    model, d.Ts, self.free, substeps=substeps, pinned=pinned
+                    model, d.Ts, self.free, substeps=self.substeps, pinned=pinned
                 )
-        self.outputs = tuple(model.outputs)
-        self.substeps = substeps
+            elif self._simulators[d.Ts].free != tuple(self.free):
+                raise DataError(
+                    f"{d.name}: other parameters are known than in the records before it; state "
+                    "its criterion anew"
+                )
         self.spread = self._spread()
         self.weights = 1 / self.spread if weights is None else np.asarray(weights, float)
         self._burn()
@@ -105,7 +141,7 @@ class SimulationError:
         self._lay_out()
         self._last: LastOf[Simulated] = LastOf()
         self._courses: dict[int, tuple[Array, Array]] = {}  # inputs, and the same with courses
-        if segments == 1 and any(stage.kind in MEMORY for stage in model.stages):
+        if self.segments == 1 and any(stage.kind in MEMORY for stage in model.stages):
             self._bound_initial_states()
 
     def _refuse_more_segments_than_samples(self) -> None:

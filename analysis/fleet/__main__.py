@@ -1,0 +1,5 @@
+"""`python -m analysis.fleet`."""
+
+from analysis.fleet.study import STUDY
+
+STUDY.run()

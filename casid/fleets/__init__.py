@@ -1,0 +1,1 @@
+"""Fleets: many records of many assets, one table of causes, errors controlled over all of them."""

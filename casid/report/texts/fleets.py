@@ -1,0 +1,120 @@
+"""A fleet in a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+from casid.fleets.findings import Finding
+from casid.fleets.fleet import Fleet
+from casid.fleets.random_effects import ParameterEffects
+from casid.report.document import Document, Table, labelled
+from casid.report.numbers import number_text
+
+_SHOWN = 20
+
+
+def fleet_document(fleet: Fleet) -> Document:
+    """What was found since when, how parameters differ and drift, and what was refused."""
+    shown = fleet.findings[:_SHOWN]
+    rows = [finding_cells(fleet, f) for f in shown]
+    more = len(fleet.findings) - len(shown)
+    refusals = Counter(_reason(text) for text in fleet.refusals.values()).most_common(5)
+    return Document(
+        f"Fleet of {fleet.problem}: {len(fleet.records)} records of {len(fleet.assets)} assets",
+        [
+            ("records", counts_text(fleet)),
+            ("errors", rates_text(fleet)),
+            Table(FINDING_HEAD, rows, numbers=(3,)),
+            *([f"  and {more} more, in fleet.json and report.html"] if more > 0 else []),
+            Table(EFFECT_HEAD, [effect_cells(e) for e in fleet.effects], numbers=(2, 3, 4, 5)),
+            *labelled("refused", [f"{n} times: {text}" for text, n in refusals]),
+            *(
+                [("NOT DONE", f"{fleet.not_done} records: the budget of time ended")]
+                if fleet.not_done
+                else []
+            ),
+        ],
+        label=8,
+        width=110,
+    )
+
+
+FINDING_HEAD = ("asset", "cause", "began", "records", "e-value", "state")
+EFFECT_HEAD = ("parameter", "unit", "mean", "between", "within", "drift a year", "drifting alone")
+
+
+def counts_text(fleet: Fleet) -> str:
+    """How many records were done, searched and refused."""
+    refused = len(fleet.refusals)
+    return (
+        f"{fleet.new} done now, {len(fleet.records) - fleet.new} before; {fleet.searched} had the "
+        f"full search, {refused or 'none'} {'was' if refused == 1 else 'were'} refused"
+    )
+
+
+def rates_text(fleet: Fleet) -> str:
+    """Discoveries by each procedure, and the alarms."""
+    monthly = fleet.false_alarms_per_month
+    alarms = len(fleet.alarms)
+    text = (
+        f"{fleet.discoveries} records lack something at a false discovery rate of {fleet.level:g} "
+        f"(Benjamini-Hochberg), {fleet.discoveries_e} whatever their dependence (e-BH); {alarms} "
+        f"raised an alarm on arrival (LORD++)"
+    )
+    if math.isfinite(monthly):
+        text += f", at most {monthly:.2g} false ones a month"
+    return text
+
+
+def finding_cells(fleet: Fleet, f: Finding) -> tuple[str, ...]:
+    """A finding as cells below `FINDING_HEAD`."""
+    return (
+        f.asset,
+        f"{f.kind} in {f.where}",
+        onset_text(fleet, f),
+        str(len(f.records)),
+        f"{min(f.e_value, 1e300):.1e}",
+        state_text(fleet, f),
+    )
+
+
+def onset_text(fleet: Fleet, f: Finding) -> str:
+    """Between which times it began."""
+    after, by = f.onset
+    if not math.isfinite(after):
+        return f"by {fleet.time_text(by)}"
+    return f"{fleet.time_text(after)} to {fleet.time_text(by)}"
+
+
+def state_text(fleet: Fleet, f: Finding) -> str:
+    """Whether it lasts, and whose matter it is."""
+    lasting = "lasting" if f.is_lasting else "once"
+    state = f"{lasting}, still there" if f.is_present and f.is_lasting else lasting
+    if f.is_lasting and not f.is_present:
+        state += f" until {fleet.time_text(f.until)}"
+    if f.is_common:
+        return f"{state}; common to {f.assets} assets"
+    return state
+
+
+def effect_cells(e: ParameterEffects) -> tuple[str, ...]:
+    """A parameter as cells below `EFFECT_HEAD`."""
+    alone = [a for a in e.assets if a.p_value < 0.05 / max(len(e.assets), 1)]
+    drift = "--"
+    if math.isfinite(e.drift):
+        drift = f"{number_text(e.drift)} +- {e.drift_error:.1g}"
+    return (
+        e.name,
+        e.unit,
+        f"{e.mean:.6g} +- {e.mean_error:.1g}",
+        number_text(e.between),
+        number_text(e.within),
+        drift,
+        ", ".join(a.asset for a in alone[:4]) + (", ..." if len(alone) > 4 else ""),
+    )
+
+
+def _reason(text: str) -> str:
+    """A refusal without the name of its file."""
+    return text.split(": ", 1)[0] if text.startswith("it cannot be read") else text

@@ -1,0 +1,73 @@
+"""Screening: what is missing passes, what is complete does not, and what is unlike is searched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import casid
+from casid.fleets.record_list import FleetRecord
+from casid.fleets.record_work import Reference, reference_of
+from casid.fleets.screening import Screen, Screened
+from casid.fleets.thresholds import SCREENING
+from tests.support.fleet_records import samples, write_problem, write_record
+
+TRUTH = {"T": 6.0, "K": 2.0}
+
+
+@pytest.fixture(scope="module")
+def problem(tmp_path_factory: pytest.TempPathFactory) -> casid.Problem:
+    return casid.load_problem(write_problem(tmp_path_factory.mktemp("problem")))
+
+
+@pytest.fixture(scope="module")
+def screen(problem: casid.Problem, tmp_path_factory: pytest.TempPathFactory) -> Screen:
+    path = write_record(tmp_path_factory.mktemp("reference") / "r.csv", samples(1))
+    return Screen.of(problem, problem.read(path), TRUTH, level=0.05)
+
+
+def screened(screen: Screen, path: Path, **how: float) -> Screened:
+    return screen(screen.declared.read(write_record(path / "r.csv", samples(**how))))
+
+
+def test_records_that_lack_nothing_seldom_pass(screen: Screen, tmp_path: Path) -> None:
+    """Of 40 at a fifth of 5 %, two are as many as 6 % of all such tests would see by chance."""
+    passed = [screened(screen, tmp_path, seed=s).passes(0.05) for s in range(100, 140)]
+    assert sum(passed) <= 2
+
+
+def test_its_fit_is_that_of_the_record(screen: Screen, tmp_path: Path) -> None:
+    """Five standard errors of the truth, which they scatter by: K of another asset is its own."""
+    found = {p.name: p for p in screened(screen, tmp_path, seed=7, gain=2.1).parameters}
+    for name, truth in (("T", 6.0), ("K", 2.1)):
+        assert found[name].std_error is not None
+        assert abs(found[name].value - truth) < 5 * found[name].std_error
+        assert found[name].std_error < 0.02 * truth
+    assert found["T"].unit == "s"
+
+
+def test_a_record_that_lacks_something_passes(screen: Screen, tmp_path: Path) -> None:
+    assert screened(screen, tmp_path, seed=8, offset=0.1).passes(0.05)
+
+
+def test_a_record_far_from_the_reference_is_searched(screen: Screen, tmp_path: Path) -> None:
+    found = screened(screen, tmp_path, seed=9, gain=200.0)
+    assert found.why
+    assert found.passes(0.05)
+
+
+def test_a_record_with_other_channels_is_searched(screen: Screen, tmp_path: Path) -> None:
+    data = samples(10)
+    data["extra"] = np.sin(data["t"])
+    found = screen(screen.declared.read(write_record(tmp_path / "r.csv", data)))
+    assert found.why == "it has other channels than the asset's reference"
+
+
+def test_the_reference_is_a_median_that_one_bad_record_does_not_move() -> None:
+    records = [FleetRecord(f"{i}.csv", "a", i, False, 1, 1) for i in range(SCREENING.references)]
+    fits = [{"K": 2.0 + 0.01 * i} for i in range(SCREENING.references - 1)]
+    found = reference_of(list(zip(records, [*fits, {"K": 50.0}], strict=True)))
+    assert found == Reference("2.csv", (("K", 2.02),))
+    assert reference_of([]) is None

@@ -1,0 +1,79 @@
+"""Work in a process of its own: what takes more than its budget is ended, and the next goes on."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+
+import pytest
+
+from casid.fleets.supervision import StoppedError, Supervised
+from casid.fleets.thresholds import RECORD_BUDGET
+
+
+def double(x: int) -> int:
+    print("this goes to standard error")
+    return 2 * x
+
+
+def endless() -> None:
+    while True:
+        pass
+
+
+def hungry() -> int:
+    return len([bytearray(1 << 24) for _ in range(2000)])
+
+
+def crashing() -> None:
+    os.abort()
+
+
+def failing() -> None:
+    raise ValueError("no such thing")
+
+
+@pytest.fixture
+def process(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("CASID_TIME_FACTOR", "1")
+    supervised = Supervised(20.0, 300.0)
+    yield supervised
+    supervised.end()
+
+
+def test_tasks_are_done_one_after_another_by_one_process(process: Supervised) -> None:
+    assert [process(double, i) for i in range(3)] == [0, 2, 4]
+    assert process(os.getpid) == process(os.getpid) != os.getpid()
+
+
+def test_what_a_task_raises_is_raised_here(process: Supervised) -> None:
+    with pytest.raises(ValueError, match="no such thing"):
+        process(failing)
+    assert process(double, 1) == 2
+
+
+def test_an_endless_task_is_ended_and_the_next_one_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CASID_TIME_FACTOR", "1")
+    process = Supervised(3.0, 300.0)
+    try:
+        begun = time.monotonic()
+        with pytest.raises(StoppedError, match="more than its budget of 3 s"):
+            process(endless)
+        assert time.monotonic() - begun >= RECORD_BUDGET.grace * 3.0
+        assert process(double, 4) == 8
+    finally:
+        process.end()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no such limit of memory")
+def test_a_task_that_takes_too_much_memory_is_ended(process: Supervised) -> None:
+    with pytest.raises(StoppedError, match="more memory than its budget of 300 MB"):
+        process(hungry)
+    assert process(double, 5) == 10
+
+
+def test_a_crash_in_compiled_code_is_told_and_survived(process: Supervised) -> None:
+    with pytest.raises(StoppedError, match="a crash in compiled code"):
+        process(crashing)
+    assert process(double, 6) == 12
