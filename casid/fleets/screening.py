@@ -24,13 +24,9 @@ from casid.data.problem import Problem
 from casid.diagnosis.evidence.corrupted_samples import without_corrupted
 from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
 from casid.diagnosis.evidence.recorded_channels import recorded_beside, with_unused_columns
-from casid.diagnosis.evidence.score_tests import (
-    Columns,
-    extended_columns,
-    scores_of,
-    step_without_bias,
-)
+from casid.diagnosis.evidence.score_tests import scores_of, step_without_bias
 from casid.diagnosis.evidence.signal_sizes import sizes_of
+from casid.diagnosis.evidence.signature_columns import Columns, extended_columns
 from casid.diagnosis.evidence.spectral_peaks import find_peaks
 from casid.errors import CasidError, DataError
 from casid.estimation.holdout import split_records
