@@ -128,7 +128,7 @@ def channel_quality(record: Record, name: str) -> tuple[ChannelCheck, list[Findi
             Finding(
                 "warning",
                 name,
-                f"{_CONSTANT} {low:.6g} {unit}.",
+                f"{_CONSTANT} {low + 0.0:.6g} {unit}.",
                 "It excites nothing: check the sensor or the mapping, or leave it out.",
             )
         )

@@ -13,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from casid.errors import CasidError, OutOfTimeError
+from casid.estimation.simulation.minimization import DivergenceError
 from casid.time_limit import out_of_time_text, require_time, until
 
 T = TypeVar("T")
@@ -63,6 +64,8 @@ class Attempts:
 
 def reason_of(error: Exception) -> str:
     """An error in one line, those of other libraries as what they are to a reader."""
+    if isinstance(error, DivergenceError):
+        return error.what  # of a candidate: its start is not the user's
     lines = str(error).strip().splitlines() or [type(error).__name__]
     if isinstance(error, CasidError):
         return lines[0]

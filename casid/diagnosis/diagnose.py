@@ -188,7 +188,7 @@ def _concluded(
             judged.baseline,
             judged.extended,
             judged.records,
-            noise_text(found.at),
+            noise_text(found.at) if found.baseline.is_fitted else {},
             judged.disturbances,
         ),
         gain=Gain(judged.fitted, judged.held_out, judged.moved, judged.remaining),

@@ -163,7 +163,7 @@ def _least_squares(
         )
     if len(y) <= len(free):
         raise DataError(
-            f"{blocks[0].record}: {len(y)} samples cannot pay for {len(free)} parameters; "
+            f"{blocks[0].record}: {len(y)} samples are too few for {len(free)} parameters; "
             "widen the window or decimate less"
         )
     length = np.linalg.norm(phi, axis=0)

@@ -18,6 +18,7 @@ from casid.estimation.simulation.initial_state import fit_initial_state
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.signals import Signals, signals_of
 from casid.model.model import Model
+from casid.model.quantities import percent_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,7 +246,8 @@ def why_no_better(before: Array, after: Array) -> str:
     sd = float(np.sqrt(long_run_covariance(difference[:, None], lags)[0, 0]))
     p = 0.5 * math.erfc((old - new) / sd / math.sqrt(2.0)) if sd > 0 else 0.0
     if p > 0.2 and new > 0.9 * old:
-        return f"its held-out improvement of {100 * (1 - np.sqrt(new / old)):.2g} % may be chance"
+        better = 100 * (1 - np.sqrt(new / old))
+        return f"its held-out improvement of {percent_text(better)} may be chance"
     return ""
 
 
@@ -257,7 +259,8 @@ def why_worse(before: Array, after: Array) -> str:
     if not np.isfinite(new):
         return "its simulation diverges on the held-out data"
     if new > old:
-        return f"it makes the held-out error worse, by {100 * (np.sqrt(new / old) - 1):.2g} %"
+        worse = 100 * (np.sqrt(new / old) - 1)
+        return f"it makes the held-out error worse, by {percent_text(worse)}"
     return ""
 
 

@@ -320,7 +320,7 @@ def _refuse_no_predictor(criterion: Criterion) -> None:
             criterion.predictor(x0, e)  # refuses with the reason where there is none
     if criterion.n_samples <= len(x0):
         raise DataError(
-            f"{criterion.data[0].name}: {criterion.n_samples} samples cannot pay for {len(x0)} "
+            f"{criterion.data[0].name}: {criterion.n_samples} samples are too few for {len(x0)} "
             "unknowns (parameters, noise and initial states); widen the window or give known values"
         )
 

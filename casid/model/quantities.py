@@ -24,13 +24,16 @@ def quantity_texts(values: Sequence[float], unit: str) -> tuple[list[str], str]:
     The prefix is that of the largest value; a time longer than two minutes is in minutes, hours or
     days. Units that take no prefix (deg, kg, %) keep their values.
     """
-    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    sizes = [abs(v) for v in values if math.isfinite(v) and v]
+    largest = max(sizes, default=0.0)
     scale, shown = 1.0, unit
     if unit == "s":
         scale, shown = next(((s, n) for s, n in _TIMES if largest >= 2 * s), (1.0, unit))
     elif _PREFIXED.match(unit) and largest > 0:
         steps = math.floor(math.log10(largest) / 3)
-        steps = min(max(steps, -3), 3) if largest < 0.1 or largest >= 1e4 else 0
+        if 0.1 <= largest < 1e4:  # 0.187 m is left alone, 0.187 and 0.001 m are 187 and 1 mm
+            steps = -1 if largest < 1 and min(sizes) < 0.01 else 0
+        steps = min(max(steps, -3), 3)
         scale, shown = 1000.0**steps, _PREFIXES[steps] + unit
     return [_three_digits(v / scale) for v in values], shown
 
@@ -48,3 +51,8 @@ def _three_digits(value: float) -> str:
     if 1000 <= abs(value) < 1e5:
         return f"{value:.0f}"
     return f"{value:.3g}"
+
+
+def percent_text(value: float) -> str:
+    """A percentage with two digits, or all of those before the point: 0.76 %, 12 %, 150 %."""
+    return f"{value:.0f} %" if abs(value) >= 10 else f"{value:.2g} %"

@@ -261,7 +261,7 @@ BAD_FILES = {
     ),
     "doubled stamps": (lambda h, r: (h, r[:100] + r[99:]), ["duplicate", "drop doubled rows"]),
     "backward stamps": (lambda h, r: (h, r[:100] + r[50:]), ["backward", "Sort the file"]),
-    "too short": (lambda h, r: (h, r[:4]), ["too short", "cannot pay for", "samples"]),
+    "too short": (lambda h, r: (h, r[:4]), ["too short", "are too few for", "samples"]),
     "header alone": (lambda h, r: (h, []), ["no samples", "another file"]),
     "a broken row": (
         lambda h, r: (h, [*r[:50], [*r[50], "7", "8"], *r[51:]]),

@@ -9,6 +9,7 @@ from scipy.optimize import nnls
 import casid
 from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.prewhitening import Weighing
+from casid.model.effects.names import effect_words
 from problems import roll_decay
 
 
@@ -65,6 +66,7 @@ def test_candidates_that_break_down_leave_the_one_that_does_not_to_be_named(monk
     assert found.causes[0].kind == "quadratic_damping"
     assert broken
     for kind in broken:
-        failed = [n for n in found.notes if n.startswith(f"{kind} in ")]
+        names = {effect_words(r.kind, r.where) for r in found.ranking if r.kind == kind}
+        failed = [n for n in found.notes if n.partition(" was left out")[0] in names]
         assert failed
         assert "was left out: its numbers break down (SVD did not converge)" in failed[0]

@@ -422,7 +422,7 @@ def test_records_that_cannot_be_used_are_refused() -> None:
     gap = record.mark_missing("y", np.arange(record.N) == 17)
     with pytest.raises(DataError, match=r"misses samples, the first at t = 3.4 s.*interpolate"):
         fit_lag(gap)
-    with pytest.raises(DataError, match="cannot pay for 5 unknowns.*widen the window"):
+    with pytest.raises(DataError, match="are too few for 5 unknowns.*widen the window"):
         fit_lag(record.between(0.0, 0.9))
     with pytest.raises(SolveError, match="outside its bounds.*move the start inside"):
         fit_lag(record, start={"a": -1.0})

@@ -19,11 +19,11 @@ from casid.diagnosis.diagnosis import Alternative, Cause, Diagnosis, Ranked
 from casid.diagnosis.facts import Facts
 from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.gain import decisive, improves
-from casid.diagnosis.verdict.names import _NAMES, effect_words
 from casid.diagnosis.verdict.remainder import what_remains
 from casid.diagnosis.verdict.sentences import verdict_sentence
 from casid.estimation.estimate import Estimated
 from casid.model.effects.effect import KINDS as CATALOGUE
+from casid.model.effects.names import _NAMES, effect_words
 from casid.report.document import Document, plain
 from casid.report.html.page import html_page
 from casid.report.numbers import p_text

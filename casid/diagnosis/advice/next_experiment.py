@@ -28,13 +28,13 @@ from casid.diagnosis.advice.planned_records import Planned, Planner, with_start
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import ScoreTable, score_test
 from casid.diagnosis.thresholds import PLANNING, SCORES
-from casid.diagnosis.verdict.names import effect_words, either_words
 from casid.errors import CasidError, DataError, OutOfTimeError
 from casid.estimation.noise import NoiseModel
 from casid.estimation.noise_response import noise_response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.model.effects.effect import Effect
+from casid.model.effects.names import effect_words, either_words
 from casid.presentation import Presented
 
 

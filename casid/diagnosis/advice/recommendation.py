@@ -15,8 +15,10 @@ from casid.diagnosis.thresholds import PLANNING
 from casid.diagnosis.verdict.cause import Cause, Verdict
 from casid.diagnosis.verdict.gain import decisive, improves
 from casid.diagnosis.verdict.judgement import Judgement
-from casid.diagnosis.verdict.names import effect_words, either_words
 from casid.diagnosis.verdict.sentences import separates
+from casid.estimation.estimate import Estimate
+from casid.estimation.fit_statistics import POOR
+from casid.model.effects.names import effect_words, either_words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +50,8 @@ def recommend(
         text = base.negated.remedy
     elif judged.bounds and judged.verdict == "undecided":
         text = bound_advice(problem, judged.bounds)
+    elif judged.verdict == "undecided" and base.is_fitted and _is_poor(judged.baseline):
+        text = _CHECK_CHANNELS
     elif planned is not None:
         text = planned.sentence
     else:
@@ -63,10 +67,11 @@ def recommend(
             "why some causes are undetectable",
             lambda: undetectable_effects(table, problem.model, base.split.fitted),
         )
+    named = {(c.kind, c.where) for c in judged.causes}
     return Recommendation(
         sentence=text,
         isolability=isolability(table, n_samples=found.base_fit.criterion.n_samples),
-        undetectable=undetectable or (),
+        undetectable=tuple(u for u in undetectable or () if (u.kind, u.where) not in named),
         proposals=planned.proposals if planned is not None else (),
     )
 
@@ -90,6 +95,18 @@ def _planned(problem: Problem, found: Findings, causes: Sequence[Cause]) -> Advi
         say("plan an experiment that separates the tied causes")
         return next_experiment(problem, a.before, suspects, progress=say)
     return None
+
+
+_CHECK_CHANNELS = (
+    "Check signs, units and the mapping of the channels, then diagnose again: the model explains "
+    "next to nothing of this record."
+)
+
+
+def _is_poor(baseline: Estimate) -> bool:
+    """True if the model explains next to nothing of some output."""
+    fits = [fit for by_output in baseline.fit.nrmse.values() for fit in by_output.values()]
+    return any(fit <= POOR for fit in fits)
 
 
 _REMEDIES = (": check ", ": fit ", ": diagnose ")

@@ -61,6 +61,7 @@ class Baseline:
     negated: WrongSign | None = None
     why_undecided: str = ""
     why_not_fitted: str = ""
+    is_fitted: bool = True
     notes: tuple[str, ...] = ()
 
 
@@ -141,7 +142,7 @@ def _uninformative(problem: Problem, split: Split, settings: FitSettings, why: s
     fit = few_step_fit(problem.model, split.fitted)
     weighing = Weighing(split.fitted, solver=settings.solver)
     start = weighted_as_white(fit)
-    return Baseline(split, split, fit, fit, start, weighing, {}, why_undecided=why)
+    return Baseline(split, split, fit, fit, start, weighing, {}, why_undecided=why, is_fitted=False)
 
 
 def _fit_as_recorded(

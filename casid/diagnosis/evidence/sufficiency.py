@@ -18,6 +18,7 @@ from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import SUFFICIENCY
 from casid.estimation.covariance import whiteness
+from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split
 from casid.estimation.nlp.solver import Solver
@@ -166,13 +167,19 @@ def why_too_few(criterion: SimulationError) -> str:
     )
 
 
-def weak_parameters(at: Weighted, std_error: Callable[[str], float]) -> tuple[str, ...]:
+def weak_parameters(
+    at: Weighted, std_error: Callable[[str], float], reported: Estimate
+) -> tuple[str, ...]:
     """A note on parameters whose standard errors exceed their own size.
 
     The model may still be judged: the effect of such a parameter on the outputs is undetectable.
-    But so is an effect that acts like it.
+    But so is an effect that acts like it. One whose error is smaller in the estimate that is
+    reported, where a parameter at its bound is none, is left out.
     """
-    weak = [n for n, r in _relative_errors(at, std_error).items() if not r <= 1.0]
+    errors = {p.name: (p.std_error, abs(p.value)) for p in reported.parameters}
+    clear = {name for name, (error, size) in errors.items() if error is not None and error < size}
+    relative = {n: r for n, r in _relative_errors(at, std_error).items() if n not in clear}
+    weak = [n for n, r in relative.items() if not r <= 1.0]
     if not weak:
         return ()
     names = " and ".join(weak)

@@ -10,6 +10,7 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.score_tests import Score
 from casid.estimation.simulation.minimization import Fit
 from casid.model.effects.effect import Effect
+from casid.model.effects.names import effect_words
 from casid.model.model import Model
 
 
@@ -80,8 +81,8 @@ def extended_by(model: Model, candidates: Sequence[Candidate]) -> tuple[Model, l
 
 
 def name_of(effect: Effect) -> str:
-    """Kind and place, as notes have them."""
-    return f"{effect.kind} in {effect.key[1]}"
+    """Kind and place in words, as notes have them."""
+    return effect_words(*effect.key)
 
 
 def found_values(candidate: Candidate) -> dict[str, float]:

@@ -134,7 +134,7 @@ class Refitting:
         if effect.key not in self.left_out:
             size, first = diverging_size(at.fit, effect), effect.parameters[0]
             self.left_out[effect.key] = (
-                f"{effect.kind} in {effect.where} was left out: its simulation diverges already "
+                f"{name_of(effect)} was left out: its simulation diverges already "
                 f"at {first.name} = {size:.2g} {first.unit}: turn its sign round, bound it, or "
                 "state it so that it stays small"
                 if size is not None

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from casid.data.files import plain_fields
-from casid.diagnosis.verdict.names import effect_words
 from casid.estimation.estimate import Estimated
+from casid.model.effects.names import effect_words
 from casid.model.units import parse_unit, si_unit
 
 Verdict = Literal["adequate", "deficient", "undecided"]

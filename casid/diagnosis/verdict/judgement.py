@@ -20,7 +20,6 @@ from casid.diagnosis.verdict.gain import (
     unlike_held_out,
     views,
 )
-from casid.diagnosis.verdict.names import effect_words
 from casid.diagnosis.verdict.open_set import (
     Remainder,
     described,
@@ -40,6 +39,7 @@ from casid.estimation.simulation.simulation_estimate import (
     channel_notes,
     estimate_of,
 )
+from casid.model.effects.names import effect_words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,11 +93,12 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         test = partial(tested_remainder, found.at, found.search, found.adopted)
         remainder = attempt("the test of the remainder", test)
     disturbances = remainder.disturbances if remainder is not None else ()
-    fitted, held = errors_of(found, with_disturbances=bool(disturbances))
+    fitted, held = _errors(found, with_disturbances=bool(disturbances))
     part = held if held.get("extended_rmse") else fitted
     causes = causes_of(found, extended or baseline, problem.columns())
+    negated = partial(_with_the_sign, found)
     remaining = what_remains(
-        [(c.kind, c.where, c.share) for c in causes],
+        [(c.kind, c.where, c.share) for c in negated(causes)],
         part,
         p_value=remainder.p_value if remainder is not None else None,
         test="kind of the residual: spectrum, dependence on states and inputs, change in time",
@@ -111,8 +112,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     compare = partial(_compared_with_functions, found, causes, remainder)
     compared = attempt("the comparison with functions outside the catalogue", compare)
     causes, remainder = compared or (causes, remainder)
-    if start.negated is not None:
-        causes = with_the_sign(start.negated, causes, base_fit, found.best_fit)
+    causes = negated(causes)
     why_undecided = start.why_undecided or unlike_held_out(fitted, held)
     bounds = {} if why_undecided else bounds
     if bounds:
@@ -135,6 +135,21 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         remainder=remainder,
         bounds=bounds,
     )
+
+
+def _errors(found: Findings, *, with_disturbances: bool) -> tuple[Errors, Errors]:
+    """As `errors_of`; none of a model that was not fitted: they would be those of its start."""
+    if not found.baseline.is_fitted:
+        return {}, {}
+    return errors_of(found, with_disturbances=with_disturbances)
+
+
+def _with_the_sign(found: Findings, causes: list[Cause]) -> list[Cause]:
+    """The causes, with a wrong sign first where there is one."""
+    negated = found.baseline.negated
+    if negated is None:
+        return causes
+    return with_the_sign(negated, causes, found.base_fit, found.best_fit)
 
 
 def _compared_with_functions(
@@ -160,12 +175,14 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
     search, base, negated = found.search, found.baseline, found.baseline.negated
     notes = channel_notes(problem.model, [*base.recorded.whole, *base.recorded.apart])
     notes += base.notes
-    if not base.why_undecided:
+    if base.is_fitted:
         poor = poor_fit_text((judged.extended or judged.baseline).fit.nrmse)
         notes += [poor] if poor else []
+    if not base.why_undecided:
         notes += (base.why_not_fitted,) if base.why_not_fitted else ()
         notes += disagreements(found.best_fit)
-        notes += weak_parameters(found.at, partial(std_error, found.at.fit))
+        reported = judged.extended or judged.baseline
+        notes += weak_parameters(found.at, partial(std_error, found.at.fit), reported)
     if negated is not None and negated.reference:
         notes.append(
             f"the sign of {negated.channel} was determined with instruments from "

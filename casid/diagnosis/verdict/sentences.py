@@ -13,8 +13,8 @@ from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import JUDGING
 from casid.diagnosis.verdict.cause import Cause, Verdict
-from casid.diagnosis.verdict.names import effect_words, either_words
 from casid.model.effects.effect import Effect
+from casid.model.effects.names import effect_words, either_words
 from casid.model.quantities import quantity_text, quantity_texts
 
 _SAYS = {
@@ -134,12 +134,12 @@ def separates(kind: str) -> str:
 
 
 def why_alternative(best: Candidate, other: Candidate) -> str:
-    """Why a rival cannot be rejected, and what would separate it from the named cause."""
+    """Why a rival cannot be rejected; what would separate it is the advice's matter."""
     gap = best.merit - other.merit
-    return (
-        f"explains the misfit as well (BIC {abs(gap):.1f} {'worse' if gap >= 0 else 'better'}); "
-        f"{separates(best.effect.kind)} would separate them"
-    )
+    by = f"{abs(gap):.1f}"
+    if by == "0.0":
+        return "explains the misfit equally well"
+    return f"explains the misfit as well (BIC {by} {'worse' if gap >= 0 else 'better'})"
 
 
 def verdict_sentence(
@@ -162,6 +162,8 @@ def verdict_sentence(
         return f"{text} {said[0].upper()}{said[1:]}." if said else text
     text = "; ".join(_says_cause(c) for c in causes)
     what = "it" if len(causes) == 1 else "them"
+    if not all(c.parameters for c in causes):
+        what = "what has a name"
     return f"{text[0].upper()}{text[1:]}.{_gain(part, problem, what)}"
 
 
@@ -191,7 +193,7 @@ def _says_cause(c: Cause) -> str:
         same = f" (this record does not separate it from the same in {either_words(places)})"
         return c.sentence + same if places else c.sentence
     rivals = either_words(a.words for a in c.alternatives)
-    return f"missing is {effect_words(c.kind, c.where)} or, indistinguishable here, {rivals}"
+    return f"missing: {effect_words(c.kind, c.where)} (or, indistinguishable here, {rivals})"
 
 
 def noise_text(at: Weighted) -> dict[str, str]:

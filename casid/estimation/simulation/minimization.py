@@ -191,10 +191,11 @@ def _at_start(criterion: SimulationError) -> Evaluation:
     x0 = criterion.start
     first = criterion.evaluate(x0)
     if not np.isfinite(first.value):
-        raise SolveError(_divergence(criterion, x0))
+        what, remedy = _divergence(criterion, x0)
+        raise DivergenceError(f"{criterion.model.name}: {what}; {remedy}", what)
     if criterion.n_samples <= len(x0):
         raise DataError(
-            f"{criterion.data[0].name}: {criterion.n_samples} samples cannot pay for {len(x0)} "
+            f"{criterion.data[0].name}: {criterion.n_samples} samples are too few for {len(x0)} "
             "unknowns (parameters and initial states); widen the window or give known values"
         )
     return first
@@ -245,7 +246,21 @@ def _random_start(criterion: SimulationError, x0: Array, rng: np.random.Generato
     return point
 
 
-def _divergence(criterion: SimulationError, x: Array) -> str:
+class DivergenceError(SolveError):
+    """A simulation that diverges from its start values.
+
+    Attributes
+    ----------
+    what : where and when it diverges, without the model's name and the remedy.
+    """
+
+    def __init__(self, message: str, what: str = "") -> None:
+        super().__init__(message)
+        self.what = what or message
+
+
+def _divergence(criterion: SimulationError, x: Array) -> tuple[str, str]:
+    """What diverges, and the remedy."""
     for e, d in enumerate(criterion.data):
         with np.errstate(all="ignore"):
             y, _, _ = criterion.simulate(x, e)
@@ -253,11 +268,12 @@ def _divergence(criterion: SimulationError, x: Array) -> str:
         if bad.any():
             k = int(np.argmax(bad))
             return (
-                f"{criterion.model.name}: the simulation of {d.name} diverges at t = {d.t[k]:g} s "
-                f"(sample {k}) from the start values; change the start, fix a parameter, or use "
-                "multiple shooting (segments=...) if the model is unstable"
+                f"the simulation of {d.name} diverges at t = {d.t[k]:g} s (sample {k}) from the "
+                "start values",
+                f"change the start, fix a parameter, or {_SHOOTING}",
             )
-    return (
-        f"{criterion.model.name}: the sensitivities are not finite at the start; "
-        "change the start values, or use multiple shooting (segments=...) if the model is unstable"
-    )
+    what = "the sensitivities are not finite at the start"
+    return what, f"change the start values, or {_SHOOTING}"
+
+
+_SHOOTING = "use multiple shooting (segments=...) if the model is unstable"

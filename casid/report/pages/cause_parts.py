@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 from casid.diagnosis.diagnosis import Cause, Diagnosis, Ranked
 from casid.diagnosis.facts import Facts
-from casid.diagnosis.verdict.names import effect_words
 from casid.estimation.estimate import Estimated
+from casid.model.effects.names import effect_words
 from casid.report.document import (
     Bullets,
     Figure,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from casid.diagnosis.diagnosis import Diagnosis
-from casid.diagnosis.verdict.names import effect_words
+from casid.model.effects.names import effect_words
 from casid.model.quantities import quantity_text
 from casid.report.document import Bullets, Inline, Part, Table
 from casid.report.numbers import number_text

@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterator
 
 from casid.diagnosis.advice.isolability import Isolability
-from casid.diagnosis.advice.next_experiment import Advice
+from casid.diagnosis.advice.next_experiment import Advice, Proposal
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Cause, Diagnosis
 from casid.diagnosis.facts import Facts
-from casid.diagnosis.verdict.names import effect_words
 from casid.estimation.estimate import Estimated
+from casid.model.effects.names import effect_words
 from casid.report.document import Code, Document, Identifier, Labelled, Table, labelled
 from casid.report.numbers import number_text
 
@@ -28,7 +28,7 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
         parts += _cause(i, c)
     parts += [("remainder", line) for c in d.remainders for line in _remainder(c)]
     parts += [("disturbance", each.sentence) for each in d.disturbances]
-    parts.append(_gain(d))
+    parts += [_gain(d)] if Facts.of(d).changes else []
     if d.remaining is not None:
         parts.append(("remains", d.remaining.sentence))
     if d.unexplained is not None:
@@ -53,9 +53,14 @@ def diagnosis_document(diagnosis: Diagnosis) -> Document:
         parts += labelled("false alarms", (d.calibration.sentence, *d.calibration.notes))
     parts += [("note", n) for n in d.notes]
     parts.append(("advice", d.advice))
-    if d.proposals:
+    if d.proposals and not d.advice.startswith("To separate") and _is_able(d.proposals[0]):
         parts.append(("next", d.proposals[0].description))
     return Document(f"Diagnosis of {d.problem}: {d.verdict}", parts)
+
+
+def _is_able(p: Proposal) -> bool:
+    """True if a record of some length separates the causes."""
+    return math.isfinite(p.record_length)
 
 
 def _gain(d: Diagnosis) -> Table:
@@ -68,11 +73,12 @@ def _gain(d: Diagnosis) -> Table:
 
 def _cause(i: int, c: Cause) -> Iterator[str]:
     values = ", ".join(_value(p) for p in c.parameters)
+    like = c.description.partition(". ")[0].rstrip(".")  # the whole stands under "unknown"
     yield (
         f"  {i}. {'one of: ' if c.tied else ''}{effect_words(c.kind, c.where)} [{c.kind}] "
         f"(p = {c.p_value:.1e})"
-        + (f": {c.description.rstrip('.')}" if c.description else "")
-        + (f"{';' if c.description else ':'} {values}" if values else "")
+        + (f": {like}" if like else "")
+        + (f"{';' if like else ':'} {values}" if values else "")
     )
     for record, found in c.by_record.items():
         yield f"     {record}: " + ", ".join(_value(p) for p in found.values())
@@ -88,7 +94,8 @@ def _remainder(c: Cause) -> Iterator[str]:
 
 def _value(p: Estimated) -> str:
     error = f" +- {p.std_error:.2g}" if p.std_error is not None else ""
-    return f"{p.name} = {p.value:.4g}{error} {p.unit}"
+    unit = f" {p.unit}" if p.unit != "1" else ""
+    return f"{p.name} = {p.value:.4g}{error}{unit}"
 
 
 def _moved(d: Diagnosis) -> Iterator[str]:

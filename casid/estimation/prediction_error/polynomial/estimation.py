@@ -198,7 +198,7 @@ def _refuse_short(data: Data, layout: Layout, discard: Any) -> None:
     left = sum(len(y) - first for y, _ in data)
     if left <= layout.n:
         raise DataError(
-            f"{left} residuals cannot pay for {layout.n} coefficients; give longer records or "
+            f"{left} residuals are too few for {layout.n} coefficients; give longer records or "
             "lower the orders"
         )
 

@@ -55,7 +55,7 @@ def regress(records: Sequence[Sequence[Array]], blocks: Sequence[Block], lags: i
 
 
 def long_order(lengths: Sequence[int], signals: int, least: int) -> int:
-    """Lags of the long model: 10 log10 N or `least`, fewer if the data cannot pay for them."""
+    """Lags of the long model: 10 log10 N or `least`, fewer if the data are too few for them."""
     wanted = max(int(10 * np.log10(sum(lengths))), 2 * least + 4)
     return int(max(min(wanted, sum(lengths) // (4 * signals), max(lengths) // 3), 1))
 

@@ -111,7 +111,7 @@ def reference_responses(
     count = lags * len(references)
     if N - lags + 1 <= 2 * count:
         raise DataError(
-            f"{name}: {N} samples cannot pay for impulse responses of {lags} lags from "
+            f"{name}: {N} samples are too few for impulse responses of {lags} lags from "
             f"{len(references)} references; lower lags=, or give a longer record"
         )
     require_excitation(

@@ -190,7 +190,7 @@ def test_the_order_is_chosen_by_bic(orders):
 def test_residuals_that_carry_no_model_are_refused():
     with pytest.raises(DataError, match="y is constant"):
         arma(np.zeros(100), 1, 1)
-    with pytest.raises(DataError, match="cannot pay for 4"):
+    with pytest.raises(DataError, match="are too few for 4"):
         arma(np.random.default_rng(0).normal(size=6), 2, 2)
     with pytest.raises(ModelError, match="order nc = -1"):
         arma(np.random.default_rng(0).normal(size=60), 2, -1)

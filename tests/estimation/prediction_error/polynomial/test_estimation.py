@@ -793,7 +793,7 @@ BAD = [
     (dict(na=1, nb={"v": 1}), ModelError, "nb names v, the data have u"),
     (dict(na=1, nb=1, nk=-1), ModelError, r"order nk = -1"),
     (dict(na=1, nb=1, discard=-2), DataError, "discard = -2; give the whole number"),
-    (dict(na=1, nb=1, discard=98), DataError, "2 residuals cannot pay for 2.*longer records"),
+    (dict(na=1, nb=1, discard=98), DataError, "2 residuals are too few for 2.*longer records"),
     (dict(na=1, nb=1, discard=100), DataError, "100 samples, but.*first 100 do not count"),
     (dict(na=1, nb=1, errors="hac"), ModelError, "errors = 'hac'; choose 'white' or 'robust'"),
     (dict(na=1, nb=1, Ts=0.0), DataError, "sample time Ts = 0.0; give"),
@@ -875,7 +875,7 @@ def test_data_that_cannot_be_used_are_refused_with_place_and_mend():
         arx(y, np.stack([u, u]), na=1, nb=1)
     with pytest.raises(DataError, match="y is constant .*nothing to fit"):
         arx(np.ones(100), u, na=1, nb=1)
-    with pytest.raises(DataError, match="1 residuals cannot pay for 5 coefficients"):
+    with pytest.raises(DataError, match="1 residuals are too few for 5 coefficients"):
         armax(y[:3], u[:3], na=2, nb=2, nc=1)
     with pytest.raises(DataError, match="2 samples, but the predictor reaches back 2"):
         arx(y[:2], u[:2], na=2, nb=1)
