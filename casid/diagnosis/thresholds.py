@@ -31,6 +31,12 @@ class Sufficiency:
     held_motion: float = _is(
         3.0, "the held-out part moves so many times as much as the fitted one", _SUFFICIENCY
     )
+    misfit: float = _is(
+        3.0,
+        "times its noise, the error of an output beyond which a cause is sought although no "
+        "parameter is determined: the error, not the record, makes the standard errors",
+        _SUFFICIENCY,
+    )
     clip: float = _is(4.0, "robust standard deviations at which outliers are cut off", _SUFFICIENCY)
     shortest: int = _is(40, "samples below which no channel is called noise", _SUFFICIENCY)
     lags_outside: int = _is(
@@ -394,6 +400,9 @@ class Comparison:
     )
 
 
+_JOINT_REFIT = f"{TESTS}/search/test_joint_refit.py"
+
+
 @dataclass(frozen=True, slots=True)
 class Refits:
     """Where refits of an effect start, and how far its parameter may go."""
@@ -412,6 +421,15 @@ class Refits:
     growth: float = _is(3.0, "times its value that a parameter may gain", POWER_STUDY)
     slope_room: float = _is(2.0, "times the slope to zero that a change may have", POWER_STUDY)
     inside: float = _is(0.9, "of these bounds between which a fit starts", POWER_STUDY)
+    far: float = _is(
+        10.0,
+        "times its noise, the error of an output beyond which parameters of the model may be so "
+        "far away that refits start from the declared values, too",
+        _JOINT_REFIT,
+    )
+    explained: float = _is(
+        3.0, "times its noise, the error that needs no other start", _JOINT_REFIT
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,8 @@ from casid.model.model import Model
 
 T = TypeVar("T")
 
+_SMALLEST = 1e-3  # of the declared start, the scale of a parameter
+
 
 @dataclass(frozen=True, slots=True)
 class Variable:
@@ -121,7 +123,8 @@ class Unknowns:
     def _add_parameter(self, name: str, label: str, *, clip: bool = False) -> int:
         p = self.model.parameters[name]
         s = self._given.get(f"{name}{label}", self._given.get(name, p.start))
-        scale = abs(s) or abs(p.start) or 1.0
+        # One that a fit has taken to its bound at zero is not as small as that.
+        scale = max(abs(s), _SMALLEST * abs(p.start)) or 1.0
         return self.add(f"{name}{label}", name, s, (p.lower, p.upper), scale, clip=clip)
 
     @property

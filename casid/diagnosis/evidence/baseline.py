@@ -14,6 +14,7 @@ from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.sufficiency import (
     few_step_fit,
     weighted_as_white,
+    why_doubtful,
     why_undecided,
     why_uninformative,
 )
@@ -46,8 +47,8 @@ class Baseline:
     corrupted : samples left out.
     negated : a channel that probably has the wrong sign.
     why_undecided : why the records support no answer, or an empty text.
-    why_not_fitted : why `fit` is no minimum, or an empty text. A cause that is added may mend that;
-        where none does, the records support no answer.
+    why_doubtful : why `fit` says little by itself, or an empty text. A cause that is added may mend
+        that; where none does, the records support no answer.
     """
 
     split: Split
@@ -60,7 +61,7 @@ class Baseline:
     corrupted: CorruptedSamples = CorruptedSamples()
     negated: WrongSign | None = None
     why_undecided: str = ""
-    why_not_fitted: str = ""
+    why_doubtful: str = ""
     is_fitted: bool = True
     notes: tuple[str, ...] = ()
 
@@ -114,13 +115,10 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
     )
     say("estimate the noise")
     start = weighing.weigh(problem.model, fit)
-    undecided = why_undecided(fit, start, partial(std_error, start.fit))
-    not_fitted = ""
+    errors = partial(std_error, start.fit)
+    undecided = why_undecided(fit, start, errors)
     if not undecided and not fit.solution.is_converged:
         require_time("the fit of the model as it is")
-        not_fitted = (
-            f"the model as it is could not be fitted ({fit.solution.ending}): {fit.solution.remedy}"
-        )
     return Baseline(
         split=split,
         recorded=split if negated is None else negated_split(split, negated.channel),
@@ -132,7 +130,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         corrupted=corrupted,
         negated=negated,
         why_undecided=undecided,
-        why_not_fitted=not_fitted,
+        why_doubtful="" if undecided else why_doubtful(fit, start, errors),
         notes=notes,
     )
 

@@ -150,10 +150,43 @@ def why_undecided(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> 
             f"the simulated outputs move by only {loudest:.2g} of the noise: nothing excites the "
             f"system enough to show what the model lacks{_still_inputs(c)}"
         )
-    relative = _relative_errors(at, std_error)
-    if relative and min(relative.values()) > 1.0:
+    if error_over_noise(fit, at.noise) < SUFFICIENCY.misfit and _none_is_known(at, std_error):
         return f"no parameter has a standard error below its own size{_still_inputs(c)}"
     return ""
+
+
+def why_doubtful(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> str:
+    """Why the fit of the model as it is says little by itself, or an empty text.
+
+    A cause that is added may mend that: an error many times the noise is easily found, and leaves
+    no parameter a standard error below its own size before it is. Parameters as in `why_undecided`.
+    """
+    if not fit.solution.is_converged:
+        return (
+            f"the model as it is could not be fitted ({fit.solution.ending}): {fit.solution.remedy}"
+        )
+    wrong = error_over_noise(fit, at.noise)
+    if wrong < SUFFICIENCY.misfit or not _none_is_known(at, std_error):
+        return ""
+    return (
+        f"the model as it is errs by {wrong:.2g} times the noise, and no parameter of it has a "
+        f"standard error below its own size{_still_inputs(fit.criterion)}"
+    )
+
+
+def error_over_noise(fit: Fit, noise: NoiseModel) -> float:
+    """The largest error of an output over its white noise, both rms."""
+    white = np.maximum(np.asarray(noise.output_sd, dtype=float), TINY)
+    c = fit.criterion
+    squares = [np.sum(c.simulated(fit.x, e).residual ** 2, axis=0) for e in range(len(c.data))]
+    samples = np.sum([d.used.sum(axis=0) for d in c.data], axis=0)
+    return float(np.max(np.sqrt(np.sum(squares, axis=0) / np.maximum(samples, 1)) / white))
+
+
+def _none_is_known(at: Weighted, std_error: Callable[[str], float]) -> bool:
+    """True if no parameter has a standard error below its own size."""
+    relative = _relative_errors(at, std_error)
+    return bool(relative) and min(relative.values()) > 1.0
 
 
 def why_too_few(criterion: SimulationError) -> str:

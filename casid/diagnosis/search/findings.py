@@ -82,7 +82,7 @@ def search_causes(problem: Problem, baseline: Baseline, settings: DiagnosisSetti
         )
         extended = reweighted or extended
     if not adopted:
-        baseline = replace(baseline, why_undecided=baseline.why_not_fitted or _why_open(search))
+        baseline = replace(baseline, why_undecided=_why_open(search))
     adopted = reconsidered(search, adopted, start, at)
     specific: tuple[Specific, ...] = ()
     if extended is not None and extended.criterion.whiten is None and len(split.fitted) > 1:

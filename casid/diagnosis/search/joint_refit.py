@@ -17,6 +17,7 @@ from casid.diagnosis.attempts import Attempts
 from casid.diagnosis.evidence.divergence import diverging_size
 from casid.diagnosis.evidence.prewhitening import NEAR, Weighing, Weighted, use_samples_of
 from casid.diagnosis.evidence.robust_errors import wald
+from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.candidates import Candidate, found_values, name_of
 from casid.diagnosis.thresholds import REFITS
 from casid.errors import SolveError
@@ -59,11 +60,34 @@ class Refitting:
             )
             if found is not None and (best is None or found.gain > best.gain):
                 best = found
+        best = self._from_declared_starts(at, effect, starts or {}, best)
         if best is None:
             return None
         self.attempts.succeeded(name_of(effect))
         size = best.fit.values[best.names[0]] - effect.parameters[0].start
         return None if abs(size) < effect.constants.get("least", 0.0) else best
+
+    def _from_declared_starts(
+        self,
+        at: Weighted,
+        effect: Effect,
+        starts: Mapping[str, float],
+        best: Candidate | None,
+    ) -> Candidate | None:
+        """The better of `best` and a fit from where the user would start.
+
+        A model that is far from what was measured fits it with parameters that are far away, too,
+        and the way back may lead over a hill.
+        """
+        if error_over_noise(at.fit, at.noise) < REFITS.far:
+            return best
+        if best is not None and error_over_noise(best.fit, at.noise) < REFITS.explained:
+            return best
+        start, upper = _starts(at, effect, 0.0, near=True)[0]
+        first = {**starts, effect.parameters[0].name: start}
+        afresh = partial(self._from, at, effect, first, upper, {})
+        found = self.attempts.attempt(name_of(effect), afresh)
+        return found if found and (best is None or found.gain > best.gain) else best
 
     def _from(
         self,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 from casid.data.problem import Problem
+from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.disturbances import Disturbance
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.sufficiency import weak_parameters
@@ -113,7 +115,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     compared = attempt("the comparison with functions outside the catalogue", compare)
     causes, remainder = compared or (causes, remainder)
     causes = negated(causes)
-    why_undecided = start.why_undecided or unlike_held_out(fitted, held)
+    why_undecided = _why_undecided(start, unlike_held_out(fitted, held), disturbances)
     bounds = {} if why_undecided else bounds
     if bounds:
         why_undecided = f"the fit holds {' and '.join(bounds.values())}"
@@ -152,6 +154,11 @@ def _with_the_sign(found: Findings, causes: list[Cause]) -> list[Cause]:
     return with_the_sign(negated, causes, found.base_fit, found.best_fit)
 
 
+def _why_undecided(start: Baseline, unlike: str, disturbances: Sequence[Disturbance]) -> str:
+    """Why the records support no answer; a doubtful fit is explained by a disturbance."""
+    return start.why_undecided or unlike or ("" if disturbances else start.why_doubtful)
+
+
 def _compared_with_functions(
     found: Findings, causes: list[Cause], remainder: Remainder | None
 ) -> tuple[list[Cause], Remainder | None]:
@@ -179,7 +186,7 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         poor = poor_fit_text((judged.extended or judged.baseline).fit.nrmse)
         notes += [poor] if poor else []
     if not base.why_undecided:
-        notes += (base.why_not_fitted,) if base.why_not_fitted else ()
+        notes += (base.why_doubtful,) if base.why_doubtful else ()
         notes += disagreements(found.best_fit)
         reported = judged.extended or judged.baseline
         notes += weak_parameters(found.at, partial(std_error, found.at.fit), reported)

@@ -111,6 +111,8 @@ def says(effect: Effect, column: str = "") -> str:
     """
     if effect.kind == "extra_input" and column and column != effect.where:
         return says_kind(effect.kind, f"{effect.where} (column {column!r})")
+    if effect.kind == "extra_input" and effect.description:
+        return effect.description
     if effect.kind == "hold" and effect.description:
         one, is_one = ("the input", "is") if "," not in effect.where else ("the inputs", "are")
         return f"{one} {effect.where} {is_one} {effect.description}, unlike in the model"

@@ -15,7 +15,7 @@ import numpy as np
 from casid.errors import UnitError
 from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
-from casid.model.effects.effect import Effect, Sided, Spread, is_one_sided
+from casid.model.effects.effect import Effect, Sided, Sizes, Spread, is_one_sided
 from casid.model.effects.place import Place
 from casid.model.effects.places import place_named
 from casid.model.model import Model
@@ -209,13 +209,37 @@ def extra_input(model: Model, balance: str, channel: str, unit: str, about: floa
     exchanges = _exchanges(model, balance, unit)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        u = new.add_input(Input(channel, unit, "known", "foh"))
+        if channel in new.inputs:
+            u = new.symbol(channel)
+        else:
+            u = new.add_input(Input(channel, unit, "known", "foh"))
         acts = u - new.symbol(b.rate) if exchanges else _about(u, about)
         new.add_term(balance, new.symbol(names[0]) * acts)
 
     constants = {"about": about} if about else {}
+    also = f"the input {channel} acts in the {balance} balance, too"
     # A late sensor acts much as what drives the system does, and is met more often.
-    return Effect("extra_input", channel, (p,), apply, priority=3, constants=constants)
+    return Effect(
+        "extra_input",
+        channel,
+        (p,),
+        apply,
+        priority=3,
+        constants=constants,
+        description=also if channel in model.inputs else "",
+    )
+
+
+def further_places_of_inputs(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Inputs of the model in the balances that they do not act in: couplings that it leaves out."""
+    for balance, b in model.balances.items():
+        side = ca.SX(sum(b.terms[1:], b.terms[0]))
+        for channel, (low, high) in sizes.readings.items():
+            entry = model.inputs.get(channel)
+            if entry is None or any(ca.which_depends(side, model.symbol(channel))):
+                continue
+            spread = Spread(sizes.levels.get(channel, 0.0), low, high)
+            yield from extra_inputs_of(model, balance, channel, entry.unit, spread)
 
 
 def extra_inputs_of(

@@ -13,6 +13,7 @@ from casid.model.effects.balance_effects import (
     cubic_stiffness,
     deadzone,
     extra_inputs_of,
+    further_places_of_inputs,
     offset,
     quadratic_damping,
     quadratic_stiffness,
@@ -88,6 +89,7 @@ def catalogue(
     for channel in (*model.outputs, *measured):
         effects.append(sensor_bias(model, channel))
         effects.append(time_delay(model, channel, sizes.longest_delay))
+    effects += further_places_of_inputs(model, sizes)
     effects += channel_effects_of(model, sizes, recorded)
     effects += sensor_effects_of(model, sizes)
     effects += structure_effects_of(model, sizes)
@@ -136,10 +138,10 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
     found += _stops_at(model, place, sizes)
     effects += [e for e in found if e is not None]
     # The square and the root of what keeps its sign are a power law, or a tangent and a constant.
-    is_level = not place.is_mechanical and not place.is_relative and place.velocity is not None
-    if is_level and sizes.motion_of(place.velocity).is_signed:
+    is_signed = place.velocity is not None and sizes.motion_of(place.velocity).is_signed
+    if is_signed and not place.is_mechanical and not place.is_relative:
         return effects
-    return effects + unnamed_effects(model, place, speed)
+    return effects + unnamed_effects(model, place, speed, is_signed=is_signed)
 
 
 def _linear_and_power_laws(model: Model, place: Place, sizes: Sizes) -> list[Effect]:

@@ -307,6 +307,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
         points = (level,) if same_dimension(unit, "K") else dict.fromkeys((level, 0.0))
         effects += [sensor_scale(model, channel, point) for point in points]
         effects.append(sensor_lag(model, channel, RANGES.sensor_lag * sizes.longest_delay))
+    effects += [sensor_scale(model, channel) for channel in _commands_beside_others(model)]
     beside = units | dict(recorded)
     for channel, (_, own) in model.outputs.items():
         effects += [
@@ -320,6 +321,15 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
             others = [h for h in HOLDS if h != entry.hold and not (lines and h == "bandlimited")]
             effects += [hold(model, channel, other) for other in others]
     return [*effects, *_holds_of_all(model)]
+
+
+def _commands_beside_others(model: Model) -> list[str]:
+    """Inputs that are known, of a model with several: a pump may give more than it is told.
+
+    Of a single input, parameters and outputs tell as much.
+    """
+    inputs = [n for n, u in model.inputs.items() if u.kind in ("measured", "known")]
+    return [n for n in inputs if model.inputs[n].kind == "known"] if len(inputs) > 1 else []
 
 
 def _is_alike(unit: str, other: str) -> bool:

@@ -108,8 +108,9 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Parameters that no force in one place expresses, with the states of their own equations.
 
     Such a parameter stands in several equations out of proportion (a motor's constant in torque and
-    voltage), in an inertia of no mass (an inductance), or in what a sensor shows alone (a battery's
-    resistance). Elsewhere it is a force that grows with its state, and tested as one.
+    voltage), in an inertia of no mass (an inductance), beside an input (the gain of an actuator
+    that falls with the speed), or in what a sensor shows alone (a battery's resistance). Elsewhere
+    it is a force that grows with its state, and tested as one.
     """
     for name, p in model.parameters.items():
         if p.is_constant or (p.is_known and p.value == 0.0):
@@ -123,6 +124,7 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
         states = (
             *_of_several(model, symbol, inside),
             *_of_inertias(model, symbol),
+            *_of_gains(model, symbol, inside),
             *_shown(model, symbol, inside),
         )
         for state in dict.fromkeys(states):
@@ -154,6 +156,15 @@ def _of_inertias(model: Model, symbol: Any) -> list[str]:
             or _divides(sum(b.terms[1:], b.terms[0]), symbol)
         )
     ]
+
+
+def _of_gains(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
+    """The rates of the model, for a parameter that multiplies an input."""
+    inputs = [model.symbol(n) for n, e in model.inputs.items() if e.kind in ("known", "measured")]
+    shape = ca.jacobian(ca.SX(ca.vertcat(*inside.values())), symbol)
+    if len(inside) != 1 or not any(any(ca.which_depends(shape, u)) for u in inputs):
+        return []
+    return [b.rate for b in model.balances.values()]
 
 
 def _divides(side: Any, symbol: Any) -> bool:

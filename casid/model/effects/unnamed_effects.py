@@ -27,11 +27,14 @@ from casid.model.units import quantity_of
 Expr = Any  # a CasADi expression
 
 
-def unnamed_effects(model: Model, where: str | Place, speed: float) -> list[Effect]:
+def unnamed_effects(
+    model: Model, where: str | Place, speed: float, *, is_signed: bool = False
+) -> list[Effect]:
     """Terms in the velocity v and the position q of a place that have no name of their own.
 
     v^2 of one sign and |v|^1/2 sign(v), and with a position q also q^5, q v and q^2 v. `speed` (v's
     unit) is where the root is rounded, small against the speeds met; its factor is what acts there.
+    Of a velocity that keeps its sign the square has a name.
     """
     place = place_named(model, where)
     v, q = place.velocity, place.position
@@ -55,10 +58,10 @@ def unnamed_effects(model: Model, where: str | Place, speed: float) -> list[Effe
     if v is not None:
         w = v / carrying_unit(speed)
         root = w / ca.sqrt(ca.sqrt(1 + w**2))
-        found += [
+        found = [
             term(f"{v_}^2", f"that grows with {v_} squared, of one sign", v**2, 2),
             term(f"sqrt|{v_}|", f"that grows with the root of |{v_}|", root, 0),
-        ]
+        ][is_signed:]
     if q is not None:
         found.append(term(f"{q_}^5", f"that grows with the fifth power of {q_}", q**5, 0, 5))
     if v is not None and q is not None:
@@ -102,7 +105,8 @@ def flow_law(model: Model, where: str | Place, typical: float) -> Effect | None:
 def linear_loss(model: Model, where: str | Place, about: float) -> Effect | None:
     """-c (v - v_0), in a balance whose rate no estimated parameter of its own resists yet.
 
-    A loss or viscous friction that the model leaves out. Of a rate that stays away from zero, about
+    A loss or viscous friction that the model leaves out: drag, or a valve that an input opens, is
+    another resistance. Of a rate that stays away from zero, about
     which `about` is searched first, v_0 is estimated, as the temperature of a room. What passes to
     another balance is no loss.
     """
@@ -110,10 +114,11 @@ def linear_loss(model: Model, where: str | Place, about: float) -> Effect | None
     rows = {n: ca.SX(sum(b.terms[1:], b.terms[0])) for n, b in model.balances.items()}
     slopes = {n: ca.jacobian(row, place.velocity) for n, row in (rows | model._rates).items()}
     own = slopes.pop(place.where)
-    others = ca.vertcat(*slopes.values())
+    others, moving = ca.vertcat(*slopes.values()), {*model.states, *model.inputs}
     for q in [model.symbol(n) for n, p in model.parameters.items() if not p.is_known]:
         passes_on = bool(slopes) and any(ca.which_depends(others, q))
-        if any(ca.which_depends(own, q)) and not passes_on:
+        resists = any(ca.which_depends(own, q)) and not moving & _symbols(ca.jacobian(own, q))
+        if resists and not passes_on:
             return None
     v, c = place.velocity, Parameter(f"c_{place.velocity_name}", place.velocity_power(1), 0.0)
     rest = Parameter(f"rest_{place.velocity_name}", place.velocity_unit, about)
@@ -135,6 +140,11 @@ def linear_loss(model: Model, where: str | Place, about: float) -> Effect | None
         description=f"a {quantity_of(place.unit)} in proportion to {place.velocity_name}{beyond}, "
         "which the model leaves out",
     )
+
+
+def _symbols(expression: Any) -> set[str]:
+    """The names that an expression depends on."""
+    return {s.name() for s in ca.symvar(ca.SX(expression))}
 
 
 def _bracketed(name: str) -> str:

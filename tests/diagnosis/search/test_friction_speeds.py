@@ -71,9 +71,13 @@ def test_a_short_record_is_simulated_in_finer_steps_for_a_sharper_reversal():
 
 @pytest.mark.parametrize("lag", [0.06, 0.2])
 def test_friction_beside_a_lag_is_as_sharp_as_alone(lag: float):
-    """Whichever of the two is found first."""
+    """Whichever of the two is found first.
+
+    About its largest value the gain, twice a log-likelihood ratio, falls by 1.5 where the speed is
+    a quarter larger: a standard error of a fifth.
+    """
     found = casid.diagnose(slider(), record(lag), advise=False)
     assert {c.kind for c in found.causes} == {"actuator_lag", "coulomb_friction"}
     assert found.model is not None
     (friction,) = (c for c in found.model.causes if c.kind == "coulomb_friction")
-    assert friction.constants["speed"] == pytest.approx(SHARP, rel=0.1)
+    assert friction.constants["speed"] == pytest.approx(SHARP, rel=0.2)
