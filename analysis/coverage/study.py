@@ -4,8 +4,12 @@
 
 Five systems (the indirect pendulum, a roll decay, a motor, two masses, a room) under white noise on
 the outputs, coloured noise on them (second order near the resonance, or first order), noise on the
-measured input at three levels, and a fifth of the output samples missing. Every draw has noise of
-its own and is fitted as a user would: `casid.identify`, one start, nothing said about the noise.
+measured input at three levels, a fifth of the output samples missing, outputs of two rates (the
+last one in every fourth sample), and a force of the first order that nobody measures. Every draw
+has noise of its own and is fitted as a user would: `casid.identify`, one start, nothing said about
+the noise; with a force, its place and kind. The indirect pendulum has no cell with one, since its
+accelerometer, which is used as input, feels it. In its place stands the roll of a ship with a
+rudder in beam seas (`ship.py`), whose accelerometer is an output, its sway a disturbance.
 
 For every parameter: the share of printed intervals, of whatever kind, that hold the truth with its
 95 % binomial interval (Wilson), bias over spread, and mean standard error over spread. A cell meets
@@ -17,7 +21,7 @@ least 95 % of its draws say themselves that a bias may be left.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,16 +30,22 @@ from scipy.signal import lfilter
 import casid
 from analysis.common.runner import Run, Study
 from analysis.common.targets import Target, holds
+from analysis.coverage.ship import SEAS, SeaCell
 from analysis.coverage.systems import SYSTEMS, System
 from casid.arrays import Array
 from casid.campaigns.accuracy import Accuracy, accuracy_of
 from casid.errors import CasidError
 from casid.estimation.simulation.fit import FitSettings
 
-CONDITIONS = ("white", "coloured", "input, small", "input, medium", "input, large", "gaps")
+CONDITIONS = (
+    *("white", "coloured", "input, small", "input, medium", "input, large"),
+    *("gaps", "two rates", "disturbance"),
+)
 GAPS = 0.2
+SLOWER = 4  # samples of the fast clock for one of the slow one
 WANTED = (0.93, 0.97)
 FLAGGED = 0.95
+FLAGS = ("noise on measured inputs", "follows the residual", "values may be biased")
 SETTLING = 2000  # samples of coloured noise before the record
 
 
@@ -51,6 +61,11 @@ class Cell:
         """System and condition."""
         return f"{self.system.name}: {self.condition}"
 
+    @property
+    def truth(self) -> Mapping[str, float]:
+        """Parameter -> true value."""
+        return self.system.truth
+
     def record(self, draw: int) -> casid.Record:
         """The record of one draw."""
         rng = np.random.default_rng((draw, *self.name.encode()))
@@ -61,14 +76,26 @@ class Cell:
             for name, levels in self.system.levels.items():
                 columns[name] += levels[level] * rng.standard_normal(len(columns[name]))
         missing = {}
+        pushed = self._pushed(len(next(iter(motion.outputs.values()))), rng)
         for name, values in motion.outputs.items():
             noise = self.system.noise[name] * self._noise(len(values), rng)
-            columns[name] = values + noise
+            columns[name] = values + noise + pushed.get(name, 0.0)
             if self.condition == "gaps":
                 missing[name] = rng.random(len(values)) < GAPS
+        if self.condition == "two rates":
+            last = list(motion.outputs)[-1]
+            missing[last] = np.arange(len(columns[last])) % SLOWER > 0
         model = self.system.model()
         units = {name: model.unit_of(name) for name in columns}
         return casid.Record(columns, units, Ts=motion.Ts, missing=missing, name="drawn")
+
+    def _pushed(self, N: int, rng: np.random.Generator) -> dict[str, Array]:
+        """What the force does to the outputs (N,), where there is one."""
+        if self.condition != "disturbance" or self.system.push is None:
+            return {}
+        motion = self.system.motion()
+        columns = self.system.push.response(N, motion.Ts, rng)
+        return dict(zip(motion.outputs, columns.T, strict=True))
 
     def _noise(self, n: int, rng: np.random.Generator) -> Array:
         """(n,) of unit variance, white or with the system's pole."""
@@ -87,12 +114,18 @@ class Cell:
         system = self.system
         experiment = casid.Experiment(self.record(draw), {}, "drawn")
         problem = casid.Problem(system.name, system.model())
-        return casid.identify(problem, experiment, settings=FitSettings(starts=1))
+        push = system.push if self.condition == "disturbance" else None
+        return casid.identify(
+            problem,
+            experiment,
+            settings=FitSettings(starts=1),
+            disturbances=() if push is None else f"{push.place}:first",
+        )
 
 
-def accuracy(cell: Cell, draws: int) -> tuple[list[Accuracy], float, int]:
+def accuracy(cell: Cell | SeaCell, draws: int) -> tuple[list[Accuracy], float, int]:
     """Of every parameter, with the share of draws that warn of a bias, and those that failed."""
-    names = list(cell.system.truth)
+    names = list(cell.truth)
     found, flags, failed = [], 0, 0
     for draw in range(draws):
         try:
@@ -100,7 +133,7 @@ def accuracy(cell: Cell, draws: int) -> tuple[list[Accuracy], float, int]:
         except CasidError:
             failed += 1
             continue
-        flags += any("noise on measured inputs" in w for w in estimate.warnings)
+        flags += any(flag in w for w in estimate.warnings for flag in FLAGS)
         rows = [estimate.parameter(name) for name in names]
         none = math.nan, math.nan
         found.append([(p.value, p.std_error or math.nan, *(p.interval or none)) for p in rows])
@@ -108,7 +141,7 @@ def accuracy(cell: Cell, draws: int) -> tuple[list[Accuracy], float, int]:
     out = []
     for i, name in enumerate(names):
         value, error, *ends = values[:, i].T
-        out.append(accuracy_of(name, "", cell.system.truth[name], value, error, tuple(ends)))
+        out.append(accuracy_of(name, "", cell.truth[name], value, error, tuple(ends)))
     return out, flags / max(len(found), 1), failed
 
 
@@ -121,7 +154,7 @@ def row(a: Accuracy) -> str:
     )
 
 
-def judged(cell: Cell, draws: int) -> Target:
+def judged(cell: Cell | SeaCell, draws: int) -> Target:
     """A cell beside its target."""
     parameters, flagged, failed = accuracy(cell, draws)
     met = all(
@@ -137,15 +170,18 @@ def judged(cell: Cell, draws: int) -> Target:
     return holds(cell.name, text + said, wanted, (met or flagged >= FLAGGED) and not failed)
 
 
-def cells(only: str) -> Iterator[Cell]:
+def cells(only: str) -> Iterator[Cell | SeaCell]:
     """All cells whose name holds a word."""
     for system in SYSTEMS:
         for condition in CONDITIONS:
             if condition.startswith("input") and not system.levels:
                 continue
+            if condition == "disturbance" and system.push is None:
+                continue
             cell = Cell(system, condition)
             if only in cell.name:
                 yield cell
+    yield from (cell for cell in SEAS if only in cell.name)
 
 
 def found(run: Run) -> Iterator[Target | str]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
 import casid
@@ -38,6 +39,8 @@ class System:
     levels : input -> standard deviations of its noise, small, medium and large; empty where nothing
         is put in.
     pole : of coloured noise on the outputs, a complex pair or one on the real axis.
+    push : a force of the first order that acts on the states in between; None where its model is
+        not linear, or a measured input feels it.
     """
 
     name: str
@@ -47,6 +50,43 @@ class System:
     noise: Mapping[str, float]
     levels: Mapping[str, tuple[float, float, float]]
     pole: complex
+    push: Push | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Push:
+    """A force of the first order beside the inputs, in x' = a x + e f, y = c x; f' = -corner f.
+
+    Attributes
+    ----------
+    place : the balance that it acts in.
+    size, corner : standard deviation of f, and rad/s.
+    """
+
+    place: str
+    a: Array  # (nx, nx)
+    e: Array  # (nx,)
+    c: Array  # (ny, nx)
+    size: float
+    corner: float
+
+    def response(self, N: int, Ts: float, rng: np.random.Generator) -> Array:
+        """(N, ny) what it does to the outputs, from rest; exact between samples (Van Loan 1978)."""
+        n = len(self.a)
+        whole = np.zeros((n + 1, n + 1))
+        whole[:n, :n], whole[:n, n], whole[n, n] = self.a, self.e, -self.corner
+        white = np.zeros((n + 1, n + 1))
+        white[n, n] = 2 * self.corner * self.size**2
+        both = expm(Ts * np.block([[-whole, white], [np.zeros((n + 1, n + 1)), whole.T]]))
+        step = both[n + 1 :, n + 1 :].T
+        values, vectors = np.linalg.eigh(step @ both[: n + 1, n + 1 :])
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        x, out = np.zeros(n + 1), np.empty((N, len(self.c)))
+        x[n] = self.size * rng.standard_normal()
+        for k in range(N):
+            out[k] = self.c @ x[:n]
+            x = step @ x + root @ rng.standard_normal(n + 1)
+        return out
 
 
 def slow_steps(N: int, hold: int, seed: int, ramp: int) -> Array:
@@ -102,12 +142,14 @@ def roll_model() -> casid.Model:
     return m
 
 
+ROLL_A = np.array([[0.0, 1.0], [-ROLL["C"], -ROLL["B"]]])
+
+
 @cache
 def roll_motion() -> Motion:
     """A minute from 0.15 rad."""
-    a = np.array([[0.0, 1.0], [-ROLL["C"], -ROLL["B"]]])
     y = linear_motion(
-        a, np.zeros((2, 1)), np.eye(2)[:1], np.zeros((1200, 1)), 0.05, np.array([0.15, 0.0])
+        ROLL_A, np.zeros((2, 1)), np.eye(2)[:1], np.zeros((1200, 1)), 0.05, np.array([0.15, 0.0])
     )
     return Motion(0.05, {}, {"phi": y[:, 0]})
 
@@ -116,6 +158,7 @@ def roll_motion() -> Motion:
 
 MOTOR = {"K": 0.8, "d": 0.02}
 MOTOR_J = 0.004  # kg m^2
+MOTOR_A = np.array([[-MOTOR["d"] / MOTOR_J]])
 
 
 def motor_model() -> casid.Model:
@@ -134,8 +177,8 @@ def motor_model() -> casid.Model:
 def motor_motion() -> Motion:
     """Forty seconds of steps of the current with ramps of 0.1 s."""
     i = slow_steps(4000, 80, 2, 10)
-    a, b = np.array([[-MOTOR["d"] / MOTOR_J]]), np.array([[MOTOR["K"] / MOTOR_J]])
-    w = linear_motion(a, b, np.eye(1), i[:, None], 0.01, np.zeros(1))[:, 0]
+    b = np.array([[MOTOR["K"] / MOTOR_J]])
+    w = linear_motion(MOTOR_A, b, np.eye(1), i[:, None], 0.01, np.zeros(1))[:, 0]
     return Motion(0.01, {"i": i}, {"w": w})
 
 
@@ -168,12 +211,10 @@ def rig_model() -> casid.Model:
     return m
 
 
-@cache
-def rig_motion() -> Motion:
-    """Thirty seconds of steps of the force with ramps of 0.1 s."""
-    F = slow_steps(3000, 60, 3, 10)
+def rig_matrix() -> Array:
+    """(4, 4) of x, v, X and V."""
     k, d, M = RIG.values()
-    a = np.array(
+    return np.array(
         [
             [0, 1, 0, 0],
             [-(k + GROUND[0]) / RIG_M, -(d + GROUND[1]) / RIG_M, k / RIG_M, d / RIG_M],
@@ -181,8 +222,14 @@ def rig_motion() -> Motion:
             [k / M, d / M, -k / M, -d / M],
         ]
     )
+
+
+@cache
+def rig_motion() -> Motion:
+    """Thirty seconds of steps of the force with ramps of 0.1 s."""
+    F = slow_steps(3000, 60, 3, 10)
     b = np.array([[0], [1 / RIG_M], [0], [0]])
-    y = linear_motion(a, b, np.eye(4)[[0, 2]], 10 * F[:, None], 0.01, np.zeros(4))
+    y = linear_motion(rig_matrix(), b, np.eye(4)[[0, 2]], 10 * F[:, None], 0.01, np.zeros(4))
     return Motion(0.01, {"F": 10 * F}, {"x": y[:, 0], "X": y[:, 1]})
 
 
@@ -206,6 +253,13 @@ def room_model() -> casid.Model:
     return m
 
 
+def room_matrix() -> Array:
+    """(2, 2) of air and wall."""
+    R, C = ROOM.values()
+    R_w, C_w = WALL
+    return np.array([[-(1 / R + 1 / R_w) / C, 1 / R_w / C], [1 / R_w / C_w, -1 / R_w / C_w]])
+
+
 @cache
 def room_motion() -> Motion:
     """A fortnight by ten minutes, a week and days outside, the heater in steps."""
@@ -214,11 +268,9 @@ def room_motion() -> Motion:
     outside = 4 * np.sin(2 * np.pi * t) + 3 * np.sin(2 * np.pi * t / 7.3)
     P = 1000 * slow_steps(N, 36, 4, 1)
     R, C = ROOM.values()
-    R_w, C_w = WALL
-    a = np.array([[-(1 / R + 1 / R_w) / C, 1 / R_w / C], [1 / R_w / C_w, -1 / R_w / C_w]])
     b = np.array([[1 / R / C, 1 / C], [0, 0]])
     u = np.column_stack([outside, P])
-    y = linear_motion(a, b, np.eye(2)[:1], u, Ts, np.zeros(2))
+    y = linear_motion(room_matrix(), b, np.eye(2)[:1], u, Ts, np.zeros(2))
     return Motion(Ts, {"T_o": outside, "P": P}, {"T": y[:, 0]})
 
 
@@ -232,8 +284,26 @@ SYSTEMS = (
         {"accel": (0.003, 0.01, 0.03)},
         0.985 * np.exp(0.13j),
     ),
-    System("roll decay", roll_model, roll_motion, ROLL, {"phi": 0.005}, {}, 0.98 * np.exp(0.125j)),
-    System("motor", motor_model, motor_motion, MOTOR, {"w": 0.2}, {"i": (0.02, 0.06, 0.2)}, 0.9),
+    System(
+        "roll decay",
+        roll_model,
+        roll_motion,
+        ROLL,
+        {"phi": 0.005},
+        {},
+        0.98 * np.exp(0.125j),
+        Push("torque", ROLL_A, np.array([0.0, 1.0]), np.eye(2)[:1], 0.05, 1.0),
+    ),
+    System(
+        "motor",
+        motor_model,
+        motor_motion,
+        MOTOR,
+        {"w": 0.2},
+        {"i": (0.02, 0.06, 0.2)},
+        0.9,
+        Push("torque", MOTOR_A, np.array([1 / MOTOR_J]), np.eye(1), 0.03, 3.0),
+    ),
     System(
         "two-mass rig",
         rig_model,
@@ -242,6 +312,16 @@ SYSTEMS = (
         {"x": 0.002, "X": 0.002},
         {"F": (0.3, 1.0, 3.0)},
         0.98 * np.exp(0.24j),
+        Push("first", rig_matrix(), np.eye(4)[1] / RIG_M, np.eye(4)[[0, 2]], 2.0, 3.0),
     ),
-    System("room", room_model, room_motion, ROOM, {"T": 0.05}, {"T_o": (0.1, 0.3, 1.0)}, 0.9),
+    System(
+        "room",
+        room_model,
+        room_motion,
+        ROOM,
+        {"T": 0.05},
+        {"T_o": (0.1, 0.3, 1.0)},
+        0.9,
+        Push("air", room_matrix(), np.eye(2)[0] / ROOM["C"], np.eye(2)[:1], 100.0, 1e-4),
+    ),
 )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+import casid
 from analysis.ship_algorithm.records import BEFORE, TS, load, respond
 from analysis.ship_bias.records import SHIP, Imperfection, Rudder, answers
 from analysis.ship_bias.table import TRUE, Estimator, by_instruments, model_at_truth
@@ -89,20 +90,28 @@ class AtSea:
 def at_sea(Hs: float, draws: int, *, seconds: float, period: float = 8.0) -> AtSea:
     """m and zbar_m in beam seas of a full-scale significant height [m] and peak period [s]."""
     estimator, squares, instruments, torque = Estimator.make(), [], [], 0.0
-    w0 = 2 * math.pi / period * math.sqrt(SCALE)
     for seed in range(draws):
-        records = []
-        for i, made in enumerate(answers(seed, Rudder(), seconds=seconds)):
-            if Hs > 0.0:
-                waves, band, draw = Jonswap(Hs / SCALE, w0), (0.5 * w0, 4.0 * w0), 1000 * seed + i
-                sea = sample_sea(waves, band, seed=draw, U=1.0, beta=math.pi / 2)
-                N = len(made.delta) + BEFORE
-                forces = sea.forces(TS * np.arange(N, dtype=np.float64))
-                inputs = np.column_stack([np.zeros(N), forces[:, 1:]])
-                moved = respond(SHIP, load(made.case), inputs)[BEFORE:]
-                torque = float(forces[:, 2].std())
-                made = replace(made, rudder=made.rudder + moved)
-            records.append(made.experiment(SENSORS))
+        records, torque = records_at_sea(Hs, seed, seconds=seconds, period=period)
         squares.append(estimator.least_squares(records) - TRUE)
         instruments.append(estimator.instruments(records)[0] - TRUE)
     return AtSea(Hs, np.array(squares), np.array(instruments), torque)
+
+
+def records_at_sea(
+    Hs: float, seed: int, *, seconds: float, period: float = 8.0
+) -> tuple[list[casid.Experiment], float]:
+    """A record of each load case in beam seas as for `at_sea`, and the rms roll torque [N m]."""
+    w0, torque = 2 * math.pi / period * math.sqrt(SCALE), 0.0
+    records = []
+    for i, made in enumerate(answers(seed, Rudder(), seconds=seconds)):
+        moved = made.rudder
+        if Hs > 0.0:
+            waves, band, draw = Jonswap(Hs / SCALE, w0), (0.5 * w0, 4.0 * w0), 1000 * seed + i
+            sea = sample_sea(waves, band, seed=draw, U=1.0, beta=math.pi / 2)
+            N = len(made.delta) + BEFORE
+            forces = sea.forces(TS * np.arange(N, dtype=np.float64))
+            inputs = np.column_stack([np.zeros(N), forces[:, 1:]])
+            moved = moved + respond(SHIP, load(made.case), inputs)[BEFORE:]
+            torque = float(forces[:, 2].std())
+        records.append(replace(made, rudder=moved).experiment(SENSORS))
+    return records, torque

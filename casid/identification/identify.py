@@ -47,6 +47,7 @@ from casid.estimation.simulation.simulation_estimate import (
     method_of,
 )
 from casid.identifiability.requirement import require_identifiable
+from casid.identification.approach import approach
 from casid.identification.disturbed import identify_disturbed
 from casid.identification.signs_from_simulation import WrongSign, is_poor, wrong_sign
 from casid.identification.unstable import fit_unstable
@@ -142,10 +143,11 @@ def identify(
             return _completed(estimate, problem.model, structural)
         say(f"fit {', '.join(e.name for e in split.fitted)}")
         fit, suspect = _fit(problem, split.fitted, settings, start, (say, undone))
-        settings = replace(settings, segments=fit.criterion.segments)
+        requested, settings = settings, replace(settings, segments=fit.criterion.segments)
         found = _corrected(problem, fit, settings, undone)
         with no_time_limit():  # a few passes over the record, without which there is no result
-            notes = channel_notes(problem.model, chosen) + feedback_notes(found.fit)
+            feedback = feedback_notes(found.fit, found.noisy)
+            notes = [*channel_notes(problem.model, chosen), *feedback]
             estimate = _estimate(problem, found, split, notes)
             records = record_views(found.fit, None, split)
         if estimate.is_converged:
@@ -156,7 +158,7 @@ def identify(
         estimate,
         records=records,
         trust=Trust(
-            {"noise on inputs": found.text} if found.text else {},
+            approach(problem, found, requested.segments, feedback),
             suspects=() if suspect is None else (str(suspect),),
             not_done=tuple(undone.not_done),
         ),

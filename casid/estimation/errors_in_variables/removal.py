@@ -52,6 +52,15 @@ class Corrected:
         return self.covariance is not None
 
     @property
+    def noisy(self) -> tuple[str, ...]:
+        """Measured inputs whose noise counts, removed or not."""
+        if self.bias is None or self.input_sd is None:
+            return ()
+        worst = max(map(abs, self.bias.values()), default=0.0)
+        counts = self.is_removed or not worst < REMOVAL.negligible
+        return tuple(n for n, sd in self.input_sd.items() if sd > 0) if counts else ()
+
+    @property
     def text(self) -> str:
         """What became of the noise on measured inputs; empty where there is none."""
         if self.bias is None or self.input_sd is None:

@@ -90,12 +90,15 @@ class Instruments:
         """
         unknown = [n for n, e in direct.inputs.items() if e.kind == "unknown"]
         if isinstance(self.reference, str):
-            if len(unknown) != 1:
+            driven = unknown or _alone(direct, self.reference)
+            if len(driven) != 1:
+                named = ", ".join(driven) or "none"
                 raise ModelError(
-                    f"{direct.name}: {len(unknown)} unknown inputs ({', '.join(unknown)}), one "
-                    f"reference {self.reference!r}; give a mapping of inputs to channels"
+                    f"{direct.name}: one reference {self.reference!r}, and {len(driven)} inputs "
+                    f"that it may drive ({named}); give a mapping of inputs to channels, as in "
+                    f"Instruments({{{(driven or ['u'])[0]!r}: {self.reference!r}}})"
                 )
-            chosen = {unknown[0]: self.reference}
+            chosen = {driven[0]: self.reference}
         else:
             chosen = dict(self.reference)
         for name, entry in direct.inputs.items():
@@ -115,6 +118,13 @@ class Instruments:
             name: (chosen[name], filters.get(name, default if name in unknown else plain))
             for name in direct.inputs
         }
+
+
+def _alone(direct: Model, reference: str) -> list[str]:
+    """Inputs that a reference may drive where none is unknown: measured ones, else known ones."""
+    kinds = {n: e.kind for n, e in direct.inputs.items() if n != reference}
+    measured = [n for n, kind in kinds.items() if kind == "measured"]
+    return measured or [n for n, kind in kinds.items() if kind == "known"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

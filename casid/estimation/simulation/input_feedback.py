@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from scipy.stats import norm
 
@@ -13,15 +15,24 @@ from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.thresholds import INPUT_ANSWERS
 
 
-def feedback_notes(fit: Fit) -> list[str]:
+def feedback_notes(fit: Fit, noisy: Collection[str] = ()) -> list[str]:
     """Warnings of inputs that follow a residual that is not white.
 
     Least squares of the simulation error take the input as given. A disturbance that comes back
     through it, by a controller or because a sensor that is used as input feels it, is no noise
     beside the input: what it does is ascribed to the model (Ljung 1999, sections 13.4 and 16.6).
+
+    Parameters
+    ----------
+    noisy : inputs that are left out, since their noise counts. A residual that is made of it goes
+        with what the input is next, too: nobody measured what the past of the input was.
     """
     criterion, model = fit.criterion, fit.criterion.model
-    recorded = [n for n, entry in model.inputs.items() if entry.kind in {"measured", "known"}]
+    recorded = [
+        n
+        for n, entry in model.inputs.items()
+        if entry.kind in {"measured", "known"} and n not in noisy
+    ]
     out = []
     for i, output in enumerate(criterion.outputs):
         late = {n for n in not_felt_yet(model, output) if model.inputs[n].hold == "zoh"}
@@ -37,10 +48,10 @@ def feedback_notes(fit: Fit) -> list[str]:
             if follows(pairs, first=0 if name in late else 1):
                 out.append(
                     f"input {name} follows the residual of {output}, which is autocorrelated: in a "
-                    "closed loop, or where an input feels what disturbs the system, that biases "
-                    "this estimate, and the error bars do not contain it. Estimate the disturbance "
-                    "with it (--disturbance PLACE:first), or use instruments (--method instruments "
-                    "--reference CHANNEL)"
+                    "closed loop, or where an input has noise or feels what disturbs the system, "
+                    "that biases this estimate, and the error bars do not contain it. Estimate the "
+                    "disturbance with it (--disturbance PLACE:first), or use instruments "
+                    "(--method instruments --reference CHANNEL)"
                 )
     return out
 

@@ -61,6 +61,7 @@ def estimate_document(estimate: Estimate) -> Document:
             *_fit_lines(e),
             *(("residuals", f"{k}: {v}") for k, v in e.whiteness.items()),
             ("error bars", e.assumes),
+            *((f"{name} ", text) for name, text in e.evidence.items()),
             *(("intervals", line) for line in interval_lines(e)),
             *(("WARNING", w) for w in e.warnings),
         ],
@@ -98,8 +99,7 @@ def moment_estimate_document(found: MomentEstimate) -> Document:
         errors = (f"{n} {found.std_error(n, propagated=False):.2g}" for n in found.names)
         text = f"standard errors with earlier stages taken as exact: {', '.join(errors)}"
         stages = [("stages", text)]
-    evidence = [(f"{name} ", text) for name, text in found.estimate.evidence.items()]
-    return Document(document.title, [*document.parts, *stages, *evidence])
+    return Document(document.title, [*document.parts, *stages])
 
 
 def prediction_document(found: Prediction) -> Document:

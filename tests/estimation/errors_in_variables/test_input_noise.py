@@ -125,7 +125,9 @@ def test_an_input_that_is_declared_known_is_taken_as_it_is() -> None:
     least = fit_model(model(known=True), [experiment], FitSettings())
     assert estimate.method == "simulation error, single shooting"
     assert estimate["a"] == pytest.approx(least.values["a"], rel=1e-9)
-    assert not estimate.evidence
+    assert "noise on inputs" not in estimate.evidence
+    # It has noise all the same, and the warning of feedback says that this may be so.
+    assert any("or where an input has noise" in w for w in estimate.warnings)
 
 
 def test_an_input_without_noise_leaves_least_squares_as_it_is() -> None:

@@ -1,0 +1,56 @@
+"""Which approach `identify` took, and why: what its result says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from casid.data.problem import Problem
+from casid.estimation.errors_in_variables.removal import Corrected
+from casid.estimation.simulation.instability import growth_rate
+
+
+def approach(
+    problem: Problem, found: Corrected, segments: int, feedback: Sequence[str]
+) -> dict[str, str]:
+    """Sentences by what they are about.
+
+    Parameters
+    ----------
+    segments : that were requested.
+    feedback : warnings of inputs that follow a residual.
+    """
+    out: dict[str, str] = {}
+    criterion = found.fit.criterion
+    if criterion.segments > max(segments, 1):
+        rate = growth_rate(criterion)
+        out["segments"] = (
+            f"the model is unstable: at the start values a small error grows e-fold in "
+            f"{1 / rate:.2g} s, so a simulation of a whole record says nothing; the record is cut "
+            f"into {criterion.segments} segments that are joined by constraints"
+        )
+    if found.text:
+        out["noise on inputs"] = found.text
+    if found.why_not or feedback:
+        out["instruments"] = _instruments(problem, found)
+    return out
+
+
+def _instruments(problem: Problem, found: Corrected) -> str:
+    """Whether a signal is recorded that may be a reference; which one no record can say."""
+    model = problem.model
+    records = [e.record for e in found.fit.criterion.experiments]
+    beside = [
+        name
+        for name in problem.recorded
+        if name not in {*model.inputs, *model.outputs} and all(name in r for r in records)
+    ]
+    if not beside:
+        return (
+            "not possible: beside the model's channels nothing is recorded that could be a "
+            "reference"
+        )
+    names = " or ".join(beside)
+    return (
+        "not chosen, for whether a disturbance reaches a signal is known to the experimenter "
+        f"alone; if none reaches {names}: --method instruments --reference {beside[0]}"
+    )
