@@ -264,12 +264,22 @@ class DesignedExperiment(Presented, Saved):
                 f"{100 * self.aim.relative_error:.3g} %"
             )
             return text + "."
+        elif self._is_standard:
+            return (
+                f"No input was found whose record of {text} carries more information than that of "
+                f"the best standard input under the same limits: {self.standards[0].description}."
+            )
         else:
             text = f"A record of {text} carries {self.gain:.3g} times the information"
             return f"{text} of the best standard input under the same limits."
         if self.gain <= 1.0:
             return text + "; so does the best standard input."
         return f"{text}; the best standard input takes {self.gain:.3g} such records for as much."
+
+    @property
+    def _is_standard(self) -> bool:
+        """True if the design gains nothing that shows on the best standard input."""
+        return bool(self.standards) and self.gain < 1 + DESIGN.equal
 
     @property
     def _time_that_is_enough(self) -> str:

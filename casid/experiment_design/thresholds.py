@@ -45,6 +45,11 @@ class Designing:
         "standard error over value, up to which a parameter is identifiable in practice",
         _DESIGN,
     )
+    equal: float = _is(
+        0.005,
+        "of the information, more than a standard input has, that three digits do not show",
+        _DESIGN,
+    )
     nothing: float = _is(
         1e-9, "of a misfit, that is left where a rival imitates a cause in every input", _DESIGN
     )

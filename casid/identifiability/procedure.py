@@ -137,7 +137,9 @@ def assess_identifiability(
         note = "all parameters are identifiable, so the candidates were not compared"
         assessment = _noted(assessment, note)
     if practical and question.problem is not None and question.experiments:
-        assessment = _with_records(assessment, question, profiles, report)
+        problem = _with_known(question.problem, assuming.known)
+        records = replace(question, problem=problem)
+        assessment = _with_records(assessment, records, profiles, report)
     return assessment
 
 
@@ -308,6 +310,13 @@ def _with_remedies(
         except CasidError as error:
             note = f"replicas: {error}"
     return _noted(replace(assessment, remedy_analysis=found), note)
+
+
+def _with_known(problem: Problem, known: Sequence[str]) -> Problem:
+    """The problem with the parameters that are assumed to be known, at their start values."""
+    parameters = problem.model.parameters
+    values = {n: parameters[n].start for n in known if n in parameters}
+    return problem.with_si_values({n: v for n, v in values.items() if not parameters[n].is_known})
 
 
 def _with_records(

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from casid.cli.main import main
+from tests.support.shared import ROOT
 
 PROBLEM = """
 import casid
@@ -78,3 +79,15 @@ def test_bad_requests_end_with_one_message(
     error = capsys.readouterr().err
     assert error.count("error:") == 1
     assert words in error
+
+
+def test_a_design_that_gains_nothing_says_that_the_standard_input_is_as_good(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The decay from the largest angle is the best that a release within the limits gives."""
+    roll = str(ROOT / "problems" / "roll_decay.py")
+    options = ["--estimate", "B_1", "--release", "phi=-0.2:0.2", "--noise", "phi=2e-4"]
+    assert run(roll, *options, "--duration", "8", "--out", str(tmp_path / "out"), "--quiet") == 0
+    text = capsys.readouterr().out
+    assert "No input was found whose record of 8 s carries more information" in text
+    assert "1 times the information" not in text

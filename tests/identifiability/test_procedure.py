@@ -557,3 +557,18 @@ def test_a_reference_at_rest_takes_with_it_what_only_it_tells():
         pendulum.problem, [pendulum.simulate(duration=10.0)], symbolic=False
     )
     assert moving.unexcited == ()
+
+
+def test_a_parameter_that_is_assumed_known_is_known_to_the_expected_errors_too():
+    """Knowing the stiffness makes the inertia more certain: their estimates are correlated."""
+    options = {"symbolic": False}
+    free = casid.assess_identifiability(pendulum.problem, **options).practical
+    known = casid.assess_identifiability(
+        pendulum.problem, assuming=casid.Assumptions(known=["k"]), **options
+    ).practical
+    k = pendulum.problem.model.parameters["k"].start
+    fixed = casid.assess_identifiability(pendulum.problem.with_known({"k": k}), **options).practical
+    assert "k" in [row.name for row in free.parameters]
+    assert "k" not in [row.name for row in known.parameters]
+    assert known["I_x"].std_error == pytest.approx(fixed["I_x"].std_error, rel=1e-9)
+    assert known["I_x"].std_error < 0.6 * free["I_x"].std_error

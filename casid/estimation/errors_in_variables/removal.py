@@ -85,8 +85,8 @@ class Corrected:
             )
         if self.why_not:
             return (
-                f"white noise on {sizes} at most may bias {name} by {abs(worst):.2g} standard "
-                f"errors; it is not removed, since {self.why_not}"
+                f"white noise on {sizes} at most may bias {name} by up to {abs(worst):.2g} times "
+                f"its standard error; it is not removed, since {self.why_not}"
             )
         return f"it moves no unknown by more than {REMOVAL.negligible:g} standard errors"
 

@@ -33,7 +33,9 @@ def design_report(found: DesignedExperiment) -> Document:
         found.sentence,
         "adequate" if found.is_enough else "undecided",
     )
-    cards = [Card("over the best standard input", f"{found.gain:.3g}", "times", "information")]
+    cards = [
+        Card("against the best standard input", f"{found.gain:.3g}", "times", "the information")
+    ]
     if found.outcomes:
         cards.append(Card("power", f"{100 * found.power:.3g}", "%", "for the hardest truth"))
     s = found.solver
@@ -57,7 +59,7 @@ def design_report(found: DesignedExperiment) -> Document:
             Section("Parameters", [learned_table(found)], is_open=True),
             Section("Standard inputs", [standard_table(found)], is_open=True),
             Section(
-                "Limits",
+                "Limits and start",
                 [
                     limit_table(found),
                     Table(("state", "initial value", "unit"), start, numbers=(1,)),

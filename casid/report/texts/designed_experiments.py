@@ -55,10 +55,14 @@ def learned_table(found: DesignedExperiment) -> Table:
 
 def standard_table(found: DesignedExperiment) -> Table:
     """A row a kind of standard input."""
-    rows = [(s.description, f"{s.information:.3g}", _records(s)) for s in found.standards]
+    rows = [(s.description, _information(s), _records(s)) for s in found.standards]
     head = ("standard input", "information", "records for the same")
     caption = "The best of each kind under the same limits, relative to the designed input"
     return Table(head, rows, numbers=(1, 2), caption=caption)
+
+
+def _information(s: Standard) -> str:
+    return f"{s.information:.3g}" if s.information > DESIGN.nothing else "none"
 
 
 def _records(s: Standard) -> str:
