@@ -20,6 +20,7 @@ from casid.diagnosis.evidence.residual_tests import ResidualTests
 from casid.diagnosis.evidence.score_tests import Score, ScoreTable, score_test
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_candidates
+from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.alternatives import ranked_by_remainder, rejudge
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.friction_speeds import sharpened
@@ -28,7 +29,7 @@ from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.preselection import Start, preselected
 from casid.diagnosis.settings import Progress
-from casid.diagnosis.thresholds import COMPARISON, ROUNDS
+from casid.diagnosis.thresholds import COMPARISON, REFITS, ROUNDS
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.user_effects import UserEffect, user_effects
 from casid.model.model import Model
@@ -145,8 +146,11 @@ class Search:
 def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
     """The best six kinds by robust p and the best six by unrobust score, one variant each.
 
-    Neighbours without a name come beside them, four of each order: they crowd out nobody.
+    Neighbours without a name come beside them, four of each order: they crowd out nobody. Where the
+    model errs by far more than the noise its scores tell little, and twice as many are refitted.
     """
+    is_far = error_over_noise(at.fit, at.noise) > REFITS.far
+    most = ROUNDS.shortlist * (2 if is_far else 1)
     visible = [s for s in table.tested if s.unrobust > 0.0]
     if not at.noise_absorbs_misfit:
         # Under the right noise the score predicts what a refit of a small effect gains. A line is
@@ -165,7 +169,7 @@ def shortlist(at: Weighted, table: ScoreTable) -> list[Score]:
         keys = list(dict.fromkeys(s.effect.key for s in order))
         named = [key for key in keys if key[0] != "unknown"]
         unnamed = [key for key in keys if key[0] == "unknown"]
-        for key in (*named[: ROUNDS.shortlist], *unnamed[: ROUNDS.unnamed]):
+        for key in (*named[:most], *unnamed[: ROUNDS.unnamed]):
             chosen.setdefault(key, strongest[key])
     return list(chosen.values())
 
