@@ -17,6 +17,7 @@ from casid.report.figures.diagnosis import diagnosis_figures, gain_figure
 from casid.report.figures.estimates import parameter_figure
 from casid.report.figures.misfit_shares import remaining_figure
 from casid.report.figures.moved_parameters import moved_figure
+from casid.report.figures.record_views import drawn
 from casid.report.figures.residuals import residual_against_figure, residual_spectrum_figure
 from casid.report.figures.simulated import residual_time_figure, simulation_figure
 from casid.report.figures.sizes_by_record import by_record_figure
@@ -53,6 +54,26 @@ def test_thinning_keeps_gaps_as_gaps_and_ignores_infinities(n):
     kept = y[thinned(y, 400)]
     assert np.isnan(kept).any()
     assert not np.isinf(kept).any()
+
+
+def test_of_many_records_the_worst_are_drawn_and_the_page_stays_light():
+    """Forty records of ten thousand samples: below 1 MB, plotly.js (0.65 MB) included."""
+    d = samples.deficient(N=10_000)
+    (view,) = d.records
+    rng = np.random.default_rng(1)
+    loud = {3, 21, 39}
+    views = []
+    for i in range(40):
+        noise = (0.5 if i in loud else 0.02) * rng.standard_normal(view.measured.shape)
+        views.append(replace(view, name=f"run {i}", measured=view.measured + noise))
+    shown, note = drawn(views)
+    assert {v.name for v in shown} >= {f"run {i}" for i in loud}
+    assert len(shown) == 8
+    assert "Of 40 records, the 8" in note
+    assert drawn(views[:8]) == (tuple(views[:8]), "")
+    page = samples.page_of(samples.changed(d, records=tuple(views)))
+    assert "Of 40 records, the 8 with the largest errors" in page
+    assert len(page.encode("utf-8")) < 1_000_000
 
 
 def test_simulation_shows_data_as_points_and_both_simulations_as_lines():

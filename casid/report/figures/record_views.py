@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from casid.arrays import Array
+from casid.arrays import TINY, Array
 from casid.estimation.estimate import RecordView
 from casid.report.figures.style import AFTER, BEFORE, visible_text
 
@@ -20,6 +20,37 @@ def checked(records: Sequence[RecordView]) -> tuple[RecordView, ...]:
     if not views:
         raise ValueError("the result holds no record to draw; make it with records kept")
     return views
+
+
+def drawn(records: Sequence[RecordView]) -> tuple[tuple[RecordView, ...], str]:
+    """The records to choose from below a figure, and what its caption says of those left out.
+
+    Of many records, those with the largest errors relative to the motion: with all of them the page
+    would be slow to open.
+    """
+    views = checked(records)
+    most = max(_FEWEST_RECORDS, _MOST_CURVES // len(views[0].outputs))
+    if len(views) <= most:
+        return views, ""
+    worst = sorted(range(len(views)), key=lambda i: -_relative_error(views[i]))[:most]
+    note = f" Of {len(views)} records, the {most} with the largest errors relative to their motion."
+    return tuple(views[i] for i in sorted(worst)), note
+
+
+_MOST_CURVES, _FEWEST_RECORDS = 8, 3  # outputs of all records drawn; records
+
+
+def _relative_error(view: RecordView) -> float:
+    """RMS error of the last simulation over the standard deviation, of the worst output."""
+    *_, simulated = simulations(view)[-1]
+    worst = 0.0
+    for i in range(len(view.outputs)):
+        e = residual(view, simulated, i)
+        y = np.where(np.isfinite(e), view.measured[:, i], np.nan)
+        if np.isfinite(e).any():
+            error = float(np.sqrt(np.nanmean(e**2)))
+            worst = max(worst, error / max(float(np.nanstd(y)), TINY))
+    return worst
 
 
 def simulations(view: RecordView) -> list[tuple[str, str, str, Array]]:

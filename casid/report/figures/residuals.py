@@ -11,9 +11,16 @@ import numpy as np
 from casid.arrays import Array
 from casid.estimation.estimate import RecordView
 from casid.report.figures.panels import Panels
-from casid.report.figures.record_views import checked, finite, of_records, residual, simulations
+from casid.report.figures.record_views import (
+    checked,
+    drawn,
+    finite,
+    of_records,
+    residual,
+    simulations,
+)
 from casid.report.figures.style import FLOOR, axis_text, hover_text, translucent
-from casid.report.figures.thinning import MOST_POINTS, POINTS, thinned
+from casid.report.figures.thinning import MOST_POINTS, points_a_trace, thinned
 
 _SCATTER_POINTS = 800
 _BINS = 24
@@ -122,8 +129,9 @@ def residual_spectrum_figure(
     """
     from scipy.signal import welch
 
-    views = checked(records)
+    views, left_out = drawn(records)
     outputs = views[0].outputs
+    limit = points_a_trace(len(views) * len(outputs) * 2)
     figure = Panels(rows=len(outputs), row_height=260, gap=30, shared_x=True)
     for v in views:
         ts = float(np.median(np.diff(v.t))) if v.t.size > 1 else 1.0
@@ -141,7 +149,7 @@ def residual_spectrum_figure(
                 frequency, power = welch(e, fs=1 / ts, nperseg=length)
                 with np.errstate(invalid="ignore"):
                     density = np.sqrt(np.where(power > 0, power / seen.mean(), np.nan))
-                i = 1 + thinned(density[1:], POINTS)  # the mean is taken off: no density at zero
+                i = 1 + thinned(density[1:], limit)  # the mean is taken off: no density at zero
                 figure.line(
                     row, frequency[i], density[i], label, colour, width=1.6, dash=dash, **own
                 )
@@ -154,7 +162,8 @@ def residual_spectrum_figure(
         figure.parts(v, {"xaxis.autorange": True}, shaded=False)
     figure.log()
     figure.label(len(outputs) - 1, x="frequency [Hz]")
-    return figure.done(of_records("Amplitude density of the simulation error", views), views)
+    caption = of_records("Amplitude density of the simulation error", views)
+    return figure.done(caption + left_out, views)
 
 
 def _binned_mean(signal: Array, e: Array) -> tuple[Array, Array, Array]:

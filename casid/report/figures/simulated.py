@@ -12,7 +12,7 @@ from casid.diagnosis.diagnosis import Diagnosis
 from casid.estimation.estimate import RecordView
 from casid.report.figures.panels import Panels
 from casid.report.figures.record_views import (
-    checked,
+    drawn,
     finite,
     of_records,
     residual,
@@ -41,7 +41,7 @@ def simulation_figure(records: Sequence[RecordView]) -> Any:
     ValueError
         If there is no record.
     """
-    views = checked(records)
+    views, left_out = drawn(records)
     outputs = views[0].outputs
     limit = points_a_trace(len(views) * len(outputs) * 3)
     caption = of_records(
@@ -69,7 +69,7 @@ def simulation_figure(records: Sequence[RecordView]) -> Any:
     figure.label(len(outputs) - 1, x="time [s]")
     if cut:
         caption += " The simulation leaves the range of the data: the axis is cut."
-    return figure.done(caption + thinning_note(views, limit), views)
+    return figure.done(caption + left_out + thinning_note(views, limit), views)
 
 
 def _add_output(figure: Panels, v: RecordView, row: int, limit: int) -> Array:
@@ -97,7 +97,7 @@ def _add_output(figure: Panels, v: RecordView, row: int, limit: int) -> Array:
 
 def residual_time_figure(records: Sequence[RecordView]) -> Any:
     """What the simulation leaves over against time, before and after; one row an output."""
-    views = checked(records)
+    views, left_out = drawn(records)
     outputs = views[0].outputs
     limit = points_a_trace(len(views) * len(outputs) * 2)
     figure = Panels(rows=len(outputs), row_height=230, gap=22, shared_x=True)
@@ -114,7 +114,7 @@ def residual_time_figure(records: Sequence[RecordView]) -> Any:
     figure.time_range(views[0])
     figure.label(len(outputs) - 1, x="time [s]")
     caption = of_records("Simulation error, measured minus simulated, against time", views)
-    return figure.done(caption + thinning_note(views, limit), views)
+    return figure.done(caption + left_out + thinning_note(views, limit), views)
 
 
 def _readable_range(measured: Array, simulated: Sequence[Array]) -> tuple[list[float] | None, bool]:
