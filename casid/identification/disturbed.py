@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 
+import casadi as ca
 import numpy as np
 
 from casid.arrays import TINY, Array
@@ -131,7 +132,11 @@ def identify_disturbed(
         method=f"{estimate.method}; disturbances in "
         + ", ".join(f"{d.place} ({d.spectrum})" for d in disturbances),
         trust=replace(estimate.trust, not_done=tuple(undone.not_done)),
-        warnings=(*estimate.warnings, *_coloured_innovations(found)),
+        warnings=(
+            *estimate.warnings,
+            *fed_back(program.model, disturbances),
+            *_coloured_innovations(found),
+        ),
         model=_finished(estimate.model, problem, tuple(program.spread)),
     )
 
@@ -144,6 +149,29 @@ def _finished(
         return model
     noise = replace(model.noise, shaped=states)
     return replace(model, name=problem.name, noise=noise, channels=channels_of(problem))
+
+
+def fed_back(model: Model, disturbances: Sequence[Disturbance]) -> list[str]:
+    """A warning for every sensor that feels a disturbance at once and is an input.
+
+    What it shows of the disturbance of a sample comes back through the input at that sample, which
+    a prediction of the output, given the input, does not know.
+    """
+    out = []
+    e = model.explicit()
+    for d in disturbances:
+        names, symbols = (*e.states, *e.inputs), ca.vertcat(e.x, e.u)
+        acts = symbols[names.index(d.source if d.spectrum == "white" else d.force)]
+        for unknown, using in model.eliminations.items():
+            if any(ca.which_depends(e.eliminated[unknown], acts, 1, False)):
+                out.append(
+                    f"input {using} feels at once what acts in {d.place}, and brings it back: "
+                    "values may be biased by many standard errors. Estimate the model from which "
+                    f"{unknown} is not eliminated, where {using} is an output and {unknown} a "
+                    f"disturbance, too (--disturbance {d.place}:{d.spectrum} --disturbance "
+                    f"{unknown}:first)"
+                )
+    return out
 
 
 def _coloured_innovations(found: Prediction) -> list[str]:

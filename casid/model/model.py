@@ -336,6 +336,11 @@ class Model(NamedQuantities, Viewed):
         rows += [(f"{y} = ...", residual, w) for w, y, residual in self._eliminations]
         return rows
 
+    @property
+    def eliminations(self) -> dict[str, str]:
+        """Eliminated unknown input -> the output that stands for it, an input now."""
+        return {unknown: using for unknown, using, _ in self._eliminations}
+
     def explicit(self) -> Explicit:
         """Solve the equations for the derivatives and the eliminated inputs, once.
 

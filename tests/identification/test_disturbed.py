@@ -21,6 +21,7 @@ from casid.estimation.prediction_error.disturbances import Disturbance, with_dis
 from casid.estimation.prediction_error.likelihood import PredictionError
 from casid.estimation.simulation.fit import FitSettings
 from casid.export.problem_file import problem_text
+from casid.identification.disturbed import fed_back
 from casid.identification.identify import identify
 from casid.linear.noisy_model import White
 
@@ -424,3 +425,20 @@ def test_what_is_simulated_and_exported_is_without_the_disturbance(tmp_path):
     exec(compile(text, "swing.py", "exec"), namespace)
     written = namespace["problem"].model
     assert list(written.states) == ["a", "w"]
+
+
+@pytest.mark.parametrize("spectrum", ["white", "first", "peak"])
+def test_a_sensor_that_feels_the_disturbance_and_is_an_input_is_warned_of(spectrum):
+    """An accelerometer in place of a ship's sway acceleration shows the torque on its roll, too.
+
+    A disturbance of the angle's rate is felt a sample later alone, through the states.
+    """
+    from problems import ship
+
+    for place, is_felt in (("torque", True), ("phi", False)):
+        disturbances = [Disturbance(place, spectrum)]
+        model, _ = with_disturbances(ship.indirect_model(), disturbances)
+        assert model.eliminations == {"vdot": "accel"}
+        warned = fed_back(model, disturbances)
+        assert bool(warned) == is_felt
+        assert all("input accel feels at once what acts in torque" in w for w in warned)
