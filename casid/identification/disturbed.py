@@ -132,11 +132,7 @@ def identify_disturbed(
         method=f"{estimate.method}; disturbances in "
         + ", ".join(f"{d.place} ({d.spectrum})" for d in disturbances),
         trust=replace(estimate.trust, not_done=tuple(undone.not_done)),
-        warnings=(
-            *estimate.warnings,
-            *fed_back(program.model, disturbances),
-            *_coloured_innovations(found),
-        ),
+        warnings=(*estimate.warnings, *_doubts(found, program.model, disturbances)),
         model=_finished(estimate.model, problem, tuple(program.spread)),
     )
 
@@ -149,6 +145,11 @@ def _finished(
         return model
     noise = replace(model.noise, shaped=states)
     return replace(model, name=problem.name, noise=noise, channels=channels_of(problem))
+
+
+def _doubts(found: Prediction, model: Model, disturbances: Sequence[Disturbance]) -> list[str]:
+    """Warnings of what the error bars do not contain."""
+    return fed_back(model, disturbances) + _coloured_innovations(found)
 
 
 def fed_back(model: Model, disturbances: Sequence[Disturbance]) -> list[str]:
