@@ -93,7 +93,9 @@ def undetectable_effects(
     for s in table.scores:
         if s.effect.key not in largest or s.visible > largest[s.effect.key][0]:
             largest[s.effect.key] = s.visible, s.effect
-    absorbed = [(v, e) for v, e in largest.values() if v <= threshold]
+    # The gain of a known input is what the user says that it is, unless a record denies it.
+    exact = {("sensor_scale", n) for n, u in model.inputs.items() if u.kind == "known"}
+    absorbed = [(v, e) for v, e in largest.values() if v <= threshold and e.key not in exact]
     if not absorbed:
         return ()
     tested = _RankTests(model, experiments)

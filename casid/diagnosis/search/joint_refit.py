@@ -101,7 +101,9 @@ class Refitting:
         model, names = effect.extended(at.model, starts=starts, upper=upper)
         moved = moved_parameter(effect)
         if moved is not None:
-            _keep_sign(model, names[0], at.fit.values.get(moved, 0.0), effect)
+            p = at.model.parameters.get(moved)
+            begun = values.get(moved, p.nominal if p is not None else 0.0)
+            _keep_sign(model, names[0], begun, effect)
         values = {name: value for name, value in values.items() if name not in names}
         criterion = self.weighing.criterion(model, at.noise, values, at.criterion)
         fit = minimize_simulation_error(
