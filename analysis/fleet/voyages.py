@@ -121,10 +121,10 @@ def inputs(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def sea(rng: np.random.Generator, rms: float) -> Array:
-    """w (N,): thirty sines between 0.35 and 1.1 rad/s."""
+    """w (N,): so many sines between 0.35 and 1.1 rad/s that no line of the spectrum is one of them."""
     t = TS * np.arange(N)
-    w, phase = rng.uniform(0.35, 1.1, 30), rng.uniform(0.0, 2 * np.pi, 30)
-    return np.asarray(rms * np.sqrt(2.0 / 30) * np.cos(np.outer(t, w) + phase).sum(axis=1))
+    w, phase = rng.uniform(0.35, 1.1, 150), rng.uniform(0.0, 2 * np.pi, 150)
+    return np.asarray(rms * np.sqrt(2.0 / 150) * np.cos(np.outer(t, w) + phase).sum(axis=1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,8 +6,13 @@ depend on a record's noise: parameters near those of the record, the catalogue s
 signals, and the extended model as functions. What is left for a record is a few Gauss-Newton steps
 to its own optimum, its noise, and the scores of the catalogue, which are those of the diagnosis.
 
-A record is also searched where the scores cannot speak for it: its signals are of another kind, the
-steps do not settle, the noise model absorbs misfit, or samples are spoilt.
+Where much of a record is explained by neither sensors nor measured inputs, it may be a sea or a
+cause. Its scores are computed under the noise that takes all of it for disturbances, which is right
+in a sea and may absorb a cause. So the effects that score best under the sensors' noise alone are
+taken out of the residual as well: a cause leaves less for disturbances to explain, by a likelihood
+ratio (Whittle's) with one degree of freedom; twice the smaller p counts. A record is searched
+whatever its scores where they cannot speak for it: its channels are others, its own fit is not
+found, or samples are spoilt.
 """
 
 from __future__ import annotations
@@ -16,13 +21,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc
 
-from casid.arrays import Array
+from casid.arrays import TINY, Array
 from casid.data.arguments import in_si
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.corrupted_samples import without_corrupted
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted
+from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, not_below
 from casid.diagnosis.evidence.recorded_channels import recorded_beside, with_unused_columns
 from casid.diagnosis.evidence.score_tests import scores_of, step_without_bias
 from casid.diagnosis.evidence.signal_sizes import sizes_of
@@ -30,9 +36,11 @@ from casid.diagnosis.evidence.signature_columns import Columns, extended_columns
 from casid.diagnosis.evidence.spectral_peaks import find_peaks
 from casid.errors import CasidError, DataError
 from casid.estimation.holdout import split_records
+from casid.estimation.noise import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.estimation.simulation.minimization import Fit
+from casid.estimation.simulation.simulation_error import SimulationError
 from casid.fleets.thresholds import SCREENING
 from casid.model.effects.catalogue import catalogue
 from casid.model.effects.user_effects import user_effects
@@ -143,42 +151,97 @@ class Screen:
         base = self.at.criterion
         own = {n: v for n, v in self.at.fit.values.items() if n in base.free}
         criterion = base.of_records([record], weights=base.weights, start=own)
-        x = criterion.start
-        for _ in range(SCREENING.steps):
-            x, length = step_without_bias(criterion, x, {})
+        x = _minimum(criterion, {})
+        if x is None:
+            return Screened(0.0, _FAR)
         fit = replace(self.at.fit, criterion=criterion, solution=replace(self.at.fit.solution, x=x))
         if self._is_spoilt(fit, record):
             return Screened(0.0, "samples of it are spoilt")
-        weighing = Weighing([record], known_noise=self.problem.noise)
-        at = weighing.estimated(fit)
-        if at.noise_absorbs_misfit:
-            return Screened(0.0, "much of it is explained by neither sensors nor measured inputs")
+        at = Weighing([record], known_noise=self.problem.noise).estimated(fit)
         criterion = base.of_records(
             [record], weights=base.weights, whiten=at.full.whiten, start=fit.values
         )
-        x = criterion.start
-        for _ in range(SCREENING.steps):
-            x, length = step_without_bias(criterion, x, at.input_sd)
-            if length < SCREENING.settled:
-                break
-        if not length < SCREENING.settled:
-            return Screened(0.0, "its fit is far from the asset's reference")
-        return self._scored(replace(fit, criterion=criterion), x, at)
+        own_fit = _minimum(criterion, at.input_sd)
+        if own_fit is None:
+            return Screened(0.0, _FAR)
+        found = self._scored(criterion, own_fit, at)
+        lines = self._lines(criterion, own_fit)
+        if not at.noise_absorbs_misfit:
+            return replace(found, p_value=min(found.p_value, lines))
+        p = 2.0 * min(found.p_value, self._taken_out(at))
+        if lines < SCREENING.share * self.level <= p:
+            # A sea has lines, too, where its spectrum is taken for a white one.
+            spectra = Weighing([record], known_noise=self.problem.noise).with_disturbances()
+            shaped = base.of_records(
+                [record], weights=base.weights, whiten=spectra.noise(fit).whiten, start=fit.values
+            )
+            p = min(p, self._lines(shaped, own_fit))
+        return replace(found, p_value=min(1.0, p))
 
-    def _scored(self, fit: Fit, x: Array, at: Weighted) -> Screened:
-        """The scores at the record's own fit."""
-        criterion = fit.criterion
+    def _lines(self, criterion: SimulationError, x: Array) -> float:
+        """p of the most significant line in the spectrum of the residual."""
+        if "periodic_disturbance" in self.without:
+            return 1.0
+        residual, _ = criterion.columns(x, 0)
+        peaks = find_peaks([residual], [d.Ts for d in criterion.data], alpha=self.level)
+        return min((peak.p_value for peak in peaks), default=1.0)
+
+    def _columns(self, criterion: SimulationError, x: Array) -> Columns:
+        """Those of the whole catalogue at a fit of another record."""
         start = dict(zip(criterion.names, x.tolist(), strict=True))
         wide = self.columns.wide.of_records(
             criterion.experiments, weights=criterion.weights, whiten=criterion.whiten, start=start
         )
-        columns = replace(self.columns, wide=wide)
-        table = scores_of(columns, criterion, input_sd=at.input_sd, draws=0)
+        return replace(self.columns, wide=wide)
+
+    def _taken_out(self, at: Weighted) -> float:
+        """Smallest p, Bonferroni's, that an effect explains no more than disturbances would.
+
+        At the fit under the sensors' noise alone, the parameters free to move with the effect.
+        """
+        criterion = at.fit.criterion
+        quiet = not_below(at.full.quiet(at.input_sd), criterion, at.fit.x)
+        plain = self._columns(criterion, at.fit.x)
+        wide = plain.wide.of_records(
+            criterion.experiments,
+            weights=criterion.weights,
+            whiten=quiet.whiten,
+            start=at.fit.values,
+        )
+        white = replace(plain, wide=wide)
+        table = scores_of(white, criterion, input_sd=at.input_sd, draws=0)
+        best = sorted(
+            (i for i, s in enumerate(table.scores) if s.is_visible),
+            key=lambda i: -table.scores[i].unrobust,
+        )[: SCREENING.taken_out]
+        residual, tangent, psi = plain.of_record(plain.wide.start, 0)
+        psi = psi[:, white.judged]
+        gain = max((self._fall(at, residual, tangent, psi[:, [i]]) for i in best), default=0.0)
+        return len(table.tested) * float(chdtrc(1, 2.0 * gain))
+
+    def _fall(self, at: Weighted, residual: Array, tangent: Array, psi: Array) -> float:
+        """By how much minus the log-likelihood falls where an effect is taken out of a residual.
+
+        residual (M,), tangent (M, n) and signature (M, 1) are weighted, samples by outputs.
+        """
+        criterion = at.fit.criterion
+        both = np.hstack([tangent, psi])
+        size = np.sqrt(np.maximum(np.einsum("ij,ij->j", both, both), TINY))
+        left = residual - both @ (np.linalg.lstsq(both / size, residual, rcond=None)[0] / size)
+        noise = estimate_noise(
+            criterion,
+            at.fit.x,
+            known=self.problem.noise,
+            residuals=[left.reshape(-1, len(criterion.weights)) / criterion.weights],
+            responses=at.full.responses,
+        )
+        return max(at.full.misfit - noise.misfit, 0.0)
+
+    def _scored(self, criterion: SimulationError, x: Array, at: Weighted) -> Screened:
+        """Scores, and the record's own parameters."""
+        table = scores_of(self._columns(criterion, x), criterion, input_sd=at.input_sd, draws=0)
         p = table.smallest.adjusted if table.smallest is not None else 1.0
-        residual, tangent = criterion.columns(x, 0)
-        if "periodic_disturbance" not in self.without:
-            peaks = find_peaks([residual], [d.Ts for d in criterion.data], alpha=self.level)
-            p = min(p, *(peak.p_value for peak in peaks), 1.0)
+        _, tangent = criterion.columns(x, 0)
         return Screened(float(p), "", self._parameters(criterion.names, x, tangent))
 
     def _parameters(
@@ -209,6 +272,27 @@ class Screen:
         split = split_records([record], 0.0)
         corrupted, _ = without_corrupted(fit, split, self.level, without=self.without)
         return bool(corrupted.count)
+
+
+_FAR = "its own fit was not found from the asset's reference"
+
+
+def _minimum(criterion: SimulationError, input_sd: Mapping[str, float]) -> Array | None:
+    """The record's own fit from the asset's: Gauss-Newton steps, or where these are many a solver.
+
+    None where neither settles.
+    """
+    x = criterion.start
+    for _ in range(SCREENING.steps):
+        x, length = step_without_bias(criterion, x, input_sd)
+        if length < SCREENING.settled:
+            return x
+    x = Weighing(criterion.experiments).minimum(criterion).x
+    for _ in range(SCREENING.steps):
+        x, length = step_without_bias(criterion, x, input_sd)
+        if length < SCREENING.settled:
+            return x
+    return None
 
 
 def _prepared(problem: Problem, experiment: Experiment) -> tuple[Problem, Experiment]:

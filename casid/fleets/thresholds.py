@@ -32,7 +32,10 @@ class Screening:
         5, "first records of an asset whose median fit is its reference", _SCREENING
     )
     steps: int = _is(
-        3, "Gauss-Newton steps from an asset's reference to a record's own fit", _SCREENING
+        6, "Gauss-Newton steps from an asset's reference before a solver is tried", _SCREENING
+    )
+    taken_out: int = _is(
+        4, "effects that are taken out of a residual that disturbances might explain", _STUDY
     )
     settled: float = _is(
         0.3,

@@ -52,8 +52,15 @@ def test_a_record_that_lacks_something_passes(screen: Screen, tmp_path: Path) ->
     assert screened(screen, tmp_path, seed=8, offset=0.1).passes(0.05)
 
 
-def test_a_record_far_from_the_reference_is_searched(screen: Screen, tmp_path: Path) -> None:
-    found = screened(screen, tmp_path, seed=9, gain=200.0)
+def test_a_record_far_from_the_reference_finds_its_own_fit(screen: Screen, tmp_path: Path) -> None:
+    found = screened(screen, tmp_path, seed=9, gain=20.0)
+    (gain,) = [p.value for p in found.parameters if p.name == "K"]
+    assert gain == pytest.approx(20.0, rel=0.01)
+    assert not found.passes(0.05)
+
+
+def test_a_fit_at_a_bound_is_searched(screen: Screen, tmp_path: Path) -> None:
+    found = screened(screen, tmp_path, seed=9, gain=500.0)  # of at most 100
     assert found.why
     assert found.passes(0.05)
 

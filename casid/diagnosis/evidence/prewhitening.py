@@ -85,7 +85,7 @@ class Weighing:
         if found.noise_absorbs_misfit:
             at = self._without_bias(found)
             if at is None or at.noise_absorbs_misfit:
-                noise = _not_below(found.full.quiet(found.input_sd), found.criterion, fit.x)
+                noise = not_below(found.full.quiet(found.input_sd), found.criterion, fit.x)
                 criterion = self.criterion(model, noise, fit.values, fit.criterion)
                 return replace(found, fit=self.minimum(criterion), noise=noise)
             found = at
@@ -230,7 +230,7 @@ def use_samples_of(criterion: SimulationError, other: SimulationError) -> None:
         mine.used[:] = its.used
 
 
-def _not_below(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:
+def not_below(noise: NoiseModel, criterion: SimulationError, x: Array) -> NoiseModel:
     """The noise with a white floor: the quietest part of the residual, small against the misfit.
 
     A force that an output feels at once (an accelerometer) explains its sensor's noise as well as
