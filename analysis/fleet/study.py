@@ -33,7 +33,7 @@ from analysis.common.runner import Run, Study, jobs
 from analysis.common.targets import Target, holds
 from analysis.fleet.voyages import CAUSES, Voyage, parameters, plan, write
 
-RECORDS, QUICK_RECORDS = 500, 60
+RECORDS, QUICK_RECORDS = 500, 40
 SHIPS, QUICK_SHIPS = 20, 4
 LEVEL = 0.05
 PROBLEM = Path(__file__).with_name("roll.py")

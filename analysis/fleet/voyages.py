@@ -121,7 +121,7 @@ def inputs(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def sea(rng: np.random.Generator, rms: float) -> Array:
-    """w (N,): so many sines between 0.35 and 1.1 rad/s that no line of the spectrum is one of them."""
+    """w (N,): sines between 0.35 and 1.1 rad/s, too many for any to be a line of the spectrum."""
     t = TS * np.arange(N)
     w, phase = rng.uniform(0.35, 1.1, 150), rng.uniform(0.0, 2 * np.pi, 150)
     return np.asarray(rms * np.sqrt(2.0 / 150) * np.cos(np.outer(t, w) + phase).sum(axis=1))
@@ -142,11 +142,11 @@ class Motion:
 
 
 def simulate(at: Motion, delta: Array, r: Array, w: Array) -> tuple[Array, Array]:
-    """(1): roll angle and rate (N, m) of m motions under the same inputs (N,)."""
+    """(1): roll angle and rate (N, m) of m motions under inputs and moments (N, m)."""
     m = len(at.C)
     phi, p = np.empty((N, m)), np.empty((N, m))
     x, v, h = at.phi.copy(), at.p.copy(), TS / STEPS
-    moment = np.outer(delta, at.K_delta) + np.outer(r, at.K_r) + at.b + w[:, None]
+    moment = delta * at.K_delta + r * at.K_r + at.b + w
 
     def rates(x: Array, v: Array, M: Array) -> tuple[Array, Array]:
         return v, -(at.B + at.d_2 * np.abs(v)) * v - at.C * x + M
@@ -170,7 +170,7 @@ def simulate(at: Motion, delta: Array, r: Array, w: Array) -> tuple[Array, Array
 def outputs(
     columns: Sequence[dict[str, float]], delta: Array, r: Array, w: Array
 ) -> tuple[Array, Array]:
-    """Roll and gyro (N, m) without noise, each column with its own values and causes."""
+    """Roll and gyro (N, m) without noise, each column with its own values, causes and inputs."""
 
     def of(name: str) -> Array:
         return np.array([c.get(name, 0.0) for c in columns])
@@ -184,19 +184,53 @@ def outputs(
     return phi, p + of("gyro")
 
 
-def size_of(cause: str, strength: float, values: dict[str, float], delta: Array, r: Array) -> float:
-    """The size of a cause that has this lambda, for moderate sizes by the slope at zero."""
+def sizes_of(voyages: Sequence[Voyage], seed: int) -> dict[int, float]:
+    """The size of each run's cause, from its lambda by the slope at zero in its first voyage."""
     steps = {"C": 1e-5, "B": 1e-5, "K_delta": 1e-5, "K_r": 1e-5, "phi": 1e-5, "p": 1e-5}
-    small = {"load": 1e-5, "drag": 1e-3, "gyro": 1e-5, "late": 1e-3}[cause]
-    columns = [values, {**values, cause: small}]
-    columns += [{**values, n: values.get(n, 0.0) + h} for n, h in steps.items()]
-    phi, p = outputs(columns, delta, r, np.zeros(N))
+    small = {"load": 1e-5, "drag": 1e-3, "gyro": 1e-5, "late": 1e-3}
+    first: dict[int, Voyage] = {}
+    for v in voyages:
+        if v.cause:
+            first.setdefault(v.run, v)
+    if not first:
+        return {}
+    columns: list[dict[str, float]] = []
+    drawn: list[Drawn] = []
+    for v in first.values():
+        own = Drawn.of(v, seed)
+        columns += [own.values, {**own.values, v.cause: small[v.cause]}]
+        columns += [{**own.values, n: own.values.get(n, 0.0) + h} for n, h in steps.items()]
+        drawn += [own] * (2 + len(steps))
+    delta, r = (np.column_stack([getattr(d, name) for d in drawn]) for name in ("delta", "r"))
+    phi, p = outputs(columns, delta, r, np.zeros_like(delta))
     stacked = np.concatenate([phi / NOISE["roll"], p / NOISE["gyro"]])
-    changed = stacked[:, 1:] - stacked[:, :1]
-    psi, tangent = changed[:, 0] / small, changed[:, 1:]
-    q, _ = np.linalg.qr(tangent)
-    left = psi - q @ (q.T @ psi)
-    return float(np.sqrt(strength) / np.linalg.norm(left))
+    out = {}
+    for i, v in enumerate(first.values()):
+        block = stacked[:, (2 + len(steps)) * i : (2 + len(steps)) * (i + 1)]
+        changed = block[:, 1:] - block[:, :1]
+        psi, tangent = changed[:, 0] / small[v.cause], changed[:, 1:]
+        q, _ = np.linalg.qr(tangent)
+        out[v.run] = float(np.sqrt(v.strength) / np.linalg.norm(psi - q @ (q.T @ psi)))
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """What is drawn for one voyage: its ship's values, inputs, sea (N,) and noise (2, N)."""
+
+    values: dict[str, float]
+    delta: Array
+    r: Array
+    w: Array
+    noise: Array
+
+    @classmethod
+    def of(cls, v: Voyage, seed: int) -> Drawn:
+        """From the seed of the voyage."""
+        rng = np.random.default_rng(v.seed)
+        values = parameters(v.ship, seed) | {"phi": 0.02 * float(rng.standard_normal())}
+        delta, r = inputs(rng)
+        return cls(values, delta, r, sea(rng, v.sea), rng.standard_normal((2, N)))
 
 
 def write(voyages: Sequence[Voyage], folder: Path, seed: int) -> list[Voyage]:
@@ -204,34 +238,35 @@ def write(voyages: Sequence[Voyage], folder: Path, seed: int) -> list[Voyage]:
 
     The size of a cause that lasts is that of its first voyage.
     """
+    folder.mkdir(parents=True, exist_ok=True)
+    ordered = sorted(voyages, key=lambda v: (v.ship, v.number))
+    sizes = sizes_of(ordered, seed)
+    out = [replace(v, size=sizes[v.run]) if v.cause else v for v in ordered]
+    absent = [v for v in out if not (folder / v.name).exists()]
+    for i in range(0, len(absent), TOGETHER):
+        _write(absent[i : i + TOGETHER], folder, seed)
+    return out
+
+
+TOGETHER = 500
+"""Voyages that are simulated at once."""
+
+
+def _write(voyages: Sequence[Voyage], folder: Path, seed: int) -> None:
     import pandas as pd
 
-    folder.mkdir(parents=True, exist_ok=True)
-    sizes: dict[int, float] = {}
-    out = []
-    for v in sorted(voyages, key=lambda v: (v.ship, v.number)):
-        rng = np.random.default_rng(v.seed)
-        values = parameters(v.ship, seed) | {"phi": 0.02 * float(rng.standard_normal())}
-        delta, r = inputs(rng)
-        if v.cause:
-            if v.run not in sizes:
-                sizes[v.run] = size_of(v.cause, v.strength, values, delta, r)
-            v = replace(v, size=sizes[v.run])
-        out.append(v)
-        w = sea(rng, v.sea)
-        noise = rng.standard_normal((2, N))
-        if (folder / v.name).exists():
-            continue
-        causes = {v.cause: v.size} if v.cause else {}
-        phi, p = outputs([values | causes], delta, r, w)
+    drawn = [Drawn.of(v, seed) for v in voyages]
+    delta, r, w = (np.column_stack([getattr(d, n) for d in drawn]) for n in ("delta", "r", "w"))
+    causes = [{v.cause: v.size} if v.cause else {} for v in voyages]
+    phi, p = outputs([d.values | c for d, c in zip(drawn, causes, strict=True)], delta, r, w)
+    for i, (v, d) in enumerate(zip(voyages, drawn, strict=True)):
         frame = pd.DataFrame(
             {
                 "t": TS * np.arange(N),
-                "delta": delta,
-                "r": r,
-                "roll": phi[:, 0] + NOISE["roll"] * noise[0],
-                "gyro": p[:, 0] + NOISE["gyro"] * noise[1],
+                "delta": d.delta,
+                "r": d.r,
+                "roll": phi[:, i] + NOISE["roll"] * d.noise[0],
+                "gyro": p[:, i] + NOISE["gyro"] * d.noise[1],
             }
         )
         frame.to_parquet(folder / v.name, index=False)
-    return out

@@ -91,7 +91,7 @@ class Finding:
 
 
 def findings_of(outcomes: Mapping[str, Sequence[Outcome]]) -> tuple[Finding, ...]:
-    """The findings of every asset, the strongest first; their common causes marked.
+    """The findings of every asset, common ones marked: those still there first, then the longest.
 
     Parameters
     ----------
@@ -100,7 +100,17 @@ def findings_of(outcomes: Mapping[str, Sequence[Outcome]]) -> tuple[Finding, ...
     found = [f for asset, records in outcomes.items() for f in _of_asset(asset, records)]
     found = _with_common(found, outcomes)
     return tuple(
-        sorted(found, key=lambda f: (-len(f.records), -f.e_value, f.asset, f.since, f.key))
+        sorted(
+            found,
+            key=lambda f: (
+                not (f.is_lasting and f.is_present),
+                -len(f.records),
+                -f.e_value,
+                f.asset,
+                f.since,
+                f.key,
+            ),
+        )
     )
 
 

@@ -74,6 +74,7 @@ def cause_figure(fleet: Fleet) -> Any:
     figure.figure.update_yaxes(autorange="reversed", type="category")
     figure.label(0, x="time" if fleet.is_dated else "time, as the records have it")
     figure.figure.update_layout(showlegend=False)
+    figure.ticks = 4
     more = f" The first {_ROWS} of {len(rows)}." if len(rows) > _ROWS else ""
     caption = (
         "Share of an asset's records that show a cause, dark: all of them; white: it has no record "
@@ -89,7 +90,7 @@ def trend_figure(fleet: Fleet) -> Any:
     when = column(fleet.records, "when")
     for k, effect in enumerate(fleet.effects):
         _trends(figure, k, fleet, effect, when)
-    figure.ticks = 5
+    figure.ticks = 4
     caption = (
         f"Parameters of {visible_text(fleet.problem)} over time: the fleet with the 95 % band of "
         "its mean, and each asset's shrunk trend; dashed where its drift differs from the fleet's "

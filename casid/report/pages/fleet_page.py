@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 from casid.fleets.findings import Finding
 from casid.fleets.fleet import ASSUMPTIONS, Fleet
@@ -20,15 +21,16 @@ from casid.report.figures.fleets import fleet_figures
 from casid.report.numbers import number_text
 from casid.report.pages.estimate_parts import provenance
 from casid.report.texts.fleets import (
-    EFFECT_HEAD,
     FINDING_HEAD,
     counts_text,
     effect_cells,
+    effect_head,
     finding_cells,
     rates_text,
 )
 
-_FINDINGS, _REFUSALS, _RECORDS = 200, 100, 3  # shown; all of them are in the tables beside
+_FIRST, _FINDINGS = 12, 200  # findings at once, and unfolded; fleet.json has all of them
+_REFUSALS, _RECORDS = 100, 3
 
 
 def fleet_report(fleet: Fleet) -> Document:
@@ -43,13 +45,28 @@ def fleet_report(fleet: Fleet) -> Document:
                 [_banner(fleet), f"{_upper(counts_text(fleet))}.", f"{rates_text(fleet)}."],
                 is_open=True,
             ),
-            Section("Findings", [_findings(fleet), figure("causes"), _more(fleet)], is_open=True),
+            Section(
+                "Findings",
+                [
+                    _findings(fleet, fleet.findings[:_FIRST]),
+                    figure("causes"),
+                    _more(fleet),
+                    Section(
+                        f"{_many(len(rest), 'further finding', 'further findings')}",
+                        [_findings(fleet, rest[: _FINDINGS - _FIRST])],
+                        look="fold",
+                    )
+                    if (rest := fleet.findings[_FIRST:])
+                    else None,
+                ],
+                is_open=True,
+            ),
             Section(
                 "Parameters",
                 [
                     Table(
-                        EFFECT_HEAD,
-                        [effect_cells(e) for e in fleet.effects],
+                        effect_head(fleet),
+                        [_signs(effect_cells(e)) for e in fleet.effects],
                         numbers=(2, 3, 4, 5),
                         caption="Parameters over the fleet",
                     ),
@@ -78,6 +95,10 @@ _WORDS = (
 )
 
 
+def _signs(cells: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(c.replace("+-", "\u00b1") for c in cells)
+
+
 def _banner(fleet: Fleet) -> Banner:
     lasting = [f for f in fleet.findings if f.is_lasting and f.is_present]
     assets = len({f.asset for f in lasting})
@@ -85,36 +106,39 @@ def _banner(fleet: Fleet) -> Banner:
         word, look = f"{assets} of {len(fleet.assets)} assets", "deficient"
         first = lasting[0]
         sentence = (
-            f"{len(lasting)} causes last to this day; the strongest is {first.kind} in "
-            f"{first.where} of {first.asset}, in {len(first.records)} records."
+            f"{_many(len(lasting), 'cause is', 'causes are')} still there; the strongest is "
+            f"{first.kind} in {first.where} of {first.asset}, in {len(first.records)} records."
         )
     elif fleet.findings:
         word, look = "nothing that lasts", "undecided"
-        sentence = f"{len(fleet.findings)} causes were there for a time and are not any more."
+        it = "it" if len(fleet.findings) == 1 else "them"
+        count = _many(len(fleet.findings), "cause was", "causes were")
+        sentence = f"{count} there for a time, and the last records do not show {it} any more."
     else:
         word, look = "nothing found", "adequate"
         sentence = "No record lacks anything at this rate of false discoveries."
     return Banner(word, "with a cause that lasts" if lasting else "", sentence, look)
 
 
-def _findings(fleet: Fleet) -> Table:
+def _findings(fleet: Fleet, shown: Sequence[Finding]) -> Table:
     names = dict(zip(fleet.records["number"], fleet.records["record"], strict=True))
     rows = []
-    for f in fleet.findings[:_FINDINGS]:
+    for f in shown:
         asset, *rest = finding_cells(fleet, f)
         rows.append((asset, *rest, _size(f), _also(f), _named(f, names)))
     return Table(
         (*FINDING_HEAD, "size", "it may also be", "records, as in"),
         rows,
         numbers=(3, 4),
-        caption="Causes by asset, those of most records first",
+        caption="Causes by asset: those still there first, then those of most records",
     )
 
 
 def _size(f: Finding) -> str:
     if f.size != f.size:
         return "\u2013"
-    return f"{number_text(f.size)} \u00b1 {f.size_spread:.1g}"
+    spread = f" \u00b1 {f.size_spread:.1g}" if f.is_lasting else ""
+    return number_text(f.size) + spread
 
 
 def _also(f: Finding) -> str:
@@ -158,6 +182,10 @@ def _refused(fleet: Fleet) -> Table:
         return mapping_table(refused, ("record", "why"))
     counts = Counter(text.split(": ", 1)[0] for text in refused.values())
     return mapping_table({text: str(n) for text, n in counts.most_common()}, ("why", "records"))
+
+
+def _many(n: int, one: str, more: str) -> str:
+    return f"{n} {one if n == 1 else more}"
 
 
 def _upper(text: str) -> str:

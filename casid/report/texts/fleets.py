@@ -27,7 +27,9 @@ def fleet_document(fleet: Fleet) -> Document:
             ("errors", rates_text(fleet)),
             Table(FINDING_HEAD, rows, numbers=(3,)),
             *([f"  and {more} more, in fleet.json and report.html"] if more > 0 else []),
-            Table(EFFECT_HEAD, [effect_cells(e) for e in fleet.effects], numbers=(2, 3, 4, 5)),
+            Table(
+                effect_head(fleet), [effect_cells(e) for e in fleet.effects], numbers=(2, 3, 4, 5)
+            ),
             *labelled("refused", [f"{n} times: {text}" for text, n in refusals]),
             *(
                 [("NOT DONE", f"{fleet.not_done} records: the budget of time ended")]
@@ -41,7 +43,12 @@ def fleet_document(fleet: Fleet) -> Document:
 
 
 FINDING_HEAD = ("asset", "cause", "began", "records", "e-value", "state")
-EFFECT_HEAD = ("parameter", "unit", "mean", "between", "within", "drift a year", "drifting alone")
+
+
+def effect_head(fleet: Fleet) -> tuple[str, ...]:
+    """The columns of `effect_cells`."""
+    drift = "drift a year" if fleet.is_dated else "drift a record"
+    return ("parameter", "unit", "mean", "between", "within", drift, "drifts alone")
 
 
 def counts_text(fleet: Fleet) -> str:
@@ -99,7 +106,7 @@ def state_text(fleet: Fleet, f: Finding) -> str:
 
 
 def effect_cells(e: ParameterEffects) -> tuple[str, ...]:
-    """A parameter as cells below `EFFECT_HEAD`."""
+    """A parameter as cells below `effect_head`."""
     alone = [a for a in e.assets if a.p_value < 0.05 / max(len(e.assets), 1)]
     drift = "--"
     if math.isfinite(e.drift):
