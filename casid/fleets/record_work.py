@@ -181,7 +181,7 @@ def do_reference(content: bytes, record: FleetRecord) -> Row:
     return work_of(content).reference(record)
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=48)
 def _screen_of(work: RecordWork, reference: Reference) -> Screen:
     s = work.settings
     return Screen.of(

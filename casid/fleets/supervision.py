@@ -172,7 +172,10 @@ def serve() -> None:
             answer = pickle.dumps((value, error))
         except Exception:
             answer = pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
-        _send(answers, answer)
+        try:
+            _send(answers, answer)
+        except OSError:  # nobody supervises any more
+            return
 
 
 @contextlib.contextmanager

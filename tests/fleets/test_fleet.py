@@ -192,8 +192,11 @@ def test_records_that_arrive_are_added_without_doing_the_old_again(
     assert len(finding.records) == 2
 
 
-def test_records_that_cannot_be_done_are_rows_and_no_end(tmp_path: Path) -> None:
+def test_records_that_cannot_be_done_are_rows_and_no_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Rubbish, an endless simulation, one that takes all memory, a crash; then a good one."""
+    monkeypatch.setenv("CASID_TIME_FACTOR", "10")
     write_problem(tmp_path)
     records = tmp_path / "records"
     for name, first in (("1", ENDLESS), ("2", HUNGRY), ("3", CRASHING), ("5", None)):
