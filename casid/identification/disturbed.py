@@ -22,7 +22,7 @@ from casid.estimation.fit_statistics import nrmse_fit, rms
 from casid.estimation.fitted.fitted_model import FittedModel
 from casid.estimation.fitted.from_fit import channels_of
 from casid.estimation.holdout import Split
-from casid.estimation.intervals.choice import Estimation, chosen_intervals
+from casid.estimation.intervals.choice import Estimation, chosen_intervals, patience_since
 from casid.estimation.intervals.of_estimate import with_intervals
 from casid.estimation.nlp.solution import not_converged
 from casid.estimation.nlp.solver import as_solver
@@ -51,7 +51,7 @@ from casid.identification.grey_box import (
 from casid.identification.unstable import fit_unstable
 from casid.linear.noisy_model import White
 from casid.model.model import Model
-from casid.time_limit import Undone, no_time_limit, require_time, seconds_left
+from casid.time_limit import Undone, no_time_limit, require_time, seconds_left, wall_clock
 
 SIZES = np.logspace(-1.5, 1.5, 7)
 """Of a disturbance, times the size that its share of the residual suggests."""
@@ -83,14 +83,13 @@ def identify_disturbed(
     *,
     start: Mapping[str, float] | None = None,
     intervals: str = "auto",
+    budget: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Estimate:
     """Estimate a model whose disturbances have a named place and a parametric spectrum.
 
-    The likelihood of the one-step prediction errors of a Kalman filter, an extended one where the
-    model is nonlinear or outputs miss samples; exact gradients. The search starts from least
-    squares of the simulation error, with the sizes and frequencies that have the best likelihood
-    there among those of a grid. What `split` holds out is predicted one sample ahead.
+    By the prediction errors of a Kalman filter, extended where the model is nonlinear or outputs
+    miss samples, from least squares and the best sizes and frequencies of a grid.
 
     Raises
     ------
@@ -99,9 +98,9 @@ def identify_disturbed(
     IdentifiabilityError
         For parameters or disturbances that these records do not determine.
     SolveError
-        If no optimum was found; where that is for want of time, the estimate says so in `not_done`.
+        If no optimum was found; for want of time, the estimate says so in `not_done`.
     """
-    program = _Program(problem.model, split.fitted, disturbances, settings)
+    program, began = _Program(problem.model, split.fitted, disturbances, settings), wall_clock()
     problem = replace(problem, model=undisturbed(problem.model, disturbances))
     progress("fit the model without disturbances")
     fit = _simulated(problem, split.fitted, settings, start)
@@ -118,7 +117,8 @@ def identify_disturbed(
     undone, estimate = Undone(), found.estimate
     if found.solution.is_converged:
         estimation = _estimation(problem, found, settings)
-        chosen = chosen_intervals(estimation, intervals, undone, progress)
+        patience = patience_since(began, budget)
+        chosen = chosen_intervals(estimation, intervals, undone, progress, patience)
         estimate = with_intervals(estimate, chosen)
         with no_time_limit():  # one pass over what is held out
             estimate = replace(estimate, held_out=_held_out(estimate, split))

@@ -26,6 +26,7 @@ from casid.estimation.holdout import (
 from casid.estimation.intervals.choice import (
     Estimation,
     chosen_intervals,
+    patience_since,
     require_intervals,
 )
 from casid.estimation.intervals.of_estimate import with_intervals
@@ -86,17 +87,15 @@ def identify(
         shared unless `settings.own`.
     hold_out : share of each record, at its end, or whole records, used for validation only.
     start : start values by variable name, over the model's own, in the units that it declares.
-    budget : seconds that the estimate may take; by default as `FIT_BUDGET` has it, from the number
-        of samples and unknowns. What no time is left for is listed in `not_done`; a fit that was
-        not finished gives its best point, without errors and not converged.
+    budget : seconds that the estimate may take; by default from the number of samples and unknowns
+        (`FIT_BUDGET`), profiles that were not requested a part of it. What no time is left for is in
+        `not_done`; an unfinished fit gives its best point, without errors and not converged.
     intervals : "auto": normal, and by the profile of the criterion for parameters at a bound or
         where the criterion is not the parabola that a normal interval takes it for (the numbers
         are in `QUADRATIC_TEST`); "quick": normal; "profile"; "bootstrap": from simulated records.
-    disturbances : that act on the model, as "torque:peak": a balance, a state or an input that
-        nobody measures, and "white", "first" (order) or "peak". Their sizes and frequencies are
-        estimated with the parameters, by the prediction error of a Kalman filter, an extended one
-        for nonlinear models. What is held out is then predicted one sample ahead, and no interval
-        is bootstrapped.
+    disturbances : as "torque:peak": in a balance, a state or an input that nobody measures;
+        "white", "first" (order) or "peak"; by the prediction error of a Kalman filter. What is held
+        out is then predicted one sample ahead; no interval is bootstrapped.
 
     Returns
     -------
@@ -138,6 +137,7 @@ def identify(
                 settings,
                 start=start,
                 intervals=intervals,
+                budget=budget,
                 progress=say,
             )
             return _completed(estimate, problem.model, structural)
@@ -152,7 +152,8 @@ def identify(
             records = record_views(found.fit, None, split)
         if estimate.is_converged:
             estimation = _estimation(problem, found, estimate, settings)
-            found_intervals = chosen_intervals(estimation, intervals, undone, say)
+            patience = patience_since(began, budget)
+            found_intervals = chosen_intervals(estimation, intervals, undone, say, patience)
             estimate = with_intervals(estimate, found_intervals)
     estimate = replace(
         estimate,

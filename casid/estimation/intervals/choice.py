@@ -7,6 +7,7 @@ for all unknowns.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -19,9 +20,9 @@ from casid.estimation.intervals.bootstrap import Bootstrapped, bootstrapped
 from casid.estimation.intervals.profile import ProfileInterval, profile_interval
 from casid.estimation.intervals.quadratic_test import why_not_quadratic
 from casid.estimation.intervals.scaled_criterion import Minimum, ScaledCriterion
-from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS
+from casid.estimation.intervals.thresholds import BOOTSTRAP_RUNS, PROFILE_SEARCH
 from casid.estimation.simulation.fit import FitSettings
-from casid.time_limit import Undone
+from casid.time_limit import Undone, until, wall_clock
 
 KINDS = ("auto", "quick", "profile", "bootstrap")
 """What may be requested."""
@@ -130,14 +131,33 @@ def chosen_intervals(
     intervals: str,
     undone: Undone,
     progress: Callable[[str], None] = lambda _: None,
+    patience: float = math.inf,
 ) -> Chosen:
-    """The intervals of an estimate, of the requested kind; what time does not allow is normal."""
+    """The intervals of an estimate, of the requested kind; what time does not allow is normal.
+
+    Parameters
+    ----------
+    patience : seconds that profiles which nobody requested may take.
+    """
     chosen = Chosen(assumes={"quick": _UNTESTED})
     if intervals == "bootstrap":
         _bootstrap(estimation, undone, chosen, progress)
-    elif intervals != "quick":
-        _profiles(estimation, intervals == "profile", undone, chosen, progress)
+    elif intervals == "profile":
+        _profiles(estimation, True, undone, chosen, progress)
+    elif intervals == "auto":
+        with until(wall_clock() + patience):
+            _profiles(estimation, False, undone, chosen, progress)
     return chosen
+
+
+def patience_since(began: float, budget: float | None) -> float:
+    """Seconds that profiles which nobody requested may take after an estimate begun at `began`.
+
+    No more than that took, twice over, or some seconds; a budget that is given is theirs to use.
+    """
+    if budget is not None:
+        return math.inf
+    return max(PROFILE_SEARCH.seconds, PROFILE_SEARCH.of_estimate * (wall_clock() - began))
 
 
 def _bootstrap(

@@ -44,6 +44,12 @@ class ProfileSearch:
         "another one than at it: three times the half of a normal interval",
         _CHOICE,
     )
+    seconds: float = _is(
+        30.0, "that profiles may take which neither a request nor a budget stands behind", _PROFILE
+    )
+    of_estimate: float = _is(
+        2.0, "times as long as the estimate took, where that is more than these seconds", _PROFILE
+    )
     growth: float = _is(3.0, "times as far for the next value outside, at most", _PROFILE)
 
 

@@ -9,8 +9,10 @@ from scipy.stats import binom, chi2
 
 import casid
 from casid.estimation.covariance import sandwich
+from casid.estimation.intervals.choice import patience_since
 from casid.estimation.intervals.profile import profile_interval
 from casid.estimation.intervals.scaled_criterion import ScaledCriterion
+from casid.estimation.intervals.thresholds import PROFILE_SEARCH
 from casid.estimation.residual_spectrum import coloured_covariance
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.identification.identify import identify
@@ -165,3 +167,23 @@ def test_at_a_bound_the_interval_has_an_end_on_the_other_side_and_covers():
     # Half of the estimates of a damping of zero are at its bound.
     least, most = binom.ppf([0.005, 0.995], draws, 0.5)
     assert least <= at_bound <= most
+
+
+def test_profiles_that_nobody_requested_take_no_longer_than_the_estimate_twice(monkeypatch):
+    """Or some seconds; a budget that is given is theirs to use. The clock is the test's."""
+    monkeypatch.setattr("casid.estimation.intervals.choice.wall_clock", lambda: 1000.0)
+    assert patience_since(999.0, None) == PROFILE_SEARCH.seconds
+    assert patience_since(900.0, None) == PROFILE_SEARCH.of_estimate * 100.0
+    assert patience_since(900.0, 500.0) == np.inf
+
+
+def test_an_interval_that_patience_ends_is_normal_and_said_to_be_so(monkeypatch):
+    """A skewed estimate without time for its profile; requested, it has one all the same."""
+    monkeypatch.setattr("casid.identification.identify.patience_since", lambda *_: 0.0)
+    found = identify(lag_problem(), step_response(4, sd=0.03))
+    assert found.parameter("tau").interval_kind == "quick"
+    assert found.not_done
+    assert any("raise it (--budget SECONDS)" in w for w in found.warnings)
+    requested = identify(lag_problem(), step_response(4, sd=0.03), intervals="profile")
+    assert requested.parameter("tau").interval_kind == "profile"
+    assert not requested.not_done
