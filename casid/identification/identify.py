@@ -88,7 +88,7 @@ def identify(
     hold_out : share of each record, at its end, or whole records, used for validation only.
     start : start values by variable name, over the model's own, in the units that it declares.
     budget : seconds that the estimate may take; by default from the number of samples and unknowns
-        (`FIT_BUDGET`), profiles that were not requested a part of it. What no time is left for is in
+        (`FIT_BUDGET`), profiles not requested a part of it. What no time is left for is in
         `not_done`; an unfinished fit gives its best point, without errors and not converged.
     intervals : "auto": normal, and by the profile of the criterion for parameters at a bound or
         where the criterion is not the parabola that a normal interval takes it for (the numbers
