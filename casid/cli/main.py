@@ -26,6 +26,7 @@ from casid.cli.identifiability import identifiability
 from casid.cli.identify import identify
 from casid.cli.montecarlo import montecarlo
 from casid.cli.new import new
+from casid.cli.serve import serve
 from casid.cli.simulate import simulate
 from casid.cli.terminal import print_text, say
 from casid.errors import CasidError, nearest
@@ -108,7 +109,7 @@ def main(context: click.Context) -> None:
 
 COMMANDS = (
     *(new, check, diagnose, identify, identifiability, montecarlo, fleet),
-    *(simulate, design, export, example, gallery),
+    *(simulate, design, export, example, gallery, serve),
 )
 for command in COMMANDS:
     main.add_command(command)

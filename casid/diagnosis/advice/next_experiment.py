@@ -292,7 +292,8 @@ def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal])
     if isfinite(now.record_length):
         text += f", where the same experiment would need {_seconds(now.record_length)}"
     if best.gain_factor > PLANNING.notable:
-        text += f"; a misfit of {1 / best.gain_factor:.2g} times the energy would be enough there"
+        size = best.gain_factor**-0.5  # the energy grows with its square
+        text += f"; causes {size:.2g} times as large could be separated there, too"
     return text + "."
 
 

@@ -22,7 +22,7 @@ from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_candidates
 from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.alternatives import ranked_by_remainder, rejudge
-from casid.diagnosis.search.candidates import Candidate
+from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.friction_speeds import sharpened
 from casid.diagnosis.search.imitations import is_at_resonance, is_further_friction
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
@@ -125,7 +125,7 @@ class Search:
         ) or [Start(s) for s in scores]
         for i, start in enumerate(short):
             s = start.score
-            self.progress(f"refit {i + 1}/{len(short)}: {s.effect.kind} in {s.effect.key[1]}")
+            self.progress(f"refit {i + 1}/{len(short)}: {name_of(s.effect)}")
             candidate = (
                 refitting.refit(at, s.effect, s.step, starts=s.starts)
                 if start.found is None

@@ -68,8 +68,8 @@ def isolability_figure(isolability: Isolability) -> Any:
         colorbar=_COLOUR_BAR,
     )
     caption = (
-        "Angles between the causes' signatures in this record: a pair near +1 or -1 is "
-        "indistinguishable, and costs 1/(1 - cosine^2) times the energy of a pair at 0."
+        "Angles between the causes' signatures in this record: a pair near +1 or -1 acts "
+        "nearly alike, and costs 1/(1 - cosine^2) times the energy of a pair at 0."
     )
     if len(names) < len(isolability.keys):
         caption += f" The {len(names)} of {len(isolability.keys)} with the nearest rivals."
