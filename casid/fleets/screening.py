@@ -242,28 +242,32 @@ class Screen:
         table = scores_of(self._columns(criterion, x), criterion, input_sd=at.input_sd, draws=0)
         p = table.smallest.adjusted if table.smallest is not None else 1.0
         _, tangent = criterion.columns(x, 0)
-        return Screened(float(p), "", self._parameters(criterion.names, x, tangent))
+        return Screened(float(p), "", self._parameters(criterion, x, tangent))
 
     def _parameters(
-        self, names: tuple[str, ...], x: Array, tangent: Array
+        self, criterion: SimulationError, x: Array, tangent: Array
     ) -> tuple[ParameterValue, ...]:
         """The record's own parameters with their errors, in declared units.
 
-        (T'T)^-1 of whitened sensitivities: the noise model is taken for right.
+        (T'T)^-1 of whitened sensitivities: the noise model is taken for right. A parameter at a
+        bound has no error.
         """
         T = tangent.reshape(-1, tangent.shape[-1])
         size = np.sqrt(np.maximum(np.einsum("ij,ij->j", T, T), np.finfo(float).tiny))
         covariance = np.linalg.pinv((T / size).T @ (T / size), hermitian=True)
         errors = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / size
+        is_free = [
+            v.lower < value < v.upper for v, value in zip(criterion.variables, x, strict=True)
+        ]
         model = self.declared.model
         return tuple(
             ParameterValue(
                 name,
                 float(model.shown(name, float(x[i]))),
-                float(model.shown_size(name, float(errors[i]))),
+                float(model.shown_size(name, float(errors[i]))) if is_free[i] else None,
                 model.unit_of(name),
             )
-            for i, name in enumerate(names)
+            for i, name in enumerate(criterion.names)
             if name in model.parameters
         )
 
