@@ -618,6 +618,17 @@ class Judging:
         f"{TESTS}/evidence/test_disturbances.py",
         "a tenth of the square root; engineering judgement",
     )
+    carried: float = _is(
+        0.2,
+        "of its value, by which a parameter of the model moves without a cause that is one "
+        "although it explains little",
+        f"{TESTS}/search/test_refinement.py",
+    )
+    clearly: float = _is(
+        5.0,
+        "standard errors, by which it moves at least: well beyond what chance and misfit give",
+        f"{TESTS}/search/test_refinement.py",
+    )
     expressed: float = _is(
         0.03,
         "share of a signature, in squares, left beside the causes below which they express it: "

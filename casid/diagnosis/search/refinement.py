@@ -8,7 +8,9 @@ therefore refined when it is complete, by the errors of all causes together:
   the others, fits as well in practice and predicts what was held out better gives way to it, and a
   function without a name to a named effect that fits and predicts as well in practice;
 - a cause that explains less than `JUDGING.practical` of the misfit is a small remainder: reported,
-  but not as a cause. It leaves the extended model too, unless the sizes of the causes need it.
+  but not as a cause, unless a parameter of the model is another one without it (`JUDGING.carried`):
+  dry friction that viscous friction replaces but for little. A remainder leaves the extended model
+  too, unless the sizes of the causes need it.
 """
 
 from __future__ import annotations
@@ -137,7 +139,7 @@ class Refinement:
         return self._refined(found, adopted, fit)
 
     def main(self, found: Adoption) -> Adoption:
-        """Without what explains too little, the smallest first.
+        """Without what explains too little and carries no parameter, the smallest first.
 
         Its effect stays in the model where a cause's size would otherwise move by more than its
         standard error: the errors would be small, and the size be biased.
@@ -146,15 +148,19 @@ class Refinement:
         assert fit is not None
         # Of two that do the same each is small beside the other: what is left is judged without
         # all that were taken out before, even those that stay in the model.
-        bare = fit
-        while len(kept) > 1:
+        bare, judged = fit, list(range(len(kept)))
+        while len(kept) > 1 and judged:
             losses = contributions_of(self.search.weighing, kept, bare, self.search.attempts)
             total = max(sum(losses), TINY)
-            i = min(range(len(kept)), key=lambda k: losses[k])
+            i = min(judged, key=lambda k: losses[k])
             if losses[i] >= JUDGING.practical * total:
                 break
-            small.append(replace(kept[i], share=losses[i] / total))
-            bare = self._without(bare, kept.pop(i).candidate)
+            without = self._without(bare, kept[i].candidate)
+            judged.remove(i)
+            if _carries(self.start.model, bare, without):
+                continue
+            small.append(replace(kept.pop(i), share=losses[i] / total))
+            bare, judged = without, [k - (k > i) for k in judged]
             fit = fit if _moves(kept, fit, bare) else bare
         if len(kept) == len(found.adopted):
             return found
@@ -240,6 +246,18 @@ def _moves(kept: Sequence[Adopted], fit: Fit, other: Fit) -> bool:
     names = {a.candidate.names[0] for a in kept} & set(fit.criterion.names)
     shift = {n: abs(fit.values[n] - other.values[n]) for n in names}
     return any(d > std_error(fit, n) for n, d in shift.items())
+
+
+def _carries(model: Model, fit: Fit, without: Fit) -> bool:
+    """True if a parameter of `model` is another one without a cause."""
+
+    def is_moved(name: str) -> bool:
+        shift = abs(without.values[name] - fit.values[name])
+        far = JUDGING.carried * abs(fit.values[name])
+        return shift > far and shift > JUDGING.clearly * std_error(fit, name)
+
+    free = {n for n, p in model.parameters.items() if not p.is_known}
+    return any(is_moved(n) for n in free & fit.values.keys() & without.values.keys())
 
 
 def exchanged(taken: Adopted, chosen: Candidate) -> Adopted:

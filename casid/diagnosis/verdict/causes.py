@@ -82,6 +82,7 @@ def _adopted(
 ) -> Cause:
     """An effect of the catalogue, without its share."""
     effect = adopted.candidate.effect
+    named = {a.candidate.effect.key for a in found.adopted}  # beside it, and not in its place
     alternatives = tuple(
         Alternative(
             r.candidate.effect.kind,
@@ -91,6 +92,7 @@ def _adopted(
             r.candidate.effect.description,
         )
         for r in adopted.rivals
+        if r.candidate.effect.key not in named
     )
     by_record = {s.key: s.by_record for s in found.specific}
     column = columns.get(effect.where)

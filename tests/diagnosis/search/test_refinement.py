@@ -5,18 +5,26 @@ from __future__ import annotations
 import functools
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search.candidates import Adopted, Candidate, Rival
+from casid.diagnosis.search.contributions import contributions_of
 from casid.diagnosis.search.refinement import Adoption, Refinement, whole_fit
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import simulation_errors
 from casid.diagnosis.thresholds import JUDGING
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
-from casid.model.effects.balance_effects import cubic_stiffness, deadzone, quadratic_damping
+from casid.model.effects.balance_effects import (
+    coulomb_friction,
+    cubic_stiffness,
+    deadzone,
+    offset,
+    quadratic_damping,
+)
 from casid.model.effects.parameter_effects import parameter_drift
 from problems import roll_decay
 
@@ -106,3 +114,54 @@ def test_of_two_that_fit_alike_the_one_that_predicts_is_named():
     assert [r.candidate.effect.kind for r in first.rivals] == ["deadzone"]
     old, new = (simulation_errors(f.fit, of.split, of.units) for f in (before, found))
     assert new.held_out_square < old.held_out_square
+
+
+def slide() -> tuple[casid.Model, casid.Record]:
+    """A carriage with viscous and dry friction and a constant force, by steps of the midpoint."""
+    Ts, M, F_v, F_c, F_0, h = 0.02, 95.0, 200.0, 20.0, 30.0, 0.001  # s, kg, N s/m, N, N, s
+    t = Ts * np.arange(1000)
+    force = 60.0 * np.sin(1.9 * t) + 45.0 * np.sin(4.3 * t + 1.0) + 30.0 * np.sin(9.7 * t + 2.0)
+
+    def acceleration(v: float, F: float) -> float:
+        return float(F - F_v * v - F_c * np.tanh(v / 0.01) + F_0) / M
+
+    q, v, path = 0.0, 0.0, np.empty(t.size)
+    for k, F in enumerate(force.tolist()):
+        path[k] = q
+        for _ in range(round(Ts / h)):
+            middle = v + 0.5 * h * acceleration(v, F)
+            q, v = q + h * middle, v + h * acceleration(middle, F)
+    m = casid.Model("slide")
+    position, rate = m.state("q", "m"), m.state("v", "m/s")
+    u = m.input("force", "N", hold="zoh", known=True)
+    mass = m.parameter("M", "kg", start=60.0, lower=1.0)
+    viscous = m.parameter("F_v", "N s/m", start=100.0, lower=0.0)
+    m.derivative(position, rate)
+    m.balance(rate, "force", inertia=mass, terms=[u, -viscous * rate])
+    m.output("position", position, "m")
+    path += 1e-4 * np.random.default_rng(4).standard_normal(t.size)
+    return m, casid.Record({"force": force, "position": path}, {"force": "N", "position": "m"}, Ts)
+
+
+def test_a_small_effect_is_a_cause_where_a_parameter_is_another_one_without_it() -> None:
+    """A constant force carries the slide away; viscous friction stands in for dry friction."""
+    model, record = slide()
+    split = split_records([casid.Experiment(record)], 0.3)
+    weighing = Weighing(split.fitted)
+    fit = fit_model(model, split.fitted, ONCE)
+    at, units = weighing.weigh(model, fit), fit.criterion.weights
+    errors = simulation_errors(fit, split, units)
+    of = Refinement(Search(weighing, {}), split, ONCE, units, at, errors)
+    constant = of.search.refitting.refit(at, offset(model, "force"), 1.0)
+    assert constant is not None
+    dry = beside(of, constant, coulomb_friction(constant.model, "force", 0.01), 10.0)
+    both = adopted(of, constant, dry)
+    assert both.fit is not None
+    shares = contributions_of(weighing, both.adopted, both.fit, of.search.attempts)
+    assert shares[1] < JUDGING.practical * sum(shares)
+    found = of.main(both)
+    assert [a.candidate.effect.kind for a in found.adopted] == ["offset", "coulomb_friction"]
+    assert not found.remainders
+    assert found.fit is not None
+    assert found.fit.values["F_v"] == pytest.approx(200.0, rel=0.05)
+    assert constant.fit.values["F_v"] > (1 + JUDGING.carried) * 200.0
