@@ -619,7 +619,7 @@ class Judging:
         "a tenth of the square root; engineering judgement",
     )
     carried: float = _is(
-        0.2,
+        0.5,
         "of its value, by which a parameter of the model moves without a cause that is one "
         "although it explains little",
         f"{TESTS}/search/test_refinement.py",

@@ -249,15 +249,15 @@ def _moves(kept: Sequence[Adopted], fit: Fit, other: Fit) -> bool:
 
 
 def _carries(model: Model, fit: Fit, without: Fit) -> bool:
-    """True if a parameter of `model` is another one without a cause."""
+    """True if a parameter of `model`, one that keeps its sign, is another one without a cause."""
 
     def is_moved(name: str) -> bool:
         shift = abs(without.values[name] - fit.values[name])
         far = JUDGING.carried * abs(fit.values[name])
         return shift > far and shift > JUDGING.clearly * std_error(fit, name)
 
-    free = {n for n, p in model.parameters.items() if not p.is_known}
-    return any(is_moved(n) for n in free & fit.values.keys() & without.values.keys())
+    sized = {n for n, p in model.parameters.items() if p.lower >= 0.0 or p.upper <= 0.0}
+    return any(is_moved(n) for n in sized & fit.values.keys() & without.values.keys())
 
 
 def exchanged(taken: Adopted, chosen: Candidate) -> Adopted:

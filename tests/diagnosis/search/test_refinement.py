@@ -11,7 +11,6 @@ import pytest
 import casid
 from casid.diagnosis.evidence.prewhitening import Weighing
 from casid.diagnosis.search.candidates import Adopted, Candidate, Rival
-from casid.diagnosis.search.contributions import contributions_of
 from casid.diagnosis.search.refinement import Adoption, Refinement, whole_fit
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import simulation_errors
@@ -118,8 +117,8 @@ def test_of_two_that_fit_alike_the_one_that_predicts_is_named():
 
 def slide() -> tuple[casid.Model, casid.Record]:
     """A carriage with viscous and dry friction and a constant force, by steps of the midpoint."""
-    Ts, M, F_v, F_c, F_0, h = 0.02, 95.0, 200.0, 20.0, 30.0, 0.001  # s, kg, N s/m, N, N, s
-    t = Ts * np.arange(1000)
+    Ts, M, F_v, F_c, F_0, h = 0.05, 95.0, 100.0, 20.0, 3.0, 0.001  # s, kg, N s/m, N, N, s
+    t = Ts * np.arange(1600)
     force = 60.0 * np.sin(1.9 * t) + 45.0 * np.sin(4.3 * t + 1.0) + 30.0 * np.sin(9.7 * t + 2.0)
 
     def acceleration(v: float, F: float) -> float:
@@ -143,8 +142,17 @@ def slide() -> tuple[casid.Model, casid.Record]:
     return m, casid.Record({"force": force, "position": path}, {"force": "N", "position": "m"}, Ts)
 
 
-def test_a_small_effect_is_a_cause_where_a_parameter_is_another_one_without_it() -> None:
-    """A constant force carries the slide away; viscous friction stands in for dry friction."""
+@pytest.mark.parametrize("carried", [0.5, 2.0])
+def test_a_small_effect_is_a_cause_where_a_parameter_is_another_one_without_it(
+    carried: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A constant force carries the slide away; viscous friction stands in for dry friction.
+
+    Without dry friction, a quarter of the misfit, F_v is 2.1 times too large: by more than half of
+    its value, and less than twice.
+    """
+    limits = replace(JUDGING, practical=0.4, carried=carried)
+    monkeypatch.setattr("casid.diagnosis.search.refinement.JUDGING", limits)
     model, record = slide()
     split = split_records([casid.Experiment(record)], 0.3)
     weighing = Weighing(split.fitted)
@@ -157,11 +165,9 @@ def test_a_small_effect_is_a_cause_where_a_parameter_is_another_one_without_it()
     dry = beside(of, constant, coulomb_friction(constant.model, "force", 0.01), 10.0)
     both = adopted(of, constant, dry)
     assert both.fit is not None
-    shares = contributions_of(weighing, both.adopted, both.fit, of.search.attempts)
-    assert shares[1] < JUDGING.practical * sum(shares)
+    assert both.fit.values["F_v"] == pytest.approx(100.0, rel=0.01)
+    assert 1.5 * 100.0 < constant.fit.values["F_v"] < 3.0 * 100.0
     found = of.main(both)
-    assert [a.candidate.effect.kind for a in found.adopted] == ["offset", "coulomb_friction"]
-    assert not found.remainders
-    assert found.fit is not None
-    assert found.fit.values["F_v"] == pytest.approx(200.0, rel=0.05)
-    assert constant.fit.values["F_v"] > (1 + JUDGING.carried) * 200.0
+    causes = ["offset", "coulomb_friction"] if carried < 1.0 else ["offset"]
+    assert [a.candidate.effect.kind for a in found.adopted] == causes
+    assert len(found.remainders) == 2 - len(causes)
