@@ -33,6 +33,7 @@ from casid.model.effects.friction_effects import (
 )
 from casid.model.effects.parameter_effects import (
     flow_schedules_of,
+    is_constant_term,
     jump_times,
     parameter_drift,
     parameter_jump,
@@ -186,6 +187,7 @@ def _parameter_variations(
             continue  # what is not there does not vary
         yield parameter_drift(model, name, sizes.window)
         for c, spread in sizes.channels.items():
-            yield scheduled_parameter(model, name, c, recorded[c], spread)
+            if not is_constant_term(model, name):
+                yield scheduled_parameter(model, name, c, recorded[c], spread)
     yield from flow_schedules_of(model, sizes)
     yield from state_schedules_of(model, sizes)

@@ -85,7 +85,8 @@ def state_scheduled_parameter(
         if power == 1:
             moved = value + s * (ca.fabs(x) - m)
         else:
-            moved = value * (value - s * m) / (value - s * x**2)
+            # A parameter may be zero, in a load case say: it stays zero.
+            moved = value * (value - s * m) / (value - s * x**2 + carrying_unit(1e-150))
         new.substitute_symbol(name, moved)
 
     # The slope at which p is zero, or near a pole, is p over minus these.
@@ -158,13 +159,21 @@ def _of_inertias(model: Model, symbol: Any) -> list[str]:
     ]
 
 
+def is_constant_term(model: Model, name: str) -> bool:
+    """True for a parameter that a balance adds as it is: with a channel it is an `extra_input`."""
+    rows = [ca.SX(sum(b.terms[1:], b.terms[0])) for b in model.balances.values()]
+    slopes = [ca.jacobian(row, model.symbol(name)) for row in rows]
+    inside = [s for s in slopes if s.nnz() and not s.is_zero()]
+    return len(inside) == 1 and inside[0].is_constant()
+
+
 def _of_gains(model: Model, symbol: Any, inside: Mapping[str, Any]) -> list[str]:
-    """The rates of the model, for a parameter that multiplies an input."""
+    """The rate of its balance and those of bodies, for a parameter that multiplies an input."""
     inputs = [model.symbol(n) for n, e in model.inputs.items() if e.kind in ("known", "measured")]
     shape = ca.jacobian(ca.SX(ca.vertcat(*inside.values())), symbol)
     if len(inside) != 1 or not any(any(ca.which_depends(shape, u)) for u in inputs):
         return []
-    return [b.rate for b in model.balances.values()]
+    return [b.rate for b in model.balances.values() if b.rate in inside or is_mechanical(b.unit)]
 
 
 def _divides(side: Any, symbol: Any) -> bool:

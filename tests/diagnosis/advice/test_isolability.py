@@ -189,7 +189,7 @@ def test_the_map_shows_every_cosine_with_those_alike_side_by_side():
     assert heat.z[i][j] == pytest.approx(0.1 / np.sqrt(1.01))
     # Columns carry numbers alone, so that the map fits a telephone.
     assert list(figure.layout.xaxis.ticktext) == ["1", "2", "3", "4"]
-    assert "indistinguishable" in figure.layout.meta["caption"]
+    assert "nearly alike" in figure.layout.meta["caption"]
 
 
 def test_a_record_that_shows_nothing_has_no_map():

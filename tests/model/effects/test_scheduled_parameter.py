@@ -14,8 +14,12 @@ import numpy as np
 import pytest
 
 import casid
-from casid.model.effects.effect import Sizes
-from casid.model.effects.parameter_effects import state_schedules_of
+from casid.model.effects.effect import Motion, Sizes
+from casid.model.effects.parameter_effects import (
+    is_constant_term,
+    state_scheduled_parameter,
+    state_schedules_of,
+)
 
 MASS, STIFFNESS, DAMPING = 2.0, 50.0, 1.5  # kg, N/m, N s/m
 TS, SUBSTEPS, NOISE = 0.02, 5, 2e-3  # s, 1, m
@@ -221,3 +225,30 @@ def test_a_factor_of_force_and_voltage_may_fall_with_the_position():
     sizes = Sizes(dict.fromkeys(m.states, 1.0), {}, (0.0, 1.0), 0.1, course=course)
     places = {e.key[1] for e in state_schedules_of(m, sizes)}
     assert {"B~x", "B~i", "B~v", "L~i"} <= places
+
+
+def driven() -> casid.Model:
+    """A body behind an actuator of gain K, with a constant force F_0 on it."""
+    m = casid.Model("driven")
+    v, u = m.state("v", "m/s"), m.input("u", "V", hold="zoh", known=True)
+    K, F_0 = m.parameter("K", "N/V", start=1.0), m.parameter("F_0", "N", start=0.0)
+    m.balance(v, "force", inertia=2.0, terms=[K * u, F_0, -0.5 * v])
+    m.output("speed", v, "m/s")
+    return m
+
+
+@pytest.mark.parametrize("power", [1, 2])
+def test_a_parameter_that_is_zero_stays_zero_and_slopes_are_numbers(power: int) -> None:
+    """A load of zero in one of several load cases."""
+    model = driven()
+    effect = state_scheduled_parameter(model, "K", "v", Motion(1.0, -2.0, 2.0, 0.8), power)
+    e = effect.extended(model)[0].explicit()
+    of = ca.Function("f", [e.x, e.u, e.p], [e.f, ca.jacobian(e.f, ca.vertcat(e.x, e.p))])
+    value, slopes = (part.full() for part in of(1.5, 3.0, 0.0))
+    assert value == pytest.approx(-0.375)
+    assert np.all(np.isfinite(slopes))
+
+
+def test_a_constant_term_has_no_schedule_beside_the_input_that_it_would_be() -> None:
+    assert is_constant_term(driven(), "F_0")
+    assert not is_constant_term(driven(), "K")
