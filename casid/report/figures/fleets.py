@@ -12,6 +12,7 @@ from casid.fleets.findings import Finding
 from casid.fleets.fleet import Fleet
 from casid.fleets.fleet_table import column
 from casid.fleets.random_effects import ParameterEffects
+from casid.model.effects.names import effect_words
 from casid.report.figures.panels import Panels
 from casid.report.figures.style import (
     AFTER,
@@ -54,7 +55,10 @@ def cause_figure(fleet: Fleet) -> Any:
     shown = list(rows.items())[:_ROWS]
     edges = _edges(fleet)
     z = [_shares(fleet, asset, found, edges) for (asset, _, _), found in shown]
-    names = [figure_text(f"{asset}: {kind} in {where}", 60) for (asset, kind, where), _ in shown]
+    names = [
+        figure_text(f"{asset}: {effect_words(kind, where)}", 60)
+        for (asset, kind, where), _ in shown
+    ]
     figure = Panels(panels=1, row_height=26 * len(shown) + 30, gap=40)
     figure.add(
         0,

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from casid.fleets.findings import Finding
 from casid.fleets.fleet import ASSUMPTIONS, Fleet
+from casid.model.effects.names import effect_words
 from casid.report.document import (
     Banner,
     Bullets,
@@ -107,7 +108,7 @@ def _banner(fleet: Fleet) -> Banner:
         first = lasting[0]
         sentence = (
             f"{_many(len(lasting), 'cause is', 'causes are')} still there; the strongest is "
-            f"{first.kind} in {first.where} of {first.asset}, in {len(first.records)} records."
+            f"{effect_words(*first.key)} of {first.asset}, in {len(first.records)} records."
         )
     elif fleet.findings:
         word, look = "nothing that lasts", "undecided"
@@ -142,7 +143,7 @@ def _size(f: Finding) -> str:
 
 
 def _also(f: Finding) -> str:
-    return ", ".join(f"{kind} in {where}" for kind, where in f.also) or "\u2013"
+    return ", ".join(effect_words(kind, where) for kind, where in f.also) or "\u2013"
 
 
 def _named(f: Finding, names: dict[int, str]) -> Code:

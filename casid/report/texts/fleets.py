@@ -8,6 +8,7 @@ from collections import Counter
 from casid.fleets.findings import Finding
 from casid.fleets.fleet import Fleet
 from casid.fleets.random_effects import ParameterEffects
+from casid.model.effects.names import effect_words
 from casid.report.document import Document, Table, labelled
 from casid.report.numbers import number_text
 
@@ -30,7 +31,7 @@ def fleet_document(fleet: Fleet) -> Document:
             Table(
                 effect_head(fleet), [effect_cells(e) for e in fleet.effects], numbers=(2, 3, 4, 5)
             ),
-            *labelled("refused", [f"{n} times: {text}" for text, n in refusals]),
+            *labelled("refused", [f"{n} record{'s' * (n > 1)}: {text}" for text, n in refusals]),
             *(
                 [("NOT DONE", f"{fleet.not_done} records: the budget of time ended")]
                 if fleet.not_done
@@ -78,7 +79,7 @@ def finding_cells(fleet: Fleet, f: Finding) -> tuple[str, ...]:
     """A finding as cells below `FINDING_HEAD`."""
     return (
         f.asset,
-        f"{f.kind} in {f.where}",
+        f"{effect_words(f.kind, f.where)} [{f.kind}]",
         onset_text(fleet, f),
         str(len(f.records)),
         f"{min(f.e_value, 1e300):.1e}",
