@@ -131,10 +131,11 @@ def advice(
         if any(remedy in why_undecided for remedy in _REMEDIES):
             return "Correct what the reason names, then diagnose again."
         return "Record longer, or excite the system more strongly over a wider band."
-    tied = [c for c in causes if c.alternatives]
-    if tied:
-        c = tied[0]
-        others = either_words(a.words for a in c.alternatives)
+    for c in causes:
+        rivals = [a for a in c.alternatives if (a.kind, a.where) != (c.kind, c.where)]
+        if not rivals:
+            continue
+        others = either_words(a.words for a in rivals)
         return f"To separate {effect_words(c.kind, c.where)} from {others}: {separates(c.kind)}."
     if verdict == "deficient" and not is_better:
         return (

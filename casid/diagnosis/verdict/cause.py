@@ -63,12 +63,13 @@ class Cause:
     def tied(self) -> tuple[str, ...]:
         """Name and place of everything that it may be, where the record does not determine which.
 
-        Empty where it is determined, and of what has no name.
+        Empty where it is determined but for its variant, and of what has no name.
         """
         if not self.alternatives or self.kind == "unknown":
             return ()
         own = f"{self.kind} in {self.where}"
-        return tuple(dict.fromkeys((own, *(a.name for a in self.alternatives))))
+        names = tuple(dict.fromkeys((own, *(a.name for a in self.alternatives))))
+        return names if len(names) > 1 else ()
 
     def in_units(self, units: Mapping[str, str]) -> Cause:
         """The cause with its parameters in the units that `units` has for them.

@@ -191,9 +191,8 @@ def _says_cause(c: Cause) -> str:
     if not c.tied:
         return c.sentence
     if all(a.kind == c.kind for a in c.alternatives):  # the place alone is open
-        places = [a.where for a in c.alternatives if a.where != c.where]
-        same = f" (this record does not separate it from the same in {either_words(places)})"
-        return c.sentence + same if places else c.sentence
+        places = either_words(a.where for a in c.alternatives if a.where != c.where)
+        return f"{c.sentence} (this record does not separate it from the same in {places})"
     rivals = either_words(a.words for a in c.alternatives)
     return f"missing: {effect_words(c.kind, c.where)} (or, indistinguishable here, {rivals})"
 

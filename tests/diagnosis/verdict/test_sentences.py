@@ -65,3 +65,11 @@ def test_the_text_describes_what_has_no_name_and_tells_the_notes_of_a_calibratio
     assert "2. unidentified term in torque [unknown] (p = 1.0e-09): a torque like p^3" in text
     assert "interrupted: 40 of 200 null records were done" in text
     assert "3 null records were undecided, which is no alarm" in text
+
+
+def test_another_variant_of_the_same_effect_leaves_nothing_open():
+    """Two ways that one input may move between its samples."""
+    other = Alternative("hold", "u", 0.3, "explains as much", "band-limited")
+    cause = Cause("hold", "u", 1e-9, (), (other,), sentence="the input u is linear")
+    assert cause.tied == ()
+    assert "separate" not in advice("deficient", [cause], None, "")
