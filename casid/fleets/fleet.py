@@ -222,7 +222,7 @@ def fleet(
     Parameters
     ----------
     problem : loaded from a file, or its path.
-    records : files, folders, or patterns such as "voyages/*.parquet".
+    records : files, folders, or patterns such as ``voyages/*.parquet``.
     asset : what a record was taken on: a pattern of the path with {asset} in it, such as
         "{asset}_{time}.csv", or a column of the files. Default the folder that a file is in.
     time : when: a pattern with {time}, or a column; dates or numbers. Default the {time} of
