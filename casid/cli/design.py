@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     *OUTPUT_OPTIONS,
 )
 def design(model: str, settings: tuple[str, ...], seed: int, **given: Any) -> None:
-    """Design the next experiment: the input that answers a question soonest within limits.
+    """Design the next experiment: the input that answers a question in the shortest time.
 
     RESULT is the folder that casid identify or casid diagnose wrote, or a saved result. One of
-    --separate, --detect, --estimate, --variance-of and --identifiable is the question; of a
-    diagnosis that ended in a tie, that tie by default. Writes input.csv (what a signal generator
-    plays), design.json and report.html.
+    --separate, --detect, --estimate, --variance-of and --identifiable is the question; the
+    default, for a diagnosis with causes that it could not separate, is to separate them. Writes
+    input.csv (for a signal generator), design.json and report.html.
 
     Example: casid design problems/tank.py --estimate c --limit q=0:1e-3 --limit level=0.1:0.5
     --noise level=1e-3 --x0 level=0.3 --duration 1200 --interval 60

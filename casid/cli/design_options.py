@@ -26,17 +26,21 @@ AIM_OPTIONS = (
     click.option(
         "--estimate",
         metavar="NAME[,NAME]",
-        help="Estimate these parameters; the others are nuisance. 'all' for every unknown one.",
+        help="Estimate these parameters, the others being nuisance parameters; 'all' for every "
+        "unknown one.",
     ),
     click.option(
         "--optimality",
         type=click.Choice(["D", "A", "E"]),
         default="D",
         show_default=True,
-        help="Of --estimate: determinant of the information, mean or largest relative variance.",
+        help="Criterion of --estimate: determinant of the information (D), mean (A) or largest (E) "
+        "relative variance.",
     ),
     click.option(
-        "--variance-of", metavar="FORMULA", help='Minimise the variance of it, as in "m*z_m".'
+        "--variance-of",
+        metavar="FORMULA",
+        help='Minimise the variance of this function, as in "m*z_m".',
     ),
     click.option(
         "--identifiable",
@@ -49,7 +53,7 @@ AIM_OPTIONS = (
         default=0.05,
         show_default=True,
         metavar="P",
-        help="Of --detect.",
+        help="False-alarm rate of --detect.",
     ),
     click.option(
         "--relative-error",
@@ -57,7 +61,7 @@ AIM_OPTIONS = (
         metavar="R",
         default=DESIGN.relative_error,
         show_default=True,
-        help="Of --identifiable: standard error over value, at most.",
+        help="Largest relative standard error allowed with --identifiable.",
     ),
 )
 
@@ -66,7 +70,8 @@ INPUT_OPTIONS = (
         "--duration",
         required=True,
         metavar="S|FROM:TO",
-        help="Of the record [s]; of a range the shortest that decides with 95 %.",
+        help="Duration of the record [s]; with a range, the shortest one that decides with 95 % "
+        "probability.",
     ),
     _values(
         "--limit",
@@ -81,14 +86,19 @@ INPUT_OPTIONS = (
         "Largest integral of an input's squared deviation from rest, its unit squared times s.",
         "INPUT=VALUE",
     ),
-    _values("--hold", "Value of an input that is not designed, or of rest.", "INPUT=VALUE"),
+    _values(
+        "--hold",
+        "Value of an input that is not designed, or rest value of one that is.",
+        "INPUT=VALUE",
+    ),
     _values("--x0", "An initial state, in its declared unit.", "STATE=VALUE"),
     _values("--noise", "Standard deviation of an output, in its unit.", "OUTPUT=SD"),
     _values("--size", "Value of a cause's first parameter, SI.", "KIND[@WHERE]=VALUE"),
     click.option(
         "--shape",
         type=click.Choice(["constant", "linear", "multisine"]),
-        help="Of the input. Default constant; linear where the slew rate is limited.",
+        help="Shape of the input in each interval. Default constant; linear where the slew rate is "
+        "limited.",
     ),
     click.option(
         "--intervals",
@@ -96,11 +106,18 @@ INPUT_OPTIONS = (
         default=DESIGN.intervals,
         show_default=True,
         metavar="N",
-        help="Of the input.",
+        help="Number of intervals of the input.",
     ),
-    click.option("--interval", type=float, metavar="S", help="Length of an interval instead."),
+    click.option(
+        "--interval",
+        type=float,
+        metavar="S",
+        help="Length of an interval [s], instead of their number.",
+    ),
     click.option("--band", metavar="FROM:TO", help="Frequencies of a multisine [Hz]."),
-    click.option("--sample-time", "Ts", type=float, metavar="TS", help="Of the record [s]."),
+    click.option(
+        "--sample-time", "Ts", type=float, metavar="TS", help="Sample time of the record [s]."
+    ),
     click.option(
         "--candidates",
         type=click.IntRange(min=1),
@@ -115,7 +132,7 @@ INPUT_OPTIONS = (
         default=DESIGN.starts,
         show_default=True,
         metavar="N",
-        help="Of the best of them, from which the program is solved.",
+        help="Number of the best standard inputs from which the optimisation starts.",
     ),
     click.option(
         "--seconds",
@@ -123,7 +140,7 @@ INPUT_OPTIONS = (
         default=DESIGN.seconds,
         show_default=True,
         metavar="S",
-        help="Of the processor, for solving.",
+        help="Processor time for the optimisation [s].",
     ),
     click.option(
         "--verify",

@@ -34,8 +34,8 @@ DIAGNOSIS_OPTIONS = (
         default=0.05,
         show_default=True,
         metavar="RATE",
-        help="How often a model that lacks nothing may be called deficient: one rate for the whole "
-        "catalogue of effects.",
+        help="Probability that an adequate model is called deficient, for the whole catalogue of "
+        "effects together.",
     ),
     click.option(
         "--calibrate",
@@ -43,19 +43,19 @@ DIAGNOSIS_OPTIONS = (
         flag_value=200,
         type=_Count(min=1),
         metavar="[N]",
-        help="Calibrate that rate on this very record: simulate N records with the fitted model, "
-        "diagnose each, and judge at the threshold that they set. Default 200; the time it "
-        "takes is printed first, and Ctrl-C goes on with what is done.",
+        help="Calibrate that rate on this record: simulate N records with the fitted model, "
+        "diagnose each, and use the threshold that they give. Default 200; the expected time is "
+        "printed first, and Ctrl-C continues with the records done.",
     ),
     budget_option(
-        "Time that the diagnosis may take: it reports what was found until then, and lists what "
-        "was not done. Default 600 s, and for --calibrate what it takes."
+        "Time limit of the diagnosis: it then reports what was found and lists what was not done. "
+        "Default 600 s; the records of --calibrate are not limited by default."
     ),
     click.option(
         "--jobs",
         type=click.IntRange(min=1),
         metavar="N",
-        help="Processes that calibrate; default one for every core.",
+        help="Processes for --calibrate; default one per core.",
     ),
     click.option(
         "--max-causes",
@@ -63,7 +63,7 @@ DIAGNOSIS_OPTIONS = (
         default=4,
         show_default=True,
         metavar="N",
-        help="Stop the search there.",
+        help="Largest number of causes to search for.",
     ),
     click.option(
         "--without",

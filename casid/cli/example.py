@@ -18,7 +18,8 @@ from casid.cli.terminal import print_text, say
     type=click.Path(path_type=Path),
     required=True,
     metavar="FILE",
-    help="A CSV or Parquet file; of several records each gets its name behind that of the file.",
+    help="A CSV or Parquet file; for several records, each record's name is appended to that of "
+    "the file.",
 )
 @click.option("--force", is_flag=True, help="Write over files that exist.")
 def example(problem: str, out: Path, force: bool) -> None:

@@ -56,7 +56,7 @@ def export(
     force: bool,
     **delays: Any,
 ) -> None:
-    """Take a fitted model away, its causes in it and its parameters at the estimates.
+    """Export a fitted model, with its causes, and its parameters at the estimates.
 
     RESULT is the folder that casid identify or casid diagnose wrote, or a saved result.
 

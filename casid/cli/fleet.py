@@ -26,14 +26,14 @@ FLEET_OPTIONS = (
     click.option(
         "--asset",
         metavar="COLUMN|PATTERN",
-        help="What a record was taken on: a column of the files, or a pattern of their paths with "
-        "{asset}, as in '{asset}_{time}.parquet'. Default the folder that a file is in.",
+        help="Asset that a record belongs to: a column of the files, or a pattern of their paths "
+        "with {asset}, as in '{asset}_{time}.parquet'. Default the folder that a file is in.",
     ),
     click.option(
         "--time",
         metavar="COLUMN|PATTERN",
-        help="When: a column, or a pattern with {time}; dates or numbers. Default the {time} of "
-        "--asset, else the order of the names.",
+        help="Time of a record: a column, or a pattern with {time}; dates or numbers. Default the "
+        "{time} of --asset, else the order of the names.",
     ),
     click.option(
         "--level",
@@ -41,13 +41,13 @@ FLEET_OPTIONS = (
         default=0.05,
         show_default=True,
         metavar="RATE",
-        help="False discoveries over the fleet, as a share of all; and false alarms of one record.",
+        help="False discovery rate over the fleet, and false-alarm rate of one record.",
     ),
     click.option(
         "--no-screening",
         is_flag=True,
-        help="Search every record in full, not those alone whose score tests are small at the "
-        "asset's last fit.",
+        help="Search every record in full, not only those in which a quick score test finds "
+        "something.",
     ),
     click.option(
         "--without",
@@ -61,7 +61,7 @@ FLEET_OPTIONS = (
         default=4,
         show_default=True,
         metavar="N",
-        help="Stop the search of a record there.",
+        help="Largest number of causes to search for in one record.",
     ),
     click.option(
         "--starts",
@@ -84,13 +84,13 @@ ENGINE_OPTIONS = (
         "--jobs",
         type=click.IntRange(min=1),
         metavar="N",
-        help="Local processes; default one a core.",
+        help="Local processes; default one per core.",
     ),
     click.option(
         "--scheduler",
         metavar="ADDRESS",
-        help="Of the Dask cluster, as in tcp://host:8786. Its workers need casid, and problem and "
-        "records at the same paths.",
+        help="Address of the scheduler of the Dask cluster, as in tcp://host:8786. Its workers "
+        "need casid, and problem and records at the same paths.",
     ),
     click.option(
         "--budget",
@@ -106,7 +106,7 @@ ENGINE_OPTIONS = (
         default=2000.0,
         show_default=True,
         metavar="MB",
-        help="Memory that one record may take beside the libraries.",
+        help="Memory that one record may take, in addition to that of the libraries.",
     ),
 )
 """Where the work is done, and what a record may take of it."""
@@ -138,15 +138,16 @@ class _Engine:
     *FLEET_OPTIONS,
     *ENGINE_OPTIONS,
     seed_option("Seed of the random starts."),
-    *folder_options("reports/<problem>-fleet", "Begin anew in the folder of another fleet."),
+    *folder_options("reports/<problem>-fleet", "Start again in the folder of another fleet."),
     *OUTPUT_OPTIONS,
 )
 def fleet(problem: str, records: tuple[str, ...], **given: Any) -> None:
-    """Diagnose the records of many assets, and say which of them lacks what since when.
+    """Diagnose the records of many assets: which asset shows which missing effect, since when.
 
-    RECORDS are files, folders, or patterns in quotes. The share of false discoveries over all of
-    them is held. The same command continues where it was stopped, and does the new records alone
-    when some arrived. Writes causes.parquet, parameters.parquet, fleet.json and report.html.
+    RECORDS are files, folders, or patterns in quotes. The false discovery
+    rate over all of them is controlled. The same command continues where it was stopped, and
+    diagnoses only the new records when some have arrived. Writes causes.parquet,
+    parameters.parquet, fleet.json and report.html.
 
     Example: casid fleet ship.py 'voyages/*.parquet' --asset '{asset}_{time}.parquet' --out causes
     """

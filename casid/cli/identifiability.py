@@ -39,11 +39,11 @@ from casid.cli.request import request_of
     *OUTPUT_OPTIONS,
 )
 def identifiability(problem: str, seed: int, **given: Any) -> None:
-    """Decide which parameters are identifiable, and what would make the rest so.
+    """Decide which parameters are identifiable, and what would make the others so.
 
     PROBLEM is a problem file (.py), analysed for the load cases and inputs of DATA or of its own
     example, with the expected errors; EQUATIONS is a JSON or TOML file of states, parameters,
-    inputs and outputs, for which nobody needs Python. Every experiment has unknown inputs of its
+    inputs and outputs, without any Python. Every experiment has unknown inputs of its
     own unless --shared-input says otherwise. Writes identifiability.json and report.html.
 
     Example: casid identifiability problems/pendulum.py nominal=a.csv b.csv --known k

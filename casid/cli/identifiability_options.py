@@ -25,39 +25,41 @@ ASSUMPTION_OPTIONS = (
         default=1,
         show_default=True,
         metavar="N",
-        help="Every experiment is made N times, from other initial states and with other inputs.",
+        help="Every experiment is repeated N times, from other initial states and with other "
+        "inputs.",
     ),
     click.option(
         "--shared-input",
         "shared_inputs",
         multiple=True,
         metavar="W",
-        help="Unknown input that is one signal in all experiments; by default each has its own. "
-        "Repeatable.",
+        help="Unknown input that is the same signal in all experiments; by default each has its "
+        "own. Repeatable.",
     ),
     click.option(
         "--known-initial",
         multiple=True,
         metavar="X[=VALUE],...",
-        help="States whose initial value is known: some number, or this one, which may be special.",
+        help="States whose initial value is known: any number, or the value given, which may be a "
+        "special one.",
     ),
     click.option(
         "--known",
         multiple=True,
         metavar="NAME,...",
-        help="Parameters that are known after all, whatever their value.",
+        help="Parameters to treat as known, whatever their value.",
     ),
     click.option(
         "--at",
         multiple=True,
         metavar="NAME=VALUE",
-        help="Answer for this value of a parameter, in its declared unit, which may be special, "
-        "instead of almost every value. Repeatable.",
+        help="Answer for this value of a parameter (in its declared unit; it may be a special one) "
+        "instead of for almost every value. Repeatable.",
     ),
     click.option(
         "--generic",
         is_flag=True,
-        help="Known parameters of the model are some numbers, and not the values they have.",
+        help="Treat known parameters of the model as arbitrary numbers instead of their values.",
     ),
 )
 """What is assumed."""
@@ -68,26 +70,28 @@ QUESTION_OPTIONS = (
         "sensors",
         multiple=True,
         metavar="NAME=FORMULA[@COST]",
-        help="A sensor that could be added, in the names of the model: phi=x1 or a=k*x1/m@3. The "
-        "cheapest of the sensors named that make the rank full are found. Repeatable.",
+        help="A sensor that could be added, as a formula of the model's names: phi=x1 or "
+        "a=k*x1/m@3. The cheapest set of these sensors that makes the rank full is found. "
+        "Repeatable.",
     ),
     click.option(
         "--profile",
         "profiles",
         multiple=True,
         metavar="NAME,...",
-        help="Parameters whose profile likelihood is computed from the records; a fit a point.",
+        help="Parameters whose profile likelihood is computed from the records, with one fit per "
+        "point.",
     ),
     click.option(
         "--structural",
         is_flag=True,
-        help="The rank and what follows from it alone: no closed forms, no expected errors.",
+        help="Only the rank and what follows from it: no closed forms, no expected errors.",
     ),
     click.option(
         "--time-limit",
         type=click.FloatRange(min=0, min_open=True),
         metavar="S",
-        help="Seconds for the rank; what is proven by then is reported.",
+        help="Time limit for the rank [s]; what is proven by then is reported.",
     ),
 )
 """What else is requested."""

@@ -57,12 +57,12 @@ class _Search:
     type=click.IntRange(min=1),
     default=1,
     show_default=True,
-    help="Multiple shooting with so many segments a record, for unstable models.",
+    help="Multiple shooting with this many segments per record, for unstable models.",
 )
 @click.option(
     "--own",
     metavar="NAME,...",
-    help="Parameters that every record has for itself; the others are shared.",
+    help="Parameters estimated for each record separately; the others are shared.",
 )
 @click.option(
     "--disturbance",
@@ -70,20 +70,21 @@ class _Search:
     multiple=True,
     metavar="PLACE[:SPECTRUM]",
     help="A disturbance in this balance, state or unknown input, with the spectrum white (the "
-    "default), first (order) or peak: size and frequency are estimated beside the parameters, by "
-    "prediction error. Repeatable.",
+    "default), first (order) or peak: size and frequency are estimated together with the "
+    "parameters, by prediction error. Repeatable.",
 )
 @click.option(
     "--intervals",
     type=click.Choice(["auto", "quick", "profile", "bootstrap"]),
     default="auto",
     show_default=True,
-    help="95 % intervals: quick is normal; profile, what the records cannot reject; bootstrap, "
-    "from simulated records. auto is quick, and profile where that fails its test.",
+    help="95 % intervals: quick (normal), profile (values that the records do not reject) or "
+    "bootstrap (from simulated records). auto: normal, and profile where the normal interval fails "
+    "its test.",
 )
 @budget_option(
-    "Time that the estimate may take: it reports the best until then, and lists what was not done. "
-    "Default 120 s, and 1 ms more for each sample and unknown.",
+    "Time limit of the estimate: it then reports the best result so far and lists what was not "
+    "done. Default 120 s plus 1 ms for each sample and unknown.",
 )
 @options(*INSTRUMENT_OPTIONS)
 @record_options

@@ -152,8 +152,8 @@ INSTRUMENT_OPTIONS = (
     click.option(
         "--reference",
         metavar="CHANNEL",
-        help="Recorded channel that drives the system and that no disturbance reaches, from which "
-        "instruments are simulated.",
+        help="Recorded channel that drives the system and is independent of all disturbances; "
+        "instruments are simulated from it.",
     ),
     click.option(
         "--lag",
@@ -165,8 +165,7 @@ INSTRUMENT_OPTIONS = (
     click.option(
         "--free",
         metavar="NAME[=START],...",
-        help="Parameters to estimate with instruments; default those that the problem does not "
-        "know.",
+        help="Parameters to estimate with instruments; default all unknown ones.",
     ),
 )
 """Which estimator, and the settings of instrumental variables."""

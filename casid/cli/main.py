@@ -96,10 +96,11 @@ def _refuse(message: str, status: int = UNUSABLE) -> int:
 @click.version_option(__version__, prog_name="casid", message="%(prog)s %(version)s")
 @click.pass_context
 def main(context: click.Context) -> None:
-    """Find the physical parameters of a system, and what its model is missing.
+    """Estimate the physical parameters of a system, and find what its model is missing.
 
-    PROBLEM is a Python file that defines the model (it runs as you); DATA are CSV or Parquet files,
-    one record each, with a load case in front where the problem has any: nominal=a.csv loaded=b.csv
+    PROBLEM is a Python file that defines the model (it runs with your permissions); DATA are CSV or
+    Parquet files, one record each, with a load case in front where the problem has any:
+    nominal=a.csv loaded=b.csv
 
     Exit status: 0 done, 2 the input is unusable (the message says how to correct it).
     """

@@ -29,7 +29,7 @@ from casid.cli.terminal import quiet_stdout, study_folder, workers
     default=200,
     show_default=True,
     metavar="N",
-    help="Runs in all; those that the folder has are not done again.",
+    help="Total number of runs; those already in the folder are not repeated.",
 )
 @click.option(
     "--method",
@@ -48,7 +48,7 @@ from casid.cli.terminal import quiet_stdout, study_folder, workers
     "--jobs",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Processes that work; default one for every core.",
+    help="Number of processes; default one per core.",
 )
 @click.option(
     "--dask",
@@ -57,15 +57,15 @@ from casid.cli.terminal import quiet_stdout, study_folder, workers
     "need casid, and the problem at the same path.",
 )
 @budget_option(
-    "Time that the study may take: the runs done until then count, and the same command does the "
-    "others. Default what it takes, each fit within its own budget.",
+    "Time limit of the study: the runs finished by then count, and the same command does the "
+    "others. Default none; each fit has its own budget.",
 )
 @options(
     *FIT_OPTIONS,
-    seed_option("Seed of the study; every run has its own of it."),
+    seed_option("Seed of the study, from which each run derives its own."),
     *folder_options(
         "reports/<problem>-montecarlo-<n>, the last one if it holds this very study",
-        "Begin anew in a folder that is not empty.",
+        "Start again in a folder that is not empty.",
     ),
     *OUTPUT_OPTIONS,
 )

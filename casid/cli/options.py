@@ -36,7 +36,8 @@ DATA_OPTIONS = (
     click.option(
         "--window",
         metavar="START:STOP",
-        help="Seconds of the record's own clock, as in 27:91; run.csv@12:194 gives a file its own.",
+        help="Seconds of the record's own clock, as in 27:91; run.csv@12:194 sets the window of "
+        "one file.",
     ),
     click.option(
         "--resample",
@@ -48,16 +49,16 @@ DATA_OPTIONS = (
         "--lowpass",
         type=float,
         metavar="HZ",
-        help="Low-pass every channel alike (zero phase). First of the preparations.",
+        help="Low-pass filter all channels alike (zero phase); done first.",
     ),
     click.option(
         "--decimate",
         type=click.IntRange(min=1),
         default=1,
         metavar="N",
-        help="Keep every N-th sample behind an anti-alias filter. Second.",
+        help="Keep every N-th sample after an anti-alias filter; done second.",
     ),
-    click.option("--detrend", is_flag=True, help="Subtract the mean of every channel. Third."),
+    click.option("--detrend", is_flag=True, help="Subtract the mean of every channel; done last."),
     *READING_OPTIONS,
 )
 """Where records come from, and how they are prepared."""
@@ -128,7 +129,7 @@ class FitOptions:
 
 OUTPUT_OPTIONS = (
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON."),
-    click.option("--quiet", is_flag=True, help="No progress; errors alone."),
+    click.option("--quiet", is_flag=True, help="Print no progress, only errors."),
 )
 """What is printed."""
 

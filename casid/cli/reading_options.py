@@ -19,7 +19,7 @@ FORMAT_OPTIONS = (
     click.option(
         "--time-zone",
         metavar="ZONE",
-        help="Zone of local time stamps, as in Europe/Berlin; its summer time is taken out.",
+        help="Time zone of local time stamps, as in Europe/Berlin; summer time is corrected for.",
     ),
     click.option(
         "--decimal",

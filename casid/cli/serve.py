@@ -12,12 +12,16 @@ from casid.cli.terminal import say
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option(
-    "--port", type=click.IntRange(0, 65535), default=8765, show_default=True, help="0: a free one."
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=8765,
+    show_default=True,
+    help="Port of the page; 0 takes a free one.",
 )
 def serve(folder: Path, port: int) -> None:
     """List the reports in FOLDER on a local page, until it is interrupted (Ctrl-C).
 
-    The page is bound to this machine alone (127.0.0.1) and only read.
+    The page can be opened on this machine only (127.0.0.1), and cannot change anything.
 
     Example: casid serve reports
     """

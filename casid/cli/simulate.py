@@ -54,7 +54,8 @@ if TYPE_CHECKING:
     "--duration",
     type=float,
     metavar="SECONDS",
-    help="Of a model without inputs; default that of the fitted record, or of the example.",
+    help="Duration of the simulation of a model without inputs; default that of the fitted record, "
+    "or of the example.",
 )
 @options(*FORMAT_OPTIONS)
 @click.option("--force", is_flag=True, help="Write over a file that exists.")
@@ -67,11 +68,12 @@ def simulate(
     force: bool,
     **given: Any,
 ) -> None:
-    """Simulate a model with a file of inputs, free of noise, and write what it does.
+    """Simulate a model without noise, driven by a file of inputs, and write the result.
 
     RESULT is the folder that casid identify or casid diagnose wrote, or a saved result: the fitted
-    model, its causes in it, from the initial state of the fit. PROBLEM is a problem file: its model
-    with the values known and the starts of all others, driven by its own example without INPUTS.
+    model with its causes, from the initial state of the fit. PROBLEM is a problem file: its model
+    with the known values, and starting values for unknown parameters. Without INPUTS the problem's
+    own example drives it.
 
     Example: casid simulate reports/pendulum-1 run.csv --out simulated.csv --x0 phi=0.1
     """

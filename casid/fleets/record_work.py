@@ -66,7 +66,7 @@ class FleetSettings:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The asset's last fit.
+    """A fit to the first records of an asset.
 
     Attributes
     ----------

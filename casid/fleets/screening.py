@@ -1,4 +1,4 @@
-"""Screening: score tests at the asset's last fit say which records are worth the full search.
+"""Screening: score tests at a fit to the asset's first records say which to search.
 
 A full search fits the model from several starts, estimates its noise in rounds and refits
 candidates. Where nothing is missing that is wasted. The asset's reference has all that does not
