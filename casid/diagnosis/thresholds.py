@@ -618,6 +618,13 @@ class Judging:
         f"{TESTS}/evidence/test_disturbances.py",
         "a tenth of the square root; engineering judgement",
     )
+    visible: float = _is(
+        1e-4,
+        "share of the misfit below which a significant effect is not listed as a remainder, unless "
+        "the extended model has it: in no figure would anybody see it",
+        f"{TESTS}/search/test_refinement.py",
+        "a hundredth of the square root, in units of the error; engineering judgement",
+    )
     carried: float = _is(
         0.5,
         "of its value, by which a parameter of the model moves without a cause that is one "

@@ -25,7 +25,7 @@ def approach(
         rate = growth_rate(criterion)
         out["segments"] = (
             f"the model is unstable: at the start values a small error grows e-fold in "
-            f"{1 / rate:.2g} s, so a simulation of a whole record says nothing; the record is cut "
+            f"{1 / rate:.2g} s, so a simulation of a whole record diverges; the record is cut "
             f"into {criterion.segments} segments that are joined by constraints"
         )
     if found.text:
@@ -51,6 +51,6 @@ def _instruments(problem: Problem, found: Corrected) -> str:
         )
     names = " or ".join(beside)
     return (
-        "not chosen, for whether a disturbance reaches a signal is known to the experimenter "
-        f"alone; if none reaches {names}: --method instruments --reference {beside[0]}"
+        "not chosen: only you can know whether a disturbance affects a signal; if none affects "
+        f"{names}: --method instruments --reference {beside[0]}"
     )

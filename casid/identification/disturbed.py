@@ -166,10 +166,10 @@ def fed_back(model: Model, disturbances: Sequence[Disturbance]) -> list[str]:
         for unknown, using in model.eliminations.items():
             if any(ca.which_depends(e.eliminated[unknown], acts, 1, False)):
                 out.append(
-                    f"input {using} feels at once what acts in {d.place}, and brings it back: "
-                    "values may be biased by many standard errors. Estimate the model from which "
-                    f"{unknown} is not eliminated, where {using} is an output and {unknown} a "
-                    f"disturbance, too (--disturbance {d.place}:{d.spectrum} --disturbance "
+                    f"input {using} responds directly to what acts in {d.place}, and feeds it "
+                    "back: values may be biased by many standard errors. Estimate the model from "
+                    f"which {unknown} is not eliminated, where {using} is an output and {unknown} "
+                    f"a disturbance, too (--disturbance {d.place}:{d.spectrum} --disturbance "
                     f"{unknown}:first)"
                 )
     return out
@@ -186,8 +186,8 @@ def _coloured_innovations(found: Prediction) -> list[str]:
                 out.append(
                     f"{d.name}: innovations of {name} are autocorrelated ({outside} of 20 lags "
                     "outside 95 %): a disturbance has another spectrum or place, the model lacks "
-                    "something, or a measured input feels the disturbance; values may be biased, "
-                    "and error bars too small"
+                    "something, or a measured input responds to the disturbance; values may be "
+                    "biased, and error bars too small"
                 )
     return out
 

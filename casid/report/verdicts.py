@@ -80,8 +80,8 @@ def _spoilt(e: Estimate) -> Iterator[tuple[str, str]]:
         yield (
             f"The record determines {i.rank} of {i.unknowns} unknowns"
             + (f"; not {i.undetermined}." if i.undetermined else "."),
-            "Give one of them a known value (--set), or see casid identifiability for the sensors "
-            "and experiments that would determine them.",
+            "Give one of them a known value (--set), or run casid identifiability to find the "
+            "sensors and experiments that would determine them.",
         )
     for text in e.suspects:
         yield f"{text[:1].upper()}{text[1:]}.".replace("..", "."), "Correct the channel, fit again."
@@ -90,8 +90,8 @@ def _spoilt(e: Estimate) -> Iterator[tuple[str, str]]:
         listed = ", ".join(f"{k} ({v:.0f} %)" for k, v in poor.items())
         yield (
             f"The model explains next to nothing of {listed}.",
-            "Check signs, units and the mapping of the channels; then ask casid diagnose what the "
-            "model is missing.",
+            "Check signs, units and the mapping of the channels; then run casid diagnose to find "
+            "what the model is missing.",
         )
 
 
@@ -102,20 +102,22 @@ def _doubts(e: Estimate) -> Iterator[tuple[str, str]]:
         listed = "; ".join(f"{k}: {v}" for k, v in coloured.items())
         yield (
             f"The residual is autocorrelated ({listed}): the model or its noise is incomplete. The "
-            "error bars hold for coloured noise, but not the bias of what the model lacks.",
-            "Ask what the model is missing: casid diagnose.",
+            "error bars allow for coloured noise, but not for the bias due to what the model "
+            "lacks.",
+            "Run casid diagnose to find what the model is missing.",
         )
     if (coloured or not e.whiteness) and any(v < GOOD_FIT for v in _fits(e).values()):
         yield (
             f"The fit is below {GOOD_FIT:.0f} %: noise, disturbances or a missing effect make up "
             "the rest.",
-            "Compare the error with the noise of the sensors; casid diagnose does.",
+            "Compare the error with the noise of the sensors, as casid diagnose does.",
         )
     bound = [p.name for p in e.parameters if "bound" in p.note]
     if bound:
         yield (
             f"{', '.join(bound)} ended at a bound and has no standard error.",
-            "Widen the bound if it is not physical; if it is, the record prefers a value beyond.",
+            "Widen the bound if it is not physical. If it is, something else in the model is "
+            "wrong: run casid diagnose.",
         )
     if e.starts_tried > 1 and e.starts_agreeing * 2 <= e.starts_tried:
         yield (
@@ -124,7 +126,7 @@ def _doubts(e: Estimate) -> Iterator[tuple[str, str]]:
             "Use more starts (--starts), or a shorter window first.",
         )
     if e.warnings and not coloured:
-        yield "A warning below bears on the numbers.", "Read the warning; it says what to do."
+        yield "A warning below affects these numbers.", "Read the warning; it says what to do."
 
 
 def _fits(e: Estimate) -> dict[str, float]:
@@ -156,7 +158,7 @@ def judged_study(m: MonteCarlo) -> Judged:
     if biased or rarely:
         said = [f"The estimates of {', '.join(biased)} are biased."] if biased else []
         if rarely:
-            said.append(f"The 95 % intervals of {', '.join(rarely)} hold the truth too rarely.")
+            said.append(f"The 95 % intervals of {', '.join(rarely)} contain the truth too rarely.")
         advice = (
             "Do not rely on these error bars. A bias comes from a wrong model, from noise on "
             "measured inputs, or from a nonlinear estimate of little data: look at the histogram; "
@@ -190,8 +192,8 @@ def judged_study(m: MonteCarlo) -> Judged:
         "kept",
         _PROMISE,
         "adequate",
-        f"The estimates are unbiased and the 95 % intervals hold the truth as often as promised, "
-        f"as far as {runs} runs tell.{wide}{lost}",
+        f"The estimates are unbiased and the 95 % intervals contain the truth as often as stated, "
+        f"as far as {runs} runs show.{wide}{lost}",
         "The error bars can be used for records like these.",
     )
 

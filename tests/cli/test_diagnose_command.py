@@ -118,7 +118,7 @@ def test_ctrl_c_ends_the_calibration_and_not_the_diagnosis() -> None:
         assert process.stdout is not None
         assert process.stdout.read().startswith("Diagnosis of pendulum")
     assert process.returncode == 0
-    assert "the diagnosis goes on with" in said
+    assert "the diagnosis continues with" in said
     assert "of 500 null records" in said
     assert "Traceback" not in said
     found = json.loads(Path("reports/pendulum-1/diagnosis.json").read_text())["calibration"]

@@ -79,7 +79,7 @@ def test_an_offset_that_no_experiment_separates_is_not_said_to_be_separable(sign
     """A constant force and a bias of the position are the same to a linear spring."""
     force, x = signals
     d = diagnosed(force, x + 0.1)
-    assert "indistinguishable here" in d.sentence
+    assert "this record does not separate" in d.sentence
     assert d.advice.startswith("No experiment considered separates")
     assert "would separate" not in str(d)
     assert not any(line.startswith("  next ") for line in str(d).splitlines())

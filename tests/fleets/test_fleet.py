@@ -270,7 +270,7 @@ def test_options_that_mean_nothing_are_refused(
 def test_the_page_and_the_terminal_name_the_finding(done: casid.Fleet, heaters: Path) -> None:
     text = str(done)
     assert "heater0" in text
-    assert "2 records lack something at a false discovery rate of 0.05" in text
+    assert "2 records are deficient at a false discovery rate of 0.05" in text
     page = (heaters / "out" / "report.html").read_text()
     assert "lasting, still there" in page
     assert "e-BH: nothing is assumed" in page

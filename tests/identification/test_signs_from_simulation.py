@@ -200,7 +200,7 @@ def test_a_parameter_at_its_bound_is_never_called_adequate(noisy, monkeypatch) -
     assert "widen it" in found.advice
     assert "may be used" not in found.advice
     said = found.noise["r"]
-    assert "as much as" not in said or float(said.split("as much as ")[1].split(",")[0]) < 1.0
+    assert "implies up to" not in said or float(said.split("up to ")[1].split()[0]) < 1.0
 
 
 # -- where nothing can be said of signs ------------------------------------------------------------

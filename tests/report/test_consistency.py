@@ -134,7 +134,7 @@ def test_no_sentence_of_a_diagnosis_contradicts_another(d: Diagnosis) -> None:
         _verdict_agrees_with_causes(d, text)
         _remainder_agrees_with_its_tests(d, text)
         _gain_agrees_with_advice(d, text)
-        _what_is_named_alone_is_not_said_to_be_indistinguishable(d, text)
+        _what_is_named_alone_is_not_said_to_be_inseparable(d, text)
     _every_effect_has_one_p_value(d)
 
 
@@ -174,10 +174,10 @@ def _gain_agrees_with_advice(d: Diagnosis, text: str) -> None:
             assert (f"error {'−' if c.is_lower else '+'}" in shown(d)) or len(changes) > 1
 
 
-def _what_is_named_alone_is_not_said_to_be_indistinguishable(d: Diagnosis, text: str) -> None:
+def _what_is_named_alone_is_not_said_to_be_inseparable(d: Diagnosis, text: str) -> None:
     """Signatures may be nearly alike all the same: a large misfit separates them."""
     is_open = any(c.alternatives for c in d.causes)
-    assert ("ndistinguishable" in text) == is_open
+    assert ("this record does not separate" in text) == is_open
     assert ("To separate" in text) <= is_open
 
 

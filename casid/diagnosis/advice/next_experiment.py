@@ -283,8 +283,8 @@ def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal])
     shorter = best.is_clearer(now) or best.record_length <= PLANNING.shorter * now.record_length
     if isfinite(now.record_length) and not shorter:
         return (
-            f"To separate {who}, record the same for {_seconds(now.record_length)}: no other "
-            "experiment considered is clearly shorter."
+            f"To separate {who}, repeat the same experiment for {_seconds(now.record_length)}: no "
+            "other experiment considered is clearly shorter."
         )
     text = (
         f"To separate {who}: {best.description}. About {_seconds(best.record_length)} would suffice"
@@ -293,7 +293,7 @@ def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal])
         text += f", where the same experiment would need {_seconds(now.record_length)}"
     if best.gain_factor > PLANNING.notable:
         size = best.gain_factor**-0.5  # the energy grows with its square
-        text += f"; causes {size:.2g} times as large could be separated there, too"
+        text += f"; it would separate causes of {size:.2g} times the size, too"
     return text + "."
 
 

@@ -175,8 +175,8 @@ class Planner:
         seconds = made[0].record.duration
         return Planned(
             "free decay",
-            f"free decays of {seconds:.3g} s, nothing acting, released from the largest and half "
-            f"the largest {what} seen, repeated",
+            f"repeated free decays of {seconds:.3g} s without any input, released from the largest "
+            f"recorded {what} and from half of it",
             tuple(made),
             tuple(starts),
             self.model,
@@ -221,8 +221,8 @@ class Planner:
             made.append(Experiment(record, old.known, old.name))
         return Planned(
             f"sensor of {name}",
-            f"the same experiment with a sensor of {name}, as exact as those there are (noise "
-            f"{quantity_text(sd, unit)})",
+            f"the same experiment with an additional sensor of {name}, as accurate as the present "
+            f"ones (noise {quantity_text(sd, unit)})",
             tuple(made),
             self.again().initial,
             model,

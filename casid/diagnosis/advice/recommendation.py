@@ -129,7 +129,7 @@ def advice(
     """
     if verdict == "undecided":
         if any(remedy in why_undecided for remedy in _REMEDIES):
-            return "Correct what the reason names, then diagnose again."
+            return "Correct what the reason above names, then diagnose again."
         return "Record longer, or excite the system more strongly over a wider band."
     for c in causes:
         rivals = [a for a in c.alternatives if (a.kind, a.where) != (c.kind, c.where)]
@@ -139,8 +139,8 @@ def advice(
         return f"To separate {effect_words(c.kind, c.where)} from {others}: {separates(c.kind)}."
     if verdict == "deficient" and not is_better:
         return (
-            "Keep the model as it is for now: the extended one explains what was fitted and raises "
-            "the error of what was held out. Diagnose a further record, best with "
+            "Keep the present model for now: the extended one fits better, but raises the error of "
+            "what was held out. Diagnose a further record, best with "
             f"{separates(causes[0].kind)}."
         )
     if verdict == "deficient":

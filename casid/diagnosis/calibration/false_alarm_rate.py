@@ -171,12 +171,12 @@ class Calibration(Presented):
         if not self._rank:
             needed = math.ceil(1 / self.alpha - 1e-9) - 1
             return (
-                f"{text}; the threshold stays, for to correct it takes at least {needed} null "
-                "records"
+                f"{text}; the threshold is unchanged, for correcting it needs at least {needed} "
+                "null records"
             )
         if self.is_corrected:
-            return f"{text}; judged at {self.threshold:.2g} instead, the rate holds"
-        return f"{text}; the threshold stays"
+            return f"{text}; judged at the stricter level {self.threshold:.2g} instead"
+        return f"{text}; the threshold is unchanged"
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -452,7 +452,7 @@ def _table(
                         f"calibrate: one null record took {one:.2g} s, all {runs} take about "
                         f"{_time_text(rounds * one)}"
                         + (f" in {workers} processes" if workers > 1 else "")
-                        + "; Ctrl-C goes on with those done"
+                        + "; Ctrl-C continues with those done"
                     )
                     with joblib.parallel_config(**where):
                         done = campaign(
@@ -465,7 +465,7 @@ def _table(
             if not n:
                 require_time("the calibration")
                 raise KeyboardInterrupt("no null record was done; nothing is kept") from None
-            say(f"interrupted: the diagnosis goes on with {n} of {runs} null records")
+            say(f"interrupted: the diagnosis continues with {n} of {runs} null records")
             return parts.end().to_pandas(), True
 
 

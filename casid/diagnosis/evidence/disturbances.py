@@ -18,6 +18,7 @@ from casid.data.files import plain_fields
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.thresholds import JUDGING
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
+from casid.model.quantities import quantity_text
 from casid.model.units import difference_from_si, difference_to_si
 
 
@@ -46,15 +47,16 @@ class Disturbance:
     def sentence(self) -> str:
         """The disturbance in words."""
         if self.peak is None:
-            spectrum = "with a flat spectrum"
+            spectrum = "flat spectrum"
         elif self.bandwidth is None or self.bandwidth > 2 * self.peak:
-            spectrum = f"with most power at low frequencies, below {self.highest:.3g} Hz"
+            spectrum = f"most of its power below {quantity_text(self.highest, 'Hz')}"
         else:
-            spectrum = f"around {self.peak:.3g} Hz, {self.bandwidth:.2g} Hz wide"
+            peak, width = quantity_text(self.peak, "Hz"), quantity_text(self.bandwidth, "Hz")
+            spectrum = f"a band {width} wide around {peak}"
         return (
-            f"a random part of {self.where} that no channel records acts on the system, standard "
-            f"deviation {self.std:.3g} {self.unit}, {spectrum}: "
-            f"{100 * self.share:.0f} % of the residual"
+            f"an unrecorded random disturbance acts on {self.where}: standard deviation "
+            f"{quantity_text(self.std, self.unit)}, {spectrum}, {100 * self.share:.0f} % of the "
+            "residual"
         )
 
     @property
@@ -81,30 +83,18 @@ def disturbances_of(at: Weighted) -> tuple[Disturbance, ...]:
     Those that make less than `JUDGING.practical` of the residual are left out.
     """
     noise = at.full
-    weights = noise.weights**2
-    samples = [d.N for d in at.criterion.data]
-    total = sum(n * float(np.mean(noise.spectrum(e) @ weights)) for e, n in enumerate(samples))
-
-    def power(source: str, *, is_white: bool = False) -> float:
-        """Of the residual, for a unit standard deviation of a source; of one that is white."""
-        total = 0.0
-        for r, d in zip(noise.responses, at.criterion.data, strict=True):
-            gain2 = r.gain2[:, :, r.sources.index(source)] @ weights
-            if is_white and source in noise.spectra:
-                gain2 = gain2 / np.maximum(noise.spectra[source].at(r.omega, d.Ts), TINY)
-            total += d.N * float(np.mean(gain2))
-        return total
+    total = _residual_power(at)
 
     found: dict[str, list[tuple[float, float, DisturbanceSpectrum | None]]] = {}
     # Of sources that act alike, the first carries the variance: that of inputs which their sensors
     # account for is noise, and the rest a force in their balance.
     for group in noise.alike:
-        carried = noise.source_sd[group[0]] ** 2 * power(group[0])
-        measured = sum(at.input_sd.get(name, 0.0) ** 2 * power(name) for name in group)
+        carried = noise.source_sd[group[0]] ** 2 * _power_of(at, group[0])
+        measured = sum(at.input_sd.get(name, 0.0) ** 2 * _power_of(at, name) for name in group)
         where = next((name for name in group if name in at.model.balances), group[0])
         # A balance with a spectrum of its own is a source of its own, beside its white part here.
         is_beside = where != group[0] and where in noise.spectra
-        unit_power = power(where, is_white=is_beside)
+        unit_power = _power_of(at, where, is_white=is_beside)
         share = (carried - measured) / total if total > 0 else 0.0
         if share > 0 and unit_power > 0:
             spectrum = None if is_beside else noise.spectra.get(where)
@@ -119,6 +109,31 @@ def disturbances_of(at: Weighted) -> tuple[Disturbance, ...]:
             peak, width = _peak(max(parts, key=lambda p: p[0])[2])
             out.append(Disturbance(where, sd, place.unit, min(share, 1.0), peak, width))
     return tuple(sorted(out, key=lambda d: -d.share))
+
+
+def is_seen(at: Weighted, source: str) -> bool:
+    """True if the noise found at a source makes `JUDGING.practical` of the residual or more."""
+    made = at.full.source_sd[source] ** 2 * _power_of(at, source)
+    return made > 0 and made >= JUDGING.practical * _residual_power(at)
+
+
+def _residual_power(at: Weighted) -> float:
+    """Of the residual, added over its samples and outputs in units of their weights."""
+    weights = at.full.weights**2
+    return sum(
+        d.N * float(np.mean(at.full.spectrum(e) @ weights)) for e, d in enumerate(at.criterion.data)
+    )
+
+
+def _power_of(at: Weighted, source: str, *, is_white: bool = False) -> float:
+    """Of the residual, for a unit standard deviation of a source; of one that is white."""
+    noise, total = at.full, 0.0
+    for r, d in zip(noise.responses, at.criterion.data, strict=True):
+        gain2 = r.gain2[:, :, r.sources.index(source)] @ noise.weights**2
+        if is_white and source in noise.spectra:
+            gain2 = gain2 / np.maximum(noise.spectra[source].at(r.omega, d.Ts), TINY)
+        total += d.N * float(np.mean(gain2))
+    return total
 
 
 def _peak(spectrum: DisturbanceSpectrum | None) -> tuple[float | None, float | None]:

@@ -169,7 +169,7 @@ def why_doubtful(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> s
     if wrong < SUFFICIENCY.misfit or not _none_is_known(at, std_error):
         return ""
     return (
-        f"the model as it is errs by {wrong:.2g} times the noise, and no parameter of it has a "
+        f"the error of the model is {wrong:.2g} times the noise, and no parameter of it has a "
         f"standard error below its own size{_still_inputs(fit.criterion)}"
     )
 
@@ -218,7 +218,7 @@ def weak_parameters(
     names = " and ".join(weak)
     return (
         f"this record does not determine {names} to within {'its' if len(weak) == 1 else 'their'} "
-        "own size: a missing effect that acts alike is undetectable in it too",
+        "own size: a missing effect that acts in the same way is undetectable in it, too",
     )
 
 

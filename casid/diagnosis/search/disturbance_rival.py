@@ -26,7 +26,7 @@ from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.settings import DiagnosisSettings
 
-RANDOM = "a random disturbance that nobody recorded explains the misfit as well"
+RANDOM = "an unrecorded random disturbance explains the misfit as well"
 
 
 def weighed_against_disturbances(
@@ -55,7 +55,7 @@ def weighed_against_disturbances(
         is_random = nothing <= score and not is_more_than_noise(bare, again)
         if is_clean and not is_random:
             return search, start, found
-    settings.progress("take what is left for a disturbance, and test every effect under it")
+    settings.progress("treat the remainder as a disturbance, and test every effect in its presence")
     other = adopt_causes(again, bare, base, baseline.split, settings.fit)
     _add_refused(search, again.refused)
     if other.fit is not None and _score(other.at, other.adopted, again) < score:

@@ -65,7 +65,7 @@ def sharper(
     floor = float(np.log(_sharpest(found) / finer))
     if floor > start + step / 2:
         return found
-    progress(f"choose how sharply the {found.effect.kind} in {where} reverses")
+    progress(f"choose the sharpness of {name_of(found.effect)}")
     reached, gain = start, found.gain
     for _ in range(FRICTION.steps):
         now = gain_at(max(reached + step, floor))

@@ -39,7 +39,7 @@ def placed(
     out, instant = [], None
     for c in sorted(found, key=lambda c: -c.gain):
         if c.effect.kind == "parameter_jump" and c.gain > JUMPS.promising * top:
-            progress(f"place {c.effect.kind} in {c.effect.where}")
+            progress(f"find the instant of {name_of(c.effect)}")
             if instant is not None:
                 c = _better_at(refitting, at, c, instant, known)
             scan_of = partial(_placed, refitting, at, c, known)

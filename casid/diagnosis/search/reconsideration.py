@@ -35,7 +35,7 @@ def reconsidered(
         )
         rivals = a.rivals
         if rivals and judged_under_misfit and not at.noise_absorbs_misfit:
-            search.progress(f"judge the rivals of {a.candidate.effect.kind} again")
+            search.progress(f"compare {name_of(a.candidate.effect)} with its rivals again")
             others = [b.candidate for b in adopted if b is not a]
             again = search.attempts.attempt(
                 f"the second judgement of the rivals of {name_of(a.candidate.effect)}",

@@ -104,7 +104,7 @@ class Refinement:
             for rival in self._rivals(adopted, i):
                 self.search.progress(
                     f"compare {name_of(adopted[i].candidate.effect)} with {name_of(rival.effect)} "
-                    "by what was held out"
+                    "by the held-out error"
                 )
                 others = [a.candidate for a in adopted]
                 others[i] = rival

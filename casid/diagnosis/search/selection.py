@@ -218,7 +218,9 @@ class _Selection:
         is_open = taken.rivals and taken.before is not None and taken.before.noise_absorbs_misfit
         if not is_open or self.at.noise_absorbs_misfit or not is_more_than_noise(self.at, search):
             return
-        search.progress(f"compare the rivals of {taken.candidate.effect.kind} by their residuals")
+        search.progress(
+            f"compare the rivals of {name_of(taken.candidate.effect)} by their residuals"
+        )
         for other in better_rivals(search, self.adopted, self.start, self.at):
             what = f"the extension by {name_of(other.effect)}"
             if search.attempts.attempt(what, partial(self._exchange, taken, other)):

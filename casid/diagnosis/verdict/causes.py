@@ -55,9 +55,14 @@ def causes_of(
 
 
 def remainders_of(found: Findings) -> tuple[Cause, ...]:
-    """What is significant but explains too little to be a cause, with sizes as first fitted."""
+    """What is significant but explains too little to be a cause, with sizes as first fitted.
+
+    Of what nobody would see, only that which stays in the extended model for the causes' sizes.
+    """
     out = []
     for a in sorted(found.remainders, key=lambda a: -a.share):
+        if a.share < JUDGING.visible and a.candidate.names[0] not in found.best_fit.criterion.names:
+            continue
         effect, values = a.candidate.effect, found_values(a.candidate)
         out.append(
             Cause(
@@ -137,7 +142,7 @@ def _saturation(search: Search, cut: Plateaus) -> Cause:
 def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated, ...]:
     rows = [p for p in estimate.parameters if p.name in candidate.names]
     if candidate.effect.kind in SWITCHED:
-        blend, note = candidate.names[0], "not estimated: a channel does it or not"
+        blend, note = candidate.names[0], "not estimated: either present or absent"
         rows = [replace(p, note=note) if p.name == blend else p for p in rows]
     if candidate.effect.kind == "parameter_jump" and candidate.effect.variant is not None:
         rows.append(Estimated("time", candidate.effect.variant, "s", note="searched"))
@@ -168,7 +173,7 @@ def _aliases(search: Search, effect: Effect) -> list[Alternative]:
                 continue
             kind, where = other
             if kind == effect.kind == "scheduled_parameter" and other not in refitted:
-                why = f"with this record, {where} acts as {effect.where} does"
+                why = f"in this record {where} acts as {effect.where} does"
                 out.append(Alternative(kind, where, 1.0, why))
             if kind == effect.kind == "time_delay" and c < 0.0:
                 why = f"an advance of {where} looks the same as a delay of {effect.where}"
@@ -181,14 +186,16 @@ def with_the_sign(turned: WrongSign, causes: list[Cause], before: Fit, after: Fi
     old, new = (_square_over_spread(fit) for fit in (before, after))
     share = max(old - new, 0.0) / max(old, TINY)
     alternatives = tuple(
-        Alternative("sensor_scale", c, p, "negated, it fits as well: look at both sensors' axes")
+        Alternative(
+            "sensor_scale", c, p, "negated, it fits as well: check the axes of both sensors"
+        )
         for c, p in turned.rivals.items()
     )
     first = Cause(
         kind="sensor_scale",
         where=turned.channel,
         p_value=turned.p_value,
-        parameters=(Estimated("scale", -1.0, "1", note="the sign alone was tried"),),
+        parameters=(Estimated("scale", -1.0, "1", note="only the sign was tested"),),
         alternatives=alternatives,
         share=share,
         sentence=f"the channel {turned.channel} probably has the wrong sign, a scale of -1",

@@ -198,7 +198,7 @@ def notes_on(problem: Problem, found: Findings, judged: Judgement) -> tuple[str,
         )
     notes += [
         f"{channel} is the reference of a control loop: it acts through a measured input and is "
-        "no input of its own"
+        "not an input of its own"
         for channel in search.references or ()
     ]
     notes += [

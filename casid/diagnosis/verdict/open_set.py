@@ -181,7 +181,7 @@ def _nearest(refused: Sequence[tuple[Candidate, str]]) -> Iterator[Alternative]:
         is_new = c.effect.key not in keys and c.effect.kind not in ("unknown", *IMITATORS)
         if is_new and len(keys) < ROUNDS.rivals:
             keys.add(c.effect.key)
-            text = f"significant, and near in the catalogue, but {why}"
+            text = f"significant and of a similar effect, but {why}"
             yield Alternative(c.effect.kind, c.effect.where, 1.0, text, c.effect.description)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from casid.arrays import TINY
 from casid.data.problem import Problem
-from casid.diagnosis.evidence.disturbances import Disturbance
+from casid.diagnosis.evidence.disturbances import Disturbance, is_seen
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import JUDGING
@@ -40,13 +40,13 @@ _SAYS = {
     "sensor_scale": "the gain of the sensor of {where} differs from the model's",
     "sensor_lag": "the sensor of {where} has a first-order lag",
     "cross_axis": "the sensor of {where} is also sensitive to another channel",
-    "hold": "the input {where} moves between its samples in another way than the model assumes",
+    "hold": "the input {where} behaves between samples in another way than the model assumes",
     "actuator_lag": "the command {where} acts with a first-order lag",
     "missing_mode": "an unmodelled oscillating part reacts on the {where} balance",
-    "actuator_saturation": "the command {where} acts up to a limit alone",
+    "actuator_saturation": "the command {where} saturates at a limit",
     "saturation": "the channel {where} is clipped",
     "rectified": "the channel {where} shows the absolute value",
-    "lever_arm": "the sensor of {where} sits away from the assumed point",
+    "lever_arm": "the sensor of {where} is mounted away from the assumed point",
     "outliers": "the channel {where} has isolated outliers",
 }
 
@@ -57,38 +57,39 @@ _SEPARATES = {
     "asymmetric_friction": "the same motion in both directions",
     "stribeck_friction": "motion that is reversed slowly, and at speed",
     "quadratic_stiffness": "the same motion to both sides, and a static deflection",
-    "backlash": "motion well inside the play and far beyond it, and a knock through it",
+    "backlash": "motion well inside the play and far beyond it, and an impact across it",
     "end_stop": "motion up to the stop, and well within it",
     "cogging": "slow turning through several periods, at two speeds",
     "actuator_saturation": "a record at half the command",
-    "rectified": "a record that changes its sign, beside a second sensor",
+    "rectified": "a record in which it changes its sign, with a second sensor",
     "lever_arm": "rotation about another point, or a second sensor at a known distance",
     "coulomb_friction": "slow motion and free decays to rest, where dry friction dominates",
     "cubic_stiffness": "excitation at two clearly different amplitudes",
     "deadzone": "motion well inside the play and far beyond it",
     "offset": "a stretch at rest, or the same manoeuvre mirrored",
     "periodic_disturbance": "a record without excitation, whose spectrum shows the line alone",
-    "parameter_drift": "a second record, begun when the first has ended",
+    "parameter_drift": "a second record that starts where the first one ends",
     "unknown": "excitation at several amplitudes and frequencies",
     "extra_input": "a record in which that channel moves while everything else rests",
-    "parameter_jump": "a second record with all conditions held, and a note of when loads move",
+    "parameter_jump": "a second record under constant conditions, with a note of every change of "
+    "load",
     "scheduled_parameter": "records in each of which that channel is held, at different values",
     "sensor_bias": "a stretch at rest with the sensor turned over",
-    "time_delay": "wide-band excitation, and a knock that every logger records",
+    "time_delay": "wide-band excitation, and an impact that every logger records",
     "sensor_scale": "a known motion or load: the sensor against a reference",
     "sensor_lag": "excitation well above 1/tau, where a lag also attenuates and a delay does not",
     "cross_axis": "a record in which only the other channel moves",
-    "hold": "excitation near a third of the sampling rate, or a look at what drives the actuator",
+    "hold": "excitation near a third of the sampling rate, or a check of what drives the actuator",
     "actuator_lag": "fast steps of the command, with the actuator's own position recorded",
     "missing_mode": "a slow sweep across the frequency found, or the part locked",
     "saturation": "a record at half the amplitude",
-    "outliers": "a look at the logger: cable, range, radio link",
+    "outliers": "a check of the logger: cable, range, radio link",
 }
 
 
 _OF_COMMANDS = {
     "backlash": "the command {where} acts through play (backlash)",
-    "deadzone": "the command {where} acts beyond a dead zone alone",
+    "deadzone": "the command {where} acts only beyond a dead zone",
 }
 
 
@@ -165,7 +166,7 @@ def verdict_sentence(
     text = "; ".join(_says_cause(c) for c in causes)
     what = "it" if len(causes) == 1 else "them"
     if not all(c.parameters for c in causes):
-        what = "what has a name"
+        what = "the named causes"
     return f"{text[0].upper()}{text[1:]}.{_gain(part, problem, what)}"
 
 
@@ -192,13 +193,14 @@ def _says_cause(c: Cause) -> str:
         return c.sentence
     if all(a.kind == c.kind for a in c.alternatives):  # the place alone is open
         places = either_words(a.where for a in c.alternatives if a.where != c.where)
-        return f"{c.sentence} (this record does not separate it from the same in {places})"
+        return f"{c.sentence} (this record does not separate it from the same effect in {places})"
     rivals = either_words(a.words for a in c.alternatives)
-    return f"missing: {effect_words(c.kind, c.where)} (or, indistinguishable here, {rivals})"
+    named = effect_words(c.kind, c.where)
+    return f"one of these is missing, which this record does not separate: {named}, {rivals}"
 
 
 def noise_text(at: Weighted) -> dict[str, str]:
-    """Channel or balance -> what the noise found there is."""
+    """Channel or balance -> the noise found there, where it makes a part of the residual."""
 
     def text_of(name: str, sd: float) -> str:
         return quantity_text(at.model.shown_size(name, sd), at.model.unit_of(name))
@@ -221,8 +223,11 @@ def noise_text(at: Weighted) -> dict[str, str]:
                 )
             elif sd > JUDGING.more_noise * max(own, TINY):
                 most = text_of(source, sd)
-                text += f"; the residual implies as much as {most}, a disturbance or model error"
+                text += f"; the residual implies up to {most}: a disturbance or model error"
+        elif is_seen(at, source):
+            size = quantity_text(sd, at.model.balances[source].unit)
+            text = f"random disturbance, standard deviation {size}"
         else:
-            text = f"disturbance {sd:.3g} {at.model.balances[source].unit} a sample"
+            continue
         out[source] = text
     return out

@@ -120,7 +120,7 @@ def ranking_parts(d: Diagnosis) -> list[Part]:
 
 
 P_VALUE = (
-    "p: the probability that noise alone makes one of all candidates look this strong "
+    "p: the probability that noise alone makes any of the candidates look this strong "
     "(family-wise)."
 )
 

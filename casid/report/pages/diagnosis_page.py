@@ -52,7 +52,7 @@ from casid.report.texts.diagnosis import effect_in_words
 _VERDICTS = {
     "adequate": "The model explains this record",
     "deficient": "The model is missing something",
-    "undecided": "This record cannot decide",
+    "undecided": "This record does not decide",
 }
 _FIGURE_NAMES = {
     "residual_time": "Simulation error against time",
@@ -70,7 +70,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Document:
         cause_part(i, c, figure(f"by_record_{i}")) for i, c in enumerate(d.causes, 1)
     ]
     unknown = [f for name, f in figures.items() if name.startswith("unknown_")]
-    noise = mapping_table(d.noise, ("channel", "what is known of its noise"))
+    noise = mapping_table(d.noise, ("channel", "what is known about its noise"))
     folded: dict[str, list[Part]] = {
         "Causes in detail": [*(causes or [no_cause(d)]), *small_remainders(d)],
         "Equations before and after": equation_changes(d.model),
@@ -85,7 +85,7 @@ def diagnosis_report(diagnosis: Diagnosis) -> Document:
         "Undetectable in this set-up": undetectable_parts(d),
         "All candidates": [*ranking_parts(d), figure("ranking")],
         **{heading: [figure(name)] for name, heading in _FIGURE_NAMES.items()},
-        "May the fits be trusted?": [evidence_table(estimates)],
+        "Evidence for the fits": [evidence_table(estimates)],
         "Calibration": [*calibration_parts(d), figure("calibration")],
         "Noise": [noise],
         "Notes": [Bullets(d.notes)],

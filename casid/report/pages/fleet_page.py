@@ -117,7 +117,7 @@ def _banner(fleet: Fleet) -> Banner:
         sentence = f"{count} there for a time, and the last records do not show {it} any more."
     else:
         word, look = "nothing found", "adequate"
-        sentence = "No record lacks anything at this rate of false discoveries."
+        sentence = "No record is deficient at this false discovery rate."
     return Banner(word, "with a cause that lasts" if lasting else "", sentence, look)
 
 
@@ -159,7 +159,7 @@ def _more(fleet: Fleet) -> str | None:
     path = fleet.records.loc[fleet.records["number"] == first.records[0], "path"].iloc[0]
     text = (
         f"The report of a single record: casid diagnose PROBLEM {path} with the options of this "
-        "fleet. All records stand in causes.parquet beside this page."
+        "fleet. All records are in causes.parquet beside this page."
     )
     if len(fleet.findings) > _FINDINGS:
         text += f" The first {_FINDINGS} of {len(fleet.findings)} findings."
@@ -173,7 +173,7 @@ def _common(fleet: Fleet) -> Table:
         assets = sorted({f.asset for f in found})
         since = fleet.time_text(min(f.since for f in found))
         rows.append((f"{key[0]} in {key[1]}", str(len(assets)), since, ", ".join(assets[:10])))
-    caption = "Causes that half of the assets or more have at one time: no matter of one asset"
+    caption = "Causes that half of the assets or more have at one time: not specific to one asset"
     return Table(("cause", "assets", "since", "which"), rows, numbers=(1,), caption=caption)
 
 

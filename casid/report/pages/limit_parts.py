@@ -61,9 +61,9 @@ def undetectable_parts(d: Diagnosis) -> list[Part]:
         )
         for i in d.undetectable
     ]
-    caption = "Effects that do nothing to the outputs which the model's own parameters could not do"
+    caption = "Effects that the model's own parameters can imitate, so that they leave no trace"
     return [
-        "That these were not found does not say that they are not there.",
+        "That these were not found does not mean that they are absent.",
         Table(("effect", "undetectable in", "why", "remedy"), rows, caption=caption),
     ]
 
@@ -86,9 +86,9 @@ def proposals_table(d: Diagnosis) -> Table:
         ("", "experiment", "what to do", "separates", "record needed", "gain", "cosine"),
         rows,
         numbers=(4, 5, 6),
-        caption="What to record next, by how soon it separates the tied causes. Separates: the "
-        "hardest pair in it; gain: how many times less visible the "
-        "misfit may be than in this record",
+        caption="What to record next, the shortest record first. Separates: the pair that is "
+        "hardest to separate in it; gain: energy that separating them takes in this record, over "
+        "that in the proposed one",
     )
 
 
@@ -104,5 +104,5 @@ def calibration_parts(d: Diagnosis) -> list[Part]:
         ("null records", f"{c.runs}"),
         ("level that this record is judged at", f"{c.threshold:.3g}"),
     ]
-    caption = "False alarms on records that the fitted model drew"
+    caption = "False alarms on records simulated with the fitted model"
     return [f"{c.sentence}.", Table(("", "value"), rows, caption=caption), Bullets(c.notes)]

@@ -33,8 +33,8 @@ def monte_carlo_report(result: MonteCarlo) -> Document:
     )
     words = (
         "Bias: mean minus truth, with its Monte Carlo standard error. Spread: standard deviation "
-        "of the estimates, with its standard error were they normal. Coverage: share of the 95 % "
-        "intervals that hold the truth, with its binomial 95 % interval (Wilson 1927)."
+        "of the estimates, with its standard error for normal estimates. Coverage: share of the 95 "
+        "% intervals that contain the truth, with its binomial 95 % interval (Wilson 1927)."
     )
     remarks = [f"{p.name}: {remark}" for p in result.parameters for remark in p.remarks]
     failures = {message: str(n) for message, n in result.failures.items()}

@@ -104,8 +104,8 @@ def moved_table(d: Diagnosis) -> Table:
         ("parameter", "unit", "before", "after", "bias removed", "moved"),
         rows,
         numbers=(2, 3, 4, 5),
-        caption="Estimates without and with the named causes. Bias: what leaving them out had "
-        "added; moved: in standard errors of the estimate after",
+        caption="Estimates without and with the named causes. Bias removed: the error that leaving "
+        "them out had caused; moved: in standard errors of the estimate after",
     )
 
 

@@ -43,8 +43,9 @@ def unexplained_parts(d: Diagnosis) -> list[Part]:
                 ("place", "what", "explained", "score"),
                 places,
                 numbers=(2, 3),
-                caption="Where it could act: what functions of states, inputs and channels explain "
-                "of it there; score: less what as many functions explain by chance",
+                caption="Where it could act. Explained: share that functions of states, inputs and "
+                "channels explain there; score: this share less what as many functions explain by "
+                "chance",
             )
         )
     occurrences = [

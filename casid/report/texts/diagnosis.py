@@ -83,7 +83,7 @@ def _cause(i: int, c: Cause) -> Iterator[str]:
     for record, found in c.by_record.items():
         yield f"     {record}: " + ", ".join(_value(p) for p in found.values())
     for a in c.alternatives:
-        yield f"     or {a.words} [{a.kind}] (p = {a.p_value:.2g}): {a.why}"
+        yield f"     or {a.words} [{a.kind}] (p = {a.p_value:.2g} against the named one): {a.why}"
 
 
 def _remainder(c: Cause) -> Iterator[str]:

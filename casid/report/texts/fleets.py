@@ -66,9 +66,9 @@ def rates_text(fleet: Fleet) -> str:
     monthly = fleet.false_alarms_per_month
     alarms = len(fleet.alarms)
     text = (
-        f"{fleet.discoveries} records lack something at a false discovery rate of {fleet.level:g} "
-        f"(Benjamini-Hochberg), {fleet.discoveries_e} whatever their dependence (e-BH); {alarms} "
-        f"raised an alarm on arrival (LORD++)"
+        f"{fleet.discoveries} records are deficient at a false discovery rate of {fleet.level:g} "
+        f"(Benjamini-Hochberg), {fleet.discoveries_e} of them whatever their dependence (e-BH); "
+        f"{alarms} raised an alarm on arrival (LORD++)"
     )
     if math.isfinite(monthly):
         text += f", at most {monthly:.2g} false ones a month"

@@ -115,7 +115,7 @@ def test_a_test_that_raises_too_few_alarms_keeps_its_level():
     assert not found.alarms.any()
     assert found.threshold == found.alpha
     assert not found.is_corrected
-    assert "the threshold stays" in found.sentence
+    assert "the threshold is unchanged" in found.sentence
 
 
 def test_fewer_runs_than_a_rank_needs_leave_the_threshold_and_say_how_many_it_takes():
@@ -175,7 +175,7 @@ def test_an_interrupted_calibration_keeps_what_is_done_and_says_so():
     assert signal.getsignal(signal.SIGINT) is before
     assert found.is_interrupted
     assert found.runs == 23  # the run at hand is given up
-    assert lines[-1] == "interrupted: the diagnosis goes on with 23 of 60 null records"
+    assert lines[-1] == "interrupted: the diagnosis continues with 23 of 60 null records"
     assert found.notes[0] == "interrupted: 23 of 60 null records were done"
     # 23 are enough for a rank at 5 %: the smallest of them.
     assert found.threshold == min(0.05, found.levels.min())

@@ -60,12 +60,24 @@ def test_a_random_force_is_a_disturbance_of_its_size_and_no_deficiency():
     assert found.std == pytest.approx(SD, rel=0.15)  # 2400 samples: 1.5 % to 5 % by chance
     assert found.share > 0.9  # of an error of some cm beside 2 mm of sensor noise
     assert d.to_json()["disturbances"][0]["std"] == found.std
-    assert "a random part of force that no channel records" in str(d)
+    assert "an unrecorded random disturbance acts on force" in str(d)
+    assert d.noise["force"].startswith("random disturbance, standard deviation")
+
+
+def test_a_disturbance_that_nobody_would_see_is_not_listed():
+    """Without any random force, its estimated variance ends at next to nothing."""
+    problem = casid.Problem("oscillator", oscillator(), channels={"y": "y:m", "F": "F:N"})
+    data = casid.Experiment(record(0.0, seed=4), {}, "quiet")
+    d = casid.diagnose(problem, data, advise=False, starts=1)
+    assert d.verdict == "adequate"
+    assert d.disturbances == ()
+    assert "force" not in d.noise
+    assert "random disturbance" not in str(d)
 
 
 def test_a_disturbance_has_the_unit_that_is_requested_and_a_spectrum_in_words():
     narrow = Disturbance("force", 0.4, "N", 0.5, peak=1.4, bandwidth=0.2)
     assert narrow.in_units({"force": "kN"}).std == pytest.approx(4e-4)
-    assert "around 1.4 Hz, 0.2 Hz wide" in narrow.sentence
-    assert "below 1.7 Hz" in replace(narrow, bandwidth=2.0, peak=0.7).sentence
+    assert "a band 0.2 Hz wide around 1.4 Hz" in narrow.sentence
+    assert "most of its power below 1.7 Hz" in replace(narrow, bandwidth=2.0, peak=0.7).sentence
     assert "flat spectrum" in replace(narrow, bandwidth=None, peak=None).sentence

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from casid.diagnosis.search.refinement import Adoption, Refinement, whole_fit
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.simulation_errors import simulation_errors
 from casid.diagnosis.thresholds import JUDGING
+from casid.diagnosis.verdict.causes import remainders_of
 from casid.estimation.holdout import split_records
 from casid.estimation.simulation.fit import fit_model
 from casid.model.effects.balance_effects import (
@@ -80,6 +82,23 @@ def test_a_cause_that_explains_too_little_is_a_remainder_and_not_in_the_model(dr
     )
     assert all(0 < a.share < JUDGING.practical for a in found.remainders)
     assert ("d_2" in found.fit.criterion.model.parameters) is is_cause
+
+
+def test_a_remainder_that_nobody_would_see_is_listed_only_where_the_model_has_it():
+    of = refinement(0.002)
+    first = hardening(of)
+    second = beside(of, first, quadratic_damping(first.model, "torque"), 0.002)
+    found = of.main(adopted(of, first, second))
+    (small,) = found.remainders
+    tiny = replace(small, share=0.5 * JUDGING.visible)
+    lean, full = (SimpleNamespace(best_fit=fit) for fit in (found.fit, second.fit))
+    for findings in (lean, full):
+        findings.remainders = (small,)
+        (listed,) = remainders_of(findings)
+        assert listed.share == small.share > JUDGING.visible
+        findings.remainders = (tiny,)
+    assert remainders_of(lean) == ()
+    assert [c.kind for c in remainders_of(full)] == ["quadratic_damping"]
 
 
 def test_of_two_that_do_the_same_one_stays_though_each_is_small_beside_the_other():

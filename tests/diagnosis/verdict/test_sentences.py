@@ -26,7 +26,7 @@ from tests.support.samples import deficient as small
 )
 def test_where_the_reason_carries_its_own_mend_no_longer_record_is_asked_for(why):
     said = advice("undecided", [], None, why)
-    assert said == "Correct what the reason names, then diagnose again."
+    assert said == "Correct what the reason above names, then diagnose again."
 
 
 def test_where_the_record_says_too_little_more_of_it_is_asked_for():
@@ -61,7 +61,8 @@ def test_the_text_describes_what_has_no_name_and_tells_the_notes_of_a_calibratio
         is_interrupted=True,
     )
     text = str(changed(small(), causes=(NAMED, unknown), calibration=calibration))
-    assert "or unidentified term in torque (p^3) [unknown] (p = 0.2): explains as much" in text
+    rival = "or unidentified term in torque (p^3) [unknown] (p = 0.2 against the named one)"
+    assert f"{rival}: explains as much" in text
     assert "2. unidentified term in torque [unknown] (p = 1.0e-09): a torque like p^3" in text
     assert "interrupted: 40 of 200 null records were done" in text
     assert "3 null records were undecided, which is no alarm" in text
