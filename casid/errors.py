@@ -59,7 +59,7 @@ def require_texts(where: str, **texts: Iterable[object]) -> None:
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """``; did you mean 'b1'?`` for the nearest known name, or what there is; for messages."""
-    known = sorted(known)
+    known = sorted(set(known))
     lowered = {k.lower(): k for k in reversed(known)}
     close = difflib.get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
     if close:

@@ -10,7 +10,7 @@ import click
 
 from casid.cli.request import parse_setting
 from casid.errors import DataError
-from casid.experiment_design.thresholds import DESIGN
+from casid.experiment_design.thresholds import DESIGN, STARTING
 
 if TYPE_CHECKING:
     from casid.experiment_design.aim import Aim
@@ -129,10 +129,9 @@ INPUT_OPTIONS = (
     click.option(
         "--starts",
         type=click.IntRange(min=1),
-        default=DESIGN.starts,
-        show_default=True,
         metavar="N",
-        help="Number of the best standard inputs from which the optimisation starts.",
+        help="Number of the best standard inputs from which the optimisation starts. Default "
+        f"{DESIGN.starts}, and up to {STARTING.most} for inputs of few intervals.",
     ),
     click.option(
         "--seconds",

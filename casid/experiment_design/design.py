@@ -158,7 +158,7 @@ def _again(before: _Answer, limits: Limits, aim: Aim, duration: float, o: Design
     u = before.best.u[: setup.N]
     w = setup.excitation.nearest(u - setup.at_rest)
     begin = setup.at_rest + setup.excitation.samples @ w, before.best.release
-    seconds, starts = DURATION.share * o["seconds"], min(1, o["starts"])
+    seconds, starts = DURATION.share * o["seconds"], 0 if o["starts"] == 0 else 1
     search = replace(
         before.search,
         setup=setup,
@@ -359,7 +359,7 @@ def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[s
     for effect, size in zip(search.question.effects, search.question.sizes, strict=True):
         values = ", ".join(f"{n} = {v:.4g}" for n, v in size.items())
         notes.append(f"{effect.kind} in {effect.key[1]} is taken with {values} (SI).")
-    if not best.iterations and search.starts:
+    if not best.iterations and search.starts != 0:
         notes.append(
             "The program found nothing better than the best standard input, which this is."
         )

@@ -36,7 +36,8 @@ class DesignOptions(TypedDict, total=False):
         the worst of them, and the limits hold in all.
     candidates : standard inputs drawn under the same limits, to begin from and compare with.
     standards : their kinds, of step, doublet, chirp, PRBS and multisine; default all.
-    starts : of the best of them from which the program is solved; 0 compares them alone.
+    starts : of the best of different kinds, from which the program is solved; default 2, and up to
+        12 where the input has few variables. 0 compares them alone.
     seconds : of the processor, that may be spent on solving.
     seed : of everything random.
     verify : simulated records of each truth, to which truth and rival are fitted, as a check of the
@@ -58,7 +59,7 @@ class DesignOptions(TypedDict, total=False):
     scenarios: Sequence[Mapping[str, float]]
     candidates: int
     standards: Sequence[str]
-    starts: int
+    starts: int | None
     seconds: float
     seed: int
     verify: int
@@ -66,12 +67,11 @@ class DesignOptions(TypedDict, total=False):
 
 _DEFAULTS: Mapping[str, Any] = {
     **dict.fromkeys(("Ts", "shape", "interval", "band", "slew", "max_energy", "release")),
-    **dict.fromkeys(("x0", "noise")),
+    **dict.fromkeys(("x0", "noise", "starts")),
     **dict.fromkeys(("hold", "sizes"), {}),
     **dict.fromkeys(("scenarios", "standards"), ()),
     "intervals": DESIGN.intervals,
     "candidates": DESIGN.candidates,
-    "starts": DESIGN.starts,
     "seconds": DESIGN.seconds,
     **dict.fromkeys(("seed", "verify"), 0),
 }

@@ -25,6 +25,7 @@ from casid.experiment_design.hypotheses import (
 from casid.experiment_design.information import Target, gradient_of, scores
 from casid.experiment_design.prediction import Prediction
 from casid.experiment_design.setup import Setup
+from casid.experiment_design.stability import require_holdable
 from casid.experiment_design.standard_inputs import drawn, shrunk
 from casid.experiment_design.thresholds import DESIGN
 from casid.identifiability.requirement import require_identifiable
@@ -72,12 +73,14 @@ def question_of(
     Raises
     ------
     DataError, ModelError
-        For parameters and causes that there are not, or sizes that are missing.
+        For parameters and causes that there are not, sizes that are missing, or a system that no
+        planned input keeps where it starts.
     IdentifiabilityError
         If no input answers it.
     """
     base = nominal_hypothesis(setup.nominal, setup.designed, setup.excitation.hold)
     bases = [base, *(base.at(_known(base, s)) for s in scenarios)]
+    require_holdable(setup, base, lambda: _usual_motion(setup, base, seed))
     if aim.kind in ("estimate", "identifiable"):
         return _of_parameters(aim, setup, bases)
     usual = _usual_motion(setup, base, seed)

@@ -17,7 +17,7 @@ from casid.experiment_design.question import Question
 from casid.experiment_design.rival_fits import imitation
 from casid.experiment_design.setup import Setup
 from casid.experiment_design.standard_inputs import StandardInput, drawn, shrunk
-from casid.experiment_design.thresholds import DESIGN, KEEPING, NUMERICS
+from casid.experiment_design.thresholds import DESIGN, KEEPING, NUMERICS, STARTING
 from casid.time_limit import processor_clock
 
 
@@ -44,7 +44,8 @@ class Search:
 
     Parameters
     ----------
-    candidates : standard inputs drawn; `starts` of them are improved.
+    candidates : standard inputs drawn; `starts` of them are improved, the best of every kind first;
+        None: as many as the size of the program allows.
     seconds : of the processor, that may be spent on solving.
     kinds : of the standard inputs; default all.
     begin : other inputs (N, nu) with displacements (nr,) to begin from, before the standard ones.
@@ -53,7 +54,7 @@ class Search:
     setup: Setup
     question: Question
     candidates: int = DESIGN.candidates
-    starts: int = DESIGN.starts
+    starts: int | None = None
     seconds: float = DESIGN.seconds
     seed: int = 0
     progress: Callable[[str], None] = lambda _: None
@@ -68,16 +69,18 @@ class Search:
         prediction = self._first_prediction()
         self.setup = prediction.setup
         ranked = self._standards(prediction)
-        first = ranked[: max(self.starts, DESIGN.judged)]
+        starts = self._number_of_starts()
+        first = ranked[: max(starts, DESIGN.judged)]
         best_of_kind = {s.kind: s for s in reversed(ranked)}
         chosen = [*first, *(s for s in best_of_kind.values() if s not in first)]
         # Rivals linearised at one input say little of another: they are fitted anew to each.
         judged = [self.judged(prediction, s.u, s.release, s.description) for s in chosen]
         self.judged_standards = list(zip([s.kind for s in chosen], judged, strict=True))
+        diverse = _best_of_kinds_first(self.judged_standards)
         judged.sort(key=lambda f: -f.least)
         allowed = [shrunk(prediction, *given) for given in self.begin]
         given = [self.judged(prediction, *at, "another design") for at in allowed if at is not None]
-        begun, improved = [*given, *judged][: max(self.starts, len(given))], []
+        begun, improved = [*given, *diverse][: max(starts, len(given))], []
         ends = processor_clock() + self.seconds
         for k, start in enumerate(begun):
             left = (ends - processor_clock()) / (len(begun) - k)
@@ -86,6 +89,12 @@ class Search:
             self.progress(f"solve from: {start.what}")
             improved.append(self.improved(start, processor_clock() + left))
         return max([judged[0], *given, *improved], key=lambda f: f.least), judged[0]
+
+    def _number_of_starts(self) -> int:
+        if self.starts is not None:
+            return self.starts
+        size = self.setup.excitation.n * len(self.setup.designed) + len(self.setup.released)
+        return int(np.clip(STARTING.variables // size, DESIGN.starts, STARTING.most))
 
     # -- standard inputs ---------------------------------------------------------------------
 
@@ -290,6 +299,14 @@ class Search:
                     return coarser
                 before, coarser = there, steps
         return coarser
+
+
+def _best_of_kinds_first(judged: Sequence[tuple[str, Found]]) -> list[Found]:
+    """The best of every kind, best first, and then the others."""
+    ranked = sorted(judged, key=lambda entry: -entry[1].least)
+    best = {kind: found for kind, found in reversed(ranked)}
+    leading = sorted(best.values(), key=lambda f: -f.least)
+    return [*leading, *(f for _, f in ranked if f not in leading)]
 
 
 def same(one: tuple[Array, Array], other: tuple[Array, Array]) -> bool:

@@ -260,10 +260,12 @@ def noise_of(nominal: Nominal, given: Mapping[str, float] | None) -> Array:
 def start_of(model: Model, given: Mapping[str, float] | None, limits: Limits) -> dict[str, float]:
     """State -> initial value, SI: as given, else known, else the declared start.
 
+    Where a displacement is released from, the start lies in its range.
+
     Raises
     ------
     DataError
-        For a state that the model does not have, or a start outside its limit.
+        For a state that the model does not have, or a start outside its limit or release.
     """
     for name in given or {}:
         if name not in model.states:
@@ -273,6 +275,14 @@ def start_of(model: Model, given: Mapping[str, float] | None, limits: Limits) ->
             )
     own = {n: s.start if s.initial is None else s.initial for n, s in model.states.items()}
     start = {**own, **model.in_si(dict(given or {}))}
+    for name, (low, high) in limits.release.items():
+        if name in (given or {}) and not low <= start[name] <= high:
+            shown = [model.shown(name, v) for v in (start[name], low, high)]
+            raise DataError(
+                f"x0 of {name}: {shown[0]:g} {model.unit_of(name)} lies outside the {shown[1]:g} "
+                f"to {shown[2]:g} from which it is released; give one of the two"
+            )
+        start[name] = min(max(start[name], low), high)
     for name, (low, high) in limits.signals.items():
         if name in start and name not in limits.release and not low <= start[name] <= high:
             low, high, value = (model.shown(name, v) for v in (low, high, start[name]))

@@ -26,7 +26,11 @@ class Designing:
     intervals: int = _is(100, "intervals of an input where no number is given", _DESIGN)
     candidates: int = _is(60, "standard inputs that are drawn to begin from", _DESIGN)
     usual: int = _is(8, "standard inputs that say how large signals are", _DESIGN)
-    starts: int = _is(2, "of them, the best, from which the program is solved", _DESIGN)
+    starts: int = _is(
+        2,
+        "of them, the best of different kinds, from which the program is solved, at least",
+        _DESIGN,
+    )
     seconds: float = _is(45.0, "of the processor, for solving, where no time is given", _DESIGN)
     judged: int = _is(
         6, "standard inputs, the best by linearised rivals, to which rivals are fitted", _DESIGN
@@ -53,6 +57,18 @@ class Designing:
     nothing: float = _is(
         1e-9, "of a misfit, that is left where a rival imitates a cause in every input", _DESIGN
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Starting:
+    """From how many inputs the program is solved where no number is given."""
+
+    variables: int = _is(
+        200,
+        "decision variables of all programs together, up to which there are more than the least",
+        _PUBLISHED,
+    )
+    most: int = _is(12, "inputs, at most", _PUBLISHED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,12 +138,27 @@ class Lengths:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Stability:
+    """Which systems an input can be planned for in advance."""
+
+    growth: float = _is(
+        1e3,
+        "times that a small deviation may grow within the record: one of a thousandth of a limit's "
+        "width fills it",
+        _LIMITS,
+    )
+    shown: float = _is(1e6, "times, above which a message names no number but a million", _LIMITS)
+
+
 DESIGN = Designing()
 NUMERICS = Numerics()
+STARTING = Starting()
 DURATION = Lengths()
 KEEPING = Keeping()
+STABILITY = Stability()
 
-GROUPS = (DESIGN, NUMERICS, DURATION, KEEPING)
+GROUPS = (DESIGN, STARTING, NUMERICS, DURATION, KEEPING, STABILITY)
 
 TABLE = entries(*GROUPS)
 """All of them."""

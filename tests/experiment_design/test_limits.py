@@ -82,6 +82,13 @@ U = {"u": (-1, 1)}
         (Aim.estimate(), None, 6.0, {"release": {"phi": (-5, 5)}}, ["--hold u=VALUE"]),
         (Aim.estimate(), {**U, "phi": (-5, 5)}, 6.0, {"x0": {"phi": 8}}, ["starts at phi = 8"]),
         (Aim.estimate(), U, 6.0, {"hold": {"u": 3}}, ["outside the limit"]),
+        (
+            Aim.estimate(),
+            U,
+            6.0,
+            {"release": {"phi": (1, 5)}, "x0": {"phi": 8}},
+            ["x0 of phi: 8 deg", "1 to 5"],
+        ),
         (Aim.estimate(), U, 6.0, {"slew": {"u": 2}, "shape": "constant"}, ["shape='linear'"]),
         (Aim.estimate(), U, 6.0, {"noise": {"y": 1}}, ["no such output"]),
         (Aim.detect("coulomb"), U, 6.0, {}, ["no effect 'coulomb'", "coulomb_friction"]),
@@ -175,3 +182,53 @@ def test_limits_hold_between_long_intervals_in_which_the_state_swings() -> None:
     phi = next(use for use in found.limits if use.name == "phi")
     assert -6.0 <= phi.lowest < -5.0 < 5.0 < phi.highest <= 6.0
     assert found.gain > 1.2
+
+
+def levitation(gain: float = 0.0) -> casid.Problem:
+    """x'' = 2000 x + 50 i: poles at +-44.7 1/s; in a loop i = gain (r - x) - 2 v."""
+    m = casid.Model("levitation")
+    x, v = m.state("x", "mm"), m.state("v", "mm/s")
+    acting = m.input("r", "mm") if gain else m.input("i", "A")
+    M = m.parameter("M", "kg", start=0.1, lower=0.01)
+    k_x = m.parameter("k_x", "N/m", start=200.0, lower=0.0)
+    k_i = m.constant("k_i", 5.0, "N/A")
+    K_p, K_d = m.constant("K_p", gain, "A/m"), m.constant("K_d", 2.0, "A s/m")
+    i = K_p * (acting - x) - K_d * v if gain else acting
+    m.derivative(x, v)
+    m.balance(v, "force", inertia=M, terms=[k_x * x, k_i * i])
+    m.output("gap", x, "mm")
+    return casid.Problem("levitation", m, noise={"gap": 0.01})
+
+
+@pytest.mark.parametrize("limits", [{"i": (-1, 1)}, {"i": (-1, 1), "gap": (-2, 2)}])
+def test_an_unstable_equilibrium_is_refused_with_the_time_for_which_a_plan_holds(
+    limits: dict[str, Any],
+) -> None:
+    """A deviation grows a thousandfold within ln(1000) / sqrt(2000) = 0.1545 s."""
+    text = refusal(levitation(), Aim.estimate(), limits, 2.0, Ts=0.01)
+    assert "a factor of e every 0.02236 s" in text
+    assert "0.1545 s at most" in text
+    assert "State its controller in the model" in text
+
+
+def test_an_unstable_equilibrium_is_excited_by_the_reference_of_its_loop() -> None:
+    limits = {"r": (-1, 1), "gap": (-2, 2)}
+    settings = {**SMALL, "Ts": 0.01}
+    found = casid.design_experiment(levitation(120.0), Aim.estimate(), limits, 1.0, **settings)
+    assert all(p.is_determined for p in found.parameters)
+    assert all(use.lower <= use.lowest < use.highest <= use.upper for use in found.limits)
+
+
+def test_an_oscillator_is_excited_though_it_leaves_its_equilibrium() -> None:
+    """Its limit cycle is bounded: what deviates at the start comes back to the cycle."""
+    m = casid.Model("van der Pol")
+    x, v, u = m.state("x", "1", start=0.0), m.state("v", "1/s"), m.input("u", "1/s^2")
+    mu = m.parameter("mu", "1/s", start=1.0, lower=0.0)
+    stiffness = m.constant("omega_0^2", 1.0, "1/s^2")
+    m.derivative(x, v)
+    m.derivative(v, u + mu * (1 - x**2) * v - stiffness * x)
+    m.output("x", x, "1")
+    problem = casid.Problem("van der Pol", m, noise={"x": 0.01})
+    settings = {**SMALL, "Ts": 0.2, "starts": 0}
+    found = casid.design_experiment(problem, Aim.estimate(), {"u": (-1, 1)}, 20.0, **settings)
+    assert found.parameters[0].is_determined
