@@ -146,7 +146,15 @@ INPUT_OPTIONS = (
         type=click.IntRange(min=0),
         default=0,
         metavar="N",
-        help="Check the predicted power: fit truth and rival to N simulated records of each truth.",
+        help="Check the predicted power: diagnose N simulated records of each truth, and fit truth "
+        "and rival to them.",
+    ),
+    click.option(
+        "--verify-by",
+        type=click.Choice(["diagnoses", "fits"]),
+        default="diagnoses",
+        show_default=True,
+        help="Of --verify: whole diagnoses and fits, or fits alone, which is faster.",
     ),
 )
 
@@ -204,7 +212,7 @@ class AimOptions:
 _NUMBERS = ("slew", "max_energy", "hold", "x0", "noise")
 _PLAIN = (
     *("shape", "intervals", "interval", "Ts"),
-    *("candidates", "starts", "seconds", "verify"),
+    *("candidates", "starts", "seconds", "verify", "verify_by"),
 )
 
 

@@ -36,7 +36,7 @@ from casid.experiment_design.shortest_record import (
 )
 from casid.experiment_design.standard_inputs import kinds_of
 from casid.experiment_design.thresholds import DURATION, KEEPING
-from casid.experiment_design.verification import verified
+from casid.experiment_design.verification import Verification, contradictions, verified
 from casid.model.units import from_si
 from casid.versions import versions
 
@@ -111,9 +111,10 @@ def _checked(
     progress: Callable[[str], None],
 ) -> DesignedExperiment:
     """The same with right answers counted in simulated records."""
-    given = found.aim, question, best, found.outcomes, o["seed"]
-    checked = verified(*given, runs=o["verify"], progress=progress)
-    return replace(found, outcomes=checked)
+    how = Verification(o["verify"], o["verify_by"] == "diagnoses", o["seed"])
+    checked = verified(found.aim, question, best, found.outcomes, how, progress)
+    notes = [*contradictions(checked), *found.notes]
+    return replace(found, outcomes=checked, details={**found.details, "notes": notes})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

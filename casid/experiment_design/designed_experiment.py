@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from scipy.optimize import brentq
-from scipy.stats import chi2, ncx2, norm
+from scipy.stats import binomtest, chi2, ncx2, norm
 
 from casid.data.files import plain, plain_fields
 from casid.data.reading.columns import ColumnSpec
@@ -92,8 +92,10 @@ class Outcome:
     alone : the same of a fit without any cause; 0 of a detection, whose rival that is.
     power : probability that the record names the truth (of a detection: an alarm).
     standard : the same probability in the best standard input.
-    right, runs : of so many simulated records, those with the right answer; 0 of 0 where none were
-        simulated.
+    right, runs : of so many simulated records, those that the truth fits better than the rival (of
+        a detection: with an alarm); 0 of 0 where none were simulated.
+    diagnosed : of these, those whose whole diagnosis names the truth before the rival; None where
+        none was diagnosed.
     """
 
     truth: str
@@ -104,6 +106,15 @@ class Outcome:
     right: int = 0
     runs: int = 0
     alone: float = 0.0
+    diagnosed: int | None = None
+
+    @property
+    def agreement(self) -> float | None:
+        """p-value of the count against the predicted power: that of diagnoses, else of fits."""
+        if not self.runs:
+            return None
+        counted = self.right if self.diagnosed is None else self.diagnosed
+        return float(binomtest(counted, self.runs, min(self.power, 1.0)).pvalue)
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypedDict, cast
+from typing import Any, Literal, TypedDict, cast
 
 from casid.errors import DataError, nearest
 from casid.experiment_design.excitation import Shape
@@ -40,8 +40,9 @@ class DesignOptions(TypedDict, total=False):
         12 where the input has few variables. 0 compares them alone.
     seconds : of the processor, that may be spent on solving.
     seed : of everything random.
-    verify : simulated records of each truth, to which truth and rival are fitted, as a check of the
-        predicted power; default none.
+    verify : simulated records of each truth, as a check of the predicted power; default none.
+    verify_by : "diagnoses" (default) fits truth and rival to each of them and has each diagnosed
+        with the whole catalogue; "fits" fits them alone, which is faster.
     """
 
     Ts: float | None
@@ -63,6 +64,7 @@ class DesignOptions(TypedDict, total=False):
     seconds: float
     seed: int
     verify: int
+    verify_by: Literal["diagnoses", "fits"]
 
 
 _DEFAULTS: Mapping[str, Any] = {
@@ -74,7 +76,9 @@ _DEFAULTS: Mapping[str, Any] = {
     "candidates": DESIGN.candidates,
     "seconds": DESIGN.seconds,
     **dict.fromkeys(("seed", "verify"), 0),
+    "verify_by": "diagnoses",
 }
+VERIFIED_BY = ("diagnoses", "fits")
 
 
 def filled(given: DesignOptions) -> DesignOptions:
@@ -83,10 +87,12 @@ def filled(given: DesignOptions) -> DesignOptions:
     Raises
     ------
     DataError
-        For an option that there is not.
+        For an option that there is not, or a check that there is not.
     """
     for name in given:
         if name not in _DEFAULTS:
             raise DataError(f"a design has no option {name!r}{nearest(name, _DEFAULTS)}")
+    if (by := given.get("verify_by")) not in (None, *VERIFIED_BY):
+        raise DataError(f"verify_by {by!r} is not known; use {' or '.join(map(repr, VERIFIED_BY))}")
     chosen = {name: value for name, value in given.items() if value is not None}
     return cast(DesignOptions, {**_DEFAULTS, **chosen})

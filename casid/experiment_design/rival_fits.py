@@ -17,6 +17,7 @@ from casid.estimation.simulation.minimization import minimize_simulation_error
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.experiment_design.hypotheses import Hypothesis
 from casid.experiment_design.prediction import Prediction
+from casid.experiment_design.setup import Setup
 from casid.model.model import Model
 
 
@@ -65,13 +66,7 @@ def fitted_to(
     None where the fit fails.
     """
     setup = prediction.setup
-    model = rival.model.with_si_values(rival.values).taking_si()
-    for name in rival.free:
-        p = model.parameters[name]
-        inside = float(np.clip(p.value if p.value is not None else p.start, p.lower, p.upper))
-        model.parameters[name] = replace(p, value=None, start=inside)
-    for name, value in zip(model.states, setup.initial(model, release).tolist(), strict=True):
-        model.states[name] = replace(model.states[name], start=value)
+    model = model_to_fit(setup, rival, release)
     start: Mapping[str, float] = {f"{n}(0)": model.states[n].start for n in rival.free_states}
     with suppress(CasidError):
         criterion = SimulationError(
@@ -88,3 +83,15 @@ def fitted_to(
         at_bound = {*fit.solution.at_lower, *fit.solution.at_upper}
         return 2 * float(fit.solution.value), rival.at(found, [n for n in found if n in at_bound])
     return None
+
+
+def model_to_fit(setup: Setup, h: Hypothesis, release: Array) -> Model:
+    """The model of a hypothesis in SI, its free parameters unknown and begun at its values."""
+    model = h.model.with_si_values(h.values).taking_si()
+    for name in h.free:
+        p = model.parameters[name]
+        inside = float(np.clip(p.value if p.value is not None else p.start, p.lower, p.upper))
+        model.parameters[name] = replace(p, value=None, start=inside)
+    for name, value in zip(model.states, setup.initial(model, release).tolist(), strict=True):
+        model.states[name] = replace(model.states[name], start=value)
+    return model

@@ -139,6 +139,16 @@ class Lengths:
 
 
 @dataclass(frozen=True, slots=True)
+class Checking:
+    """How a prediction is compared with simulated records."""
+
+    level: float = _is(
+        0.01, "of the binomial test, below which counts contradict the prediction", _DESIGN
+    )
+    reported: int = _is(25, "diagnoses between two lines of progress", _DESIGN)
+
+
+@dataclass(frozen=True, slots=True)
 class Stability:
     """Which systems an input can be planned for in advance."""
 
@@ -157,8 +167,9 @@ STARTING = Starting()
 DURATION = Lengths()
 KEEPING = Keeping()
 STABILITY = Stability()
+CHECKING = Checking()
 
-GROUPS = (DESIGN, STARTING, NUMERICS, DURATION, KEEPING, STABILITY)
+GROUPS = (DESIGN, STARTING, NUMERICS, DURATION, KEEPING, STABILITY, CHECKING)
 
 TABLE = entries(*GROUPS)
 """All of them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,12 @@ from scipy.stats import norm
 import casid
 from casid import Aim
 from casid.experiment_design.designed_experiment import (
+    Outcome,
     energy_for_detection,
     probability_of_detection,
     probability_of_right_name,
 )
+from casid.experiment_design.verification import contradictions
 
 
 def spring(**noise: float) -> casid.Problem:
@@ -100,6 +103,7 @@ def test_the_power_predicted_is_the_share_of_right_names_in_simulated_records() 
         6.0,
         sizes={"quadratic_damping": 1.0, "cubic_damping": 1.0},
         verify=runs,
+        verify_by="fits",
         **SMALL,
     )
     for o in found.outcomes:
@@ -107,6 +111,37 @@ def test_the_power_predicted_is_the_share_of_right_names_in_simulated_records() 
         assert o.runs == runs
         spread = np.sqrt(o.power * (1 - o.power) / runs)
         assert abs(o.right / runs - o.power) < 4 * spread + 0.5 / runs
+
+
+def test_whole_diagnoses_of_simulated_records_are_counted_with_the_interval_of_their_share() -> (
+    None
+):
+    """A catalogue of other causes stands beside the two: the one that is true is still named."""
+    found = casid.design_experiment(
+        spring(y=0.003),
+        Aim.separate("quadratic_damping", "cubic_damping"),
+        {"u": (-2, 2), "y": (-0.8, 0.8)},
+        6.0,
+        sizes={"quadratic_damping": 1.0, "cubic_damping": 1.0},
+        verify=6,
+        **SMALL,
+    )
+    for o in found.outcomes:
+        assert o.power > 0.99
+        assert o.diagnosed == o.right == o.runs == 6
+        assert o.agreement == pytest.approx(1.0, abs=0.05)
+    # 6 of 6: the lower end of the interval of Clopper and Pearson is 0.025^(1/6).
+    assert f"6 of 6 ({100 * 0.025 ** (1 / 6):.3g} .. 100 %)" in str(found)
+
+
+def test_a_share_of_right_names_that_contradicts_the_prediction_is_noted() -> None:
+    """80 of 100 where 95 % were predicted: p = 2e-8 of the binomial test."""
+    as_predicted = Outcome("a", "b", 10.8, 0.95, 0.9, right=94, runs=100)
+    missed = replace(as_predicted, diagnosed=80)
+    assert contradictions([as_predicted]) == []
+    (words,) = contradictions([missed])
+    assert "whole diagnoses named it in 80 of 100" in words
+    assert "95 % were predicted" in words
 
 
 def test_a_designed_experiment_is_written_saved_and_read(

@@ -104,6 +104,7 @@ def test_two_causes_are_separated_through_the_indirect_model() -> None:
         6.0,
         sizes={"quadratic_damping": 0.2},
         verify=runs,
+        verify_by="fits",
         **SMALL,
     )
     for o in found.outcomes:

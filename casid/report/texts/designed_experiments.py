@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from math import isfinite
 
-from casid.experiment_design.designed_experiment import DesignedExperiment, LimitUse, Standard
+from scipy.stats import binomtest
+
+from casid.experiment_design.designed_experiment import (
+    DesignedExperiment,
+    LimitUse,
+    Outcome,
+    Standard,
+)
 from casid.experiment_design.thresholds import DESIGN
 from casid.report.document import Document, Part, Table, labelled
 from casid.report.numbers import number_text, value_text
@@ -27,20 +34,31 @@ def design_document(found: DesignedExperiment) -> Document:
 
 def outcome_table(found: DesignedExperiment) -> Table:
     """A row a truth and its rival."""
+    is_diagnosed = any(o.diagnosed is not None for o in found.outcomes)
     rows = [
         (
             *(o.truth, o.rival, number_text(o.energy), _percent(o.power), _percent(o.standard)),
             *([f"{o.right} of {o.runs}"] if o.runs else []),
+            *([_diagnosed(o)] if is_diagnosed else []),
         )
         for o in found.outcomes
     ]
     head = ["if the truth is", "rival", "misfit energy", "power", "best standard"]
     head += ["right in simulation"] if any(o.runs for o in found.outcomes) else []
+    head += ["right diagnoses"] if is_diagnosed else []
     caption = (
         "Energy in units of the noise that the rival's best fit leaves, and the probability of "
         "the right answer"
     )
     return Table(head, rows, numbers=range(2, len(head)), caption=caption)
+
+
+def _diagnosed(o: Outcome) -> str:
+    """Right diagnoses with the 95 % interval of their share (Clopper and Pearson 1934)."""
+    if o.diagnosed is None:
+        return ""
+    low, high = binomtest(o.diagnosed, o.runs).proportion_ci(0.95)
+    return f"{o.diagnosed} of {o.runs} ({100 * low:.3g} .. {100 * high:.3g} %)"
 
 
 def learned_table(found: DesignedExperiment) -> Table:
