@@ -25,6 +25,7 @@ diagnosis: evidence unexplained verdict advice calibration
 facts: verdict diagnosis
 diagnose: thresholds settings evidence search verdict advice calibration diagnosis
 investigation: diagnosis diagnose
+named_causes: diagnose
 """
 
 FILES = sorted(p for p in ROOM.rglob("*.py") if p.name != "__init__.py")
