@@ -65,6 +65,10 @@ AIM_OPTIONS = (
     ),
 )
 
+SAMPLE_TIME_OPTION = click.option(
+    "--sample-time", "Ts", type=float, metavar="TS", help="Sample time of the record [s]."
+)
+
 INPUT_OPTIONS = (
     click.option(
         "--duration",
@@ -116,9 +120,6 @@ INPUT_OPTIONS = (
     ),
     click.option("--band", metavar="FROM:TO", help="Frequencies of a multisine [Hz]."),
     click.option(
-        "--sample-time", "Ts", type=float, metavar="TS", help="Sample time of the record [s]."
-    ),
-    click.option(
         "--candidates",
         type=click.IntRange(min=1),
         default=DESIGN.candidates,
@@ -158,7 +159,7 @@ INPUT_OPTIONS = (
     ),
 )
 
-DESIGN_OPTIONS = (*AIM_OPTIONS, *INPUT_OPTIONS)
+DESIGN_OPTIONS = (*AIM_OPTIONS, *INPUT_OPTIONS, SAMPLE_TIME_OPTION)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +225,7 @@ def design_arguments(given: dict[str, Any]) -> dict[str, Any]:
     DataError
         For what cannot be read.
     """
-    out = {name: given.pop(name) for name in _PLAIN}
+    out = {name: given.pop(name, None) for name in _PLAIN}
     for name in _NUMBERS:
         option = f"--{name.replace('_', '-')}"
         values = dict(parse_setting(text, option) for text in given.pop(name))

@@ -24,6 +24,7 @@ from casid.cli.fleet import fleet
 from casid.cli.gallery import gallery
 from casid.cli.identifiability import identifiability
 from casid.cli.identify import identify
+from casid.cli.investigate import investigate
 from casid.cli.montecarlo import montecarlo
 from casid.cli.new import new
 from casid.cli.serve import serve
@@ -110,7 +111,7 @@ def main(context: click.Context) -> None:
 
 COMMANDS = (
     *(new, check, diagnose, identify, identifiability, montecarlo, fleet),
-    *(simulate, design, export, example, gallery, serve),
+    *(simulate, design, investigate, export, example, gallery, serve),
 )
 for command in COMMANDS:
     main.add_command(command)

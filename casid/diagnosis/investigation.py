@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
+from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.data.record import Record
 from casid.diagnosis.diagnose import diagnose
@@ -18,13 +19,14 @@ from casid.experiment_design.designed_experiment import DesignedExperiment
 from casid.experiment_design.limits import Range
 from casid.experiment_design.options import DesignOptions
 from casid.experiment_design.shortest_record import Duration
+from casid.presentation import Presented, write
 
 Measure = Callable[[DesignedExperiment], Record]
 """Takes the record of a designed experiment: plays `input.csv`, returns what was measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Investigation:
+class Investigation(Presented):
     """Records, what was diagnosed from them, and the experiments that were designed.
 
     Attributes
@@ -36,7 +38,7 @@ class Investigation:
     """
 
     problem: str
-    records: tuple[Record, ...]
+    records: tuple[Record | Experiment, ...]
     diagnoses: tuple[Diagnosis, ...]
     designs: tuple[DesignedExperiment, ...]
     ending: str
@@ -59,15 +61,6 @@ class Investigation:
     def __repr__(self) -> str:
         return f"<Investigation {self.problem}: {len(self.records)} records, {self.ending}>"
 
-    def __str__(self) -> str:
-        lines = [f"Investigation of {self.problem}: {self.ending}"]
-        for i, found in enumerate(self.diagnoses):
-            count = len(self.records) - len(self.diagnoses) + 1 + i
-            lines.append(f"  {count} record{'s' * (count > 1)}: {found.sentence}")
-            if i < len(self.designs):
-                lines.append(f"  designed: {self.designs[i].sentence}")
-        return "\n".join(lines)
-
     def to_json(self) -> dict[str, Any]:
         """Plain data of all diagnoses and designs."""
         return {
@@ -81,7 +74,10 @@ class Investigation:
         }
 
     def write(self, folder: str | Path) -> Path:
-        """Write a folder each, `diagnosis-1`, `design-1`, ...; returns `folder`."""
+        """Write the page, the numbers, and a folder each: `diagnosis-1`, `design-1`, ...
+
+        With the experiment that is still to be recorded as `input.csv`; returns `folder`.
+        """
         folder = Path(folder)
         every: list[tuple[str, Diagnosis | DesignedExperiment]] = [
             *((f"diagnosis-{i}", found) for i, found in enumerate(self.diagnoses, 1)),
@@ -90,12 +86,15 @@ class Investigation:
         for name, result in every:
             (folder / name).mkdir(parents=True, exist_ok=True)
             result.write(folder / name)
+        write(self, folder)
+        if self.next is not None:
+            self.next.write_csv(folder / "input.csv", force=True)
         return folder
 
 
 def investigate(
     problem: Problem,
-    records: Sequence[Record],
+    records: Sequence[Record | Experiment],
     limits: Mapping[str, Range],
     duration: Duration,
     *,
@@ -111,7 +110,8 @@ def investigate(
 
     Parameters
     ----------
-    records : at hand, at least one, in the problem's channels (SI).
+    records : at hand, at least one, in the problem's channels (SI); an experiment has its load
+        case with it.
     limits, duration, options : of every experiment, as `casid.design_experiment` takes them.
     measure : takes the record of a designed experiment; `most` of them.
     diagnosis : options of `casid.diagnose`, by name.
@@ -156,7 +156,7 @@ def investigate(
     return Investigation(problem.name, tuple(taken), tuple(diagnoses), tuple(designs), ending)
 
 
-def _at_hand(problem: Problem, records: Sequence[Record]) -> list[Record]:
+def _at_hand(problem: Problem, records: Sequence[Record | Experiment]) -> list[Record | Experiment]:
     """The records to begin with; refuses none."""
     if not len(records):
         raise DataError(

@@ -198,6 +198,7 @@ def _excitation(nominal: Nominal, limits: Limits, duration: float, o: DesignOpti
             )
         intervals = max(1, round(duration / interval))
     Ts = o["Ts"] or nominal.Ts or duration / max(intervals, 1) / 4
+    Ts = float(f"{Ts:.12g}")  # that of records is a difference of time stamps
     if not 0 < Ts <= duration / 2:
         raise DataError(
             f"a duration of {duration:g} s at a sample time of {Ts:g} s holds less than two "

@@ -65,6 +65,10 @@ RENDERERS: Mapping[str, Mapping[str, str]] = {
         "report": "pages.fleet_page.fleet_report",
     },
     "Invariants": {"document": "texts.moments.invariants_document"},
+    "Investigation": {
+        "document": "texts.investigations.investigation_document",
+        "report": "pages.investigation_page.investigation_report",
+    },
     "Isolability": {
         "document": "texts.diagnosis.isolability_document",
         "figure": "figures.isolability.isolability_figure",
@@ -120,6 +124,7 @@ JSON_FILES = {
     "DesignedExperiment": "design.json",
     "Diagnosis": "diagnosis.json",
     "Fleet": "fleet.json",
+    "Investigation": "investigation.json",
     "MonteCarlo": "montecarlo.json",
 }
 """Name of a class -> file beside its page."""

@@ -66,6 +66,10 @@ def test_a_tie_is_broken_by_the_record_that_was_designed_for_it(tmp_path: Path) 
     first.write(tmp_path)
     assert (tmp_path / "design-1" / "input.csv").exists()
     assert (tmp_path / "diagnosis-1" / "diagnosis.json").exists()
+    played = casid.read_record(tmp_path / "input.csv")
+    assert played["u"] == pytest.approx(second["u"])
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "The experiment to record next" in page
     assert first.to_json()["is_decided"] is False
 
 
