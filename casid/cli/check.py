@@ -76,7 +76,7 @@ def check(
 
 def _checked(source: Source, request: Request, problem: Problem | None) -> CheckReport:
     from casid.data.quality import check as run
-    from casid.data.reading.columns import ColumnSpec
+    from casid.data.reading.columns import ColumnSpec, as_headed
     from casid.data.reading.record_file import column_names
 
     columns: dict[str, ColumnSpec] | None = None
@@ -90,7 +90,8 @@ def _checked(source: Source, request: Request, problem: Problem | None) -> Check
         texts = {m.signal: m.text for m in mapping.values()}
         columns = problem.columns(texts)
         with contextlib.suppress(DataError):  # reported by the check itself
-            there = set(column_names(source.path, form))
+            there = column_names(source.path, form)
+            columns = as_headed(there, columns)
             columns = {
                 signal: spec
                 for signal, spec in columns.items()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from casid.data.derived import Derived, derive
 from casid.data.experiment import Experiment
 from casid.data.problem_module import importing
-from casid.data.reading.columns import ColumnSpec, resolve
+from casid.data.reading.columns import ColumnSpec, as_headed, resolve
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.frames import open_frame
 from casid.data.reading.opening import open_table
@@ -292,7 +292,8 @@ class Problem(Viewed):
     ) -> tuple[Record, dict[str, str]]:
         """The record of an open table, and its channels that the problem does not use."""
         table = on_one_clock(table, self.time)
-        specs = self._present(table.columns, self.columns(mapping), mapping or {})
+        headed = as_headed(table.columns, self.columns(mapping))
+        specs = self._present(table.columns, headed, mapping or {})
         unused = self._unused(table, specs, ignore)
         record = record_of(table, {**specs, **unused.specs}, options)
         record = replace(record, provenance=(*record.provenance, *unused.lines))

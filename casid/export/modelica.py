@@ -26,6 +26,7 @@ from casid.export.written_equations import (
     written_equations,
 )
 from casid.model.clock_signals import Always, RampOver, StepAt, TimeSince
+from casid.model.effects.names import effect_words
 from casid.model.formula_text import MODELICA, formula_text, number_text
 from casid.model.model import Model
 from casid.model.units import unit_powers
@@ -114,7 +115,7 @@ class _Writer:
 
     def _comments(self) -> list[str]:
         texts = [
-            f"{c.kind} in {c.where} was found by the diagnosis; its parameters: "
+            f"The diagnosis found {effect_words(c.kind, c.where)} missing; its parameters: "
             f"{', '.join(c.parameters)}."
             for c in self.fitted.causes
         ]
@@ -241,7 +242,9 @@ class _Writer:
 
     def _named(self, term: Any) -> str:
         symbols = {s.name() for s in ca.symvar(term)}
-        found = [c.kind for c in self.fitted.causes if symbols & set(c.parameters)]
+        found = [
+            effect_words(c.kind, c.where) for c in self.fitted.causes if symbols & set(c.parameters)
+        ]
         return f"  // {', '.join(found)}" if found else ""
 
     def _annotation(self) -> list[str]:

@@ -27,6 +27,7 @@ from casid.export.written_equations import (
 from casid.model.clock_signals import ClockSignal
 from casid.model.declarations import Input, Parameter, Stage, State
 from casid.model.effects.effect import KINDS
+from casid.model.effects.names import effect_words
 from casid.model.formula_text import PYTHON, formula_text, number_text
 from casid.model.model import Model
 from casid.model.units import from_si
@@ -157,7 +158,8 @@ class _Writer:
                 f", {name.replace('_', ' ')} {value:.6g}" for name, value in cause.constants.items()
             )
             what = f" ({cause.description})" if cause.description else ""
-            text = f"{cause.kind} in {cause.where}{what}: {', '.join(cause.parameters)}{constants}"
+            text = f"{effect_words(cause.kind, cause.where)} [{cause.kind}]{what}: "
+            text += f"{', '.join(cause.parameters)}{constants}"
             lines += textwrap.wrap(
                 text.replace('"', "'").replace("\\", "/"),
                 _WIDTH,
@@ -261,7 +263,7 @@ class _Writer:
             unit = self.whole.declared_units.get(name)
             scale = 1.0 if unit is None else float(from_si(1.0, unit) - from_si(0.0, unit))
             said.append(f"std. error {math.sqrt(variance) * scale:.2g}")
-        said += [f"{c.kind} in {c.where}" for c in self.fitted.causes if name in c.parameters]
+        said += [effect_words(c.kind, c.where) for c in self.fitted.causes if name in c.parameters]
         return ", ".join(said)
 
     # -- equations -----------------------------------------------------------------------------
@@ -295,7 +297,11 @@ class _Writer:
         ]
         for term in b.terms:
             symbols = {s.name() for s in ca.symvar(term)}
-            causes = [c.kind for c in self.fitted.causes if symbols & set(c.parameters)]
+            causes = [
+                effect_words(c.kind, c.where)
+                for c in self.fitted.causes
+                if symbols & set(c.parameters)
+            ]
             remark = f"  # {', '.join(causes)}, found by the diagnosis" if causes else ""
             lines.append(f"        {self._formula(term)},{remark}")
         return [*lines, "    ],", f"    unit={_text(b.unit)},", ")"]
@@ -335,7 +341,7 @@ class _Writer:
             function, size = _EXTENSIONS[stage.kind]
             p = self.whole.parameters[stage.parameter]
             largest = p.upper if size == "longest" else self.fitted.si_values[p.name]
-            number = self._number(p.name, largest)
+            number = f"{largest:.3g}" if size == "longest" else self._number(p.name, largest)
             made = f"casid.{function}({self.m}, {_text(stage.channel)}, {size}={number})"
             lines += self._extended(made, stage.parameter)
         return lines

@@ -7,6 +7,7 @@ each unit that was declared and is not SI.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 import casadi as ca
@@ -197,10 +198,10 @@ class NamedQuantities:
         return {name: p.nominal for name, p in self.parameters.items()}
 
     def add_input(self, entry: Input) -> Any:
-        """Add an input (used by effects on their own copy)."""
+        """Add an input, its unit remembered as that of a declared one (used by effects)."""
         if entry.name in self.inputs:
             return self._symbols[entry.name]
-        self.inputs[entry.name] = entry
+        self.inputs[entry.name] = replace(entry, unit=self._remember_unit(entry.name, entry.unit))
         return self._declare(entry.name)
 
     def add_parameter(self, entry: Parameter) -> Any:

@@ -24,6 +24,12 @@ def quantity_texts(values: Sequence[float], unit: str) -> tuple[list[str], str]:
     The prefix is that of the largest value; a time longer than two minutes is in minutes, hours or
     days. Units that take no prefix (deg, kg, %) keep their values.
     """
+    scale, shown = common_prefix(values, unit)
+    return [_three_digits(v / scale) for v in values], shown
+
+
+def common_prefix(values: Sequence[float], unit: str) -> tuple[float, str]:
+    """What values are divided by, and the unit that they then have (see `quantity_texts`)."""
     sizes = [abs(v) for v in values if math.isfinite(v) and v]
     largest = max(sizes, default=0.0)
     scale, shown = 1.0, unit
@@ -35,7 +41,7 @@ def quantity_texts(values: Sequence[float], unit: str) -> tuple[list[str], str]:
             steps = -1 if largest < 1 and min(sizes) < 0.01 else 0
         steps = min(max(steps, -3), 3)
         scale, shown = 1000.0**steps, _PREFIXES[steps] + unit
-    return [_three_digits(v / scale) for v in values], shown
+    return scale, shown
 
 
 def quantity_text(value: float, unit: str) -> str:

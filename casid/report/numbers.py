@@ -42,8 +42,16 @@ def estimated_texts(p: Estimated) -> tuple[str, str, str]:
         return value_text(p.value), "\u2013", between
     places = _places(p)
     if places is None:
-        return value_text(p.value), f"{p.std_error:.2g}", between
+        return _rounded(p.value, p.std_error), f"{p.std_error:.2g}", between
     return f"{p.value:.{places}f}", f"{p.std_error:.{places}f}", between
+
+
+def _rounded(value: float, std_error: float) -> str:
+    """A value with an exponent, to the second digit of its error; six digits at most."""
+    if not (math.isfinite(value) and value and math.isfinite(std_error) and std_error > 0):
+        return value_text(value)
+    digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(std_error)) + 2
+    return f"{value:.{min(max(digits, 1), 6)}g}"
 
 
 def _places(p: Estimated) -> int | None:

@@ -35,6 +35,19 @@ class Judged:
     advice: str
 
 
+_STATUS_WORDS = {
+    "Solve_Succeeded": "converged",
+    "Solved_To_Acceptable_Level": "converged to the solver's looser tolerance",
+}
+
+
+def status_words(e: Estimate) -> str:
+    """What became of the solver, in words where it converged."""
+    if not e.is_converged:
+        return f"NOT converged: {e.status}"
+    return _STATUS_WORDS.get(e.status, e.status)
+
+
 def judged_estimate(e: Estimate) -> Judged:
     """Whether an estimate and its error bars may be used, and why.
 

@@ -30,7 +30,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("target", "ending", "words"),
     [
-        ("problem", ".py", "quadratic_damping, found by the diagnosis"),
+        ("problem", ".py", "quadratic damping in the torque balance, found by the diagnosis"),
         ("casadi", ".casadi", ""),
         ("c", ".c", "model_c_step"),
         ("control", ".py", "control.StateSpace"),

@@ -52,7 +52,7 @@ def test_the_text_reads_as_the_physics(tmp_path: Path) -> None:
         'Real phi(unit="rad", start=0.01, fixed=true);',
         'input Real accel(unit="m/s2");',
         "accel = z_s * der(p) + g * phi - a_y;",
-        "- d_2 * abs(p) * p;  // quadratic_damping",
+        "- d_2 * abs(p) * p;  // quadratic damping in the torque balance",
     ):
         assert line in lines
 

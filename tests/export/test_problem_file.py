@@ -60,11 +60,12 @@ def test_the_file_reads_as_a_person_writes_it(tmp_path: Path) -> None:
     lines = extended_pendulum().to_problem_file(tmp_path / "p.py").read_text().splitlines()
     for line in (
         '"""pendulum: the model with what a diagnosis found missing in example.',
-        "- quadratic_damping in torque: d_2",
+        "- quadratic damping in the torque balance [quadratic_damping]: d_2",
         'phi = model.state("phi", "rad", start=0.01)',
         'I_x = model.parameter("I_x", "kg m^2", start=0.1385, lower=0.081, upper=2)'
         "  # std. error 0.001",
-        "        -d_2 * ca.fabs(p) * p,  # quadratic_damping, found by the diagnosis",
+        "        -d_2 * ca.fabs(p) * p,  # quadratic damping in the torque balance, "
+        "found by the diagnosis",
         'model.output("accel", z_s * model.der(p) + g * phi - a_y, "m/s^2")',
         'model = model.eliminate("a_y", using="accel")',
         '    channels={"gyro": "gyro:rad/s", "accel": "accel:m/s^2"},',

@@ -191,8 +191,8 @@ def test_the_spectrum_of_white_noise_lies_on_the_noise_floor():
 def test_ranking_shows_evidence_gain_and_status_in_words():
     figure = ranking_figure(samples.deficient())
     labels = figure.layout.yaxis.ticktext
-    assert labels[0] == "quadratic_damping<br>torque: named"
-    assert labels[1] == "coulomb_friction<br>torque: cannot be rejected"
+    assert labels[0] == "quadratic damping, torque<br>named"
+    assert labels[1] == "dry friction, torque<br>cannot be rejected"
     assert len(labels) == 7  # the invisible one is left to the table
     bars = {t.name: t for t in figure.data if t.type == "bar" and t.xaxis == "x"}
     assert bars["cannot be rejected"].x[0] == pytest.approx(10.0)  # -log10 1e-10
@@ -231,16 +231,21 @@ def test_a_hopeless_interval_does_not_flatten_the_others():
     wild = replace(e, parameters=(*e.parameters[:2], replace(e.parameters[2], std_error=1e6)))
     figure = parameter_figure({"estimate": wild})
     assert figure.layout.xaxis.range[1] < 100
+    name = e.parameters[2].name
+    assert f"Consistent with zero: {name} (see the table)." in figure.layout.meta["caption"]
+    clear = replace(e.parameters[2], std_error=None, interval_kind="profile", ends=(1e-9, 1e6))
+    one_sided = replace(e, parameters=(*e.parameters[:2], clear))
+    figure = parameter_figure({"estimate": one_sided})
     assert "leave the axis" in figure.layout.meta["caption"]
 
 
 def test_gain_shows_both_parts_and_the_noise_floor_where_it_is_known():
     figure = gain_figure(samples.deficient(N=100))
     before, after, floor = figure.data
-    assert (list(before.x), list(before.y)) == (["fitted", "held out"], [0.031, 0.034])
-    assert list(after.y) == [0.0101, 0.0104]
-    assert (list(floor.x), list(floor.y)) == (["held out"], [0.010])
-    assert figure.layout.yaxis.title.text == "rms of gyro [rad/s]"
+    assert (list(before.x), list(before.y)) == (["fitted", "held out"], [31.0, 34.0])
+    assert list(after.y) == pytest.approx([10.1, 10.4])
+    assert (list(floor.x), list(floor.y)) == (["held out"], [10.0])
+    assert figure.layout.yaxis.title.text == "rms error of gyro [mrad/s]"
 
 
 def test_moved_parameters_are_drawn_from_before_to_after_each_in_its_own_unit():

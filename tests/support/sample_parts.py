@@ -181,8 +181,8 @@ def unexplained(
         places=(best, replace(best, place="gyro", is_balance=False, explained=0.31, score=40.0)),
         tests=tests,
         sentences=(
-            f"The remainder is a missing {place} that depends on {variable} (odd, growing about as "
-            "the cube). This explains 93 % of it.",
+            f"The remainder is a missing term in the {place} balance that depends on {variable} "
+            "(odd, growing about as the cube). This explains 93 % of it.",
             "It does not depend on phi, accel.",
         ),
         occurrences=(Occurrence(v.name, 25.0, 31.0, 3.4),),

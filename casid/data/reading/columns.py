@@ -76,10 +76,30 @@ def resolve(
         named = [c for c in table.columns if c not in table.unnamed and c not in beside]
         specs = {c: ColumnSpec(c) for c in named}
     else:
-        specs = {name: _spec(value) for name, value in columns.items()}
+        specs = as_headed(table.columns, {name: _spec(v) for name, v in columns.items()})
         for name, spec in specs.items():
             table.require(spec.column, name)
     return {name: _with_unit(table, name, spec) for name, spec in specs.items()}, clock
+
+
+def as_headed(columns: Sequence[str], specs: Mapping[str, ColumnSpec]) -> dict[str, ColumnSpec]:
+    """The specs, each with its column as the file's header has it.
+
+    A column `F` that the file does not have is the one called `F [N]`, `F / N` or `F in N`, where
+    there is one alone and no other channel is read from it.
+    """
+    taken = {spec.column for spec in specs.values()}
+    headed: dict[str, list[str]] = {}
+    for column in columns:
+        found = header_unit(column)
+        if found is not None and found.is_sure:
+            headed.setdefault(found.stem.strip(), []).append(column)
+    out = {}
+    for name, spec in specs.items():
+        near = headed.get(spec.column, []) if spec.column not in columns else []
+        is_one = len(near) == 1 and near[0] not in taken
+        out[name] = spec._replace(column=near[0]) if is_one else spec
+    return out
 
 
 def _spec(value: ColumnSpec | str | Sequence[str | None]) -> ColumnSpec:
@@ -141,7 +161,7 @@ def _read_unit(table: Table, spec: ColumnSpec) -> tuple[str, str]:
 
 def _time_column(table: Table, time: Time) -> ColumnSpec | None:
     if time is not None:
-        spec = _spec(time)
+        spec = as_headed(table.columns, {"t": _spec(time)})["t"]
         table.require(spec.column, "t")
         pair = _date_and_clock(table)
         if pair is not None and pair[1] == spec.column:

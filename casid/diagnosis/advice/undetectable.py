@@ -241,4 +241,4 @@ def _practical_remedy(effect: Effect, model: Model, experiments: Sequence[Experi
     if resting:
         return f"Record {channel} while it moves: it is constant in {', '.join(resting)}."
     how = "excite the system over a wider band, or add a sensor" if model.inputs else "add a sensor"
-    return f"{how[0].upper()}{how[1:]}: `next_experiment` compares the options."
+    return f"{how[0].upper()}{how[1:]}."

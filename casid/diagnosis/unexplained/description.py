@@ -167,7 +167,10 @@ def unexplained(
         places=tuple(found),
         tests=tests,
         sentences=(
-            (*_sentences(where, found, tests, alpha), *_in_time(found, occurrences, goes_with))
+            (
+                *_sentences(where, found, tests, alpha),
+                *_in_time(found, occurrences, goes_with, is_one=len(experiments) == 1),
+            )
             if is_something
             else (f"The remainder is consistent with noise (p = {tests.adjusted:.2g}).",)
         ),
@@ -249,7 +252,11 @@ def _sentences(
     best = found[0]
     if not best.dependences:
         return _of_disturbance(where, tests, alpha)
-    what = f"a missing {best.place}" if best.is_balance else f"an error of {best.place}"
+    what = (
+        f"a missing term in the {best.place} balance"
+        if best.is_balance
+        else f"an error of {best.place}"
+    )
     out = [
         f"The remainder is {what} that depends on "
         + "; and on ".join(d.words for d in best.dependences)
@@ -298,8 +305,10 @@ def _in_time(
     found: Sequence[MissingForce],
     occurrences: Sequence[Occurrence],
     goes_with: Sequence[tuple[str, float]],
+    *,
+    is_one: bool,
 ) -> list[str]:
-    """The line in the spectrum, the intervals, and the variable that the power goes with."""
+    """The line in the spectrum, the intervals (of one record), and what the power goes with."""
     best = found[0]
     out = []
     force = best.over_time
@@ -314,7 +323,7 @@ def _in_time(
             )
     if occurrences:
         ranges = ", ".join(
-            f"{o.start:.3g} to {o.stop:.3g} s of {o.record}"
+            f"{o.start:.3g} to {o.stop:.3g} s" + ("" if is_one else f" of {o.record}")
             for o in occurrences[: DESCRIPTION.stretches]
         )
         out.append(f"It is strongest from {ranges}.")

@@ -9,6 +9,7 @@ What the model's own parameters can absorb is in neither: a force is found up to
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -80,9 +81,10 @@ class Dependence:
             w for w in (self.parity if self.parity != "neither" else "", self.growth) if w
         )
         label = f" ({shape})" if shape else ""
+        first = re.sub("^slope of", "the slope of", self.variables[0])
         if len(self.variables) == 1:
-            return f"{self.variables[0]}{label}"
-        return f"{self.variables[0]}, by a factor that depends on {self.variables[1]}{label}"
+            return f"{first}{label}"
+        return f"{first}, by a factor that depends on {self.variables[1]}{label}"
 
     def to_json(self) -> dict[str, Any]:
         """Numbers and words, with the curve."""

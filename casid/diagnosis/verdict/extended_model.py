@@ -20,7 +20,8 @@ def extended_model(
     the model, which takes the record as it is.
     """
     model, records = fitted.model, fitted.records
-    causes = [_cause(a, fitted) for a in found.adopted]
+    kept = [a for a in found.remainders if a.candidate.names[0] in found.best_fit.criterion.names]
+    causes = [_cause(a, fitted) for a in (*found.adopted, *kept)]
     negated = found.baseline.negated
     if negated is not None:
         model, names = sensor_scale(model, negated.channel).extended(model)

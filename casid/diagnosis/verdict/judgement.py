@@ -103,7 +103,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         [(c.kind, c.where, c.share) for c in negated(causes)],
         part,
         p_value=remainder.p_value if remainder is not None else None,
-        test="kind of the residual: spectrum, dependence on states and inputs, change in time",
+        test="test of the residual (spectrum, dependence on states and inputs, change in time)",
         false_alarm_rate=remainder.level if remainder is not None else false_alarm_rate,
         coloured=(extended or baseline).fit.coloured,
     )

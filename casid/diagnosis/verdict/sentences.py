@@ -194,9 +194,8 @@ def _says_cause(c: Cause) -> str:
     if all(a.kind == c.kind for a in c.alternatives):  # the place alone is open
         places = either_words(a.where for a in c.alternatives if a.where != c.where)
         return f"{c.sentence} (this record does not separate it from the same effect in {places})"
-    rivals = either_words(a.words for a in c.alternatives)
-    named = effect_words(c.kind, c.where)
-    return f"one of these is missing, which this record does not separate: {named}, {rivals}"
+    words = either_words([effect_words(c.kind, c.where), *(a.words for a in c.alternatives)])
+    return f"one of these is missing, which this record does not separate: {words}"
 
 
 def noise_text(at: Weighted) -> dict[str, str]:

@@ -270,7 +270,7 @@ def _mathml(expression: Expr) -> str:
     names = {s: html.escape(s.name) for s in algebra.free_symbols}
     names = {s: f"d{name[4:]}/dt" if name.startswith("der_") else name for s, name in names.items()}
     safe = algebra.xreplace({s: sympy.Symbol(name) for s, name in names.items()})
-    content = str(mathml(safe, printer="presentation"))
+    content = str(mathml(safe, printer="presentation")).replace("<mo>-</mo>", "<mo>\u2212</mo>")
     return f"<mrow><mo>(</mo>{content}<mo>)</mo></mrow>" if safe.is_Add else content
 
 

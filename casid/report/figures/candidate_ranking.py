@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from casid.arrays import TINY
 from casid.diagnosis.diagnosis import Diagnosis, Ranked
+from casid.diagnosis.facts import Facts
 from casid.report.figures.panels import Panels
-from casid.report.figures.style import AFTER, figure_text, visible_text
+from casid.report.figures.style import AFTER, effect_label, figure_text, visible_text
 from casid.report.numbers import p_text
 
 _SHOWN_CANDIDATES = 15
@@ -39,6 +41,8 @@ def ranking_figure(diagnosis: Diagnosis) -> Any:
     ranked = [r for r in diagnosis.ranking if r.status != "invisible"]
     if not ranked:
         raise ValueError("no candidate was ranked, so there is nothing to draw")
+    facts = Facts.of(diagnosis)
+    ranked = [replace(r, adjusted=facts.p_value(r.kind, r.where)) for r in ranked]
     shown = ranked[:_SHOWN_CANDIDATES]
     figure = Panels(panels=2, columns=2, row_height=34 * len(shown) + 20, gap=70, column_gap=0.04)
     gains = [r.gain if r.gain is not None and math.isfinite(r.gain) else None for r in shown]
@@ -123,10 +127,7 @@ def _numbers(
 
 def _axes(figure: Panels, shown: Sequence[Ranked], gains: Sequence[float | None]) -> None:
     """Names and status of the candidates, and ranges with room for the numbers."""
-    labels = [
-        f"{figure_text(r.kind, 26)}<br>{figure_text(r.where, 14)}: {figure_text(r.status, 20)}"
-        for r in shown
-    ]
+    labels = [f"{effect_label(r.kind, r.where)}<br>{figure_text(r.status, 20)}" for r in shown]
     figure.figure.update_yaxes(
         tickvals=list(range(len(shown))),
         ticktext=labels,

@@ -8,6 +8,7 @@ from typing import Any
 
 from casid.diagnosis.diagnosis import Diagnosis
 from casid.diagnosis.unexplained.description import Unexplained
+from casid.model.quantities import common_prefix
 from casid.report.figures.candidate_ranking import ranking_figure
 from casid.report.figures.estimates import parameter_figure
 from casid.report.figures.misfit_shares import remaining_figure
@@ -79,9 +80,11 @@ def gain_figure(diagnosis: Diagnosis) -> Any:
     ]
     for k, output in enumerate(outputs):
         top = 0.0
+        sizes = [float(e[output]) for p in parts.values() for e in p.values() if output in e]
+        scale, unit = common_prefix(sizes, units.get(output, ""))
         for key, label, colour, pattern in looks:
             found = {
-                name: float(part[key][output])
+                name: float(part[key][output]) / scale
                 for name, part in parts.items()
                 if output in part.get(key, {}) and math.isfinite(part[key][output])
             }
@@ -102,11 +105,11 @@ def gain_figure(diagnosis: Diagnosis) -> Any:
                     "color": colour,
                     "pattern": {"shape": pattern, "fgcolor": "#ffffff", "fillmode": "overlay"},
                 },
-                hovertemplate=f"%{{y:.4g}} {figure_text(units.get(output, ''))}",
+                hovertemplate=f"%{{y:.4g}} {figure_text(unit)}",
             )
         if top > 0:
             figure.y_range(k, [0, 1.18 * top])
-        figure.label(k, y=axis_text(output, units.get(output, ""), "rms of "))
+        figure.label(k, y=axis_text(output, unit, "rms error of "))
     figure.figure.update_xaxes(type="category", categoryarray=list(parts), categoryorder="array")
     figure.figure.update_layout(bargap=0.25)
     caption = f"Root mean square simulation error of {visible_text(diagnosis.problem)}"

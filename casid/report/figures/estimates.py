@@ -37,6 +37,8 @@ def parameter_figure(estimates: Mapping[str, Estimate]) -> Any:
     free = [p for p in baseline.parameters if not p.known and math.isfinite(p.value)]
     has_interval = {p.name for e in estimates.values() for p in e.parameters if _half(p)}
     rows = [p for p in free if p.value != 0 or p.name in has_interval]
+    clear = [p for p in rows if not _is_about_zero(p)]
+    rows = clear or rows  # relative to a value that may be zero a change says nothing
     if not rows:
         raise ValueError("the baseline has no free parameter to draw")
     scales = [_scale(p, estimates.values()) for p in rows]
@@ -139,6 +141,11 @@ def _half(p: Estimated) -> float:
     return 0.0 if p.interval is None else 0.5 * (p.interval[1] - p.interval[0])
 
 
+def _is_about_zero(p: Estimated) -> bool:
+    """True if the interval of a parameter holds zero."""
+    return p.interval is not None and p.interval[0] < 0 < p.interval[1]
+
+
 def _caption(estimates: Mapping[str, Estimate], free: Iterable[Estimated], drawn: set[str]) -> str:
     problem = visible_text(next(iter(estimates.values())).problem)
     if len(estimates) > 1:
@@ -151,11 +158,14 @@ def _caption(estimates: Mapping[str, Estimate], free: Iterable[Estimated], drawn
     held = [p.name for p in free if p.interval is None]
     if held:
         caption += f" Without an interval: {', '.join(map(visible_text, held))} (see the table)."
+    zero = [p.name for p in free if p.name not in drawn and _is_about_zero(p)]
+    if zero:
+        caption += f" Consistent with zero: {', '.join(map(visible_text, zero))} (see the table)."
     new = dict.fromkeys(
         p.name
         for e in estimates.values()
         for p in e.parameters
-        if not p.known and p.name not in drawn | set(held)
+        if not p.known and p.name not in drawn.union(held, zero)
     )
     if new:
         caption += f" Not in the baseline: {', '.join(map(visible_text, new))} (see the table)."

@@ -10,8 +10,9 @@ from scipy.spatial.distance import squareform
 
 from casid.arrays import Array
 from casid.diagnosis.advice.isolability import Isolability
+from casid.model.effects.names import effect_words
 from casid.report.figures.panels import Panels
-from casid.report.figures.style import AFTER, BEFORE, figure_text
+from casid.report.figures.style import AFTER, BEFORE, effect_label, figure_text
 
 _SHOWN = 24
 _COLOUR_BAR = {
@@ -43,11 +44,8 @@ def isolability_figure(isolability: Isolability) -> Any:
     order = _side_by_side(isolability.cosines, _nearest(isolability.cosines))
     values = isolability.cosines[np.ix_(order, order)]
     names = [isolability.keys[i] for i in order]
-    full = [figure_text(f"{kind} in {where}", 80) for kind, where in names]
-    rows = [
-        f"{figure_text(kind, 22)}<br>{figure_text(where, 20)} <b>{i}</b>"
-        for i, (kind, where) in enumerate(names, 1)
-    ]
+    full = [figure_text(effect_words(kind, where), 80) for kind, where in names]
+    rows = [f"{effect_label(*key)} <b>{i}</b>" for i, key in enumerate(names, 1)]
     numbers = list(range(len(names)))
     panel = Panels(row_height=60 + 30 * len(names), gap=0)
     panel.add(

@@ -6,13 +6,13 @@ from typing import Any
 
 from casid.diagnosis.verdict.remainder import Remaining
 from casid.report.figures.panels import Panels
-from casid.report.figures.style import AFTER, BEFORE, figure_text
+from casid.report.figures.style import AFTER, BEFORE, effect_label
 
 
 def remaining_figure(remaining: Remaining) -> Any:
     """One bar a cause in the order of contribution, and one for what stays unexplained."""
     named = remaining.explained
-    labels = [f"{figure_text(e.kind, 24)}<br>{figure_text(e.where, 24)}" for e in named]
+    labels = [effect_label(e.kind, e.where) for e in named]
     labels.append("unexplained")
     shares = [100 * e.share for e in named] + [100 * remaining.unexplained]
     last = len(shares) - 1

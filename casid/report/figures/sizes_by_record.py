@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from casid.diagnosis.diagnosis import Cause
+from casid.model.effects.names import effect_words
 from casid.report.figures.panels import Panels
 from casid.report.figures.style import AFTER, MEASURED, axis_text, figure_text, visible_text
 
@@ -45,8 +46,9 @@ def by_record_figure(cause: Cause) -> Any:
         figure.figure.update_yaxes(showticklabels=False, row=k // 2 + 1, col=2)
     figure.ticks = 5
     return figure.done(
-        f"Record by record with 95 % intervals: {visible_text(cause.kind)} in "
-        f"{visible_text(cause.where)}. One value does not explain all records.",
+        "Record by record with 95 % intervals: "
+        f"{visible_text(effect_words(cause.kind, cause.where))}. One value does not explain all "
+        "records.",
         (),
     )
 

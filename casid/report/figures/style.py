@@ -6,7 +6,10 @@ Names come from files: `figure_text` makes them harmless, since Plotly reads par
 from __future__ import annotations
 
 import html
+import re
 import unicodedata
+
+from casid.model.effects.names import effect_words
 
 # Okabe & Ito (2008), distinct to colour-blind readers; dashes and hatching say the same again.
 MEASURED = "#8c8c8c"
@@ -36,6 +39,12 @@ def figure_text(text: object, longest: int = 40) -> str:
         plain = plain[: longest - 1] + "\u2026"
     # Templates (%{x}) are filled in before entities are read, so the entity hides the sign.
     return html.escape(plain, quote=False).replace("%", "&#37;").replace("$", "&#36;")
+
+
+def effect_label(kind: str, where: str, longest: int = 34) -> str:
+    """An effect and its place in words, short enough for a tick: `cubic stiffness, torque`."""
+    words = effect_words(kind, where)
+    return figure_text(re.sub(r" in the (\S+) balance", r", \1", words), longest)
 
 
 def axis_text(name: str, unit: str, before: str = "") -> str:

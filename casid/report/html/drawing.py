@@ -93,7 +93,7 @@ DRAW = """
     Plotly.newPlot(place, figure.data, layout, {
       responsive: true,
       displaylogo: false,
-      displayModeBar: coarse ? true : "hover",
+      displayModeBar: wasNarrow ? false : coarse ? true : "hover",
       modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]]  // nothing that sends data
     });
     function refit(width) {

@@ -55,7 +55,6 @@ _VERDICTS = {
     "undecided": "This record does not decide",
 }
 _FIGURE_NAMES = {
-    "residual_time": "Simulation error against time",
     "residual_against": "Simulation error against states and inputs",
     "residual_spectrum": "Simulation error in frequency",
 }
@@ -94,7 +93,11 @@ def diagnosis_report(diagnosis: Diagnosis) -> Document:
         d.problem,
         [
             *decision(d),
-            Section("Measured against simulated", [figure("simulation")], is_open=True),
+            Section(
+                "Measured against simulated",
+                [figure("simulation"), figure("residual_time")],
+                is_open=True,
+            ),
             *(Section(h, parts) for h, parts in folded.items()),
             provenance(d.provenance, d.settings, d.versions),
             Section("References", [Bullets(d.sources)]),
@@ -136,7 +139,7 @@ def _how_sure(d: Diagnosis, facts: Facts) -> Iterator[Card]:
         text = p if p.startswith("<") else f"= {p}"
         others = f"; not separated from {len(c.tied) - 1} other" if c.tied else ""
         others += "s" if len(c.tied) > 2 else ""
-        yield Card("how sure", f"p {text}", "", "".join((*_words(c.kind, c.where), others)))
+        yield Card("significance", f"p {text}", "", "".join((*_words(c.kind, c.where), others)))
 
 
 def _words(kind: str, where: str) -> Inline:

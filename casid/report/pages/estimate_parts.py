@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from casid.estimation.estimate import Estimate
 from casid.report.document import Bullets, Code, Part, Section, Strong, Table, mapping_table
 from casid.report.numbers import estimated_texts, number_text
+from casid.report.verdicts import status_words
 
 
 def notice(notes: Sequence[str], warnings: Sequence[str]) -> Bullets:
@@ -75,7 +76,7 @@ def evidence_table(estimates: Mapping[str, Estimate]) -> Table:
         seen = "all unknowns" if i.rank == i.unknowns else i.undetermined or "not all unknowns"
         facts = {
             "method": e.method,
-            "status": e.status if e.is_converged else f"NOT converged: {e.status}",
+            "status": status_words(e),
             "solver": f"{e.iterations} iterations, largest scaled gradient {e.scaled_gradient:.0e}",
             "starts": f"{e.starts_agreeing} of {e.starts_tried} agree",
             "identifiable": f"{seen} (rank {i.rank} of {i.unknowns} at the estimate, smallest "

@@ -16,7 +16,7 @@ from casid.identification.iterative_joint_instruments import IterativeJoint
 from casid.report.document import Document, Labelled, Table
 from casid.report.numbers import interval_lines, interval_text
 from casid.report.texts.moments import black_box_document, convergence_document
-from casid.report.verdicts import judged_estimate, judged_study
+from casid.report.verdicts import judged_estimate, judged_study, status_words
 from casid.time_limit import out_of_time_text
 
 _WIDEST, _LONGEST = 100, 14  # of a printed study, and of a parameter with its unit in it
@@ -30,7 +30,7 @@ def estimate_document(estimate: Estimate) -> Document:
     e, i = estimate, estimate.identifiability
     judged = judged_estimate(e)
     status = (
-        f"{e.status} in {e.iterations} iterations; largest scaled gradient "
+        f"{status_words(e)} in {e.iterations} iterations; largest scaled gradient "
         f"{e.scaled_gradient:.0e}; {e.starts_agreeing} of {e.starts_tried} starts agree"
     )
     rows = [

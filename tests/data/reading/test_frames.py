@@ -77,6 +77,29 @@ def test_a_table_given_to_identify_is_read_through_the_problems_channels():
         casid.identify(problem, frame.rename(columns={"x_mm": "y"}))
 
 
+@pytest.mark.parametrize("header", ["F [kN]", "F / kN", "F in kN"])
+def test_a_channel_is_found_by_its_name_where_the_header_has_a_unit_behind_it(header):
+    """The unit is the header's; a second such column, or one that is mapped, is not guessed."""
+    run = record()
+    problem = casid.Problem("oscillator", driven_mass(), {"position": "position", "force": "F"})
+    frame = pd.DataFrame({"t": run.t, header: run["force"] / 1000, "position": run["position"]})
+    found = problem.read_frame(frame).record
+    assert found["force"] == pytest.approx(run["force"], rel=1e-12)
+    two = frame.assign(**{"F [N]": run["force"]})
+    with pytest.raises(casid.DataError, match="no column 'F' for force"):
+        problem.read_frame(two)
+    assert problem.read_frame(two, mapping={"force": "F [N]"}).record["force"] == pytest.approx(
+        run["force"], rel=1e-12
+    )
+
+
+def test_a_clock_is_found_by_its_name_where_the_header_has_a_unit_behind_it():
+    run = record()
+    problem = casid.Problem("oscillator", driven_mass(), {"position": "x", "force": "F"}, time="T")
+    frame = pd.DataFrame({"T [ms]": 1000 * run.t, "x": run["position"], "F": run["force"]})
+    assert problem.read_frame(frame).record.Ts == pytest.approx(run.Ts, rel=1e-9)
+
+
 def test_a_dataset_of_xarray_has_units_and_the_time_as_its_coordinate():
     pytest.importorskip("xarray")
     run = record()

@@ -216,6 +216,12 @@ def test_a_recorded_channel_acts_with_its_gain():
     assert float(ca.substitute(slope[1], b, 3.0)) == pytest.approx(3.0 / 2.0)
 
 
+def test_a_recorded_channel_in_another_unit_is_si_inside_and_has_its_own_unit_outside():
+    model = oscillator().extend(extra_input(oscillator(), "force balance", "heat", "degC"))
+    assert model.inputs["heat"].unit == "K"
+    assert model.unit_of("heat") == "degC"
+
+
 @pytest.mark.parametrize(
     ("unit", "reading", "points"),
     [
