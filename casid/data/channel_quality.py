@@ -347,6 +347,9 @@ def _spikes(x: FloatArray, mask: BoolArray) -> NDArray[np.intp]:
     left, right = np.roll(off, 1), np.roll(off, -1)
     alone = (left < 0.5 * off) & (right < 0.5 * off)
     alone[[0, -1]] = False  # the ends have no neighbours on one side
+    # At a bend a sample continues the line of one side; a spike continues neither.
+    before, after = 2 * padded[1:-3] - padded[:-4], 2 * padded[3:-1] - padded[4:]
+    alone &= np.minimum(np.abs(x - before), np.abs(x - after)) > 0.5 * off
     return np.flatnonzero((off > bar) & alone & ~mask)
 
 

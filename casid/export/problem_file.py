@@ -302,8 +302,12 @@ class _Writer:
                 for c in self.fitted.causes
                 if symbols & set(c.parameters)
             ]
-            remark = f"  # {', '.join(causes)}, found by the diagnosis" if causes else ""
-            lines.append(f"        {self._formula(term)},{remark}")
+            line = f"        {self._formula(term)},"
+            remark = f"# {', '.join(causes)}, found by the diagnosis" if causes else ""
+            is_short = len(f"{line}  {remark}") <= _WIDTH
+            if remark and not is_short:
+                lines.append(f"        {remark}")
+            lines.append(f"{line}  {remark}" if remark and is_short else line)
         return [*lines, "    ],", f"    unit={_text(b.unit)},", ")"]
 
     def _outputs(self) -> list[str]:

@@ -90,6 +90,14 @@ def test_isolated_spikes_are_counted_and_placed():
     assert "mark_missing('y', mask)" in finding.remedy
 
 
+def test_bends_of_a_slow_response_are_no_spikes():
+    """A temperature that rises and falls as the heater is switched, noise far below its slope."""
+    rng = np.random.default_rng(2)
+    heater = np.repeat(rng.choice([0.0, 1.0], 40), 40)
+    y = np.cumsum(heater - 0.5) + 0.05 * rng.standard_normal(heater.size)
+    assert check(record(y)).channels[0].spikes == 0
+
+
 def test_steps_of_an_input_are_no_spikes():
     telegraph = np.sign(np.sin(2.0 * TIME) + 1e-9)
     assert check(record(telegraph)).channels[0].spikes == 0

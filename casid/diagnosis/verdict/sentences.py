@@ -87,6 +87,12 @@ _SEPARATES = {
 }
 
 
+_OF_RELATIVES = {
+    "quadratic_damping": "a resistance that grows with the square of {where} is missing",
+    "cubic_damping": "a resistance that grows with the cube of {where} is missing",
+}
+
+
 _OF_COMMANDS = {
     "backlash": "the command {where} acts through play (backlash)",
     "deadzone": "the command {where} acts only beyond a dead zone",
@@ -97,6 +103,8 @@ def says_kind(kind: str, where: str, *, is_relative: bool = False, is_command: b
     """A kind of the catalogue in words; where its place is a relative motion, or a command."""
     if is_command and kind in _OF_COMMANDS:
         return _OF_COMMANDS[kind].format(where=where)
+    if is_relative and kind in _OF_RELATIVES:
+        return _OF_RELATIVES[kind].format(where=where)
     place = f"the relative motion {where}" if is_relative else f"the {where} balance"
     restoring = f"the spring that acts on {where}" if is_relative else f"the restoring {where}"
     own, _, source = where.partition("~")
@@ -213,7 +221,11 @@ def noise_text(at: Weighted) -> dict[str, str]:
             continue
         if source in at.model.inputs:
             own = at.input_sd.get(source, 0.0)
-            text = f"white input noise {text_of(source, own)}"
+            if own <= 0 and not is_seen(at, source):
+                continue
+            text = (
+                f"white input noise {text_of(source, own)}" if own > 0 else "no white noise found"
+            )
             moves = max(float(np.std(e.record[source])) for e in at.criterion.experiments)
             if sd > moves:
                 text += (
