@@ -128,6 +128,16 @@ def test_each_of_several_records_is_chosen_from_a_menu():
     assert [t.visible for t in figure.data] == shown[0].tolist()
 
 
+def test_the_time_of_a_long_record_is_in_hours():
+    (view,) = samples.deficient(N=1500).records
+    day = replace(view, t=np.linspace(0.0, 43200.0, view.t.size))
+    for make in (simulation_figure, residual_time_figure):
+        figure = make([day])
+        assert figure.layout.xaxis.title.text == "time [h]"
+        assert max(trace(figure, "after").x) == pytest.approx(12.0)
+        assert make([view]).layout.xaxis.title.text == "time [s]"
+
+
 def test_a_simulation_that_runs_away_leaves_the_data_readable():
     v = samples.view(N=3000)
     runaway = v.baseline * np.exp(0.01 * np.arange(3000))[:, None]

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.estimation.estimate import RecordView
+from casid.model.quantities import common_prefix
 from casid.report.figures.style import AFTER, BEFORE, visible_text
 
 _HELD_OUT = "rgba(86,180,233,0.13)"
+_LONG = 7200.0
+"""Length [s] of a record from which its time is drawn in hours or days; windows are in seconds."""
 
 
 def checked(records: Sequence[RecordView]) -> tuple[RecordView, ...]:
@@ -80,6 +84,15 @@ def time_range(view: RecordView) -> dict[str, Any]:
     """The record from end to end, as its menu entry sets it."""
     span = [float(view.t[0]), float(view.t[-1])] if view.t.size > 1 else None
     return {"xaxis.range": span, "xaxis.autorange": span is None}
+
+
+def in_readable_time(views: Sequence[RecordView]) -> tuple[tuple[RecordView, ...], str]:
+    """The views with their time in hours or days where a record is long, and the unit of it."""
+    longest = max((float(np.ptp(v.t)) for v in views if v.t.size), default=0.0)
+    if longest < _LONG:
+        return tuple(views), "s"
+    scale, unit = common_prefix([longest], "s")
+    return tuple(replace(v, t=v.t / scale) for v in views), unit
 
 
 def part_shapes(view: RecordView) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ from casid.report.figures.panels import Panels
 from casid.report.figures.record_views import (
     drawn,
     finite,
+    in_readable_time,
     of_records,
     residual,
     simulations,
@@ -42,6 +43,7 @@ def simulation_figure(records: Sequence[RecordView]) -> Any:
         If there is no record.
     """
     views, left_out = drawn(records)
+    views, time_unit = in_readable_time(views)
     outputs = views[0].outputs
     limit = points_a_trace(len(views) * len(outputs) * 3)
     caption = of_records(
@@ -54,7 +56,7 @@ def simulation_figure(records: Sequence[RecordView]) -> Any:
     for v in views:
         ranges: dict[str, Any] = time_range(v)
         for row, (output, unit) in enumerate(zip(v.outputs, v.output_units, strict=True)):
-            kept = _add_output(figure, v, row, limit)
+            kept = _add_output(figure, v, row, limit, time_unit)
             span, is_cut = _readable_range(kept, [s[:, row] for *_, s in simulations(v)])
             cut = cut or is_cut
             axis = "yaxis" if row == 0 else f"yaxis{row + 1}"
@@ -66,21 +68,23 @@ def simulation_figure(records: Sequence[RecordView]) -> Any:
                     figure.y_range(row, span)
         figure.parts(v, ranges)
     figure.time_range(views[0])
-    figure.label(len(outputs) - 1, x="time [s]")
+    figure.label(len(outputs) - 1, x=f"time [{time_unit}]")
     if cut:
         caption += " The simulation leaves the range of the data: the axis is cut."
     return figure.done(caption + left_out + thinning_note(views, limit), views)
 
 
-def _add_output(figure: Panels, v: RecordView, row: int, limit: int) -> Array:
+def _add_output(figure: Panels, v: RecordView, row: int, limit: int, time_unit: str) -> Array:
     """Add one output of a record: what was measured, what was left out, what is simulated.
+
+    `time_unit` is the unit of the time.
 
     Returns the measured samples that count, (N,), NaN elsewhere.
     """
     measured, used = finite(v.measured[:, row]), v.used[:, row]
     kept = np.where(used, measured, np.nan)
     i = thinned(kept, limit)
-    own: dict[str, Any] = {"view": v, "hovertemplate": hover_text("s", v.output_units[row])}
+    own: dict[str, Any] = {"view": v, "hovertemplate": hover_text(time_unit, v.output_units[row])}
     figure.points(row, v.t[i], kept[i], "measured", {"color": MEASURED, "size": 4.5}, **own)
     left_out = ~used & np.isfinite(measured)
     if left_out.any():
@@ -98,6 +102,7 @@ def _add_output(figure: Panels, v: RecordView, row: int, limit: int) -> Array:
 def residual_time_figure(records: Sequence[RecordView]) -> Any:
     """What the simulation leaves over against time, before and after; one row an output."""
     views, left_out = drawn(records)
+    views, time_unit = in_readable_time(views)
     outputs = views[0].outputs
     limit = points_a_trace(len(views) * len(outputs) * 2)
     figure = Panels(rows=len(outputs), row_height=230, gap=22, shared_x=True)
@@ -106,13 +111,13 @@ def residual_time_figure(records: Sequence[RecordView]) -> Any:
             for label, colour, _, simulated in simulations(v):
                 e = residual(v, simulated, row)
                 i = thinned(e, limit)
-                own: dict[str, Any] = {"view": v, "hovertemplate": hover_text("s", unit)}
+                own: dict[str, Any] = {"view": v, "hovertemplate": hover_text(time_unit, unit)}
                 figure.line(row, v.t[i], e[i], label, colour, width=1.0, **own)
             if v is views[0]:
                 figure.label(row, y=axis_text(output, unit, "error of "))
         figure.parts(v, time_range(v))
     figure.time_range(views[0])
-    figure.label(len(outputs) - 1, x="time [s]")
+    figure.label(len(outputs) - 1, x=f"time [{time_unit}]")
     caption = of_records("Simulation error, measured minus simulated, against time", views)
     return figure.done(caption + left_out + thinning_note(views, limit), views)
 
