@@ -16,6 +16,7 @@ STD_ERROR = ".std_error"
 """Behind a parameter's name: the column of its standard errors."""
 ENDS = (".lower", ".upper")
 """The columns of the ends of its intervals, of whatever kind they are."""
+_TAIL = 0.00135  # probability beyond three standard errors of a normal mean, on either side
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,21 +85,25 @@ class Accuracy:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What differs from what the standard errors promise by more than chance would explain."""
-        from scipy.special import stdtrit
+        """What differs from what the standard errors promise by more than chance would explain.
+
+        Chance alone gives each in 0.27 % of studies, as three standard errors of a normal mean.
+        """
+        from scipy.special import bdtr, bdtrc, stdtrit
 
         out = []
         if self.bias is not None and self.n > 1:
-            # As rare as three standard errors of a normal mean, 0.27 %: t(n - 1) for few runs.
-            limit = float(stdtrit(self.n - 1, 1 - 0.00135)) * self.bias_std_error
+            limit = float(stdtrit(self.n - 1, 1 - _TAIL)) * self.bias_std_error  # t for few runs
             if abs(self.bias) > limit:
                 spreads = (
                     f"{abs(self.bias) / self.spread:.2g}" if self.spread else "infinitely many"
                 )
                 out.append(f"biased by {spreads} spreads")
-        between = self.coverage_interval
-        if between is not None and not between[0] <= 0.95 <= between[1]:
-            out.append(f"intervals cover too {'rarely' if between[1] < 0.95 else 'often'}")
+        if self.coverage is not None:  # binomial
+            if bdtr(self.covered, self.intervals, 0.95) < _TAIL:
+                out.append("intervals cover too rarely")
+            if self.covered and bdtrc(self.covered - 1, self.intervals, 0.95) < _TAIL:
+                out.append("intervals cover too often")
         if self.intervals < self.n:
             out.append(f"{self.n - self.intervals} runs without interval")
         return tuple(out)

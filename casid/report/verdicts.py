@@ -177,7 +177,7 @@ def judged_study(m: MonteCarlo) -> Judged:
             "measured inputs, or from a nonlinear estimate of little data: look at the histogram; "
             "then try a longer record, another method, or a model that has what is missing."
         )
-        return Judged("not kept", _PROMISE, "deficient", " ".join(said) + lost, advice)
+        return Judged("not reliable", _PROMISE, "deficient", " ".join(said) + lost, advice)
     halves = [
         0.5 * (p.coverage_interval[1] - p.coverage_interval[0])
         for p in m.parameters
@@ -194,7 +194,7 @@ def judged_study(m: MonteCarlo) -> Judged:
             f"only to within {100 * max(halves):.0f} %."
         )
         return Judged(
-            "so far kept",
+            "reliable so far",
             _PROMISE,
             "undecided",
             few + lost,
@@ -202,7 +202,7 @@ def judged_study(m: MonteCarlo) -> Judged:
         )
     wide = f" Those of {', '.join(often)} are wider than they need to be." if often else ""
     return Judged(
-        "kept",
+        "reliable",
         _PROMISE,
         "adequate",
         f"The estimates are unbiased and the 95 % intervals contain the truth as often as stated, "
@@ -211,4 +211,4 @@ def judged_study(m: MonteCarlo) -> Judged:
     )
 
 
-_PROMISE = "the promise of the error bars"
+_PROMISE = "the error bars of this estimator"
