@@ -1,13 +1,14 @@
 """Record lengths at which two causes are told apart with 95 %: designed inputs and searched ones.
 
     python -m analysis.designed_experiments --out DIR [--pair "cart drag"] [--runs 200] [--jobs 1]
-                                            [--quick] [--summary]
+                                            [--quick] [--summary] [--ship]
 
 For each pair the shortest designed record is sought, and under the same limits the shortest of the
 best of 200 multisines and PRBS that are drawn at each length. The right names are counted in
-simulated records of the designed input, truth and rival fitted to each. Every finished pair is a
-line of DIR/pairs.jsonl at once: a run that was stopped goes on where it was. `--summary` judges the
-pairs that are there.
+simulated records of the designed input, truth and rival fitted to each, and each diagnosed with the
+whole catalogue. Every finished pair is a line of DIR/pairs.jsonl at once: a run that was stopped
+goes on where it was. `--summary` judges the pairs that are there. `--ship` answers the questions of
+`ship` alone: the rudder, and the calibration, with which an unknown load is known best.
 """
 
 from __future__ import annotations
@@ -26,11 +27,13 @@ from analysis.common.figures import Chart
 from analysis.common.output import Output
 from analysis.common.runner import Run, Study, jobs
 from analysis.common.targets import Target, holds
+from analysis.designed_experiments import ship
 from analysis.designed_experiments.pairs import PAIRS, Pair
 
 SEARCHED = ("PRBS", "multisine")
 LONGEST = 15.0  # times the designed record, up to where the searched inputs are tried
 PAIRS_WANTED, SYSTEMS_WANTED = 8, 5
+HALVED = 2.0  # times the standard errors of the designed rudder, in a zigzag
 LEAST, OFTEN = 3.0, 5.0  # times as long: for every pair, for half of them
 LEVEL = 0.01  # of the test that shares agree with what was predicted, for all pairs together
 
@@ -91,9 +94,11 @@ def line_of(row: Row) -> str:
     """One line for a finished pair."""
     at_least = "" if row["searched_is_enough"] else "more than "
     checked = ", ".join(f"{o['right']} of {o['runs']} ({o['power']:.3f})" for o in row["outcomes"])
+    diagnosed = ", ".join(str(o["diagnosed"]) for o in row["outcomes"])
     return (
         f"{row['pair']:<18} designed {row['designed']:8.4g} s  searched {at_least}"
         f"{row['searched']:.4g} s  ratio {at_least}{row['ratio']:.3g}  right {checked}  "
+        f"diagnosed {diagnosed}  "
         f"{row['cpu']:.0f} s"
     )
 
@@ -128,17 +133,40 @@ def targets_of(rows: Sequence[Row], *, quick: bool) -> Iterator[Target]:
     yield from _agreement(rows)
 
 
+def ship_targets(run: Run) -> Iterator[Target]:
+    """The rudder against zigzags, and the calibration against that of the thesis."""
+    designed, *others = ship.rudder(
+        seconds=4.0 if run.quick else 60.0, starts=1 if run.quick else 3
+    )
+    run.output.table("rudder", [m.row() for m in (designed, *others)])
+    for other in others:
+        ratios = other.mass / designed.mass, other.height / designed.height
+        what = f"{other.name}: errors of mass and height over the designed"
+        wanted = HALVED if other.name.startswith("zigzag") else 1.0
+        found = f"{ratios[0]:.2f}, {ratios[1]:.2f}"
+        yield holds(what, found, f">= {wanted:g}", min(ratios) >= wanted)
+    yield holds("roll of the designed rudder", f"{designed.roll:.2f}", "<= 10", designed.roll <= 10)
+    thesis, best = ship.calibration()
+    run.output.table("calibration", [thesis.row(), best.row()])
+    for name, a, b in (("mass", best.mass, thesis.mass), ("height", best.height, thesis.height)):
+        what = f"error of the {name} after the best calibration over the thesis's"
+        yield holds(what, f"{a / b:.2f} ({best.m:g} kg at {best.zbar_m:g} m)", "<= 1", a <= b)
+
+
 def _agreement(rows: Sequence[Row]) -> Iterator[Target]:
     """Shares of right names against what was predicted, as one family of binomial tests."""
     every = [(row["pair"], o) for row in rows for o in row["outcomes"] if o["runs"]]
     for name, o in every:
-        p = float(binomtest(o["right"], o["runs"], o["power"]).pvalue)
-        yield holds(
-            f"{name}, {o['truth']}: right names",
-            f"{o['right']} of {o['runs']}, p = {p:.2g}",
-            f"{o['power']:.3f} predicted",
-            p >= LEVEL / len(every),
-        )
+        for what, counted in (("right names", o["right"]), ("diagnosed", o.get("diagnosed"))):
+            if counted is None:
+                continue
+            p = float(binomtest(counted, o["runs"], o["power"]).pvalue)
+            yield holds(
+                f"{name}, {o['truth']}: {what}",
+                f"{counted} of {o['runs']}, p = {p:.2g}",
+                f"{o['power']:.3f} predicted",
+                p >= LEVEL / len(every),
+            )
 
 
 def write(rows: Sequence[Row], output: Output) -> None:
@@ -167,6 +195,9 @@ def write(rows: Sequence[Row], output: Output) -> None:
 def study(run: Run) -> Iterator[Target]:
     """Run the pairs that the file lacks; targets, table and figures of all."""
     options = run.options
+    if options.ship:
+        yield from ship_targets(run)
+        return
     chosen = {p.name: p for p in PAIRS if not options.pair or p.name in options.pair}
     if run.quick:
         chosen = {p.name: p for p in PAIRS if p.name == "cart friction"}
@@ -192,6 +223,7 @@ STUDY = Study(
         "--pair": {"action": "append", "choices": [p.name for p in PAIRS], "help": "default: all"},
         "--runs": {"type": int, "help": "simulated records a truth (default 200, quick 10)"},
         **jobs(1),
+        "--ship": {"action": "store_true", "help": "the rudder and the calibration alone"},
         "--summary": {"action": "store_true", "help": "of the pairs there are; run none"},
     },
 )

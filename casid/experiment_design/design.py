@@ -36,7 +36,12 @@ from casid.experiment_design.shortest_record import (
 )
 from casid.experiment_design.standard_inputs import kinds_of
 from casid.experiment_design.thresholds import DURATION, KEEPING
-from casid.experiment_design.verification import Verification, contradictions, verified
+from casid.experiment_design.verification import (
+    Verification,
+    contradictions,
+    fewest_to_diagnose,
+    verified,
+)
 from casid.model.units import from_si
 from casid.versions import versions
 
@@ -328,6 +333,18 @@ def _used(setup: Setup, prediction: Any, u: Array, release: Array) -> tuple[Limi
     return tuple(out)
 
 
+def _too_few(search: Search) -> list[str]:
+    """That a diagnosis of the record would refuse it, where it has too few samples."""
+    setup = search.setup
+    least = fewest_to_diagnose(setup)
+    if not search.question.effects or setup.N >= least:
+        return []
+    return [
+        f"A diagnosis judges this model from {least} samples on, and this record has {setup.N}: "
+        f"take a sample time of {setup.duration / least:.2g} s or shorter (Ts, --sample-time)."
+    ]
+
+
 def _lengths_noted(tried: Sequence[Tried]) -> list[str]:
     """What records of other durations give, where the shortest was sought."""
     if not tried:
@@ -358,6 +375,7 @@ def _notes(search: Search, best: Found, parameters: Sequence[Learned]) -> list[s
                 f"{name}, which nobody measures, is taken as {held:.4g} {unit} while the record "
                 "lasts. The sensor that it was eliminated with takes up whatever it does."
             )
+    notes += _too_few(search)
     for effect, size in zip(search.question.effects, search.question.sizes, strict=True):
         values = ", ".join(f"{n} = {v:.4g}" for n, v in size.items())
         notes.append(f"{effect.kind} in {effect.key[1]} is taken with {values} (SI).")

@@ -10,13 +10,14 @@ from scipy.stats import chi2
 
 from casid.arrays import Array
 from casid.data.problem import Problem
-from casid.diagnosing import named_causes
+from casid.diagnosing import fewest_samples, named_causes
 from casid.experiment_design.aim import Aim
 from casid.experiment_design.designed_experiment import Outcome
 from casid.experiment_design.hypotheses import Comparison, nominal_hypothesis
 from casid.experiment_design.question import Question
 from casid.experiment_design.rival_fits import fitted_to, model_to_fit, record_of
 from casid.experiment_design.search import Found
+from casid.experiment_design.setup import Setup
 from casid.experiment_design.thresholds import CHECKING
 
 
@@ -46,8 +47,11 @@ def verified(
     """Outcomes with how often simulated records gave the right answer.
 
     Truth and rival are fitted to each record. Right is the better fit of the truth; of a detection,
-    a significant likelihood ratio. A diagnosis is right that names the truth before the rival.
+    a significant likelihood ratio. A diagnosis is right that names the truth before the rival; none
+    is made where the record has too few samples for one.
     """
+    setup = best.prediction.setup
+    is_diagnosed = how.with_diagnoses and setup.N >= fewest_to_diagnose(setup)
     margin = float(chi2.isf(aim.false_alarm_rate, 1)) if aim.kind == "detect" else 0.0
     out = []
     for k, (c, outcome) in enumerate(zip(question.comparisons, outcomes, strict=True)):
@@ -58,15 +62,22 @@ def verified(
         for run in range(how.runs):
             noisy = records.drawn(rng)
             right += records.misfit_of_rival(noisy) > margin
-            if how.with_diagnoses:
+            if is_diagnosed:
                 names = named_causes(*records.to_diagnose(noisy), seed=how.seed)
                 known = [n for n in names if n in (outcome.truth, outcome.rival)]
                 diagnosed += known[:1] == [outcome.truth]
                 if (run + 1) % CHECKING.reported == 0:
                     progress(f"diagnosed {run + 1}, {diagnosed} of them as {outcome.truth}")
-        counted = diagnosed if how.with_diagnoses else None
+        counted = diagnosed if is_diagnosed else None
         out.append(replace(outcome, right=right, runs=how.runs, diagnosed=counted))
     return tuple(out)
+
+
+def fewest_to_diagnose(setup: Setup) -> int:
+    """Samples from which on a diagnosis judges the model without any cause."""
+    base = nominal_hypothesis(setup.nominal, setup.designed, setup.excitation.hold)
+    every = fewest_samples(len(base.free) + len(base.free_states))
+    return -(-every // len(setup.nominal.model.outputs))
 
 
 def contradictions(outcomes: Sequence[Outcome]) -> list[str]:

@@ -134,6 +134,17 @@ def test_whole_diagnoses_of_simulated_records_are_counted_with_the_interval_of_t
     assert f"6 of 6 ({100 * 0.025 ** (1 / 6):.3g} .. 100 %)" in str(found)
 
 
+def test_a_record_with_too_few_samples_for_a_diagnosis_is_noted_with_the_sample_time() -> None:
+    """Ten samples an unknown: c and k take 20, of which 1.5 s at 0.1 s have 15."""
+    settings = {**SMALL, "intervals": 5, "starts": 0}
+    arguments = spring(), Aim.detect("cubic_damping"), {"u": (-2, 2)}
+    size = {"cubic_damping": 1.0}
+    found = casid.design_experiment(*arguments, 1.5, sizes=size, **settings)
+    assert any("from 20 samples on" in n and "0.075 s or shorter" in n for n in found.notes)
+    longer = casid.design_experiment(*arguments, 2.0, sizes=size, **settings)
+    assert not any("samples on" in n for n in longer.notes)
+
+
 def test_a_share_of_right_names_that_contradicts_the_prediction_is_noted() -> None:
     """80 of 100 where 95 % were predicted: p = 2e-8 of the binomial test."""
     as_predicted = Outcome("a", "b", 10.8, 0.95, 0.9, right=94, runs=100)

@@ -192,12 +192,17 @@ def _none_is_known(at: Weighted, std_error: Callable[[str], float]) -> bool:
 def why_too_few(criterion: SimulationError) -> str:
     """Why the samples are too few for the unknowns, or an empty text."""
     n, unknowns = criterion.n_samples, len(criterion.variables)
-    if n >= SUFFICIENCY.per_unknown * unknowns:
+    least = fewest_samples(unknowns)
+    if n >= least:
         return ""
     return (
-        f"{n} samples are too few to judge a model with {unknowns} unknowns; "
-        f"{SUFFICIENCY.per_unknown * unknowns} are the least"
+        f"{n} samples are too few to judge a model with {unknowns} unknowns; {least} are the least"
     )
+
+
+def fewest_samples(unknowns: int) -> int:
+    """Samples without which a model with so many unknowns is not judged."""
+    return SUFFICIENCY.per_unknown * unknowns
 
 
 def weak_parameters(

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import casid
+from analysis.designed_experiments import ship
 from analysis.designed_experiments.pairs import PAIRS, Pair
 from analysis.designed_experiments.study import STUDY, targets_of
 
@@ -76,3 +78,33 @@ def test_the_short_study_runs_to_its_end_and_goes_on_where_it_was(
     capsys.readouterr()
     assert STUDY.main(["--quick", "--runs", "4", "--out", str(tmp_path)]) == 0
     assert (tmp_path / "pairs.jsonl").read_text(encoding="utf-8") == rows
+
+
+def test_a_zigzag_reverses_the_rudder_at_its_rate_where_the_heading_has_turned() -> None:
+    """Twice the angle takes 2 * 20 deg / (0.4 rad/s) = 1.75 s; the loaded ship stays within 10."""
+    rudder = ship.zigzag(20.0)
+    assert np.max(np.abs(rudder)) == pytest.approx(np.radians(20.0))
+    assert np.max(np.abs(np.diff(rudder))) == pytest.approx(ship.RATE * ship.Ts)
+    reversals = np.sum(np.diff(np.sign(rudder[np.abs(rudder) > 0.3])) != 0)
+    assert 2 <= reversals <= 8
+    assert ship.roll_of(rudder) < ship.ROLL
+
+
+def test_more_time_and_a_known_ship_make_a_load_better_known() -> None:
+    """Information adds up along a record; of a ship with fewer unknowns no less is left over."""
+    angle = ship.zigzag(10.0)
+    free = (*ship.LOAD, *ship.NUISANCE)
+    both = ship.information(ship.ship(free, ship.LOAD), angle, free)
+    half = ship.information(ship.ship(free, ship.LOAD), angle[: len(angle) // 2], free)
+    assert np.all(np.linalg.eigvalsh(both - half) > -1e-6 * np.trace(both))
+    alone = ship.information(ship.ship(tuple(ship.LOAD), ship.LOAD), angle, tuple(ship.LOAD))
+    known = np.diag(np.linalg.inv(alone))
+    assert np.all(known < np.diag(np.linalg.inv(both))[:2])
+
+
+def test_the_best_calibration_is_no_worse_than_the_thesis_s() -> None:
+    thesis, best = ship.calibration()
+    assert sum(best.seconds) == pytest.approx(ship.TOTAL)
+    assert best.mass < thesis.mass
+    assert best.height < thesis.height
+    assert best.m > thesis.m  # a heavier load shows the scale of the torques better
