@@ -16,6 +16,7 @@ times cheaper at no more than 2 % lost power.
 from __future__ import annotations
 
 import contextlib
+import json
 import resource
 import tempfile
 import time
@@ -26,6 +27,7 @@ from typing import Any
 
 import joblib
 import numpy as np
+from joblib.externals.loky import get_reusable_executor
 
 import casid
 from analysis.common.rates import rate, reaches, stays_within
@@ -63,7 +65,15 @@ def of_fleet(
         found = casid.fleet(
             PROBLEM, files, asset=LABELS, out=out, level=LEVEL, screen=screen, progress=True
         )
-    return found, Cost(_processor() - used, time.perf_counter() - begun, found.new)
+    get_reusable_executor().shutdown(wait=True)  # the time of workers counts when they have ended
+    cost = Cost(_processor() - used, time.perf_counter() - begun, found.new)
+    # Of a part that was done in one go before, what it took then.
+    kept = out / "cost.json"
+    if found.new == len(files):
+        kept.write_text(json.dumps(asdict(cost)))
+    elif kept.exists():
+        cost = Cost(**json.loads(kept.read_text()))
+    return found, cost
 
 
 def _processor() -> float:

@@ -6,8 +6,8 @@ with inputs that are straight between samples, integrated by Runge-Kutta steps a
 long. A cause is a constant moment b (a load that shifted), damping by drag d_2, a bias of the gyro
 (it drifted) or a delay of its channel. Its size is set by lambda, the squared length of what it
 changes in the outputs, in units of their noise and off what the parameters and initial states could
-change as well (finite differences): the noncentrality of the best test. Seas are moments w of sines
-about the roll frequency.
+change as well (finite differences): the noncentrality of the best test. Seas are moments w with
+Bretschneider's spectrum (ITTC 1978), its peak about the roll frequency.
 """
 
 from __future__ import annotations
@@ -121,10 +121,17 @@ def inputs(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def sea(rng: np.random.Generator, rms: float) -> Array:
-    """w (N,): sines between 0.35 and 1.1 rad/s, too many for any to be a line of the spectrum."""
-    t = TS * np.arange(N)
-    w, phase = rng.uniform(0.35, 1.1, 150), rng.uniform(0.0, 2 * np.pi, 150)
-    return np.asarray(rms * np.sqrt(2.0 / 150) * np.cos(np.outer(t, w) + phase).sum(axis=1))
+    """w (N,): a sea of Bretschneider's spectrum, w^-5 exp(-1.25 (w_p / w)^4), met at w_p.
+
+    Sines of random frequency and phase, too many for any to be a line of the spectrum.
+    """
+    t, count = TS * np.arange(N), 300
+    peak = rng.uniform(0.4, 0.9)
+    w = peak * rng.uniform(0.5, 3.0, count)
+    phase = rng.uniform(0.0, 2 * np.pi, count)
+    power = (peak / w) ** 5 * np.exp(-1.25 * (peak / w) ** 4)
+    size = rms * np.sqrt(2 * power / power.sum())
+    return np.asarray(np.cos(np.outer(t, w) + phase) @ size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -361,8 +361,13 @@ class _Work:
             raise DataError(
                 f"{error}; choose loky, threading or dask in joblib.parallel_config"
             ) from error
-        if type(error).__name__ == "NoWorkersError":
+        names = {kind.__name__ for kind in type(error).__mro__}
+        if "NoWorkersError" in names:
             raise SolveError(f"{error}; {self._state()}") from error
+        if names & {"CancelledError", "FutureCancelledError", "CommClosedError"}:
+            raise SolveError(
+                f"the Dask scheduler does not answer any more: start another; {self._state()}"
+            ) from error
         error.add_note(self._state())
 
 

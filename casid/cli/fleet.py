@@ -133,6 +133,21 @@ class _Engine:
 @click.argument("records", nargs=-1, required=True)
 @map_option("Column of a signal, and its unit in the files, as in phi=roll:deg.")
 @click.option("--window", metavar="START:STOP", help="Seconds of each record's own clock.")
+@click.option(
+    "--hold-out",
+    type=click.FloatRange(0.0, 1.0, max_open=True),
+    default=0.3,
+    show_default=True,
+    metavar="SHARE",
+    help="Not fitted: this share at the end of every record (0: fit everything).",
+)
+@click.option(
+    "--ignore",
+    multiple=True,
+    metavar="COLUMN",
+    help="Leave out a column that the problem does not use; the others are tested as missing "
+    "inputs. Repeatable.",
+)
 @options(
     SET_OPTION,
     *FLEET_OPTIONS,

@@ -147,6 +147,11 @@ class Prewhitening:
         POWER_STUDY,
     )
     rounds: int = _is(2, "noise and fit in turn", POWER_STUDY)
+    likelier: float = _is(
+        0.5,
+        "units of log-likelihood by which a further round under a disturbance has to gain",
+        f"{TESTS}/search/test_disturbances.py",
+    )
     steps: int = _is(40, "Gauss-Newton steps towards the root without bias", POWER_STUDY)
     patience: int = _is(8, "steps that come no nearer before it is given up", POWER_STUDY)
     nearer: float = _is(0.98, "of the shortest step so far: one that comes nearer", POWER_STUDY)

@@ -43,6 +43,8 @@ def with_disturbance_spectra(
     criterion: SimulationError,
     x: Array,
     known: Mapping[str, float] | None = None,
+    *,
+    residuals: Sequence[Array] | None = None,
 ) -> NoiseModel:
     """The noise of the residual at `x` with forces that are not white where it shows such.
 
@@ -51,10 +53,12 @@ def with_disturbance_spectra(
     Parameters
     ----------
     noise : as estimated with white sources alone.
-    known : as for `estimate_noise`.
+    known, residuals : as for `estimate_noise`.
     """
+    if residuals is None:
+        residuals = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
     # Without a taper the ends of a slow and large motion leak over the noise of the sensors.
-    residuals = [_tapered(criterion.simulated(x, e).residual) for e in range(len(criterion.data))]
+    residuals = [_tapered(r) for r in residuals]
     windows = [d.used if d.used.all() else _tapered(1.0 * d.used) for d in criterion.data]
     sources, outputs = noise.responses[0].sources, tuple(criterion.outputs)
     search = _Search(

@@ -16,6 +16,9 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 
+GRID = 4001
+"""Even frequencies over which the power of a spectrum is added up."""
+
 
 @dataclass(frozen=True, slots=True)
 class DisturbanceSpectrum:
@@ -37,9 +40,17 @@ class DisturbanceSpectrum:
 
         Its mean over these frequencies is one, as that of white noise of unit variance is.
         """
+        s = self._shape(omega, Ts)
+        return np.asarray(s / max(float(np.mean(s)), TINY))
+
+    def of(self, omega: Array, Ts: float) -> Array:
+        """The same at any frequencies `omega` (F,) [rad/sample]."""
+        even = self._shape(np.linspace(0.0, np.pi, GRID), Ts)
+        return np.asarray(self._shape(omega, Ts) / max(float(np.mean(even)), TINY))
+
+    def _shape(self, omega: Array, Ts: float) -> Array:
         r2 = (omega / (Ts * self.frequency)) ** 2
         if self.damping is None:
-            s = 1 / (1 + r2)
-        else:
-            s = (r2 if self.is_band else 1.0) / ((1 - r2) ** 2 + 4 * self.damping**2 * r2 + TINY)
-        return np.asarray(s / max(float(np.mean(s)), TINY))
+            return np.asarray(1 / (1 + r2))
+        lower = r2 if self.is_band else 1.0
+        return np.asarray(lower / ((1 - r2) ** 2 + 4 * self.damping**2 * r2 + TINY))

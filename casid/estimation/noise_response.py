@@ -27,11 +27,24 @@ class Response:
     gain: Array | None = None  # (F, ny, ns) complex, where several outputs are whitened together
 
 
-def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Response:
+def noise_response(
+    criterion: SimulationError, x: Array, experiment: int, *, omega: Array | None = None
+) -> Response:
     """|G|^2 from every measured input and every balance to the outputs, linearised at the mean.
 
     The step of the simulation itself is linearised, so the response is that of what is simulated.
+
+    Parameters
+    ----------
+    omega : (F,) rad/sample, above 0; default even from 0 to pi, as finely as the record resolves.
     """
+    if omega is not None and criterion.model.stages:
+        # What sensors and actuators do beyond expressions is transformed on an even grid.
+        even = noise_response(criterion, x, experiment)
+        assert even.gain is not None
+        places = np.clip(np.searchsorted(even.omega, omega), 0, len(even.omega) - 1)
+        gain = even.gain[places]
+        return Response(omega, np.abs(gain) ** 2, even.sources, gain)
     model, d = criterion.model, criterion.data[experiment]
     p, _ = criterion.parameter_vector(x, experiment)
     states = criterion.simulated(x, experiment).x  # kept: the residual comes from it as well
@@ -60,10 +73,11 @@ def noise_response(criterion: SimulationError, x: Array, experiment: int) -> Res
         np.array(m).reshape(m.shape[0], len(pick), -1).mean(axis=1) for m in at_points
     )
     measured = [n for n in e.inputs if disturbed.inputs[n].kind == "measured"]
-    # As fine as the record resolves: a lightly damped resonance is narrower than that already.
-    omega = np.linspace(0, np.pi, min(d.N, 1 << 16) + 1)
-    # An integrator has no finite response at zero frequency: stay within the record's resolution.
-    omega[0] = 0.25 * omega[1]
+    if omega is None:
+        # As fine as the record resolves: a lightly damped resonance is narrower than that already.
+        omega = np.linspace(0, np.pi, min(d.N, 1 << 16) + 1)
+        # An integrator has no finite response at zero: stay within the record's resolution.
+        omega[0] = 0.25 * omega[1]
     z = np.exp(1j * omega)
     eye = np.eye(len(a))
     lhs = z[:, None, None] * eye - a

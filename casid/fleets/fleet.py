@@ -41,7 +41,8 @@ from casid.fleets.fleet_task import (
 )
 from casid.fleets.random_effects import SOURCES as EFFECT_SOURCES
 from casid.fleets.random_effects import ParameterEffects, Sample, parameter_effects
-from casid.fleets.record_list import FleetRecord, Labels, RecordList, files_of
+from casid.fleets.record_files import RecordFile, files_of
+from casid.fleets.record_list import FleetRecord, Labels, RecordList
 from casid.fleets.record_work import REFERENCES, FleetSettings, Reference, reference_of
 from casid.fleets.thresholds import RECORD_BUDGET
 from casid.model.units import to_si
@@ -106,6 +107,12 @@ class Fleet(Presented):
         return dict(zip(refused["record"].tolist(), refused["refusal"].tolist(), strict=True))
 
     @property
+    def undecided(self) -> dict[str, str]:
+        """Record -> why it does not determine whether the model is adequate."""
+        rows = self.records[self.records["verdict"] == "undecided"]
+        return dict(zip(rows["record"].tolist(), rows["why"].tolist(), strict=True))
+
+    @property
     def discoveries(self) -> int:
         """Records that are called deficient at the level, by Benjamini-Hochberg."""
         return int(self.records["discovered"].sum())
@@ -153,6 +160,7 @@ class Fleet(Presented):
             "not_done": self.not_done,
             "searched": self.searched,
             "refused": len(self.refusals),
+            "undecided": len(self.undecided),
             "discoveries": {"benjamini_hochberg": self.discoveries, "e_bh": self.discoveries_e},
             "alarms": self.alarms["record"].tolist(),
             "false_alarms_per_month": _or_none(self.false_alarms_per_month),
@@ -200,6 +208,7 @@ class FleetOptions(TypedDict, total=False):
     seed: int
     mapping: Mapping[str, str]
     window: tuple[float, float] | None
+    ignore: Iterable[str]
 
 
 def fleet(
@@ -222,7 +231,8 @@ def fleet(
     Parameters
     ----------
     problem : loaded from a file, or its path.
-    records : files, folders, or patterns such as ``voyages/*.parquet``.
+    records : files, folders, or patterns such as ``voyages/*.parquet``; addresses, too, where
+        fsspec is installed: ``s3://bucket/voyages/*.parquet``, ``zip://*.csv::voyages.zip``.
     asset : what a record was taken on: a pattern of the path with {asset} in it, such as
         "{asset}_{time}.csv", or a column of the files. Default the folder that a file is in.
     time : when: a pattern with {time}, or a column; dates or numbers. Default the {time} of
@@ -247,7 +257,8 @@ def fleet(
         rest.pop("budget", RECORD_BUDGET.seconds), rest.pop("memory", RECORD_BUDGET.memory)
     )
     labels = Labels(asset, time)
-    settings = FleetSettings(ignore=labels.columns, **rest)
+    ignore = dict.fromkeys((*labels.columns, *rest.pop("ignore", ())))
+    settings = FleetSettings(ignore=tuple(ignore), **rest)
     _require(settings.level, budget)
     require_settings(problem, settings.level, settings.max_causes, settings.without)
     run = _Run(problem, settings, labels, budget, out, progress)
@@ -299,7 +310,7 @@ class _Run:
             "memory": budget.memory,
         }
 
-    def done(self, files: Sequence[Path], *, resume: bool) -> Fleet:
+    def done(self, files: Sequence[RecordFile], *, resume: bool) -> Fleet:
         """Do what is left to do, and put everything together."""
         if self.folder is not None:
             _require_folder(self.folder)

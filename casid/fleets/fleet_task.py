@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import pickle
 import threading
 import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from multiprocessing import current_process
+from multiprocessing.util import Finalize
 from typing import TYPE_CHECKING, Any
 
 from casid.fleets.record_list import FleetRecord
 from casid.fleets.record_work import REFUSED, Reference, do_reference, do_row
-from casid.fleets.supervision import StoppedError, Supervised
+from casid.fleets.supervision import StoppedError, Supervised, end_with_parent
 from casid.fleets.thresholds import RECORD_BUDGET
 
 if TYPE_CHECKING:
@@ -102,6 +105,7 @@ def _supervised(budget: Budget, function: Any, *arguments: Any) -> dict[str, Any
     process: Supervised | None = getattr(_processes, "process", None)
     if process is None or (process.seconds, process.memory) != (budget.seconds, budget.memory):
         end_process()
+        _end_with_main()
         process = _processes.process = Supervised(budget.seconds, budget.memory)
     try:
         found: dict[str, Any] = process(function, *arguments)
@@ -113,6 +117,17 @@ def _supervised(budget: Budget, function: Any, *arguments: Any) -> dict[str, Any
         process.end()
         raise
     return found
+
+
+@lru_cache(maxsize=1)
+def _end_with_main() -> None:
+    """End a worker of joblib with the main process; called once in a process.
+
+    Not a Dask worker, which may outlive the shell that started it.
+    """
+    if current_process().name.startswith("LokyProcess"):
+        end_with_parent(os.getppid())
+        Finalize(None, end_process, exitpriority=0)  # waited for: its time counts as the worker's
 
 
 def end_process() -> None:

@@ -6,17 +6,17 @@ what was done of a record stays valid when others arrive.
 
 from __future__ import annotations
 
-import glob
 import json
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from casid.data.reading.opening import open_table
 from casid.errors import CasidError, DataError
+from casid.fleets.record_files import RecordFile, local, natural, place_of
 from casid.whole_files import replacing
 
 RECORDS = "records.json"
@@ -25,7 +25,6 @@ RECORDS = "records.json"
 UNKNOWN = "unknown"
 """The asset of a record whose file does not say it."""
 
-_NUMBER = re.compile(r"\d+")
 _FIELD = re.compile(r"\{(asset|time)\}|(\*)")
 
 
@@ -52,45 +51,7 @@ class FleetRecord:
     @property
     def name(self) -> str:
         """That of the file."""
-        return Path(self.path).name
-
-
-def files_of(records: str | Path | Iterable[str | Path]) -> list[Path]:
-    """The files that patterns, folders and paths name, each once, in natural order.
-
-    Raises
-    ------
-    DataError
-        If one of them names no file.
-    """
-    given = [records] if isinstance(records, str | Path) else list(records)
-    found: dict[Path, None] = {}
-    for each in given:
-        path = Path(each)
-        if path.is_dir():
-            named = [p for p in path.rglob("*") if p.is_file() and not p.name.startswith(".")]
-        elif glob.has_magic(str(each)) and not path.exists():
-            named = [Path(p) for p in glob.glob(str(each), recursive=True) if Path(p).is_file()]
-        else:
-            named = [path] if path.is_file() else []
-        if not named:
-            raise DataError(
-                f"{each}: no such record; name files, a folder of them or a pattern in quotes, as "
-                "in 'voyages/*.parquet'"
-            )
-        found |= dict.fromkeys(named)
-    if not found:
-        raise DataError("no record given; name files, a folder of them or a pattern")
-    return sorted(found, key=lambda p: natural(p.as_posix()))
-
-
-def natural(text: str) -> tuple[tuple[int, int, str], ...]:
-    """A key that sorts numbers in a text by their size: run2 before run10."""
-    parts, end = [], 0
-    for number in _NUMBER.finditer(text):
-        parts += [(1, 0, text[end : number.start()]), (0, int(number[0]), "")]
-        end = number.end()
-    return (*parts, (1, 0, text[end:]))
+        return place_of(self.path).name
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,10 +87,10 @@ class Labels:
         """Columns of the files that are labels, and no signals."""
         return tuple(t for t in (self.asset, self.time) if t is not None and "{" not in t)
 
-    def of(self, path: Path) -> tuple[str, str | None]:
+    def of(self, file: RecordFile) -> tuple[str, str | None]:
         """Asset and time of a file, in words; `UNKNOWN` and None where it does not say them."""
-        first = _first_values(path, self.columns)
-        asset: str | None = path.resolve().parent.name or UNKNOWN
+        first, path = _first_values(file.path, self.columns), file.place
+        asset: str | None = path.parent.name or UNKNOWN
         when: str | None = None
         for text in (self.asset, self.time):
             if text is not None and "{" in text:
@@ -143,25 +104,26 @@ class Labels:
         return asset or UNKNOWN, when
 
 
-def _matched(pattern: str, path: Path) -> dict[str, str]:
+def _matched(pattern: str, path: PurePosixPath) -> dict[str, str]:
     parts, end = [], 0
     for field in _FIELD.finditer(pattern):
         parts.append(re.escape(pattern[end : field.start()]))
         parts.append("[^/]*" if field[2] else f"(?P<{field[1]}>[^/]+?)")
         end = field.end()
     text = "".join(parts) + re.escape(pattern[end:])
-    found = re.search(f"(?:^|/){text}$", path.as_posix())
+    found = re.search(f"(?:^|/){text}$", str(path))
     return {} if found is None else found.groupdict()
 
 
-def _first_values(path: Path, columns: Sequence[str]) -> dict[str, str]:
+def _first_values(path: str, columns: Sequence[str]) -> dict[str, str]:
     """The first values of columns, as text; nothing of a file that cannot be read."""
     if not columns:
         return {}
     try:
-        table = open_table(path)
-        there = [c for c in columns if c in table.columns]
-        frame = next(table.chunks(there, 1)) if there else None
+        with local(path) as file:
+            table = open_table(file)
+            there = [c for c in columns if c in table.columns]
+            frame = next(table.chunks(there, 1)) if there else None
     except (CasidError, StopIteration, OSError):
         return {}
     if frame is None or not len(frame):
@@ -211,7 +173,7 @@ class RecordList:
                 f"{folder / RECORDS} cannot be read ({error}); name another folder"
             ) from error
 
-    def add(self, files: Sequence[Path], labels: Labels) -> int:
+    def add(self, files: Sequence[RecordFile], labels: Labels) -> int:
         """Take the files that are not there yet, by time; returns how many.
 
         Raises
@@ -222,19 +184,14 @@ class RecordList:
         known = {record.path: i for i, record in enumerate(self.records)}
         new: list[tuple[FleetRecord, str | None]] = []
         for file in files:
-            place, status = str(file.resolve()), file.stat()
-            at = known.get(place)
+            at = known.get(file.path)
             if at is not None:
-                self._require_same(self.records[at], status.st_size, status.st_mtime_ns)
+                self._require_same(self.records[at], file.size, file.modified)
                 continue
             asset, text = labels.of(file)
             when, is_dated = (math.nan, False) if text is None else _seconds(text)
-            new.append(
-                (
-                    FleetRecord(place, asset, when, is_dated, status.st_size, status.st_mtime_ns),
-                    text,
-                )
-            )
+            record = FleetRecord(file.path, asset, when, is_dated, file.size, file.modified)
+            new.append((record, text))
         self._append(new)
         return len(new)
 

@@ -25,6 +25,7 @@ from casid.diagnosis.diagnosis import Diagnosis
 from casid.diagnosis.verdict.cause import Cause
 from casid.errors import CasidError, OutOfTimeError
 from casid.estimation.estimate import Estimate
+from casid.fleets.record_files import local
 from casid.fleets.record_list import FleetRecord
 from casid.fleets.screening import ParameterValue, Screen, Screened
 from casid.fleets.supervision import over_time
@@ -44,7 +45,7 @@ class FleetSettings:
     screen : whether score tests at the asset's reference decide which records are searched.
     hold_out, max_causes, without, starts, seed : as `casid.diagnose` takes them.
     mapping : signal -> column, as `casid.Problem.read` takes it; window : seconds of each record.
-    ignore : columns of the files that are no signals.
+    ignore : columns of the files that are no signals, or are not to be tested as missing inputs.
     """
 
     level: float = 0.05
@@ -87,9 +88,13 @@ class RecordWork:
 
     def read(self, path: str) -> Experiment:
         """The record of a file."""
+        with local(path) as file:
+            return self._read(file)
+
+    def _read(self, file: Path) -> Experiment:
         s = self.settings
         return self.problem.read(
-            path, mapping=s.mapping, window=s.window, ignore=s.ignore, name=Path(path).stem
+            file, mapping=s.mapping, window=s.window, ignore=s.ignore, name=file.stem
         )
 
     def reference(self, record: FleetRecord) -> Row:
@@ -107,8 +112,8 @@ class RecordWork:
     def row(self, record: FleetRecord, reference: Reference | None, seconds: float) -> Row:
         """The outcome of one record."""
         try:
-            digest = sha256(record.path)
-            experiment = self.read(record.path)
+            with local(record.path) as file:
+                digest, experiment = sha256(file), self._read(file)
         except (CasidError, OSError, UnicodeDecodeError) as error:
             return {**REFUSED, "refusal": f"it cannot be read: {_line(error)}"}
         data = experiment.record

@@ -7,10 +7,11 @@ signals, and the extended model as functions. What is left for a record is a few
 to its own optimum, its noise, and the scores of the catalogue, which are those of the diagnosis.
 
 Where much of a record is explained by neither sensors nor measured inputs, it may be a sea or a
-cause. Its scores are computed under the noise that takes all of it for disturbances, which is right
-in a sea and may absorb a cause. So the effects that score best under the sensors' noise alone are
-taken out of the residual as well: a cause leaves less for disturbances to explain, by a likelihood
-ratio (Whittle's) with one degree of freedom; twice the smaller p counts. A record is searched
+cause. Its scores are computed under the noise that takes all of it for disturbances, and where that
+is not white at the parameters that are likeliest under it (`disturbance_likelihood`): right in a
+sea, but it may absorb a cause. So the effects that score best are taken out of the residual as
+well: a cause leaves less for disturbances to explain, by a likelihood ratio with one degree of
+freedom; twice the smaller p counts. A record is searched
 whatever its scores where they cannot speak for it: its channels are others, its own fit is not
 found, or samples are spoilt.
 """
@@ -28,13 +29,20 @@ from casid.data.arguments import in_si
 from casid.data.experiment import Experiment
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.corrupted_samples import without_corrupted
-from casid.diagnosis.evidence.prewhitening import Weighing, Weighted, not_below
+from casid.diagnosis.evidence.prewhitening import (
+    Weighing,
+    Weighted,
+    minus_log_likelihood,
+    not_below,
+)
 from casid.diagnosis.evidence.recorded_channels import recorded_beside, with_unused_columns
 from casid.diagnosis.evidence.score_tests import scores_of, step_without_bias
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.signature_columns import Columns, extended_columns
 from casid.diagnosis.evidence.spectral_peaks import find_peaks
 from casid.errors import CasidError, DataError
+from casid.estimation.disturbance_estimation import with_disturbance_spectra
+from casid.estimation.disturbance_likelihood import errors
 from casid.estimation.holdout import split_records
 from casid.estimation.noise import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
@@ -153,11 +161,17 @@ class Screen:
         criterion = base.of_records([record], weights=base.weights, start=own)
         x = _minimum(criterion, {})
         if x is None:
-            return Screened(0.0, _FAR)
+            # A sea may move the roll so that the simulation errs least far from the truth.
+            beside = self._beside_disturbances(record, criterion, criterion.start, is_far=True)
+            return beside or Screened(0.0, _FAR)
         fit = replace(self.at.fit, criterion=criterion, solution=replace(self.at.fit.solution, x=x))
         if self._is_spoilt(fit, record):
             return Screened(0.0, "samples of it are spoilt")
         at = Weighing([record], known_noise=self.problem.noise).estimated(fit)
+        if at.noise_absorbs_misfit:
+            beside = self._beside_disturbances(record, criterion, x)
+            if beside is not None:
+                return beside
         criterion = base.of_records(
             [record], weights=base.weights, whiten=at.full.whiten, start=fit.values
         )
@@ -168,15 +182,72 @@ class Screen:
         lines = self._lines(criterion, own_fit)
         if not at.noise_absorbs_misfit:
             return replace(found, p_value=min(found.p_value, lines))
-        p = 2.0 * min(found.p_value, self._taken_out(at))
-        if lines < SCREENING.share * self.level <= p:
-            # A sea has lines, too, where its spectrum is taken for a white one.
-            spectra = Weighing([record], known_noise=self.problem.noise).with_disturbances()
-            shaped = base.of_records(
-                [record], weights=base.weights, whiten=spectra.noise(fit).whiten, start=fit.values
-            )
-            p = min(p, self._lines(shaped, own_fit))
-        return replace(found, p_value=min(1.0, p))
+        return replace(
+            found, p_value=min(1.0, lines, 2.0 * min(found.p_value, self._taken_out(at)))
+        )
+
+    def _beside_disturbances(
+        self, record: Experiment, criterion: SimulationError, x: Array, *, is_far: bool = False
+    ) -> Screened | None:
+        """Scores under a disturbance with a spectrum of its own; None where there is none.
+
+        Nor where the parameters of a fit that is far away are not determined beside it: a force
+        that is large enough explains any of them.
+        """
+        weighing = Weighing([record], known_noise=self.problem.noise).with_disturbances()
+        fit = replace(self.at.fit, criterion=criterion, solution=replace(self.at.fit.solution, x=x))
+        found = weighing.estimated(fit)
+        if not found.full.spectra:
+            return None
+        bare = weighing.likeliest(self.at.model, found)
+        at, x = bare.criterion, bare.fit.x
+        if is_far:
+            wide = errors(at, x, bare.noise, self.problem.noise) > np.abs(x)
+            is_own = [v.source in self.problem.model.parameters for v in at.variables]
+            if np.any(wide & np.array(is_own)):
+                return None
+        table = scores_of(self._columns(at, x), at, input_sd=bare.input_sd, draws=0)
+        p = table.smallest.adjusted if table.smallest is not None else 1.0
+        best = sorted(
+            (i for i, s in enumerate(table.scores) if s.is_visible),
+            key=lambda i: -table.scores[i].unrobust,
+        )[: SCREENING.taken_out]
+        nothing = self._likelihood_beside(bare, None)
+        gain = max((nothing - self._likelihood_beside(bare, i) for i in best), default=0.0)
+        gain = max(gain, 0.0)
+        p = 2.0 * min(p, len(table.tested) * float(chdtrc(1, 2.0 * gain)))
+        _, tangent = at.columns(x, 0)
+        own = self._parameters(at, x, tangent)
+        return Screened(min(1.0, p, self._lines(at, x)), "", own)
+
+    def _likelihood_beside(self, bare: Weighted, effect: int | None) -> float:
+        """Minus the log-likelihood where an effect explains a part of the residual.
+
+        The disturbance is sought anew in what the effect leaves; the effect, with the parameters,
+        first under the disturbance of the model without it, then under that.
+        """
+        at, x, noise = bare.criterion, bare.fit.x, bare.noise
+        least = minus_log_likelihood(bare)
+        plain = at.of_records(at.experiments, weights=at.weights, start=bare.fit.values)
+        raw = self._columns(plain, x)
+        residual, columns, psi = raw.of_record(raw.wide.start, 0)
+        if effect is not None:
+            columns = np.hstack([columns, psi[:, [raw.judged[effect]]]])
+        shape = (at.data[0].N, len(at.weights))
+        for _ in range(2):
+            stack = np.column_stack([residual, columns]).reshape(*shape, -1)
+            white = noise.whiten(stack, 0).reshape(len(residual), -1)
+            size = np.sqrt(np.maximum(np.einsum("ij,ij->j", white[:, 1:], white[:, 1:]), TINY))
+            step = np.linalg.lstsq(white[:, 1:] / size, white[:, 0], rcond=None)[0] / size
+            left = (residual - columns @ step).reshape(shape)
+            lower, upper = ([getattr(v, side) for v in at.variables] for side in ("lower", "upper"))
+            moved = np.clip(x + step[: len(x)], lower, upper)
+            of = [left / at.weights]
+            noise = estimate_noise(at, moved, known=self.problem.noise, residuals=of)
+            noise = with_disturbance_spectra(noise, at, moved, self.problem.noise, residuals=of)
+            misfit = 0.5 * float(np.sum(noise.whiten(left[:, :, None], 0) ** 2))
+            least = min(least, misfit + 0.5 * noise.log_determinant(0, shape[0]))
+        return least
 
     def _lines(self, criterion: SimulationError, x: Array) -> float:
         """p of the most significant line in the spectrum of the residual."""

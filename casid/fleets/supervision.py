@@ -15,6 +15,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import IO, Any
 
@@ -98,7 +99,7 @@ class Supervised:
         self.end()
         paths = os.pathsep.join(p for p in sys.path if p)
         process = subprocess.Popen(
-            [sys.executable, "-c", _CHILD],
+            [sys.executable, "-c", _CHILD, str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": paths},
@@ -152,9 +153,30 @@ def _frames(stream: IO[bytes]) -> Iterator[bytes]:
             yield content
 
 
+def end_with_parent(parent: int) -> None:
+    """End this process soon after the one that started it, which may have been killed.
+
+    Whoever is killed tells nobody, and idle workers would hold their memory for minutes.
+
+    Parameters
+    ----------
+    parent : its process number.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(RECORD_BUDGET.look)
+        os._exit(1)
+
+    if os.name == "posix":
+        threading.Thread(target=watch, name="casid-parent", daemon=True).start()
+
+
 def serve() -> None:
     """Do the tasks that come in on standard input until it ends; what they print goes to stderr."""
     import signal
+
+    end_with_parent(int(sys.argv[1]))
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that supervises ends this one
     tasks, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")

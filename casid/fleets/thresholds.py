@@ -22,7 +22,7 @@ class Screening:
     """Which records get the full search."""
 
     share: float = _is(
-        0.2,
+        0.5,
         "of the level: family-wise p of a record's scores from which it is not searched; "
         "Benjamini-Hochberg rejects such a record only where more than this share of all records "
         "is rejected",
@@ -81,6 +81,9 @@ class RecordBudget:
 
     seconds: float = _is(300.0, "where none is given", _RECORDS)
     memory: float = _is(2000.0, "megabytes beside what the libraries take", _RECORDS)
+    look: float = _is(
+        1.0, "seconds between two looks of a process at whether the one above it is there", _RECORDS
+    )
     grace: float = _is(
         1.2,
         "times the seconds after which its process is stopped: a search that looks at the clock "

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from casid.fleets.supervision import StoppedError, Supervised
 from casid.fleets.thresholds import RECORD_BUDGET
+from tests.support.dask_cluster import WAIT
+from tests.support.shared import ROOT
 
 
 def double(x: int) -> int:
@@ -77,3 +81,41 @@ def test_a_crash_in_compiled_code_is_told_and_survived(process: Supervised) -> N
     with pytest.raises(StoppedError, match="a crash in compiled code"):
         process(crashing)
     assert process(double, 6) == 12
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_process_ends_with_the_one_that_supervises_it() -> None:
+    """Kill -9 of the parent, which can tell nobody, in the middle of an endless task."""
+    program = (
+        "import sys, threading, time\n"
+        "from casid.fleets.supervision import Supervised\n"
+        "from tests.fleets.test_supervision import endless\n"
+        "s = Supervised(300.0, 300.0)\n"
+        "threading.Thread(target=s, args=(endless,), daemon=True).start()\n"
+        "while s._process is None: time.sleep(0.01)\n"
+        "print(s._process.pid, flush=True)\n"
+        "time.sleep(600)\n"
+    )
+    parent = subprocess.Popen(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+    )
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    parent.kill()
+    parent.wait()
+    ends = time.monotonic() + WAIT
+    while is_running(child) and time.monotonic() < ends:
+        time.sleep(0.1)
+    assert not is_running(child)
+
+
+def is_running(pid: int) -> bool:
+    """True unless there is no such process, or it has ended and nobody has asked how."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    stat = Path(f"/proc/{pid}/stat")
+    return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] != "Z"

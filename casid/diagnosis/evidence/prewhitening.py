@@ -6,7 +6,7 @@ compared later is fitted to the same criterion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +15,9 @@ from casid.arrays import Array
 from casid.data.experiment import Experiment
 from casid.diagnosis.evidence.score_tests import step_without_bias
 from casid.diagnosis.thresholds import PREWHITENING
+from casid.errors import CasidError
 from casid.estimation.disturbance_estimation import with_disturbance_spectra
+from casid.estimation.disturbance_likelihood import likeliest
 from casid.estimation.nlp.solver import Solver
 from casid.estimation.noise import NoiseModel, estimate_noise, input_noise_floor, white_floor
 from casid.estimation.simulation.minimization import Fit, minimize_simulation_error
@@ -44,7 +46,9 @@ class Weighted:
     full: NoiseModel  # with whatever passes for a disturbance
     input_sd: Mapping[str, float]
     noise_absorbs_misfit: bool  # much of it is explained by neither sensors nor measured inputs
-    unbiased: Fit | None = None  # where the noise of the inputs has no part in the estimate
+    unbiased: Fit | None = None  # where the noise of the inputs has no part in the estimate, or a
+    # disturbance counts by the response of the model itself
+    beside: Weighted | None = None  # the same under disturbances, where these were sought
 
     @property
     def criterion(self) -> SimulationError:
@@ -82,6 +86,11 @@ class Weighing:
         disturbance and mask its own cause: the fit is then made under the sensors' noise alone.
         """
         found = self.estimated(fit)
+        if self.takes_disturbances and found.full.spectra:
+            best = self.likeliest(model, found)
+            fit = self.minimum(self.criterion(model, best.noise, best.fit.values, best.criterion))
+            use_samples_of(fit.criterion, best.criterion)
+            return replace(best, fit=fit, unbiased=best.fit)
         if found.noise_absorbs_misfit:
             at = self._without_bias(found)
             if at is None or at.noise_absorbs_misfit:
@@ -101,6 +110,63 @@ class Weighing:
             noise_absorbs_misfit=False,
             unbiased=None if at is found else at.fit,
         )
+
+    def likeliest(self, model: Model, found: Weighted) -> Weighted:
+        """The model under the disturbance that is likeliest together with its parameters.
+
+        `weigh` adds the minimum under that noise, which whatever is compared with it is fitted to
+        as well; tests of the residual are made at the likeliest point itself.
+
+        Parameters
+        ----------
+        found : a fit with the noise there, of which a force has a spectrum.
+        """
+        return min((self._in_turn(model, at) for at in self._starts(found)), key=_at_point)
+
+    def _starts(self, found: Weighted) -> Iterator[Weighted]:
+        """A fit, and the same with what is at its bound where the model declares it to start."""
+        yield found
+        c, x = found.criterion, found.fit.x.copy()
+        for i, v in enumerate(c.variables):
+            if v.source in c.model.parameters and not v.lower < x[i] < v.upper:
+                x[i] = np.clip(c.model.parameters[v.source].start, v.lower, v.upper)
+        if not np.array_equal(x, found.fit.x):
+            try:
+                yield self.estimated(_moved(found.fit, c, x))
+            except CasidError:  # it diverges from there
+                return
+
+    def _in_turn(self, model: Model, at: Weighted) -> Weighted:
+        """The likeliest parameters, and the noise there, in turn until neither moves."""
+        best = self._whitened(model, at)
+        for _ in range(PREWHITENING.rounds):
+            x = likeliest(at.criterion, at.fit.x, at.full, self.known_noise)
+            at = self.estimated(_moved(at.fit, at.criterion, x))
+            found = self._whitened(model, at)
+            if not _at_point(found) < _at_point(best) - PREWHITENING.likelier:
+                break
+            best = found
+        return best
+
+    def _whitened(self, model: Model, at: Weighted) -> Weighted:
+        """The same under its own noise; initial states, which a taper hides, are found anew."""
+        criterion = self.criterion(model, at.full, at.fit.values, at.criterion)
+        use_samples_of(criterion, at.criterion)
+        x = at.fit.x.copy()
+        initial = [i for i, v in enumerate(criterion.variables) if v.source in model.states]
+        if initial:
+            here = criterion.evaluate(x)
+            matrix = here.hessian[np.ix_(initial, initial)]
+            step = -np.linalg.lstsq(matrix, here.gradient[initial], rcond=1e-12)[0]
+            there = x.copy()
+            there[initial] += step
+            there = np.clip(
+                there,
+                [v.lower for v in criterion.variables],
+                [v.upper for v in criterion.variables],
+            )
+            x = there if criterion.evaluate(there).value < here.value else x
+        return replace(at, fit=_moved(at.fit, criterion, x), noise=at.full)
 
     def _without_bias(self, found: Weighted) -> Weighted | None:
         """The root of (2) in `scores`, with the noise found there; None if none is near.
@@ -216,9 +282,31 @@ class Weighing:
 
 def minus_log_likelihood(at: Weighted) -> float:
     """Whittle's, of the residual under the noise that the model is fitted under."""
+    if at.noise.spectra and at.unbiased is not None:
+        return _at_point(replace(at, fit=at.unbiased))
+    return _at_point(at)
+
+
+def _at_point(at: Weighted) -> float:
+    """The same at the very fit."""
     samples = [d.N for d in at.criterion.data]
     logs = sum(at.noise.log_determinant(e, n) for e, n in enumerate(samples))
     return at.fit.solution.value + 0.5 * logs
+
+
+def _moved(fit: Fit, criterion: SimulationError, x: Array) -> Fit:
+    """A fit at another point, or of another criterion."""
+    value = criterion.evaluate(x).value
+    sides = {
+        side: tuple(
+            v.name for v, a in zip(criterion.variables, x, strict=True) if a == getattr(v, side)
+        )
+        for side in ("lower", "upper")
+    }
+    solution = replace(
+        fit.solution, x=x, value=value, at_lower=sides["lower"], at_upper=sides["upper"]
+    )
+    return replace(fit, criterion=criterion, solution=solution)
 
 
 def use_samples_of(criterion: SimulationError, other: SimulationError) -> None:

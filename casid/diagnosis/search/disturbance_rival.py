@@ -9,6 +9,10 @@ charged for that choice as well (extended BIC: Chen and Chen, Biometrika 95 (200
 
 A disturbance is an explanation only where the residual under it is one: stationary, and dependent
 on no state or input.
+
+The p of what was found under the sensors' noise alone is that of no disturbance at all: in a sea it
+is as small as the sea is large. No cause is therefore more significant than all of them are
+together against a disturbance in their place (Wilks 1938; Bonferroni over what was tested).
 """
 
 from __future__ import annotations
@@ -16,6 +20,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+
+from scipy.stats import chi2
 
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.prewhitening import Weighted, minus_log_likelihood
@@ -25,6 +31,7 @@ from casid.diagnosis.search.residual_check import is_more_than_noise
 from casid.diagnosis.search.rounds import Search
 from casid.diagnosis.search.selection import adopt_causes
 from casid.diagnosis.settings import DiagnosisSettings
+from casid.estimation.simulation.minimization import Fit
 
 RANDOM = "an unrecorded random disturbance explains the misfit as well"
 
@@ -35,28 +42,43 @@ def weighed_against_disturbances(
     """The search, the model as it is, and what was found, that are likeliest beside disturbances.
 
     The same as given where nothing would pass for a disturbance, or a parameter is held at its
-    bound: that leaves misfit of its own.
+    bound under a disturbance, too: that leaves misfit of its own.
     """
     base, start = baseline.fit, baseline.start
-    held = base.solution.at_lower or base.solution.at_upper
-    if held or not start.noise_absorbs_misfit:
+    held = _is_held(base)
+    if not start.noise_absorbs_misfit and (found.adopted or not held):
         return search, start, found
     settings.progress("compare what was found with a random disturbance in its place")
     weighing = search.weighing.with_disturbances()
     again = replace(search, weighing=weighing, tested=None, refused=[])
     bare = weighing.weigh(start.model, base, rounds=1)
+    start = replace(start, beside=bare)
+    found = found if found.adopted else replace(found, at=start)
+    if held:
+        if bare.unbiased is None or _is_held(bare.unbiased):
+            return search, start, _significant(found, bare, search, start)
+        if _score(bare, (), search) >= _score(start, (), search):
+            return search, start, found
+        start = replace(start, noise_absorbs_misfit=True)  # which the bound has hidden
+        found = replace(found, at=start) if not found.adopted else found
     score, is_random = math.inf, False
     if found.adopted and found.fit is not None:
         nothing = _score(bare, (), search)
         is_clean = not found.at.noise_absorbs_misfit
         if is_clean and _score(found.at, found.adopted, search) < nothing:
-            return search, start, found  # likelier, even with no disturbance beside the causes
-        score = _score(weighing.weigh(found.fit.criterion.model, found.fit), found.adopted, search)
-        is_random = nothing <= score and not is_more_than_noise(bare, again)
+            # Likelier, even with no disturbance beside the causes.
+            return search, start, _charged(found, bare, search)
+        beside = weighing.weigh(found.fit.criterion.model, found.fit)
+        score = _score(beside, found.adopted, search)
+        charged = _charged(found, bare, search, beside)
+        is_random = all(a.p_value >= search.alpha for a in charged.adopted)
+        is_random = is_random or (nothing <= score and not is_more_than_noise(bare, again))
         if is_clean and not is_random:
-            return search, start, found
+            return search, start, charged
+        found = charged
     settings.progress("treat the remainder as a disturbance, and test every effect in its presence")
     other = adopt_causes(again, bare, base, baseline.split, settings.fit)
+    other = _significant(other, bare, again, bare)
     _add_refused(search, again.refused)
     if other.fit is not None and _score(other.at, other.adopted, again) < score:
         if is_random or not found.adopted or not is_more_than_noise(other.at, again):
@@ -65,6 +87,45 @@ def weighed_against_disturbances(
         _add_refused(search, [(a.candidate, RANDOM) for a in found.adopted])
         return search, start, Adoption((), start, None)
     return search, start, found
+
+
+def _significant(found: Adoption, bare: Weighted, search: Search, start: Weighted) -> Adoption:
+    """What was found, if it is significant against disturbances alone; else `start`."""
+    charged = _charged(found, bare, search)
+    if not charged.adopted or any(a.p_value < search.alpha for a in charged.adopted):
+        return charged
+    search.refused += [(a.candidate, RANDOM) for a in found.adopted]
+    return Adoption((), start, None)
+
+
+def _is_held(fit: Fit) -> bool:
+    return bool(fit.solution.at_lower or fit.solution.at_upper)
+
+
+def _charged(
+    found: Adoption, bare: Weighted, search: Search, beside: Weighted | None = None
+) -> Adoption:
+    """What was found, no p smaller than that of all of it against a disturbance in its place.
+
+    Parameters
+    ----------
+    bare : the model as it is under the disturbance.
+    beside : the extended model under what is left for one; default as it was found.
+    """
+    if not found.adopted or found.fit is None:
+        return found
+    at = found.at if beside is None else beside
+    if at.noise_absorbs_misfit:
+        at = search.weighing.with_disturbances().weigh(found.fit.criterion.model, found.fit)
+    gain = minus_log_likelihood(bare) - minus_log_likelihood(at)
+    effects = [a.candidate.effect for a in found.adopted]
+    tested = max(len(search.first_table.tested) if search.first_table is not None else 1, 1)
+    logs = len(effects) * math.log(tested)
+    logs += float(chi2.logsf(2 * max(gain, 0.0), sum(e.cost for e in effects)))
+    p = math.exp(min(logs, 0.0))
+    return replace(
+        found, adopted=tuple(replace(a, p_value=max(a.p_value, p)) for a in found.adopted)
+    )
 
 
 def _score(at: Weighted, adopted: Sequence[Adopted], search: Search) -> float:

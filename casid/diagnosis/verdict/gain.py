@@ -13,6 +13,7 @@ from casid.data.channel_quality import quantisation_step
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.findings import Findings
+from casid.diagnosis.search.simulation_errors import simulation_errors
 from casid.diagnosis.thresholds import FUNCTIONS, JUDGING
 from casid.estimation.estimate import RecordView
 from casid.estimation.fit_statistics import rms
@@ -86,6 +87,24 @@ def unlike_held_out(
                 f"the fitted part shows no model error, but the simulation of {output} is wrong by "
                 f"{error:.3g} where it was not fitted, against {inside:.3g} where it was: "
                 "diagnose the whole record (--hold-out 0), or that part of it (--window)"
+            )
+    return ""
+
+
+def unlike_beside(at: Weighted, split: Split) -> str:
+    """The same of a model under a disturbance, by what its past does not predict of the errors.
+
+    A narrow disturbance has few independent samples: its own size varies from part to part.
+    """
+    assert at.unbiased is not None
+    found = simulation_errors(at.unbiased, split, at.criterion.weights, at.noise)
+    for i, output in enumerate(at.criterion.outputs):
+        inside, held = (float(rms(part)[i]) for part in (found.fitted, found.continued))
+        if len(found.continued) and held > JUDGING.unlike * max(inside, 1.0):
+            return (
+                f"the fitted part shows no model error beside a disturbance, but {output} is "
+                f"{held:.2g} times as far from its prediction where it was not fitted: diagnose "
+                "the whole record (--hold-out 0), or that part of it (--window)"
             )
     return ""
 

@@ -9,6 +9,7 @@ from functools import partial
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.baseline import Baseline
 from casid.diagnosis.evidence.disturbances import Disturbance
+from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.robust_errors import std_error
 from casid.diagnosis.evidence.sufficiency import weak_parameters
 from casid.diagnosis.search.findings import Findings
@@ -19,6 +20,7 @@ from casid.diagnosis.verdict.gain import (
     Errors,
     bounds_met,
     errors_of,
+    unlike_beside,
     unlike_held_out,
     views,
 )
@@ -115,10 +117,9 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     compared = attempt("the comparison with functions outside the catalogue", compare)
     causes, remainder = compared or (causes, remainder)
     causes = negated(causes)
-    why_undecided = _why_undecided(start, unlike_held_out(fitted, held), disturbances)
-    bounds = {} if why_undecided else bounds
-    if bounds:
-        why_undecided = f"the fit holds {' and '.join(bounds.values())}"
+    beside = remainder.beside if remainder is not None and not causes else None
+    unlike = unlike_held_out(fitted, held)
+    why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
     return Judgement(
         verdict=verdict,
@@ -137,6 +138,28 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
         remainder=remainder,
         bounds=bounds,
     )
+
+
+def _undecided(
+    problem: Problem,
+    found: Findings,
+    beside: Weighted | None,
+    unlike: str,
+    disturbances: Sequence[Disturbance],
+) -> tuple[str, dict[str, str]]:
+    """Why the records support no answer, and the bounds that forbid one.
+
+    What a disturbance moves is no error of the model, and holds no parameter at its bound: they are
+    those of the model `beside` it, where it has a spectrum of its own.
+    """
+    bounds = bounds_met(problem, found.best_fit)
+    if beside is not None and beside.unbiased is not None:
+        unlike = unlike_beside(beside, found.baseline.split)
+        bounds = bounds_met(problem, beside.unbiased)
+    why = _why_undecided(found.baseline, unlike, disturbances)
+    if why:
+        return why, {}
+    return f"the fit holds {' and '.join(bounds.values())}" if bounds else "", bounds
 
 
 def _errors(found: Findings, *, with_disturbances: bool) -> tuple[Errors, Errors]:

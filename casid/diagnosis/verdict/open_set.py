@@ -48,6 +48,7 @@ class Remainder:
     level: float
     unexplained: Unexplained | None = None
     disturbances: tuple[Disturbance, ...] = ()  # where it is none
+    beside: Weighted | None = None  # the model under them, where it is simulated without
 
 
 def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -> Remainder:
@@ -60,11 +61,14 @@ def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -
     if at.noise_absorbs_misfit:
         # The residual was tested under the noise of sensors and inputs alone, of which it is much
         # more. With random forces in the noise, of spectra of their own, it may be nothing else.
-        with_force = search.weighing.with_disturbances().weigh(at.model, at.fit)
+        with_force = at.beside or search.weighing.with_disturbances().weigh(at.model, at.fit)
         again = _tests(with_force, search, level)
-        if again.verdict in _RANDOM and not _has_burst(again, with_force, level):
-            return Remainder(again.adjusted, level, disturbances=disturbances_of(with_force))
-        p_value = min(p_value, again.adjusted)
+        burst = _burst(again, with_force)
+        if again.verdict in _RANDOM and burst >= level:
+            found = disturbances_of(with_force)
+            return Remainder(again.adjusted, level, disturbances=found, beside=with_force)
+        # The spectrum of a random force may be any: it speaks for no deficiency.
+        p_value = min(1.0, 3 * min(again.p_dependence, again.p_time), burst)
         if adopted and tests.verdict in _RANDOM:
             return Remainder(p_value, level)
     search.progress("describe the unexplained remainder")
@@ -72,13 +76,19 @@ def tested_remainder(at: Weighted, search: Search, adopted: Sequence[Adopted]) -
     return Remainder(p_value, level, description)
 
 
-def _has_burst(tests: ResidualTests, at: Weighted, level: float) -> bool:
-    """True if one stretch is so much louder than the others that no stationary noise is."""
+def _burst(tests: ResidualTests, at: Weighted) -> float:
+    """p that one stretch is by chance as much louder than the others as the loudest is.
+
+    1 where none is `DESCRIPTION.loud`. A stretch has no more independent samples than the spread
+    of most of them shows.
+    """
     power = tests.blocks[:, 2] / np.median(tests.blocks[:, 2])
+    spread = 1.4826 * float(np.median(np.abs(power - 1.0)))
     Ts = at.criterion.data[0].Ts
     count = (tests.blocks[:, 1] - tests.blocks[:, 0]) / Ts * len(at.criterion.outputs)
+    count = np.minimum(count, 2.0 / max(spread**2, TINY))
     p = len(power) * chi2.sf(power * count, count)
-    return bool(np.any((power > DESCRIPTION.loud) & (p < level)))
+    return float(np.min(np.where(power > DESCRIPTION.loud, p, 1.0)))
 
 
 def _tests(at: Weighted, search: Search, level: float) -> ResidualTests:

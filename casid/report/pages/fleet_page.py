@@ -28,6 +28,7 @@ from casid.report.texts.fleets import (
     effect_head,
     finding_cells,
     rates_text,
+    undecided_reason,
 )
 
 _FIRST, _FINDINGS = 12, 200  # findings at once, and unfolded; fleet.json has all of them
@@ -77,6 +78,7 @@ def fleet_report(fleet: Fleet) -> Document:
                 is_open=True,
             ),
             Section("Common causes", [_common(fleet)]),
+            Section("Undecided records", [_undecided(fleet)]),
             Section("Refused records", [_refused(fleet)]),
             Section("What the rates assume", [Bullets(ASSUMPTIONS)]),
             provenance((), settings, fleet.versions),
@@ -175,6 +177,11 @@ def _common(fleet: Fleet) -> Table:
         rows.append((f"{key[0]} in {key[1]}", str(len(assets)), since, ", ".join(assets[:10])))
     caption = "Causes that half of the assets or more have at one time: not specific to one asset"
     return Table(("cause", "assets", "since", "which"), rows, numbers=(1,), caption=caption)
+
+
+def _undecided(fleet: Fleet) -> Table:
+    counts = Counter(undecided_reason(text) for text in fleet.undecided.values())
+    return mapping_table({text: str(n) for text, n in counts.most_common()}, ("why", "records"))
 
 
 def _refused(fleet: Fleet) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 
 from casid.fleets.findings import Finding
@@ -21,6 +22,7 @@ def fleet_document(fleet: Fleet) -> Document:
     rows = [finding_cells(fleet, f) for f in shown]
     more = len(fleet.findings) - len(shown)
     refusals = Counter(_reason(text) for text in fleet.refusals.values()).most_common(5)
+    undecided = Counter(undecided_reason(text) for text in fleet.undecided.values()).most_common(5)
     return Document(
         f"Fleet of {fleet.problem}: {len(fleet.records)} records of {len(fleet.assets)} assets",
         [
@@ -31,6 +33,7 @@ def fleet_document(fleet: Fleet) -> Document:
             Table(
                 effect_head(fleet), [effect_cells(e) for e in fleet.effects], numbers=(2, 3, 4, 5)
             ),
+            *labelled("undecided", [f"{n} record{'s' * (n > 1)}: {text}" for text, n in undecided]),
             *labelled("refused", [f"{n} record{'s' * (n > 1)}: {text}" for text, n in refusals]),
             *(
                 [("NOT DONE", f"{fleet.not_done} records: the budget of time ended")]
@@ -38,7 +41,7 @@ def fleet_document(fleet: Fleet) -> Document:
                 else []
             ),
         ],
-        label=8,
+        label=10,
         width=110,
     )
 
@@ -50,6 +53,14 @@ def effect_head(fleet: Fleet) -> tuple[str, ...]:
     """The columns of `effect_cells`."""
     drift = "drift a year" if fleet.is_dated else "drift a record"
     return ("parameter", "unit", "mean", "between", "within", drift, "drifts alone")
+
+
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d.]*(e[-+]?\d+)?")
+
+
+def undecided_reason(text: str) -> str:
+    """Why a record is undecided, without its own numbers: what many records have in common."""
+    return _NUMBER.sub("..", text.split(": ", 1)[-1])
 
 
 def counts_text(fleet: Fleet) -> str:

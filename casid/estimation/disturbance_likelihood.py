@@ -1,0 +1,270 @@
+"""The likeliest parameters under a disturbance, which the model itself passes on to the outputs.
+
+A sea excites the roll that is to be identified: the spectrum of what a force leaves in the outputs
+is |G(theta)|^2 times that of the force, and depends on the parameters. Simulation errors whitened
+under G of an earlier fit use none of this: their estimate is consistent, but where the disturbance
+is most of the motion hardly anything determines it (a damping at zero, say), and the noise found
+there is that of a wrong model. Here both parts of Whittle's likelihood count,
+
+    sum_f log det S(f; theta, phi) + R(f; theta)^H S(f; theta, phi)^-1 R(f; theta)            (1)
+
+with R the tapered residual's transform, S its spectra and cross-spectra, and phi variances and
+shape of the spectrum (Pintelon and Schoukens, System Identification, 2nd ed. 2012, chapter 9).
+Minimised by Fisher scoring, in bands of frequencies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import rfft
+
+from casid.arrays import TINY, Array
+from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
+from casid.estimation.noise import NoiseModel, band_edges
+from casid.estimation.noise_response import noise_response
+from casid.estimation.simulation.simulation_error import SimulationError
+
+STEPS = 15
+"""Of the scoring, at most."""
+SETTLED = 0.02
+"""Units of log-likelihood that a step promises, at which it ends."""
+HALVINGS = 6
+"""Of a step that does not raise the likelihood."""
+DIFFERENCE = 1e-4
+"""Relative change of a parameter over which responses are differentiated."""
+LONGEST = 1.0
+"""Change of the logarithm of a variance or of a spectrum's shape in one step, at most."""
+
+
+def likeliest(
+    criterion: SimulationError,
+    x: Array,
+    noise: NoiseModel,
+    known: Mapping[str, float] | None = None,
+) -> Array:
+    """(n,) the variables that minimise (1), from `x` and the noise found there.
+
+    The same as given where samples are missing, or the likelihood does not rise.
+
+    Parameters
+    ----------
+    criterion : in one segment a record.
+    noise : at `x`; its forces with spectra keep the family of theirs.
+    known : channel -> standard deviation that is not estimated.
+    """
+    if criterion.segments > 1 or any(not d.used.all() for d in criterion.data):
+        return x
+    search = _Likelihood(criterion, noise, dict(known or {}))
+    z = np.concatenate([x, search.start])
+    at = search.at(z)
+    if not np.isfinite(at.value):
+        return x
+    damping = 1e-3
+    for _ in range(STEPS):
+        step = search.step(z, at, damping)
+        if 0.5 * abs(float(step @ at.gradient)) < SETTLED:
+            break
+        for _ in range(HALVINGS):
+            there = search.clipped(z + step)
+            new = search.at(there)
+            if new.value < at.value:
+                break
+            step, damping = 0.5 * step, 4 * damping
+        else:
+            break
+        gained, z, at, damping = at.value - new.value, there, new, 0.25 * damping
+        if gained < SETTLED:
+            break
+    return z[: len(x)]
+
+
+def errors(
+    criterion: SimulationError,
+    x: Array,
+    noise: NoiseModel,
+    known: Mapping[str, float] | None = None,
+) -> Array:
+    """(n,) standard errors at a minimum of (1), from Fisher's information; as for `likeliest`."""
+    search = _Likelihood(criterion, noise, dict(known or {}))
+    information = search.at(np.concatenate([x, search.start])).information
+    size = np.sqrt(np.maximum(np.diag(information), TINY))
+    inverse = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
+    return np.asarray((np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size)[: len(x)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _At:
+    """(1) at a point, its gradient and Fisher's information."""
+
+    value: float
+    gradient: Array
+    information: Array
+
+
+class _Likelihood:
+    """(1) over the variables of a criterion, log variances and log shapes of spectra."""
+
+    def __init__(
+        self, criterion: SimulationError, noise: NoiseModel, known: Mapping[str, float]
+    ) -> None:
+        self.criterion, self.noise = criterion, noise
+        self.sources = [n for n, sd in noise.source_sd.items() if sd > 0.0]
+        self.free_outputs = [i for i, n in enumerate(criterion.outputs) if n not in known]
+        self.free_sources = [n for n in self.sources if n not in known]
+        self.shaped = [n for n in self.free_sources if n in noise.spectra]
+        logs = [2 * np.log(max(float(noise.output_sd[i]), TINY)) for i in self.free_outputs]
+        logs += [2 * np.log(noise.source_sd[n]) for n in self.free_sources]
+        for n in self.shaped:
+            shape = noise.spectra[n]
+            logs.append(np.log(shape.frequency))
+            logs += [] if shape.damping is None else [np.log(shape.damping)]
+        self.start = np.array(logs)
+        self.lower = np.array([v.lower for v in criterion.variables])
+        self.upper = np.array([v.upper for v in criterion.variables])
+
+    def clipped(self, z: Array) -> Array:
+        """Variables within their bounds."""
+        n = len(self.lower)
+        return np.concatenate([np.clip(z[:n], self.lower, self.upper), z[n:]])
+
+    def step(self, z: Array, at: _At, damping: float) -> Array:
+        """Of scoring; variables at a bound that it would cross stay there."""
+        n = len(self.lower)
+        free = np.ones(len(z), bool)
+        free[:n] &= ~((z[:n] <= self.lower) & (at.gradient[:n] > 0))
+        free[:n] &= ~((z[:n] >= self.upper) & (at.gradient[:n] < 0))
+        size = np.sqrt(np.maximum(np.diag(at.information), TINY))[free]
+        scaled = at.information[np.ix_(free, free)] / np.outer(size, size)
+        scaled += damping * np.eye(len(size))
+        found = np.zeros(len(z))
+        found[free] = -np.linalg.lstsq(scaled, at.gradient[free] / size, rcond=1e-12)[0] / size
+        longest = float(np.max(np.abs(found[n:]), initial=0.0))
+        return found * min(1.0, LONGEST / max(longest, TINY))
+
+    def at(self, z: Array) -> _At:
+        """Value, gradient and information at a point."""
+        value, gradient = 0.0, np.zeros(len(z))
+        information = np.zeros((len(z), len(z)))
+        with np.errstate(all="ignore"):
+            for e in range(len(self.criterion.data)):
+                part = self._of_record(z, e)
+                if not np.isfinite(part.value):
+                    return _At(np.inf, gradient, information)
+                value += part.value
+                gradient += part.gradient
+                information += part.information
+        return _At(value, gradient, information)
+
+    def _of_record(self, z: Array, e: int) -> _At:
+        n, d = len(self.lower), self.criterion.data[e]
+        x = z[:n]
+        simulated = self.criterion.simulated(x, e)
+        stack = np.concatenate([simulated.residual[:, :, None], -simulated.jacobian], axis=2)
+        if not np.all(np.isfinite(stack)):
+            return _At(np.inf, np.zeros(len(z)), np.zeros((len(z), len(z))))
+        window = np.hanning(d.N + 2)[1:-1]
+        window = window / np.sqrt(np.sum(window**2))
+        lines = rfft(stack * window[:, None, None], axis=0)[1 : (d.N + 1) // 2]
+        edges = np.maximum(band_edges(d.N)[:-1] - 1, 0)
+        edges = np.unique(edges[edges < len(lines)])
+        count = np.diff([*edges, len(lines)]).astype(float)
+        omega = 2 * np.pi * np.add.reduceat(np.arange(1, len(lines) + 1), edges) / (count * d.N)
+        S, slopes = self._spectra(z, e, omega)
+        inverse = np.linalg.inv(S)
+        _, logs = np.linalg.slogdet(S)
+        whole = np.repeat(inverse, count.astype(int), axis=0)  # S^-1 at every line
+        R, J = lines[:, :, 0], lines[:, :, 1:]
+        weighted = np.einsum("fij,fj->fi", whole, R)
+        value = float(count @ logs + np.real(np.einsum("fi,fi->", R.conj(), weighted)))
+        gradient = np.zeros(len(z))
+        information = np.zeros((len(z), len(z)))
+        gradient[:n] = 2 * np.real(np.einsum("fim,fi->m", J.conj(), weighted))
+        white = np.einsum("fij,fjm->fim", whole, J)
+        information[:n, :n] = 2 * np.real(np.einsum("fim,fik->mk", J.conj(), white))
+        power = np.add.reduceat(weighted[:, :, None] * weighted[:, None, :].conj(), edges)
+        turned = {k: np.einsum("fij,fjk->fik", inverse, s) for k, s in slopes.items()}
+        for k, s in slopes.items():
+            fitted = float(np.real(count @ np.einsum("fii->f", turned[k])))
+            gradient[k] += fitted - float(np.real(np.einsum("fij,fji->", s, power)))
+            for m in slopes:
+                if m <= k:
+                    both = np.real(count @ np.einsum("fij,fji->f", turned[k], turned[m]))
+                    information[k, m] += both
+                    information[m, k] += both * (m != k)
+        return _At(value, gradient, information)
+
+    def _spectra(self, z: Array, e: int, omega: Array) -> tuple[Array, dict[int, Array]]:
+        """S (F, ny, ny) at `omega`, and its derivative for each place of z that it depends on."""
+        n, Ts = len(self.lower), self.criterion.data[e].Ts
+        scales = self._scales(z[n:], omega, Ts)
+        gains = self._gains(z[:n], e, omega)
+        ny, of = len(self.criterion.outputs), [*self.free_outputs]
+        white = self.noise.output_sd**2
+        white[of] = np.exp(z[n : n + len(of)])
+        parts = {s: _outer(gains[:, :, i]) for i, s in enumerate(self.sources)}
+        S = np.zeros((len(omega), ny, ny), complex) + np.diag(white)
+        for s, part in parts.items():
+            S += scales[s][:, None, None] * part
+        slopes: dict[int, Array] = {}
+        for k, i in enumerate(of):
+            one = np.zeros((ny, ny))
+            one[i, i] = white[i]
+            slopes[n + k] = np.broadcast_to(one, S.shape)
+        first = n + len(of)
+        for k, s in enumerate(self.free_sources):
+            slopes[first + k] = scales[s][:, None, None] * parts[s]
+        for k in range(first + len(self.free_sources), len(z)):
+            moved = z.copy()
+            moved[k] += DIFFERENCE
+            after = self._scales(moved[n:], omega, Ts)
+            (name,) = [s for s in self.shaped if not np.array_equal(after[s], scales[s])][:1] or (
+                self.shaped[0],
+            )
+            slope = (after[name] - scales[name]) / DIFFERENCE
+            slopes[k] = slope[:, None, None] * parts[name]
+        for k, v in enumerate(self.criterion.variables):
+            if v.source not in self.criterion.model.parameters:
+                continue
+            h = DIFFERENCE * max(abs(float(z[k])), v.scale)
+            h = -h if z[k] + h > v.upper else h
+            moved = z[:n].copy()
+            moved[k] += h
+            change = self._gains(moved, e, omega)
+            slope = sum(
+                scales[s][:, None, None] * (_outer(change[:, :, i]) - parts[s]) / h
+                for i, s in enumerate(self.sources)
+            )
+            if np.any(slope):
+                slopes[k] = np.asarray(slope)
+        return S, slopes
+
+    def _gains(self, x: Array, e: int, omega: Array) -> Array:
+        """(F, ny, ns) responses to the sources that there are."""
+        r = noise_response(self.criterion, x, e, omega=omega)
+        assert r.gain is not None
+        return r.gain[:, :, [r.sources.index(s) for s in self.sources]]
+
+    def _scales(self, phi: Array, omega: Array, Ts: float) -> dict[str, Array]:
+        """(F,) variance a sample of each source, by frequency."""
+        k = len(self.free_outputs)
+        found = {s: np.full(len(omega), self.noise.source_sd[s] ** 2) for s in self.sources}
+        for s in self.free_sources:
+            found[s] = np.full(len(omega), np.exp(phi[k]))
+            k += 1
+        for s in self.shaped:
+            shape: DisturbanceSpectrum = self.noise.spectra[s]
+            shape = replace(shape, frequency=float(np.exp(phi[k])))
+            k += 1
+            if shape.damping is not None:
+                shape = replace(shape, damping=float(np.exp(phi[k])))
+                k += 1
+            found[s] = found[s] * shape.of(omega, Ts)
+        return found
+
+
+def _outer(g: Array) -> Array:
+    """(F, ny, ny) g g^H of responses g (F, ny)."""
+    return np.asarray(g[:, :, None] * g[:, None, :].conj())
