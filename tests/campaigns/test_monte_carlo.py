@@ -344,7 +344,7 @@ def test_histograms_hold_every_estimate_and_the_page_says_the_numbers(tank: Prob
     truth = [t.x[0] for t in figure.data if t.name == "truth"]
     assert truth == [0.7, 1.2]
     assert figure.layout.xaxis.title.text == "a [1/s]"
-    curve = next(t for t in figure.data if t.name == "as the standard errors have it")
+    curve = next(t for t in figure.data if t.name == "predicted by the standard errors")
     # The normal density: its area is the bars', but for the 0.05 % beyond 3.5 sigma.
     bar_area = 12 * bars[0].width
     assert np.trapezoid(curve.y, curve.x) == pytest.approx(bar_area, rel=2e-3)

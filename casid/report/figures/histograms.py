@@ -104,7 +104,7 @@ def _histogram_panel(figure: Panels, k: int, bars: _Histogram) -> None:
         peak = float(y.max())
         if peak < 4 * top:  # far narrower than the bars, it would flatten them
             top = max(top, peak)
-        name, hover = "as the standard errors have it", hover_text(p.unit, "runs")
+        name, hover = "predicted by the standard errors", hover_text(p.unit, "runs")
         figure.line(k, x, y, name, AFTER, hovertemplate=hover)
         span = [min(span[0], x[0]), max(span[1], x[-1])]
     for label, at, colour, dash in (

@@ -140,7 +140,7 @@ def _findings(fleet: Fleet, shown: Sequence[Finding]) -> Table:
 def _size(f: Finding) -> str:
     if f.size != f.size:
         return "\u2013"
-    spread = f" \u00b1 {f.size_spread:.1g}" if f.is_lasting else ""
+    spread = f" \u00b1 {f.size_spread:.1g}" if f.is_lasting and f.size_spread > 0 else ""
     return number_text(f.size) + spread
 
 

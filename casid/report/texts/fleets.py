@@ -6,12 +6,13 @@ import math
 import re
 from collections import Counter
 
+from casid.estimation.estimate import Estimated
 from casid.fleets.findings import Finding
 from casid.fleets.fleet import Fleet
 from casid.fleets.random_effects import ParameterEffects
 from casid.model.effects.names import effect_words
 from casid.report.document import Document, Table, labelled
-from casid.report.numbers import number_text
+from casid.report.numbers import number_text, plus_minus
 
 _SHOWN = 20
 
@@ -67,8 +68,8 @@ def counts_text(fleet: Fleet) -> str:
     """How many records were done, searched and refused."""
     refused = len(fleet.refusals)
     return (
-        f"{fleet.new} done now, {len(fleet.records) - fleet.new} before; {fleet.searched} had the "
-        f"full search, {refused or 'none'} {'was' if refused == 1 else 'were'} refused"
+        f"{fleet.new} diagnosed now, {len(fleet.records) - fleet.new} before; {fleet.searched} had "
+        f"the full search, {refused or 'none'} {'was' if refused == 1 else 'were'} refused"
     )
 
 
@@ -122,16 +123,20 @@ def effect_cells(e: ParameterEffects) -> tuple[str, ...]:
     alone = [a for a in e.assets if a.p_value < 0.05 / max(len(e.assets), 1)]
     drift = "--"
     if math.isfinite(e.drift):
-        drift = f"{number_text(e.drift)} +- {e.drift_error:.1g}"
+        drift = _with_error(e.drift, e.drift_error)
     return (
         e.name,
         e.unit,
-        f"{e.mean:.6g} +- {e.mean_error:.1g}",
+        _with_error(e.mean, e.mean_error),
         number_text(e.between),
         number_text(e.within),
         drift,
         ", ".join(a.asset for a in alone[:4]) + (", ..." if len(alone) > 4 else ""),
     )
+
+
+def _with_error(value: float, std_error: float) -> str:
+    return plus_minus(Estimated("", value, "", std_error=std_error)).replace("\u00b1", "+-")
 
 
 def _reason(text: str) -> str:
