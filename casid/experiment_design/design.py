@@ -91,11 +91,11 @@ def design_experiment(
         nominal.acting, limits, slew=o["slew"], max_energy=o["max_energy"], release=o["release"]
     )
     low, high = ends_of(duration)
+    score = wanted(aim) if low < high else 0.0
     say = progress or (lambda _: None)
     first = _answer(nominal, own, aim, high, o, say)
     answer, tried = first, cast(tuple[Tried, ...], ())
     if low < high:
-        score = wanted(aim)
 
         def design(length: float, begin: _Answer | None) -> _Answer:
             return first if begin is None else _again(begin, own, aim, length, o)
@@ -209,6 +209,12 @@ def _excitation(nominal: Nominal, limits: Limits, duration: float, o: DesignOpti
             f"a duration of {duration:g} s at a sample time of {Ts:g} s holds less than two "
             "samples; give a longer duration or a shorter sample time (Ts, --sample-time)"
         )
+    if duration / Ts > DURATION.samples:
+        raise DataError(
+            f"a duration of {duration:g} s at a sample time of {Ts:g} s holds {duration / Ts:.3g} "
+            f"samples, and a design simulates {DURATION.samples:g} at most; give a shorter "
+            "duration or a longer sample time (Ts, --sample-time)"
+        )
     felt = [n for n in nominal.unmeasured if n in limits.inputs]
     shape = o["shape"] or ("linear" if limits.slew or felt else "constant")
     if felt and shape == "constant":
@@ -216,6 +222,11 @@ def _excitation(nominal: Nominal, limits: Limits, duration: float, o: DesignOpti
             f"a piecewise constant {felt[0]} jumps, and so would the channel that stands for it in "
             "the model, which is known at its samples alone; take shape='linear' or 'multisine' "
             "(--shape)"
+        )
+    if o["band"] and shape != "multisine":
+        raise DataError(
+            f"a band belongs to a multisine, and this input is piecewise {shape}; add "
+            "shape='multisine' (--shape multisine), or leave the band out"
         )
     if limits.slew and shape == "constant":
         raise DataError(

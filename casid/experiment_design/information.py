@@ -129,7 +129,7 @@ def gradient_of(text: str, values: Mapping[str, float]) -> dict[str, float]:
         If the function does not change with them.
     """
     symbols = {n: ca.SX.sym(n) for n in values}
-    expression = ca.SX(parse(text, symbols, where="the function to estimate: "))
+    expression = ca.SX(parse(text, symbols, where="the function to estimate"))
     x = ca.vertcat(*symbols.values())
     slope = ca.Function("slope", [x], [ca.densify(ca.gradient(expression, x))])
     found = np.asarray(slope(list(values.values()))).ravel()

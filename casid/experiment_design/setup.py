@@ -245,6 +245,11 @@ def noise_of(nominal: Nominal, given: Mapping[str, float] | None) -> Array:
             raise DataError(
                 f"noise of {name!r}: {model.name} has no such output{nearest(name, model.outputs)}"
             )
+        if not 0 < float(sd) < np.inf:
+            raise DataError(
+                f"noise of {name}: {sd:g}; give its standard deviation, a positive number in "
+                f"{model.unit_of(name)}"
+            )
         unit = 1.0 if model.takes_si else 1 / model.shown_size(name, 1.0)
         known[name] = float(sd) * unit
     for name in model.outputs:

@@ -133,6 +133,7 @@ class Lengths:
     inside: float = _is(
         0.15, "of what encloses the duration, kept off both its ends by the next", _SHORTEST
     )
+    samples: int = _is(1_000_000, "of a record, at most", _LIMITS)
     share: float = _is(
         0.4, "of the time for one design, for each that begins at another", _SHORTEST
     )

@@ -91,6 +91,11 @@ U = {"u": (-1, 1)}
         ),
         (Aim.estimate(), U, 6.0, {"slew": {"u": 2}, "shape": "constant"}, ["shape='linear'"]),
         (Aim.estimate(), U, 6.0, {"noise": {"y": 1}}, ["no such output"]),
+        (Aim.estimate(), U, 6.0, {"noise": {"phi": -1}}, ["noise of phi: -1", "positive", "deg"]),
+        (Aim.estimate(), U, 1e9, {}, ["1e+10 samples", "longer sample time"]),
+        (Aim.estimate(), U, 6.0, {"band": (1, 2)}, ["a band belongs to a multisine"]),
+        (Aim.estimate(), U, (3.0, 6.0), {}, ["Aim.identifiable"]),
+        (Aim.variance_of("k*q"), U, 6.0, {}, ["the function to estimate: formula 'k*q'"]),
         (Aim.detect("coulomb"), U, 6.0, {}, ["no effect 'coulomb'", "coulomb_friction"]),
         (Aim.detect("coulomb_friction"), U, 6.0, {}, ["--size coulomb_friction="]),
         (

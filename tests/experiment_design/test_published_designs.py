@@ -8,6 +8,8 @@ import pytest
 
 import casid
 from casid import Aim
+from casid.estimation.simulation.simulator import Simulator
+from casid.experiment_design.information import Target, scores
 
 
 def integrator() -> casid.Problem:
@@ -229,3 +231,23 @@ def test_the_reactor_of_pyomo_doe_is_designed_as_well_as_it_prints() -> None:
     errors = np.sqrt(np.diag(np.linalg.inv(exact)))
     for p in found.parameters:
         assert p.std_error / p.value == pytest.approx(errors[list(values).index(p.name)], rel=2e-3)
+
+
+def test_two_measurements_of_a_consecutive_reaction_are_taken_when_box_and_lucas_say() -> None:
+    """A -> B -> C with rates 0.7 and 0.2: B is measured best at 1.23 and 6.86 (Biometrika 1959)."""
+    m = casid.Model("consecutive reaction")
+    A, B = m.state("A", "mol/l", initial=1.0), m.state("B", "mol/l", initial=0.0)
+    k1, k2 = m.parameter("k1", "1/min", start=0.7), m.parameter("k2", "1/min", start=0.2)
+    m.derivative(A, -k1 * A)
+    m.derivative(B, k1 * A - k2 * B)
+    m.output("B", B, "mol/l")
+    Ts = 0.6  # a hundredth of a minute
+    simulator = Simulator(m, Ts, ("k1", "k2"), substeps=1)
+    run = simulator.sensitivities(np.zeros((1001, 0)), np.array([0.7, 0.2]) / 60, [1000.0, 0.0])
+    slopes = run.dy[:, 0, :2]
+    determinant = np.abs(slopes[:, :1] * slopes[:, 1] - slopes[:, 1:] * slopes[:, 0])
+    first, second = np.unravel_index(np.argmax(np.triu(determinant)), determinant.shape)
+    assert (first / 100, second / 100) == pytest.approx((1.23, 6.86), abs=0.011)
+    pair = np.array([slopes[first], slopes[second]])
+    score = scores(pair.T @ pair, Target("D", (0, 1)))
+    assert score[0] == pytest.approx(np.log(determinant[first, second]))
