@@ -224,8 +224,9 @@ def _some_missing(record: Record, name: str) -> Finding:
         f"{gaps.missing} samples ({100 * gaps.missing / record.N:.3g} %) are missing, in "
         f"{gaps.stretches} stretch{'' if gaps.stretches == 1 else 'es'}, the longest of "
         f"{gaps.longest * record.Ts:.4g} s from t = {record.t[gaps.first]:.6g} s.",
-        "An output's count for nothing; short gaps of an input are filled as the model holds it, "
-        "long ones cut the record. Instruments need a complete stretch: cut it out with a window.",
+        "Missing samples of an output are left out; short gaps of an input are filled as the model "
+        "holds it, at long ones the record is cut. Instruments need a complete stretch: select it "
+        "with a window.",
     )
 
 

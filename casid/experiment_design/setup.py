@@ -68,8 +68,8 @@ def nominal_of(source: Source) -> Nominal:
     if unknown:
         raise ModelError(
             f"{found.name}: the input {', '.join(unknown)} is not measured, and no record "
-            "determines a model in which it stands. Eliminate it with a sensor that feels it, "
-            "model.eliminate(...), or declare what acts as a known input"
+            "determines a model in which it stands. Eliminate it with a sensor that responds to "
+            "it, model.eliminate(...), or declare what acts as a known input"
         )
     if model.stages:
         kinds = ", ".join(f"{s.kind} of {s.channel}" for s in model.stages)

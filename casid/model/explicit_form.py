@@ -104,7 +104,7 @@ def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: 
             lacking = (borrowed or [names[j]])[0]
             raise ModelError(
                 f"{model}: the equations do not determine {lacking}; an unknown input can only be "
-                "eliminated with an output that feels it, and an inertia must not be zero"
+                "eliminated with an output that responds to it, and an inertia must not be zero"
             )
         rows.remove(best)
         order.append(best)

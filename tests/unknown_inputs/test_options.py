@@ -330,7 +330,7 @@ def test_elimination_with_an_output_that_does_not_feel_the_input_keeps_its_row()
     )
     for row in found.rows:
         assert row.estimate is None
-        assert "eliminated with an output that feels it" in row.remark
+        assert "eliminated with an output that responds to it" in row.remark
 
 
 def test_what_cannot_be_compared_is_refused() -> None:

@@ -210,7 +210,7 @@ class Draft:
                 lines.append(f"        {quoted(label)}: {quoted(unit)},{doubt}")
             lines.append("    },")
         if not self.guessed:
-            lines.append("    starts=1,  # one will do: it comes from the record")
+            lines.append("    starts=1,  # one is enough: it comes from the record")
         lines += [f"    description={quoted(description)},", ")"]
         return beside, "\n".join(lines)
 

@@ -232,8 +232,8 @@ def _written(
     title = f"{template.title[0].upper()}{template.title[1:]}, to fill in for {file.path.name}."
     span = f"{file.N} samples, one every {duration(file.Ts)}, {duration(file.N * file.Ts)} long"
     about = (
-        f"The record has {span}. Lines with CHECK hold a guess or want a value of yours; delete "
-        "the remark when it is right. Numbers are in the unit beside them."
+        f"The record has {span}. Lines with CHECK contain a guess or need a value from you; delete "
+        "the remark when the line is right. Numbers are in the unit beside them."
     )
     paragraphs = [textwrap.fill(text, WIDTH) for text in (body.advice, about) if text]
     equations = "\n".join(f"    {line}" for line in body.equations if line)

@@ -107,7 +107,7 @@ def with_disturbances(
         if entry.kind == "unknown" and name not in places:
             raise ModelError(
                 f"{model.name}: input {name} is unknown; let a disturbance stand for it as well "
-                f"(--disturbance {name}:first), or eliminate it with an output that feels it"
+                f"(--disturbance {name}:first), or eliminate it with an output that responds to it"
             )
     for d, place in zip(disturbances, places, strict=True):
         if place in model.balances:

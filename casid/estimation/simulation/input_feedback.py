@@ -48,10 +48,10 @@ def feedback_notes(fit: Fit, noisy: Collection[str] = ()) -> list[str]:
             if follows(pairs, first=0 if name in late else 1):
                 out.append(
                     f"input {name} follows the residual of {output}, which is autocorrelated: in a "
-                    "closed loop, or where an input has noise or feels what disturbs the system, "
-                    "that biases this estimate, and the error bars do not contain it. Estimate the "
-                    "disturbance with it (--disturbance PLACE:first), or use instruments "
-                    "(--method instruments --reference CHANNEL)"
+                    "closed loop, or where an input has noise or responds to what disturbs the "
+                    "system, that biases this estimate, and the error bars do not contain it. "
+                    "Estimate the disturbance with it (--disturbance PLACE:first), or use "
+                    "instruments (--method instruments --reference CHANNEL)"
                 )
     return out
 

@@ -227,8 +227,8 @@ def require_recoverable(system: UnknownInputSystem) -> None:
     if lost:
         raise ModelError(
             f"{s.name}: {', '.join(lost)} cannot be recovered from {', '.join(s.outputs)}: other "
-            "unknown inputs do the same to every output. Add an output that feels them in another "
-            "way, or leave one of them out"
+            "unknown inputs do the same to every output. Add an output that responds to them in "
+            "another way, or leave one of them out"
         )
 
 
@@ -289,6 +289,6 @@ def _too_many(s: UnknownInputSystem, directions: Array) -> str:
     return (
         f"{', '.join(lost)} cannot be distinguished by {', '.join(s.outputs)}: from "
         f"{s.nu} unknown inputs the outputs' transfer matrix has too low a rank at every "
-        f"{'z' if s.is_discrete else 's'}. Add an output that feels them in another way, or leave "
-        "one of them out"
+        f"{'z' if s.is_discrete else 's'}. Add an output that responds to them in another way, or "
+        "leave one of them out"
     )
