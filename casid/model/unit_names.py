@@ -33,10 +33,35 @@ SI: dict[str, tuple[int, int, int, int, int, int, int]] = {
     "V": (1, 2, -3, -1, 0, 0, 0),
     "ohm": (1, 2, -3, -2, 0, 0, 0),
     "H": (1, 2, -2, -2, 0, 0, 0),
+    "farad": (-1, -2, 4, 2, 0, 0, 0),
+    "siemens": (-1, -2, 3, 2, 0, 0, 0),
+    "coulomb": (0, 0, 1, 1, 0, 0, 0),
+    "tesla": (1, 0, -2, -1, 0, 0, 0),
+    "Wb": (1, 2, -2, -1, 0, 0, 0),
+    "VA": (1, 2, -3, 0, 0, 0, 0),
+    "var": (1, 2, -3, 0, 0, 0, 0),
 }
 """Names that are SI already: exponents of kg, m, s, A, K, mol, cd."""
 
-_SI_PINT = {"1": "dimensionless", "rad": "radian", "A": "ampere", "K": "kelvin", "H": "henry"}
+_SI_PINT = {
+    "1": "dimensionless",
+    "rad": "radian",
+    "A": "ampere",
+    "K": "kelvin",
+    "m": "meter",
+    "s": "second",
+    "Hz": "hertz",
+    "N": "newton",
+    "J": "joule",
+    "W": "watt",
+    "Pa": "pascal",
+    "V": "volt",
+    "mol": "mole",
+    "H": "henry",
+    "Wb": "weber",
+    "VA": "volt_ampere",
+    "var": "volt_ampere",
+}
 
 _DEGREE = math.pi / 180.0
 _KNOT = 1852.0 / 3600.0
@@ -64,6 +89,8 @@ NAMES: dict[str, Name] = {
     "kn": Name(_KNOT, (("m", 1), ("s", -1)), "knot"),
     "km/h": Name(1 / 3.6, (("m", 1), ("s", -1)), "kilometer / hour"),
     "mph": Name(0.44704, (("m", 1), ("s", -1)), "mile / hour"),
+    "mi": Name(1609.344, (("m", 1),), "mile"),
+    "cfm": Name(0.3048**3 / 60, (("m", 3), ("s", -1)), "foot**3 / minute"),
     "g0": Name(9.80665, (("m", 1), ("s", -2)), "standard_gravity"),
     # time, frequency
     "ms": Name(1e-3, (("s", 1),), "millisecond"),
@@ -82,6 +109,7 @@ NAMES: dict[str, Name] = {
     "mN": Name(1e-3, (("N", 1),), "millinewton"),
     "kN": Name(1e3, (("N", 1),), "kilonewton"),
     "MN": Name(1e6, (("N", 1),), "meganewton"),
+    "kgf": Name(9.80665, (("N", 1),), "kilogram_force"),
     "lbf": Name(0.45359237 * 9.80665, (("N", 1),), "force_pound"),
     "Nm": Name(1.0, (("N", 1), ("m", 1)), "newton * meter"),
     "mNm": Name(1e-3, (("N", 1), ("m", 1)), "millinewton * meter"),
@@ -92,6 +120,10 @@ NAMES: dict[str, Name] = {
     "Wh": Name(3600.0, (("J", 1),), "watt_hour"),
     "kWh": Name(3.6e6, (("J", 1),), "kilowatt_hour"),
     "MWh": Name(3.6e9, (("J", 1),), "megawatt_hour"),
+    "cal": Name(4.184, (("J", 1),), "calorie"),
+    "kcal": Name(4184.0, (("J", 1),), "kilocalorie"),
+    "BTU": Name(1055.05585262, (("J", 1),), "international_british_thermal_unit"),
+    "hp": Name(745.69987158227022, (("W", 1),), "horsepower"),
     "mW": Name(1e-3, (("W", 1),), "milliwatt"),
     "kW": Name(1e3, (("W", 1),), "kilowatt"),
     "MW": Name(1e6, (("W", 1),), "megawatt"),
@@ -101,6 +133,14 @@ NAMES: dict[str, Name] = {
     "MPa": Name(1e6, (("Pa", 1),), "megapascal"),
     "bar": Name(1e5, (("Pa", 1),), "bar"),
     "mbar": Name(1e2, (("Pa", 1),), "millibar"),
+    "atm": Name(101325.0, (("Pa", 1),), "standard_atmosphere"),
+    "torr": Name(101325.0 / 760, (("Pa", 1),), "torr"),
+    "mmHg": Name(133.322387415, (("Pa", 1),), "millimeter_Hg"),
+    "inHg": Name(3386.388640341, (("Pa", 1),), "inch_Hg"),
+    "psi": Name(0.45359237 * 9.80665 / 0.0254**2, (("Pa", 1),), "pound_force_per_square_inch"),
+    # viscosity
+    "cP": Name(1e-3, (("Pa", 1), ("s", 1)), "centipoise"),
+    "cSt": Name(1e-6, (("m", 2), ("s", -1)), "centistokes"),
     # electricity
     "mV": Name(1e-3, (("V", 1),), "millivolt"),
     "kV": Name(1e3, (("V", 1),), "kilovolt"),
@@ -110,12 +150,58 @@ NAMES: dict[str, Name] = {
     "mH": Name(1e-3, (("H", 1),), "millihenry"),
     "mohm": Name(1e-3, (("ohm", 1),), "milliohm"),
     "kohm": Name(1e3, (("ohm", 1),), "kiloohm"),
+    "Mohm": Name(1e6, (("ohm", 1),), "megaohm"),
+    "Ah": Name(3600.0, (("coulomb", 1),), "ampere_hour"),
+    "mAh": Name(3.6, (("coulomb", 1),), "milliampere_hour"),
     # temperature; the offset holds for the unit alone
     "degC": Name(1.0, (("K", 1),), "degree_Celsius", 273.15),
     "degF": Name(5 / 9, (("K", 1),), "degree_Fahrenheit", 459.67 * 5 / 9),
     # share
     "%": Name(1e-2, (), "percent"),
+    "permille": Name(1e-3, (), "permille"),
+    "ppm": Name(1e-6, (), "ppm"),
 }
+_PREFIXES = {  # factor, word
+    "p": (1e-12, "pico"),
+    "n": (1e-9, "nano"),
+    "u": (1e-6, "micro"),
+    "m": (1e-3, "milli"),
+    "d": (1e-1, "deci"),
+    "h": (1e2, "hecto"),
+    "k": (1e3, "kilo"),
+    "M": (1e6, "mega"),
+    "G": (1e9, "giga"),
+}
+# Symbol, the name in full, and the prefixes that instruments and catalogues use with it. A name
+# with two readings is left out: nm, mT (metric tonne), mS (millisecond), pm, kt.
+_PREFIXED = (
+    ("m", "m", "d"),
+    ("s", "s", "n"),
+    ("A", "A", "n"),
+    ("mol", "mol", "numk"),
+    ("Hz", "Hz", "mG"),
+    ("N", "N", "u"),
+    ("J", "J", "umG"),
+    ("W", "W", "nuG"),
+    ("Pa", "Pa", "mG"),
+    ("V", "V", "uM"),
+    ("ohm", "ohm", "uG"),
+    ("H", "H", "nu"),
+    ("F", "farad", "pnum"),
+    ("S", "siemens", "nuk"),
+    ("C", "coulomb", "pnum"),
+    ("T", "tesla", "nu"),
+    ("Wb", "Wb", "um"),
+    ("VA", "VA", "kM"),
+    ("var", "var", "kM"),
+    ("g", "gram", "u"),
+    ("L", "L", "udh"),
+)
+for _symbol, _full, _letters in _PREFIXED:
+    for _letter in _letters:
+        _factor, _word = _PREFIXES[_letter]
+        _of = NAMES[_full]
+        NAMES[_letter + _symbol] = Name(_factor * _of.factor, _of.si, f"{_word}{_of.pint}")
 """All names of the list."""
 
 ALIASES: dict[str, str] = {
@@ -142,8 +228,6 @@ ALIASES: dict[str, str] = {
     "meters": "m",
     "metre": "m",
     "metres": "m",
-    "µm": "um",
-    "μm": "um",
     "inch": "in",
     "foot": "ft",
     "feet": "ft",
@@ -166,8 +250,6 @@ ALIASES: dict[str, str] = {
     "second": "s",
     "seconds": "s",
     "msec": "ms",
-    "µs": "us",
-    "μs": "us",
     "minute": "min",
     "minutes": "min",
     "hr": "h",
@@ -188,6 +270,24 @@ ALIASES: dict[str, str] = {
     "pascal": "Pa",
     "Ω": "ohm",
     "Ohm": "ohm",
+    "ohms": "ohm",
+    "kOhm": "kohm",
+    "MOhm": "Mohm",
+    "mOhm": "mohm",
+    "kΩ": "kohm",
+    "MΩ": "Mohm",
+    "mΩ": "mohm",
+    "henry": "H",
+    "weber": "Wb",
+    "joule": "J",
+    "farads": "farad",
+    "mile": "mi",
+    "miles": "mi",
+    "psia": "psi",
+    "cc": "mL",
+    "ccm": "mL",
+    "kWs": "kJ",
+    "‰": "permille",
     "°C": "degC",
     "celsius": "degC",
     "°F": "degF",
@@ -210,6 +310,7 @@ ALIASES: dict[str, str] = {
     "lb/min": "lbm/min",
     "lb/h": "lbm/h",
 }
+ALIASES |= {mu + name[1:]: name for name in NAMES if name[0] == "u" for mu in "µμ"}
 
 AMBIGUOUS: dict[str, str] = {
     "KN": "kN (kilonewton) or kn (knot)",
@@ -223,10 +324,14 @@ AMBIGUOUS: dict[str, str] = {
     "G": "g0 (standard gravity, 9.80665 m/s^2); gauss is not in the list",
     "gs": "g0 (standard gravity, 9.80665 m/s^2) or gram s",
     "M": "m (metre); mega alone is no unit",
-    "T": "t (tonne) or s (time); tesla is not in the list",
-    "S": "s (second); siemens is 1/ohm",
-    "C": "degC (degree Celsius) or A s (coulomb)",
-    "F": "degF (degree Fahrenheit) or A s/V (farad)",
+    "T": "t (tonne), s (time) or tesla",
+    "S": "s (second) or siemens",
+    "C": "degC (degree Celsius) or coulomb",
+    "F": "degF (degree Fahrenheit) or farad",
+    "mS": "ms (millisecond) or 0.001 siemens",
+    "mT": "t (metric tonne) or 0.001 tesla",
+    "gal": "US gallon (3.785411784 L) or imperial gallon (4.54609 L)",
+    "dB": "nothing linear: decibels are logarithms; write the ratio itself, with unit 1",
     "lb": "lbm (mass) or lbf (force)",
     "lbs": "lbm (mass) or lbf (force)",
     "ton": "t (1000 kg); a short ton is 907.18474 kg, a long ton 1016.0469 kg",

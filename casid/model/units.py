@@ -47,9 +47,9 @@ class Unit:
 
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _TOKEN = re.compile(
-    r"\s*(?:(?P<name>(?:g_?0|mps2|degps2|radps2)(?![\w])|[A-Za-z°µμΩ%]+|1(?![\d.]))"
+    r"\s*(?:(?P<name>(?:g_?0|mps2|degps2|radps2)(?![\w])|[A-Za-z°µμΩ%‰]+|1(?![\d.]))"
     r"(?P<power>(?:\s*(?:\^|\*\*)\s*(?:\(\s*[-+]?[\d./]+\s*\)|[-+]?\d+(?:\.\d+)?))|-?\d+)?"
-    r"|(?P<op>\*\*|[*/()·⋅]))"
+    r"|(?P<op>\*\*|[*/()·⋅]|\.(?=[A-Za-z°µμΩ])))"
 )
 _Terms = list[tuple[str, Fraction]]
 
@@ -57,8 +57,9 @@ _Terms = list[tuple[str, Fraction]]
 def parse_unit(text: str) -> Unit:
     """Read a unit such as `deg/s`, `kN`, `N m s^2/rad^2` or `kg m^2`.
 
-    Products are written with a space, `*` or a middle dot; powers with `^`, `**`, a superscript or
-    a plain digit (`m/s2`); one quotient, with brackets where the denominator is a product.
+    Products are written with a space, `*`, a dot or a middle dot; powers with `^`, `**`, a
+    superscript or a plain digit (`m/s2`); one quotient, with brackets where the denominator is a
+    product.
 
     Returns
     -------
@@ -128,7 +129,7 @@ def _terms(text: str) -> _Terms:
             if expect_factor or depth:
                 raise _malformed(text, "/")
             slashes, sign, expect_factor, after_quotient = slashes + 1, -1, True, False
-        elif operator in {"*", "·", "⋅"}:
+        elif operator in {"*", "·", "⋅", "."}:
             if expect_factor:
                 raise _malformed(text, operator)
             expect_factor = True

@@ -13,10 +13,11 @@ _IN = re.compile(r"(.+?)[\s_,]+in[\s_]+(\S.*)", re.IGNORECASE)
 _SLASH = re.compile(r"(.+?)\s*/\s*([^\s\d].*)")
 _SPACE = re.compile(r"(.*\S)[\s,]+(\S+)")
 # Endings that are more often a word, an index or another unit than what the list reads: x_in is an
-# input, x_bar a mean, x_min a minimum, a_s a sensor's signal, u_ms metres a second.
+# input, x_bar a mean, x_min a minimum, a_s a sensor's signal, u_ms metres a second, r_psi a
+# heading, x_var a variance, x_hp high-pass filtered, x_cal calibrated.
 _NO_ENDINGS = frozenset(
     "none 1 h hr min t s in rev bar L l ms us mg sec second seconds minute minutes hour hours "
-    "foot feet amp percent pct d day days - % gram grams".split()
+    "foot feet amp psi psia var hp cal mi cc VA percent pct d day days - % gram grams".split()
 )
 # What the list of units does not have, as loggers write it.
 _WRITTEN = {
@@ -58,8 +59,8 @@ _WRITTEN = {
 }
 # Names with two readings, as units of the list; the model's unit may settle which.
 _READINGS = {
-    "C": ("degC", "A s"),
-    "F": ("degF", "A s/V"),
+    "C": ("degC", "coulomb"),
+    "F": ("degF", "farad"),
     "g": ("gram", "g0"),
     "G": ("g0",),
     "KN": ("kN", "kn"),
@@ -69,8 +70,8 @@ _READINGS = {
     "nm": ("nmi", "N m", "um"),
     "NM": ("nmi", "N m"),
     "nM": ("nmi", "N m"),
-    "T": ("t", "s"),
-    "S": ("s", "1/ohm"),
+    "T": ("t", "s", "tesla"),
+    "S": ("s", "siemens"),
     "lb": ("lbm", "lbf"),
     "lbs": ("lbm", "lbf"),
     "grad": ("deg", "degC"),
