@@ -496,6 +496,17 @@ class Rounds:
         "laws of friction or damping adopted in one place: a third repairs their shape",
         f"{TESTS}/search/test_imitations.py",
     )
+    dry_speeds: tuple[float, float] = _is(
+        (0.3, 0.6),
+        "of the rms speed, at which the model's resistance tells dry friction from the rest: the "
+        "second twice the first, both well above `Smoothing.speed`",
+        f"{TESTS}/search/test_imitations.py",
+    )
+    dry: float = _is(
+        0.1,
+        "of the resistance at the first that must remain towards rest, for friction to be dry",
+        f"{TESTS}/search/test_imitations.py",
+    )
     backward_wald: float = _is(
         2.0, "standard errors below which a cause is eliminated again", POWER_STUDY
     )

@@ -26,7 +26,7 @@ from casid.identifiability.equations.model_system import translated
 from casid.identifiability.equations.system import System
 from casid.identifiability.inputs.input_classes import as_zero
 from casid.identifiability.rank.observability import observability
-from casid.identifiability.rank.rank_result import Observability
+from casid.identifiability.rank.rank_result import Observability, PointRank
 from casid.model.model import Model
 
 if TYPE_CHECKING:
@@ -189,13 +189,23 @@ def _refusal(
     where = ", ".join(e.name for e in experiments)
     return (
         f"{model.name}: rank {result.rank} of {result.unknowns} parameters and initial states, "
-        f"whatever is recorded in {where}. " + " ".join(_sentence(g, fixing, found) for g in groups)
+        f"whatever is recorded in {where}. "
+        + " ".join(_sentence(g, fixing, found, point) for g in groups)
     )
 
 
-def _sentence(group: tuple[str, ...], fixing: FixingSets, found: Sequence[Family]) -> str:
+def _sentence(
+    group: tuple[str, ...], fixing: FixingSets, found: Sequence[Family], point: PointRank
+) -> str:
     """A confounded group, its identifiable combinations, and the remedy."""
     size = fixing.group_sizes[fixing.groups.index(group)]
+    if len(group) == 1 and point.moves(group[0]):
+        states = dict.fromkeys(point.unobservable())
+        first = "initial value" if len(states) == 1 else "initial values"
+        return (
+            f"{group[0]} and the {first} of {' and '.join(states)}, which every record has of its "
+            f"own, are not separately identifiable: give {group[0]} a known value, or add a sensor."
+        )
     if len(group) == 1:
         return (
             f"{group[0]} does not move any output in these experiments: give it a known value, or "

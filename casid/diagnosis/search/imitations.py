@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import casadi as ca
 import numpy as np
 
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.thresholds import PEAKS, ROUNDS
 from casid.model.effects.effect import Effect
+from casid.model.effects.places import place_named
 
 FRICTIONS = (
     "coulomb_friction",
@@ -32,6 +34,38 @@ def is_further_friction(effect: Effect, adopted: Sequence[Candidate]) -> bool:
         return False
     there = [c for c in adopted if c.effect.kind in FRICTIONS and c.effect.where == effect.where]
     return len(there) >= ROUNDS.frictions
+
+
+def drives_one_way(effect: Effect, at: Weighted) -> bool:
+    """True of dry friction that differs with direction, in a place that has no dry friction.
+
+    F_c + F_a the one way and F_c - F_a the other resist both ways where |F_a| is below F_c. Alone
+    it would drive the motion one way, as a constant term does from which only rest tells it.
+    """
+    if effect.kind != "asymmetric_friction" or not effect.constants:
+        return False
+    place = place_named(at.model, effect.where)
+    row = place.shares[0][0]
+    rate = at.model.balances[row].rate if row in at.model.balances else row
+    e, v = at.model.explicit(), ca.SX(place.velocity)
+    slope, wanted = ca.jacobian(v, e.x), ca.SX.sym("wanted")
+    moved = e.x + slope.T * (wanted - v) / ca.sumsqr(slope)
+    pushed = ca.substitute(e.f[e.states.index(rate)], e.x, moved)
+    push = ca.Function("push", [wanted, e.x, e.u, e.p], [pushed])
+    speed = ca.Function("v", [e.x, e.u, e.p], [v])
+    d = at.criterion.data[0]
+    x = at.criterion.simulated(at.fit.x, 0).x[: d.N].T
+    u = d.u[: x.shape[1]].T
+    p, _ = at.criterion.parameter_vector(at.fit.x, 0)
+    rms = float(np.sqrt(np.mean(speed(x, u, p).full() ** 2)))
+
+    def resistance(share: float) -> float:
+        sides = [push(sign * share * rms, x, u, p).full() for sign in (1.0, -1.0)]
+        return float(np.mean(sides[1] - sides[0]))
+
+    near, far = (resistance(share) for share in ROUNDS.dry_speeds)
+    # What stays of it towards rest; of one in proportion to speed, nothing.
+    return not 2.0 * near - far > ROUNDS.dry * abs(near)
 
 
 def is_at_resonance(at: Weighted, frequency: float) -> bool:

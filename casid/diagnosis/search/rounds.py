@@ -24,7 +24,11 @@ from casid.diagnosis.evidence.sufficiency import error_over_noise
 from casid.diagnosis.search.alternatives import ranked_by_remainder, rejudge
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.friction_speeds import sharpened
-from casid.diagnosis.search.imitations import is_at_resonance, is_further_friction
+from casid.diagnosis.search.imitations import (
+    drives_one_way,
+    is_at_resonance,
+    is_further_friction,
+)
 from casid.diagnosis.search.joint_refit import Refitting, moved_parameter
 from casid.diagnosis.search.jump_times import events_of, is_known_event, placed
 from casid.diagnosis.search.preselection import Start, preselected
@@ -75,6 +79,7 @@ class Search:
             if e.key not in taken
             and not (e.kind == "extra_input" and e.where in references)
             and not is_further_friction(e, adopted)
+            and not drives_one_way(e, at)
         ]
         own = {n for c in adopted for n in c.names}
         known = events_of(adopted)

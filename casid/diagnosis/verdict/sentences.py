@@ -29,7 +29,7 @@ _SAYS = {
     "backlash": "the coupling of {where} has play (backlash)",
     "end_stop": "a stop (or an overflow) limits the motion in {place}",
     "cogging": "a force that is periodic in the position (cogging) acts in {place}",
-    "offset": "a constant {where} acts on the system",
+    "offset": "a constant term acts in {place}",
     "periodic_disturbance": "an unrecorded periodic disturbance acts in the {where} balance",
     "parameter_drift": "the parameter {where} drifts during the record",
     "extra_input": "the recorded channel {where}, which the model omits, acts on the system",

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from casid.algebra.row_basis import leading, unit_vectors
 from casid.arrays import Array
 from casid.identifiability.equations.system import System
@@ -44,6 +46,24 @@ class PointRank:
     def identifiable(self) -> list[bool]:
         """Per parameter: its unit vector lies in the span of the rows."""
         return unit_vectors(self.information)
+
+    def moves(self, parameter: str) -> bool:
+        """True if a parameter moves an output, be it as an initial state does that nobody knows."""
+        i = self.parameters.index(parameter)
+        return any(
+            bool(np.any(full[:, len(states) + i]))
+            for full, states in zip(self.full, self.states, strict=True)
+        )
+
+    def unobservable(self) -> list[str]:
+        """States that the outputs do not tell, experiment by experiment."""
+        pairs = zip(self.states, self.observable(), strict=True)
+        return [
+            s
+            for states, seen in pairs
+            for s, is_seen in zip(states, seen, strict=True)
+            if not is_seen
+        ]
 
     def observable(self) -> list[list[bool]]:
         """Per experiment and state of `states`."""

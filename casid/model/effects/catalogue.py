@@ -49,6 +49,7 @@ from casid.model.effects.unnamed_effects import (
     flow_law,
     is_positive,
     linear_loss,
+    linear_restoring_force,
     power_law,
     unnamed_effects,
 )
@@ -146,16 +147,19 @@ def forces_at(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
 
 
 def _linear_and_power_laws(model: Model, place: Place, sizes: Sizes) -> list[Effect]:
-    """The law of a flow between two stores, or a loss that the model leaves out."""
+    """The law of a flow between two stores, or a loss or a spring that the model leaves out."""
     if place.velocity is None:
         return []
     motion = sizes.motion_of(place.velocity)
     found = (
-        flow_law(model, place, motion.rms)
+        [flow_law(model, place, motion.rms)]
         if place.is_relative
-        else linear_loss(model, place, motion.operating_point)
+        else [
+            linear_loss(model, place, motion.operating_point),
+            linear_restoring_force(model, place),
+        ]
     )
-    return [] if found is None else [found]
+    return [e for e in found if e is not None]
 
 
 def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+import casadi as ca
+
 from casid.errors import ModelError, UnitError
 from casid.model.declarations import HOLDS, Blend, Hold, Input, Parameter, Stage
 from casid.model.dimensional_analysis import carrying_unit
@@ -308,6 +310,7 @@ def channel_effects_of(model: Model, sizes: Sizes, recorded: Mapping[str, str]) 
         effects += [sensor_scale(model, channel, point) for point in points]
         effects.append(sensor_lag(model, channel, RANGES.sensor_lag * sizes.longest_delay))
     effects += [sensor_scale(model, channel) for channel in _commands_beside_others(model)]
+    effects += [sensor_bias(model, channel) for channel in _commands_of_several_rates(model)]
     beside = units | dict(recorded)
     for channel, (_, own) in model.outputs.items():
         effects += [
@@ -330,6 +333,21 @@ def _commands_beside_others(model: Model) -> list[str]:
     """
     inputs = [n for n, u in model.inputs.items() if u.kind in ("measured", "known")]
     return [n for n in inputs if model.inputs[n].kind == "known"] if len(inputs) > 1 else []
+
+
+def _commands_of_several_rates(model: Model) -> list[str]:
+    """Inputs that are known and act in several equations: a wheel that steers beside its zero.
+
+    Of one that acts in a single equation a constant term there tells as much.
+    """
+    rows = [sum(b.terms[1:], b.terms[0]) for b in model.balances.values()]
+    rows += [*model._rates.values(), *(e for e, _ in model.outputs.values())]
+
+    def acts(name: str) -> list[bool]:
+        return [any(ca.which_depends(ca.SX(r), model.symbol(name))) for r in rows]
+
+    known = [n for n, u in model.inputs.items() if u.kind == "known"]
+    return [n for n in known if sum(acts(n)) > 1]
 
 
 def _is_alike(unit: str, other: str) -> bool:

@@ -142,6 +142,29 @@ def linear_loss(model: Model, where: str | Place, about: float) -> Effect | None
     )
 
 
+def linear_restoring_force(model: Model, where: str | Place) -> Effect | None:
+    """-k q, in a mechanical place with a position that nothing of the model pulls back.
+
+    A spring, a tether or a cable that the model leaves out.
+    """
+    place = place_named(model, where)
+    if place.position is None or not place.is_mechanical or place.where not in model.balances:
+        return None
+    rows = {n: ca.SX(sum(b.terms[1:], b.terms[0])) for n, b in model.balances.items()}
+    if any(ca.which_depends(rows[place.where], place.position)):
+        return None
+    return force_along(
+        place,
+        "unknown",
+        Parameter(f"k_{place.position_name}", place.velocity_power(0, 1), 0.0),
+        lambda k: -k * place.position,
+        priority=1,
+        shape=place.position_name,
+        description=f"a {quantity_of(place.unit)} in proportion to {place.position_name}, "
+        "which the model leaves out",
+    )
+
+
 def _symbols(expression: Any) -> set[str]:
     """The names that an expression depends on."""
     return {s.name() for s in ca.symvar(ca.SX(expression))}
