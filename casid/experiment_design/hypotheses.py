@@ -22,7 +22,7 @@ from casid.arrays import Array
 from casid.errors import DataError, ModelError, nearest
 from casid.experiment_design.setup import Nominal, held
 from casid.model.effects.catalogue import catalogue
-from casid.model.effects.effect import ON_THE_CLOCK, Effect, Sizes
+from casid.model.effects.effect import Effect, Sizes
 from casid.model.effects.user_effects import user_effects
 from casid.model.model import Model
 
@@ -105,7 +105,7 @@ def with_cause(base: Hypothesis, effect: Effect, sizes: Mapping[str, float]) -> 
             f"size of {name_of(effect)}: it has no parameter {wrong[0]!r}{nearest(wrong[0], known)}"
         )
     model, names = effect.extended(base.model, starts=sizes)
-    if model.stages or effect.test == "clip" or effect.kind in ON_THE_CLOCK:
+    if model.stages or effect.test == "clip" or effect.is_on_the_clock:
         raise ModelError(
             f"{name_of(effect)} is no term of the equations but acts on samples or at an instant; "
             "a design needs derivatives in it, and takes causes in balances, in outputs and in "

@@ -23,14 +23,15 @@ from casid.diagnosis.search.candidates import Candidate, Rival, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import COMPARISON
 from casid.estimation.covariance import bartlett_lags, long_run_covariance
-from casid.model.effects.effect import ON_THE_CLOCK
 from casid.time_limit import seconds_left
 
 TANGENTS = ("offset", "sensor_bias", "sensor_scale")
 """Kinds that a law of flow looks like near one level."""
 
-IMITATORS = (*ON_THE_CLOCK, "missing_mode")
-"""Kinds with a time or a frequency of their own."""
+
+def is_imitator(c: Candidate) -> bool:
+    """True of what has a time or a frequency of its own."""
+    return c.effect.is_on_the_clock or c.effect.kind == "missing_mode"
 
 
 def ranked_by_remainder(
@@ -69,19 +70,17 @@ def without_imitations(
     imitates whatever depends on amplitude. It must explain clearly more than the best significant
     law that does, and is no cause in the place of one that was refused for its errors.
     """
-    lasting = max((c.merit for c in significant if c.effect.kind not in IMITATORS), default=0.0)
+    lasting = max((c.merit for c in significant if not is_imitator(c)), default=0.0)
     return [
-        c
-        for c in found
-        if c.effect.kind not in IMITATORS or _merit_beside(significant, c) > max(lasting, 0.0)
+        c for c in found if not is_imitator(c) or _merit_beside(significant, c) > max(lasting, 0.0)
     ]
 
 
 def _merit_beside(found: Sequence[Candidate], c: Candidate) -> float:
     """The merit, of an imitator less half the gain of the best that is none (a heuristic)."""
-    if c.effect.kind not in IMITATORS:
+    if not is_imitator(c):
         return c.merit
-    lasting = max((b.gain for b in found if b.effect.kind not in IMITATORS), default=0.0)
+    lasting = max((b.gain for b in found if not is_imitator(b)), default=0.0)
     return c.merit - COMPARISON.imitator * lasting
 
 
@@ -115,9 +114,35 @@ def rejudge(
             out.append(judged)
     if not out or seconds_left() <= 0.0:
         return found
-    out.sort(key=lambda c: -c.merit)
+    out = sorted(on_common_samples(out), key=lambda c: -c.merit)
     if out[0].effect.key != best.effect.key and rounds > 1:
         return rejudge(refitting, at, out, count, rounds - 1)
+    return out
+
+
+def on_common_samples(found: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates with gains that samples do not flatter which others do not count.
+
+    A late sensor leaves out what it cannot know, first of all the start of a record. Such a
+    candidate gets the gain of the best that counts every sample, and what it leaves less than that
+    one on the samples of both.
+    """
+    counts = [sum(int((d.used > 0).sum()) for d in c.fit.criterion.data) for c in found]
+    whole = [c for c, n in zip(found, counts, strict=True) if n == max(counts)]
+    best = max(whole, key=lambda c: c.gain)
+    out = []
+    for c in found:
+        if c in whole:
+            out.append(c)
+            continue
+        both = np.concatenate(
+            [
+                np.all(mine.used == its.used, axis=1)
+                for mine, its in zip(best.fit.criterion.data, c.fit.criterion.data, strict=True)
+            ]
+        )
+        less = float(np.sum((_losses(best) - _losses(c))[both]))
+        out.append(replace(c, gain=best.gain + 2 * less))
     return out
 
 

@@ -1,4 +1,4 @@
-"""When a parameter jumped: the instants of candidates, and events that are known already."""
+"""When something set in: the instants of candidates, and events that are known already."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
+from casid.model.effects.clock_effects import KNOCK, STEP
 from casid.model.effects.effect import Effect
-from casid.model.effects.parameter_effects import parameter_jump
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 
 
@@ -29,16 +29,24 @@ def placed(
     """Jumps refitted at the instants that leave least; coarse scores place them roughly only.
 
     The most promising one is placed first, the others start from its instant too: they may be
-    the same event, seen in another parameter.
+    the same event, seen in another parameter. A knock rings on as a force that sets in does, from
+    another instant: where the one promises much, the other is placed, too.
 
     Parameters
     ----------
     known : instants of the events known already [s], near which no jump is placed.
     """
     top = max(c.gain for c in found)
+    rings = {
+        c.effect.where
+        for c in found
+        if c.effect.shape in (STEP, KNOCK) and c.gain > JUMPS.promising * top
+    }
     out, instant = [], None
     for c in sorted(found, key=lambda c: -c.gain):
-        if c.effect.kind == "parameter_jump" and c.gain > JUMPS.promising * top:
+        is_promising = c.gain > JUMPS.promising * top
+        is_promising |= c.effect.shape in (STEP, KNOCK) and c.effect.where in rings
+        if c.effect.at_instant is not None and is_promising:
             progress(f"find the instant of {name_of(c.effect)}")
             if instant is not None:
                 c = _better_at(refitting, at, c, instant, known)
@@ -57,12 +65,13 @@ def _placed(
     Ts = min(d.Ts for d in at.criterion.data)
     reach = JUMPS.reach * (stop - start) / (PARAMETER_JUMPS.times + 1)
     for _ in range(JUMPS.scans):
-        now = found.effect.variant
+        now, at_instant = found.effect.variant, found.effect.at_instant
         assert now is not None
+        assert at_instant is not None
         times = now + reach * np.linspace(-1, 1, JUMPS.instants)
         inside = [float(t) for t in times if start < t < stop]
         model = found.model
-        effects = [parameter_jump(model, found.effect.where, t) for t in inside]
+        effects = [at_instant(model, t) for t in inside]
         left = scan(found.fit, found.names[0], effects)
         found = _better_at(refitting, at, found, inside[int(np.argmin(left))], known)
         if reach < JUMPS.fine * Ts:
@@ -75,9 +84,9 @@ def _better_at(
     refitting: Refitting, at: Weighted, found: Candidate, instant: float, known: Sequence[float]
 ) -> Candidate:
     """The jump refitted at another instant, if it explains more there."""
-    if instant == found.effect.variant:
+    if instant == found.effect.variant or found.effect.at_instant is None:
         return found
-    other = parameter_jump(at.model, found.effect.where, instant)
+    other = found.effect.at_instant(at.model, instant)
     if is_known_event(at, other, known):
         return found
     again = refitting.refit(at, other, float(found.fit.values[found.names[0]]))
@@ -89,7 +98,7 @@ def _better_at(
 def events_of(adopted: Sequence[Candidate]) -> list[float]:
     """Instants of the jumps among what was adopted [s]."""
     effects = [c.effect for c in adopted]
-    return [e.variant for e in effects if e.kind == "parameter_jump" and e.variant is not None]
+    return [e.variant for e in effects if e.at_instant is not None and e.variant is not None]
 
 
 def is_known_event(at: Weighted, effect: Effect, known: Sequence[float]) -> bool:

@@ -20,7 +20,6 @@ from casid.diagnosis.evidence.score_tests import Score
 from casid.diagnosis.search.candidates import Candidate
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import COMPARISON, ROUNDS
-from casid.model.effects.effect import ON_THE_CLOCK
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +43,7 @@ def preselected(
     """
     everything = [Start(s) for s in short]
     # Of kinds on the clock the part says nothing: they are refitted on the whole.
-    compared = [s for s in short if s.effect.kind not in ON_THE_CLOCK]
+    compared = [s for s in short if not s.effect.is_on_the_clock]
     samples = [d.N for d in at.criterion.data]
     share = ROUNDS.part / sum(samples)
     if sum(samples) <= ROUNDS.long or at.criterion.own or len(compared) < ROUNDS.fewest_compared:

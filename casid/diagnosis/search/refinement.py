@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from casid.arrays import TINY, Array
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.evidence.robust_errors import std_error, wald
-from casid.diagnosis.search.alternatives import IMITATORS, TANGENTS
+from casid.diagnosis.search.alternatives import TANGENTS, is_imitator
 from casid.diagnosis.search.candidates import (
     Adopted,
     Candidate,
@@ -175,7 +175,7 @@ class Refinement:
             candidates += [c for c in self.search.first_candidates if c.effect.where == own.where]
         count = 0
         for c in candidates:
-            is_new = c.effect.key not in taken and c.effect.kind not in ("unknown", *IMITATORS)
+            is_new = c.effect.key not in taken and c.effect.kind != "unknown" and not is_imitator(c)
             # Near one level a constant fits as well as the law whose tangent it is.
             is_tangent = own.kind == "unknown" and not own.is_unnamed and c.effect.kind in TANGENTS
             if is_new and not is_tangent and count < ROUNDS.rivals:

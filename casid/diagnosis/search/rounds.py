@@ -21,7 +21,7 @@ from casid.diagnosis.evidence.score_tests import Score, ScoreTable, score_test
 from casid.diagnosis.evidence.signal_sizes import sizes_of
 from casid.diagnosis.evidence.spectral_peaks import PeriodicCandidate, periodic_candidates
 from casid.diagnosis.evidence.sufficiency import error_over_noise
-from casid.diagnosis.search.alternatives import ranked_by_remainder, rejudge
+from casid.diagnosis.search.alternatives import on_common_samples, ranked_by_remainder, rejudge
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.friction_speeds import sharpened
 from casid.diagnosis.search.imitations import (
@@ -86,7 +86,7 @@ class Search:
         effects = [
             e
             for e in effects
-            if e.kind != "parameter_jump" or not (e.where in own or is_known_event(at, e, known))
+            if e.at_instant is None or not (e.where in own or is_known_event(at, e, known))
         ]
         # A slope of a cause's own size would be a second effect in the place of a first one.
         effects = [e for e in effects if e.span is None or moved_parameter(e) not in own]
@@ -142,7 +142,7 @@ class Search:
             return found
         found = placed(refitting, at, found, events_of(adopted), self.progress)
         found = sharpened(refitting, at, found, self.progress)
-        found.sort(key=lambda c: -c.merit)
+        found = sorted(on_common_samples(found), key=lambda c: -c.merit)
         ranked = ranked_by_remainder if at.noise_absorbs_misfit else rejudge
         what = "the comparison of the candidates"
         return attempt(what, lambda: ranked(refitting, at, found)) or found

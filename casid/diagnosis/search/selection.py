@@ -9,7 +9,7 @@ from functools import partial
 from casid.arrays import Array
 from casid.diagnosis.evidence.prewhitening import EXACT, Weighted
 from casid.diagnosis.search.alternatives import (
-    IMITATORS,
+    is_imitator,
     p_value,
     rivals_of,
     without_imitations,
@@ -183,7 +183,7 @@ class _Selection:
         the errors from where it helps to where the second is missing.
         """
         room = self.search.max_causes - len(self.adopted)
-        lasting = [a for a in refused if a.candidate.effect.kind not in IMITATORS]
+        lasting = [a for a in refused if not is_imitator(a.candidate)]
         if room < 2 or not self.at.noise_absorbs_misfit:
             return False
         for first in lasting[: ROUNDS.pairs]:
@@ -193,7 +193,7 @@ class _Selection:
             what = f"the search beside {name_of(first.candidate.effect)}"
             beside = self.search.attempts.attempt(what, partial(self._with, first))
             for second in beside._significant() if beside is not None else ():
-                is_lasting = second.candidate.effect.kind not in IMITATORS
+                is_lasting = not is_imitator(second.candidate)
                 if is_lasting and self._adopt([first, second], note=False):
                     keys = {a.candidate.effect.key for a in self.adopted}
                     self.search.refused = [
@@ -270,7 +270,7 @@ def _named_first(at: Weighted, found: list[Candidate]) -> list[Candidate]:
                 order[j - 1], order[j] = order[j], order[j - 1]
     if order and order[0].effect.is_unnamed:
         open_ = {id(r.candidate) for r in rivals_of(at, order[0], order)}
-        lasting = [c for c in order if c.effect.kind not in IMITATORS]
+        lasting = [c for c in order if not is_imitator(c)]
         catalogued = [c for c in lasting if not c.effect.is_unnamed]
         named = [c for c in catalogued if id(c) in open_]
         order = [*named[:1], *[c for c in order if c not in named[:1]]]

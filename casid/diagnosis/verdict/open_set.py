@@ -26,7 +26,7 @@ from casid.diagnosis.evidence.residual_tests import (
     ResidualTests,
     residual_tests,
 )
-from casid.diagnosis.search.alternatives import IMITATORS
+from casid.diagnosis.search.alternatives import is_imitator
 from casid.diagnosis.search.candidates import Adopted, Candidate
 from casid.diagnosis.search.residual_check import tested_residual
 from casid.diagnosis.search.rounds import Search
@@ -188,7 +188,7 @@ def _nearest(refused: Sequence[tuple[Candidate, str]]) -> Iterator[Alternative]:
     """Named effects that explain much of what was fitted, and what speaks against each."""
     keys: set[tuple[str, str]] = set()
     for c, why in refused:
-        is_new = c.effect.key not in keys and c.effect.kind not in ("unknown", *IMITATORS)
+        is_new = c.effect.key not in keys and c.effect.kind != "unknown" and not is_imitator(c)
         if is_new and len(keys) < ROUNDS.rivals:
             keys.add(c.effect.key)
             text = f"significant and of a similar effect, but {why}"

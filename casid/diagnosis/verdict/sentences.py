@@ -122,6 +122,8 @@ def says(effect: Effect, column: str = "") -> str:
         return says_kind(effect.kind, f"{effect.where} (column {column!r})")
     if effect.kind == "extra_input" and effect.description:
         return effect.description
+    if effect.kind in ("offset", "sensor_bias") and effect.description:
+        return effect.description
     if effect.kind == "hold" and effect.description:
         one, is_one = ("the input", "is") if "," not in effect.where else ("the inputs", "are")
         return f"{one} {effect.where} {is_one} {effect.description}, unlike in the model"
@@ -148,9 +150,11 @@ def why_alternative(best: Candidate, other: Candidate) -> str:
     """Why a rival cannot be rejected; what would separate it is the advice's matter."""
     gap = best.merit - other.merit
     by = f"{abs(gap):.1f}"
+    as_one = f"as a {other.effect.shape}, " if other.effect.is_on_the_clock else ""
+    as_one = as_one if other.effect.kind in ("offset", "sensor_bias") else ""
     if by == "0.0":
-        return "explains the misfit equally well"
-    return f"explains the misfit as well (BIC {by} {'worse' if gap >= 0 else 'better'})"
+        return f"{as_one}explains the misfit equally well"
+    return f"{as_one}explains the misfit as well (BIC {by} {'worse' if gap >= 0 else 'better'})"
 
 
 def verdict_sentence(

@@ -24,6 +24,7 @@ from casid.model.effects.channel_effects import (
     sensor_bias,
     time_delay,
 )
+from casid.model.effects.clock_effects import clock_effects_of
 from casid.model.effects.contact_effects import Side, backlash, end_stop
 from casid.model.effects.effect import Effect, Sizes
 from casid.model.effects.friction_effects import (
@@ -181,7 +182,7 @@ def _stops_at(model: Model, place: Place, sizes: Sizes) -> list[Effect | None]:
 def _parameter_variations(
     model: Model, sizes: Sizes, recorded: Mapping[str, str]
 ) -> Iterator[Effect]:
-    """Jumps, drifts and schedules of the parameters that a record may determine."""
+    """Jumps, drifts and schedules of parameters that a record may determine, and of constants."""
     times = jump_times(sizes.window)
     for name, p in model.parameters.items():
         if p.is_constant:
@@ -193,5 +194,6 @@ def _parameter_variations(
         for c, spread in sizes.channels.items():
             if not is_constant_term(model, name):
                 yield scheduled_parameter(model, name, c, recorded[c], spread)
+    yield from clock_effects_of(model, times, sizes)
     yield from flow_schedules_of(model, sizes)
     yield from state_schedules_of(model, sizes)

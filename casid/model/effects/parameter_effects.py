@@ -36,8 +36,16 @@ def parameter_jump(model: Model, name: str, time: float) -> Effect:
         new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
 
     p = Parameter(f"jump_{name}", old.unit, 0.0)
-    chosen, cost = {"time": time}, PARAMETER_JUMPS.cost
-    return Effect("parameter_jump", name, (p,), apply, variant=time, cost=cost, constants=chosen)
+    return Effect(
+        "parameter_jump",
+        name,
+        (p,),
+        apply,
+        variant=time,
+        cost=PARAMETER_JUMPS.cost,
+        constants={"time": time},
+        at_instant=lambda other, t: parameter_jump(other, name, t),
+    )
 
 
 def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Effect:

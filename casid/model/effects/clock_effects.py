@@ -1,0 +1,114 @@
+"""Constants that set in at an instant, or grow: a load taken on, a knocked or drifting sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from casid.model.clock_signals import ClockSignal, RampOver, StepAt
+from casid.model.declarations import Hold, Input, Parameter
+from casid.model.dimensional_analysis import carrying_unit
+from casid.model.effects.balance_effects import offset
+from casid.model.effects.channel_effects import sensor_bias
+from casid.model.effects.effect import Effect, Sizes
+from casid.model.effects.search_ranges import PARAMETER_JUMPS
+from casid.model.model import Model
+from casid.model.units import unit_quotient
+
+STEP, KNOCK, DRIFT = "step", "knock", "drift"
+
+
+def offset_step(model: Model, balance: str, time: float) -> Effect:
+    """A constant force or torque that sets in at `time` (seconds of the record's clock)."""
+    made = _set_in(offset(model, balance), time)
+    says = f"a constant term sets in during the record, in the {balance} balance"
+    return replace(
+        made, description=says, at_instant=lambda other, t: offset_step(other, balance, t)
+    )
+
+
+def knock(model: Model, balance: str, time: float, Ts: float) -> Effect:
+    """An impulse J at `time` [s]: a force J / Ts over one sample of Ts [s].
+
+    Much shorter than the motion that it starts, so that its shape does not show. It has no name
+    among the kinds; without it what rings on afterwards would be taken for a force that stays.
+    """
+    b = model.balances[balance]
+    J = Parameter(f"J_{balance}", unit_quotient(b.unit, "s", -1), 0.0)
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        first, last = (
+            new.add_input(Input(f"step at {t:.9g} s", "1", "generated", "zoh", StepAt(t)))
+            for t in (time, time + Ts)
+        )
+        new.add_term(balance, new.symbol(names[0]) * (first - last) / carrying_unit(Ts))
+
+    return Effect(
+        "unknown",
+        balance,
+        (J,),
+        apply,
+        priority=2,
+        variant=time,
+        cost=PARAMETER_JUMPS.cost,
+        shape=KNOCK,
+        description="a knock, a force that acts for an instant",
+        constants={"time": time},
+        at_instant=lambda other, t: knock(other, balance, t, Ts),
+    )
+
+
+def bias_step(model: Model, channel: str, time: float) -> Effect:
+    """A bias of a measured channel that sets in at `time` (seconds of the record's clock)."""
+    made = _set_in(sensor_bias(model, channel), time)
+    says = f"the channel {channel} gets a constant bias during the record"
+    return replace(made, description=says, at_instant=lambda other, t: bias_step(other, channel, t))
+
+
+def bias_drift(model: Model, channel: str, window: tuple[float, float]) -> Effect:
+    """A bias of a measured channel that grows steadily from nothing, as after switching on.
+
+    Its size is what it grows to over `window`, the fitted part in seconds of the record's clock.
+    """
+    start, stop = window
+    entry = f"share of the time from {start:.9g} to {stop:.9g} s, from its middle"
+    made = _times(sensor_bias(model, channel), RampOver(start, stop), entry, "foh", beyond=0.5)
+    p = replace(made.parameters[0], name=f"drift_{channel}")
+    return replace(
+        made,
+        parameters=(p,),
+        shape=DRIFT,
+        description=f"the channel {channel} drifts: its bias grows steadily",
+        constants={"start": start, "stop": stop},
+    )
+
+
+def clock_effects_of(model: Model, times: Sequence[float], sizes: Sizes) -> Iterator[Effect]:
+    """Steps of forces and of biases, knocks, and drifts of biases."""
+    for balance in model.balances:
+        yield from (offset_step(model, balance, t) for t in times)
+        yield from (knock(model, balance, t, sizes.Ts) for t in times)
+    for channel in model.outputs:
+        yield from (bias_step(model, channel, t) for t in times)
+        yield bias_drift(model, channel, sizes.window)
+
+
+def _set_in(effect: Effect, time: float) -> Effect:
+    """An effect from an instant on, which is charged as that of a jump is."""
+    made = _times(effect, StepAt(time), f"step at {time:.9g} s", "zoh")
+    cost, constants = PARAMETER_JUMPS.cost, {"time": time}
+    return replace(made, variant=time, cost=cost, shape=STEP, constants=constants)
+
+
+def _times(
+    effect: Effect, signal: ClockSignal, entry: str, hold: Hold, beyond: float = 0.0
+) -> Effect:
+    """An effect in proportion to its parameter, times a signal of the clock and `beyond`."""
+
+    def apply(new: Model, names: Sequence[str]) -> None:
+        effect.apply(new, names)
+        s = new.add_input(Input(entry, "1", "generated", hold, signal))
+        new.substitute_symbol(names[0], new.symbol(names[0]) * (s + beyond))
+
+    # What holds all the time is met more often, and named where the two are the same.
+    return replace(effect, apply=apply, priority=effect.priority + 1)

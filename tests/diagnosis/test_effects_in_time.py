@@ -1,0 +1,107 @@
+"""What sets in during a record, or drifts, is named with its instant and its size.
+
+A slide on a spring, pushed by a known force that is held between samples: between them the motion
+is solved exactly, by the exponential of its matrix.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import casid
+from casid.export.problem_file import write_problem_file
+
+Array = np.ndarray
+
+M, D, K = 2.0, 3.0, 40.0
+TS, N = 0.02, 2500
+SIGMA = 2e-4
+
+
+def slide() -> casid.Problem:
+    model = casid.Model("slide")
+    F = model.input("force", "N", hold="zoh", known=True)
+    x, v = model.state("x", "m"), model.state("v", "m/s")
+    m = model.parameter("m", "kg", start=1.0, lower=0.1, upper=20.0)
+    d = model.parameter("d", "N s/m", start=1.0, lower=0.0, upper=50.0)
+    k = model.parameter("k", "N/m", start=30.0, lower=1.0, upper=500.0)
+    model.derivative(x, v)
+    model.balance(v, "force", inertia=m, terms=[F, -d * v, -k * x])
+    model.output("position", x, "m")
+    return casid.Problem("slide", model)
+
+
+def record(load: Array | float = 0.0, reading: Array | float = 0.0, seed: int = 0) -> casid.Record:
+    """Held forces, a load beside them (N,), and what the sensor adds to the position (N,)."""
+    rng = np.random.default_rng(seed)
+    force = np.repeat(rng.uniform(-8, 8, N // 25), 25)
+    A = np.array([[0.0, 1.0, 0.0], [-K / M, -D / M, 1.0 / M], [0.0, 0.0, 0.0]])
+    step = expm(A * TS)
+    x, y = np.zeros(3), np.empty(N)
+    for k, u in enumerate(force + np.broadcast_to(load, N)):
+        y[k] = x[0]
+        x[2] = u
+        x = step @ x
+    position = y + reading + SIGMA * rng.standard_normal(N)
+    return casid.Record({"force": force, "position": position}, {"force": "N", "position": "m"}, TS)
+
+
+T = TS * np.arange(N)
+
+
+def only(found: casid.Diagnosis) -> casid.Cause:
+    assert len(found.causes) == 1, found.sentence
+    return found.causes[0]
+
+
+def test_a_load_that_sets_in_is_a_constant_term_from_an_instant_on():
+    cause = only(casid.diagnose(slide(), record(load=0.2 * (T >= 21.0)), advise=False))
+    size, time = cause.parameters
+    assert (cause.kind, cause.where) == ("offset", "force")
+    assert size.value == pytest.approx(0.2, abs=4 * size.std_error)
+    assert time.value == pytest.approx(21.0, abs=2 * TS)
+    assert "sets in during the record" in cause.sentence
+
+
+def test_a_sensor_that_was_knocked_is_biased_from_an_instant_on():
+    cause = only(casid.diagnose(slide(), record(reading=2e-3 * (T >= 17.0)), advise=False))
+    size, time = cause.parameters
+    assert (cause.kind, cause.where) == ("sensor_bias", "position")
+    assert size.value == pytest.approx(2e-3, abs=4 * size.std_error)
+    assert time.value == pytest.approx(17.0, abs=2 * TS)
+
+
+def test_a_sensor_that_drifts_is_biased_ever_more():
+    """It grows to its size over the fitted 70 % of the record."""
+    found = casid.diagnose(slide(), record(reading=4e-3 * T / T[-1]), advise=False)
+    cause = only(found)
+    (size,) = cause.parameters
+    assert (cause.kind, cause.where) == ("sensor_bias", "position")
+    assert size.name == "drift_position"
+    assert size.value == pytest.approx(0.7 * 4e-3, abs=4 * size.std_error)
+    assert "drifts" in cause.sentence
+
+
+def test_a_constant_load_stays_what_acts_all_the_time():
+    cause = only(casid.diagnose(slide(), record(load=0.2), advise=False))
+    kinds = {(cause.kind, cause.where)} | {(a.kind, a.where) for a in cause.alternatives}
+    assert ("offset", "force") in kinds
+    assert [p.name for p in cause.parameters][1:] == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_sets_in_where_nothing_does(seed):
+    assert casid.diagnose(slide(), record(seed=seed), advise=False).verdict == "adequate"
+
+
+def test_the_extended_model_begins_the_load_when_the_record_did(tmp_path):
+    """The problem file of the extended model finds nothing missing, and the load by its size."""
+    found = casid.diagnose(slide(), record(load=0.2 * (T >= 21.0)), advise=False)
+    path = tmp_path / "slide.py"
+    write_problem_file(found.model, path)
+    extended = casid.load_problem(path)
+    estimate = casid.identify(extended, record(load=0.2 * (T >= 21.0), seed=1))
+    load = next(p for p in estimate.parameters if p.name == "F_0")
+    assert load.value == pytest.approx(0.2, abs=4 * load.std_error)
