@@ -87,7 +87,7 @@ def clock_effects_of(model: Model, times: Sequence[float], sizes: Sizes) -> Iter
     """Steps of forces and of biases, knocks, and drifts of biases."""
     for balance in model.balances:
         yield from (offset_step(model, balance, t) for t in times)
-        yield from (knock(model, balance, t, sizes.Ts) for t in times)
+        yield from (knock(model, balance, t, sizes.Ts) for t in times if sizes.Ts)
     for channel in model.outputs:
         yield from (bias_step(model, channel, t) for t in times)
         yield bias_drift(model, channel, sizes.window)
