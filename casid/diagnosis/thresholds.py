@@ -666,6 +666,12 @@ class Judging:
     unlike: float = _is(
         1.5, "times the fitted error or floor: a held-out error that forbids a verdict", CASES
     )
+    unlike_by_chance: float = _is(
+        1e-3,
+        "chance that noise alone makes the held-out error as large: as many verdicts as this are "
+        "given up for nothing",
+        f"{TESTS}/verdict/test_held_out_noise.py",
+    )
     at_floor: float = _is(
         1.1,
         "times the noise floor: a floor estimated from the same record is no better known",

@@ -60,10 +60,11 @@ def with_disturbance_spectra(
     # Without a taper the ends of a slow and large motion leak over the noise of the sensors.
     residuals = [_tapered(r) for r in residuals]
     windows = [d.used if d.used.all() else _tapered(1.0 * d.used) for d in criterion.data]
+    envelopes = [_tapered(np.ones(d.used.shape)) for d in criterion.data]
     sources, outputs = noise.responses[0].sources, tuple(criterion.outputs)
     search = _Search(
         noise,
-        spectra_of(residuals, noise.responses, sources, len(outputs), windows),
+        spectra_of(residuals, noise.responses, sources, len(outputs), windows, envelopes),
         [(d.N, d.Ts) for d in criterion.data],
         dict(known or {}),
         outputs,

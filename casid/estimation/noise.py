@@ -98,6 +98,16 @@ class NoiseModel:
             np.sqrt(np.trapezoid(s, self.responses[experiment].omega, axis=0) / np.pi)
         )
 
+    def spread(self, experiment: int, samples: int) -> Array:
+        """(ny,) relative standard deviation of the mean square of so many samples.
+
+        A mean of exponential periodograms: sqrt(sum S^2) / sum S.
+        """
+        omega, s = self.responses[experiment].omega, self.spectrum(experiment)
+        per = samples / (2 * np.pi)
+        total = per * np.trapezoid(s, omega, axis=0)
+        return np.asarray(np.sqrt(per * np.trapezoid(s**2, omega, axis=0)) / total)
+
     def excess(self, quiet: NoiseModel, samples: Sequence[int]) -> tuple[float, float]:
         """Mean square of this noise over that of `quiet`, and the latter's relative spread.
 
@@ -292,6 +302,7 @@ def spectra_of(
     sources: Sequence[str],
     ny: int,
     windows: Sequence[Array],
+    envelopes: Sequence[Array] | None = None,
 ) -> Spectra:
     """Periodograms of residuals (N, ny) in bands, and the responses to `sources` there.
 
@@ -300,11 +311,13 @@ def spectra_of(
     windows : (N, ny) that each residual is multiplied by; zero where samples are missing. With
         such the responses are those of the periodogram's mean, whatever the gaps (Guillaumin,
         Sykulski, Olhede and Simons, J. R. Stat. Soc. B 84 (2022) 1526-1557).
+    envelopes : the windows as they were without missing samples; ones by default.
     """
+    envelopes = envelopes or [np.ones_like(w, dtype=float) for w in windows]
     rows, powers, counts, centres = [], [], [], []
-    for r, response, window in zip(residuals, responses, windows, strict=True):
+    for r, response, window, whole in zip(residuals, responses, windows, envelopes, strict=True):
         places = [response.sources.index(source) for source in sources]
-        for i, (power, gain2, count, omega) in enumerate(_bins(r, response, window)):
+        for i, (power, gain2, count, omega) in enumerate(_bins(r, response, window, whole)):
             own = np.zeros((len(power), ny))
             own[:, i] = np.mean(np.asarray(window[:, i], dtype=float) ** 2)
             rows.append(np.hstack([own, gain2[:, places]]))
@@ -389,7 +402,7 @@ def band_edges(samples: int) -> Array:
 
 
 def _bins(
-    residual: Array, response: Response, window: Array
+    residual: Array, response: Response, window: Array, whole: Array
 ) -> list[tuple[Array, Array, Array, Array]]:
     """Periodogram and |G|^2 in bands of growing width: (power, gain2, count, omega) an output."""
     n = len(residual)
@@ -405,11 +418,21 @@ def _bins(
         for j in range(response.gain2.shape[2]):
             g = np.interp(omega, response.omega, response.gain2[:, i, j])
             if not window[:, i].all():
-                g = _seen_through(window[:, i], response.omega, response.gain2[:, i, j])
+                moved = _moved(window[:, i], whole[:, i], response.omega, response.gain2[:, i, j])
+                g = np.maximum(g + moved, 0.0)
             columns.append(np.add.reduceat(g, edges[:-1]) / count)
         gain2 = np.column_stack(columns) if columns else np.zeros((len(power), 0))
         out.append((power, gain2, count.astype(float), centre))
     return out
+
+
+def _moved(window: Array, whole: Array, omega: Array, spectrum: Array) -> Array:
+    """What missing samples change of a mean periodogram (N // 2 + 1,), `whole` without them.
+
+    What the record's finite length does is the same in both, and the residual, whose initial state
+    is fitted, has less of it than a stationary process.
+    """
+    return _seen_through(window, omega, spectrum) - _seen_through(whole, omega, spectrum)
 
 
 def _seen_through(window: Array, omega: Array, spectrum: Array) -> Array:

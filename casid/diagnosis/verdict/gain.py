@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import chi2
 
-from casid.arrays import Array
+from casid.arrays import TINY, Array
 from casid.data.channel_quality import quantisation_step
 from casid.data.problem import Problem
 from casid.diagnosis.evidence.prewhitening import Weighted
@@ -76,13 +77,25 @@ def _resolved(at: Weighted, output: int) -> float:
 
 
 def unlike_held_out(
-    fitted: Mapping[str, Mapping[str, float]], held: Mapping[str, Mapping[str, float]]
+    found: Findings,
+    fitted: Mapping[str, Mapping[str, float]],
+    held: Mapping[str, Mapping[str, float]],
 ) -> str:
-    """Why what was held out forbids to call the model adequate, or an empty text."""
+    """Why what was held out forbids to call the model adequate, or an empty text.
+
+    Noise of an input that rings at a resonance has few independent values: its rms may rise by
+    chance, as the root of a chi-squared variable over its degrees of freedom.
+    """
+    split, noise = found.baseline.split, found.at.full
+    samples = sum(int(m.sum()) for m in split.held) + sum(e.record.N for e in split.apart)
+    spread = noise.spread(0, samples) if samples else np.zeros(len(found.at.criterion.outputs))
+    free = 2 / np.maximum(spread, TINY) ** 2
+    chance = np.sqrt(chi2.isf(JUDGING.unlike_by_chance, free) / free)
+    by_chance = dict(zip(found.at.criterion.outputs, chance.tolist(), strict=True))
     for output, error in held.get("baseline_rmse", {}).items():
         inside = fitted["baseline_rmse"][output]
         floor = fitted["noise_floor"][output]
-        if error > JUDGING.unlike * max(inside, floor):
+        if error > max(JUDGING.unlike * max(inside, floor), by_chance[output] * floor):
             return (
                 f"the fitted part shows no model error, but the simulation of {output} is wrong by "
                 f"{error:.3g} where it was not fitted, against {inside:.3g} where it was: "

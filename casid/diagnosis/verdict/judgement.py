@@ -118,7 +118,7 @@ def judge(problem: Problem, found: Findings, false_alarm_rate: float) -> Judgeme
     causes, remainder = compared or (causes, remainder)
     causes = negated(causes)
     beside = remainder.beside if remainder is not None and not causes else None
-    unlike = unlike_held_out(fitted, held)
+    unlike = unlike_held_out(found, fitted, held)
     why_undecided, bounds = _undecided(problem, found, beside, unlike, disturbances)
     verdict: Verdict = "deficient" if causes else "undecided" if why_undecided else "adequate"
     return Judgement(
