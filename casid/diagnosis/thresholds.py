@@ -274,6 +274,12 @@ class Residual:
     )
     functions: int = _is(3, "functions that this share is taken of, at most", _RESIDUAL)
     by_chance: float = _is(2.0, "times what chance gives, for each after the first", _RESIDUAL)
+    held_out_chance: float = _is(
+        1e-3,
+        "chance that noise alone makes the held-out error as large: as many verdicts as this are "
+        "given up for nothing",
+        f"{TESTS}/verdict/test_held_out_noise.py",
+    )
 
 
 _REFERENCES = f"{TESTS}/evidence/test_loop_references.py"
@@ -457,7 +463,7 @@ _FRICTION = f"{TESTS}/search/test_friction_speeds.py"
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """The speed below which dry friction is smoothed."""
+    """Dry friction: the speed below which it is smoothed, and whether a model has any."""
 
     promising: float = _is(
         0.9, "of the best gain beyond which other smoothing speeds are tried", _FRICTION
@@ -473,6 +479,17 @@ class Friction:
         "steps over the friction's time constant at rest, at most: a sharper one costs many more",
         _FRICTION,
         "Runge-Kutta of order four is stable to 2.78 on the real axis",
+    )
+    speeds: tuple[float, float] = _is(
+        (0.3, 0.6),
+        "of the rms speed, at which the model's resistance tells dry friction from the rest: the "
+        "second twice the first, both well above `Smoothing.speed`",
+        f"{TESTS}/search/test_imitations.py",
+    )
+    share: float = _is(
+        0.1,
+        "of the resistance at the first that must remain towards rest, for friction to be dry",
+        f"{TESTS}/search/test_imitations.py",
     )
 
 
@@ -494,17 +511,6 @@ class Rounds:
     frictions: int = _is(
         2,
         "laws of friction or damping adopted in one place: a third repairs their shape",
-        f"{TESTS}/search/test_imitations.py",
-    )
-    dry_speeds: tuple[float, float] = _is(
-        (0.3, 0.6),
-        "of the rms speed, at which the model's resistance tells dry friction from the rest: the "
-        "second twice the first, both well above `Smoothing.speed`",
-        f"{TESTS}/search/test_imitations.py",
-    )
-    dry: float = _is(
-        0.1,
-        "of the resistance at the first that must remain towards rest, for friction to be dry",
         f"{TESTS}/search/test_imitations.py",
     )
     backward_wald: float = _is(
@@ -665,12 +671,6 @@ class Judging:
     )
     unlike: float = _is(
         1.5, "times the fitted error or floor: a held-out error that forbids a verdict", CASES
-    )
-    unlike_by_chance: float = _is(
-        1e-3,
-        "chance that noise alone makes the held-out error as large: as many verdicts as this are "
-        "given up for nothing",
-        f"{TESTS}/verdict/test_held_out_noise.py",
     )
     at_floor: float = _is(
         1.1,

@@ -16,8 +16,9 @@ from scipy.optimize import minimize
 
 from casid.arrays import TINY, Array
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
-from casid.estimation.noise import NoiseModel, Spectra, band_edges, spectra_of, variances, whittle
+from casid.estimation.noise import NoiseModel, variances, whittle
 from casid.estimation.noise_response import Response
+from casid.estimation.residual_spectra import Spectra, band_edges, spectra_of
 from casid.estimation.simulation.simulation_error import SimulationError
 
 CORNERS = 12

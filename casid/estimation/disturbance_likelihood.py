@@ -23,8 +23,9 @@ from scipy.fft import rfft
 
 from casid.arrays import TINY, Array
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
-from casid.estimation.noise import NoiseModel, band_edges
+from casid.estimation.noise import NoiseModel
 from casid.estimation.noise_response import noise_response
+from casid.estimation.residual_spectra import band_edges
 from casid.estimation.simulation.simulation_error import SimulationError
 
 STEPS = 15

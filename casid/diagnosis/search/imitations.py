@@ -14,7 +14,7 @@ import numpy as np
 
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
-from casid.diagnosis.thresholds import PEAKS, ROUNDS
+from casid.diagnosis.thresholds import FRICTION, PEAKS, ROUNDS
 from casid.model.effects.effect import Effect
 from casid.model.effects.places import place_named
 
@@ -63,9 +63,9 @@ def drives_one_way(effect: Effect, at: Weighted) -> bool:
         sides = [push(sign * share * rms, x, u, p).full() for sign in (1.0, -1.0)]
         return float(np.mean(sides[1] - sides[0]))
 
-    near, far = (resistance(share) for share in ROUNDS.dry_speeds)
+    near, far = (resistance(share) for share in FRICTION.speeds)
     # What stays of it towards rest; of one in proportion to speed, nothing.
-    return not 2.0 * near - far > ROUNDS.dry * abs(near)
+    return not 2.0 * near - far > FRICTION.share * abs(near)
 
 
 def is_at_resonance(at: Weighted, frequency: float) -> bool:

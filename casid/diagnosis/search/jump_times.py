@@ -14,7 +14,7 @@ from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
-from casid.model.effects.clock_effects import KNOCK, STEP
+from casid.model.effects.clock_effects import KNOCK, STEP, at_instant
 from casid.model.effects.effect import Effect
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 
@@ -46,7 +46,7 @@ def placed(
     for c in sorted(found, key=lambda c: -c.gain):
         is_promising = c.gain > JUMPS.promising * top
         is_promising |= c.effect.shape in (STEP, KNOCK) and c.effect.where in rings
-        if c.effect.at_instant is not None and is_promising:
+        if c.effect.sets_in and is_promising:
             progress(f"find the instant of {name_of(c.effect)}")
             if instant is not None:
                 c = _better_at(refitting, at, c, instant, known)
@@ -65,13 +65,12 @@ def _placed(
     Ts = min(d.Ts for d in at.criterion.data)
     reach = JUMPS.reach * (stop - start) / (PARAMETER_JUMPS.times + 1)
     for _ in range(JUMPS.scans):
-        now, at_instant = found.effect.variant, found.effect.at_instant
+        now = found.effect.variant
         assert now is not None
-        assert at_instant is not None
         times = now + reach * np.linspace(-1, 1, JUMPS.instants)
         inside = [float(t) for t in times if start < t < stop]
         model = found.model
-        effects = [at_instant(model, t) for t in inside]
+        effects = [at_instant(found.effect, model, t) for t in inside]
         left = scan(found.fit, found.names[0], effects)
         found = _better_at(refitting, at, found, inside[int(np.argmin(left))], known)
         if reach < JUMPS.fine * Ts:
@@ -84,9 +83,9 @@ def _better_at(
     refitting: Refitting, at: Weighted, found: Candidate, instant: float, known: Sequence[float]
 ) -> Candidate:
     """The jump refitted at another instant, if it explains more there."""
-    if instant == found.effect.variant or found.effect.at_instant is None:
+    if instant == found.effect.variant:
         return found
-    other = found.effect.at_instant(at.model, instant)
+    other = at_instant(found.effect, at.model, instant)
     if is_known_event(at, other, known):
         return found
     again = refitting.refit(at, other, float(found.fit.values[found.names[0]]))
@@ -98,7 +97,7 @@ def _better_at(
 def events_of(adopted: Sequence[Candidate]) -> list[float]:
     """Instants of the jumps among what was adopted [s]."""
     effects = [c.effect for c in adopted]
-    return [e.variant for e in effects if e.at_instant is not None and e.variant is not None]
+    return [e.variant for e in effects if e.sets_in and e.variant is not None]
 
 
 def is_known_event(at: Weighted, effect: Effect, known: Sequence[float]) -> bool:

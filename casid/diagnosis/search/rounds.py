@@ -86,7 +86,7 @@ class Search:
         effects = [
             e
             for e in effects
-            if e.at_instant is None or not (e.where in own or is_known_event(at, e, known))
+            if not e.sets_in or not (e.where in own or is_known_event(at, e, known))
         ]
         # A slope of a cause's own size would be a second effect in the place of a first one.
         effects = [e for e in effects if e.span is None or moved_parameter(e) not in own]

@@ -144,7 +144,7 @@ def _parameters_of(candidate: Candidate, estimate: Estimate) -> tuple[Estimated,
     if candidate.effect.kind in SWITCHED:
         blend, note = candidate.names[0], "not estimated: either present or absent"
         rows = [replace(p, note=note) if p.name == blend else p for p in rows]
-    if candidate.effect.at_instant is not None and candidate.effect.variant is not None:
+    if candidate.effect.sets_in and candidate.effect.variant is not None:
         rows.append(Estimated("time", candidate.effect.variant, "s", note="searched"))
     return tuple(rows)
 

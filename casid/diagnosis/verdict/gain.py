@@ -15,7 +15,7 @@ from casid.data.problem import Problem
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.findings import Findings
 from casid.diagnosis.search.simulation_errors import simulation_errors
-from casid.diagnosis.thresholds import FUNCTIONS, JUDGING
+from casid.diagnosis.thresholds import FUNCTIONS, JUDGING, RESIDUAL
 from casid.estimation.estimate import RecordView
 from casid.estimation.fit_statistics import rms
 from casid.estimation.holdout import Split, record_views, simulate_apart, whole_simulation
@@ -89,8 +89,8 @@ def unlike_held_out(
     split, noise = found.baseline.split, found.at.full
     samples = sum(int(m.sum()) for m in split.held) + sum(e.record.N for e in split.apart)
     spread = noise.spread(0, samples) if samples else np.zeros(len(found.at.criterion.outputs))
-    free = 2 / np.maximum(spread, TINY) ** 2
-    chance = np.sqrt(chi2.isf(JUDGING.unlike_by_chance, free) / free)
+    free = 2 / np.maximum(spread**2, TINY)
+    chance = np.sqrt(chi2.isf(RESIDUAL.held_out_chance, free) / free)
     by_chance = dict(zip(found.at.criterion.outputs, chance.tolist(), strict=True))
     for output, error in held.get("baseline_rmse", {}).items():
         inside = fitted["baseline_rmse"][output]

@@ -11,6 +11,7 @@ from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import offset
 from casid.model.effects.channel_effects import sensor_bias
 from casid.model.effects.effect import Effect, Sizes
+from casid.model.effects.parameter_effects import parameter_jump
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Model
 from casid.model.units import unit_quotient
@@ -22,9 +23,7 @@ def offset_step(model: Model, balance: str, time: float) -> Effect:
     """A constant force or torque that sets in at `time` (seconds of the record's clock)."""
     made = _set_in(offset(model, balance), time)
     says = f"a constant term sets in during the record, in the {balance} balance"
-    return replace(
-        made, description=says, at_instant=lambda other, t: offset_step(other, balance, t)
-    )
+    return replace(made, description=says)
 
 
 def knock(model: Model, balance: str, time: float, Ts: float) -> Effect:
@@ -53,8 +52,7 @@ def knock(model: Model, balance: str, time: float, Ts: float) -> Effect:
         cost=PARAMETER_JUMPS.cost,
         shape=KNOCK,
         description="a knock, a force that acts for an instant",
-        constants={"time": time},
-        at_instant=lambda other, t: knock(other, balance, t, Ts),
+        constants={"time": time, "duration": Ts},
     )
 
 
@@ -62,7 +60,7 @@ def bias_step(model: Model, channel: str, time: float) -> Effect:
     """A bias of a measured channel that sets in at `time` (seconds of the record's clock)."""
     made = _set_in(sensor_bias(model, channel), time)
     says = f"the channel {channel} gets a constant bias during the record"
-    return replace(made, description=says, at_instant=lambda other, t: bias_step(other, channel, t))
+    return replace(made, description=says)
 
 
 def bias_drift(model: Model, channel: str, window: tuple[float, float]) -> Effect:
@@ -81,6 +79,15 @@ def bias_drift(model: Model, channel: str, window: tuple[float, float]) -> Effec
         description=f"the channel {channel} drifts: its bias grows steadily",
         constants={"start": start, "stop": stop},
     )
+
+
+def at_instant(effect: Effect, model: Model, time: float) -> Effect:
+    """The same as `effect`, which sets in at an instant, at another [s]."""
+    if effect.kind == "parameter_jump":
+        return parameter_jump(model, effect.where, time)
+    if effect.shape == KNOCK:
+        return knock(model, effect.where, time, effect.constants["duration"])
+    return {"offset": offset_step, "sensor_bias": bias_step}[effect.kind](model, effect.where, time)
 
 
 def clock_effects_of(model: Model, times: Sequence[float], sizes: Sizes) -> Iterator[Effect]:

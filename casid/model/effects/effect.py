@@ -73,7 +73,6 @@ class Effect:
     constants : numbers in it that are chosen rather than estimated, SI units: the `speed` below
         which dry friction is smoothed, the `time` of a jump, the `least` play that is one.
     declared_units : parameter -> unit that it is shown in, where that is not SI.
-    at_instant : of what sets in at an instant, the same effect at another [s].
     """
 
     kind: str
@@ -91,13 +90,16 @@ class Effect:
     description: str = ""
     constants: Mapping[str, float] = field(default_factory=dict)
     declared_units: Mapping[str, str] = field(default_factory=dict)
-    at_instant: Callable[[Model, float], Effect] | None = None
+
+    @property
+    def sets_in(self) -> bool:
+        """True of what sets in at an instant, its `variant`, which is searched."""
+        return "time" in self.constants
 
     @property
     def is_on_the_clock(self) -> bool:
         """True of what has an instant, a span or a phase on the clock of its record."""
-        of_time = {"time", "start"} & self.constants.keys()
-        return self.kind in ON_THE_CLOCK or bool(of_time)
+        return self.kind in ON_THE_CLOCK or self.sets_in or "start" in self.constants
 
     @property
     def key(self) -> tuple[str, str]:

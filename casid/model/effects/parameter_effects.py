@@ -44,7 +44,6 @@ def parameter_jump(model: Model, name: str, time: float) -> Effect:
         variant=time,
         cost=PARAMETER_JUMPS.cost,
         constants={"time": time},
-        at_instant=lambda other, t: parameter_jump(other, name, t),
     )
 
 

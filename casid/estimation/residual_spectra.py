@@ -1,0 +1,107 @@
+"""Periodograms of residuals in bands, and what each source of noise adds to them, gaps and all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import irfft, rfft
+
+from casid.arrays import Array
+from casid.estimation.noise_response import Response
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectra:
+    """Periodograms of all residuals in bands, and what a unit variance of each source adds."""
+
+    design: Array  # (B, ny + ns) |G|^2
+    power: Array  # (B,)
+    count: Array  # (B,) frequencies of each band
+    omega: Array  # (B,) rad/sample, their mean
+
+
+def spectra_of(
+    residuals: Sequence[Array],
+    responses: Sequence[Response],
+    sources: Sequence[str],
+    ny: int,
+    windows: Sequence[Array],
+    envelopes: Sequence[Array] | None = None,
+) -> Spectra:
+    """Periodograms of residuals (N, ny) in bands, and the responses to `sources` there.
+
+    Parameters
+    ----------
+    windows : (N, ny) that each residual is multiplied by; zero where samples are missing. With
+        such the responses are those of the periodogram's mean, whatever the gaps (Guillaumin,
+        Sykulski, Olhede and Simons, J. R. Stat. Soc. B 84 (2022) 1526-1557).
+    envelopes : the windows as they were without missing samples; ones by default.
+    """
+    envelopes = envelopes or [np.ones_like(w, dtype=float) for w in windows]
+    rows, powers, counts, centres = [], [], [], []
+    for r, response, window, whole in zip(residuals, responses, windows, envelopes, strict=True):
+        places = [response.sources.index(source) for source in sources]
+        for i, (power, gain2, count, omega) in enumerate(_bins(r, response, window, whole)):
+            own = np.zeros((len(power), ny))
+            own[:, i] = np.mean(np.asarray(window[:, i], dtype=float) ** 2)
+            rows.append(np.hstack([own, gain2[:, places]]))
+            powers.append(power)
+            counts.append(count)
+            centres.append(omega)
+    joined = (np.concatenate(each) for each in (powers, counts, centres))
+    return Spectra(np.vstack(rows), *joined)
+
+
+def band_edges(samples: int) -> Array:
+    """Lines of a periodogram at which bands of growing width begin, and its end."""
+    lines = samples // 2 + 1
+    return np.unique(np.round(np.geomspace(1, lines + 1, 160)).astype(int)) - 1
+
+
+def _bins(
+    residual: Array, response: Response, window: Array, whole: Array
+) -> list[tuple[Array, Array, Array, Array]]:
+    """Periodogram and |G|^2 in bands of growing width: (power, gain2, count, omega) an output."""
+    n = len(residual)
+    omega = 2 * np.pi * np.arange(n // 2 + 1) / n
+    edges = band_edges(n)
+    count = np.diff(edges)
+    centre = np.add.reduceat(omega, edges[:-1]) / count
+    out = []
+    for i in range(residual.shape[1]):
+        spectrum = np.abs(rfft(residual[:, i])) ** 2 / n
+        power = np.add.reduceat(spectrum, edges[:-1]) / count
+        columns = []
+        for j in range(response.gain2.shape[2]):
+            g = np.interp(omega, response.omega, response.gain2[:, i, j])
+            if not window[:, i].all():
+                moved = _moved(window[:, i], whole[:, i], response.omega, response.gain2[:, i, j])
+                g = np.maximum(g + moved, 0.0)
+            columns.append(np.add.reduceat(g, edges[:-1]) / count)
+        gain2 = np.column_stack(columns) if columns else np.zeros((len(power), 0))
+        out.append((power, gain2, count.astype(float), centre))
+    return out
+
+
+def _moved(window: Array, whole: Array, omega: Array, spectrum: Array) -> Array:
+    """What missing samples change of a mean periodogram (N // 2 + 1,), `whole` without them.
+
+    What the record's finite length does is the same in both, and the residual, whose initial state
+    is fitted, has less of it than a stationary process.
+    """
+    return _seen_through(window, omega, spectrum) - _seen_through(whole, omega, spectrum)
+
+
+def _seen_through(window: Array, omega: Array, spectrum: Array) -> Array:
+    """The mean periodogram (N // 2 + 1,) of a process of this spectrum, times a window (N,).
+
+    Its autocovariance at every lag times that of the window.
+    """
+    n = len(window)
+    size = 2 * n
+    grid = np.linspace(0.0, np.pi, n + 1)
+    covariance = irfft(np.interp(grid, omega, spectrum), size)
+    pairs = irfft(np.abs(rfft(np.asarray(window, dtype=float), size)) ** 2, size) / n
+    return np.asarray(np.maximum(rfft(covariance * pairs).real[::2], 0.0))
