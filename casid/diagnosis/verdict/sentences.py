@@ -175,7 +175,7 @@ def verdict_sentence(
         )
         said = "; ".join(d.sentence for d in disturbances)
         return f"{text} {said[0].upper()}{said[1:]}." if said else text
-    text = "; ".join(_says_cause(c) for c in causes)
+    text = _joined([_says_cause(c) for c in causes])
     what = "it" if len(causes) == 1 else "them"
     if not all(c.parameters for c in causes):
         what = "the named causes"
@@ -199,6 +199,18 @@ def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) 
     return f" Including {what} raises the RMS error of {', '.join(raised)}." if raised else ""
 
 
+_OPEN = "one of these is missing, which this record does not separate: "
+
+
+def _joined(said: Sequence[str]) -> str:
+    """Causes in one sentence; that the record does not separate what they may be stands once."""
+    out: list[str] = []
+    for text in said:
+        is_again = any(_OPEN in before for before in out)
+        out.append(text.replace(_OPEN, "and one of these: ") if is_again else text)
+    return "; ".join(out)
+
+
 def _says_cause(c: Cause) -> str:
     """A cause in words, or everything that it may be."""
     if not c.tied:
@@ -207,7 +219,7 @@ def _says_cause(c: Cause) -> str:
         places = either_words(a.where for a in c.alternatives if a.where != c.where)
         return f"{c.sentence} (this record does not separate it from the same effect in {places})"
     words = either_words([effect_words(c.kind, c.where), *(a.words for a in c.alternatives)])
-    return f"one of these is missing, which this record does not separate: {words}"
+    return f"{_OPEN}{words}"
 
 
 def noise_text(at: Weighted) -> dict[str, str]:

@@ -10,8 +10,19 @@ import pytest
 from casid.diagnosis.advice.recommendation import advice
 from casid.diagnosis.calibration.false_alarm_rate import Calibration
 from casid.diagnosis.diagnosis import Alternative, Cause
+from casid.diagnosis.verdict.sentences import verdict_sentence
+from problems import pendulum
 from tests.support.samples import changed
 from tests.support.samples import deficient as small
+
+
+def test_what_a_record_does_not_separate_is_said_once_for_several_causes():
+    one = small().causes[0]
+    assert one.tied
+    text = verdict_sentence("deficient", [one, one], {}, "", pendulum.problem)
+    assert text.startswith("One of these is missing, which this record does not separate: ")
+    assert text.count("this record does not separate") == 1
+    assert "; and one of these: " in text
 
 
 @pytest.mark.parametrize(
