@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
@@ -20,6 +21,7 @@ from casid.experiment_design.limits import Range
 from casid.experiment_design.options import DesignOptions
 from casid.experiment_design.shortest_record import Duration
 from casid.presentation import Presented, write
+from casid.saving.archive import RESULT_FILE
 
 Measure = Callable[[DesignedExperiment], Record]
 """Takes the record of a designed experiment: plays `input.csv`, returns what was measured."""
@@ -86,6 +88,8 @@ class Investigation(Presented):
         for name, result in every:
             (folder / name).mkdir(parents=True, exist_ok=True)
             result.write(folder / name)
+            with suppress(DataError):  # a model of its own functions has its page alone
+                result.save(folder / name / RESULT_FILE)
         write(self, folder)
         if self.next is not None:
             self.next.write_csv(folder / "input.csv", force=True)

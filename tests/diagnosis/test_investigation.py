@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import casid
+from casid import Aim
 
 SMALL: dict[str, Any] = {"Ts": 0.1, "intervals": 24, "candidates": 12, "starts": 1, "seconds": 6.0}
 
@@ -66,6 +67,8 @@ def test_a_tie_is_broken_by_the_record_that_was_designed_for_it(tmp_path: Path) 
     first.write(tmp_path)
     assert (tmp_path / "design-1" / "input.csv").exists()
     assert (tmp_path / "diagnosis-1" / "diagnosis.json").exists()
+    saved = casid.load(tmp_path / "diagnosis-1")
+    assert Aim.of(saved).names == Aim.of(first.diagnosis).names
     played = casid.read_record(tmp_path / "input.csv")
     assert played["u"] == pytest.approx(second["u"])
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
