@@ -1,16 +1,18 @@
 """A fleet of simulated ships: false discoveries, power, onsets and the cost of screening.
 
-    python -m analysis.fleet [--records N] [--ships N] [--seed S] [--jobs N] [--out DIR] [--quick]
+    python -m analysis.fleet [--records N] [--ships N] [--seed S] [--jobs N] [--kills N]
+                             [--out DIR] [--quick]
 
 Voyages of 20 ships (`voyages`, a simulator that shares nothing with casid): 5 % have a cause of
 lambda 60 to 3000 (a load that shifted, drag, a gyro that drifted or is late), some of these in
 stretches that last, and 20 % are in seas. `casid.fleet` diagnoses them; the records with a cause,
 and twice as many without, are then searched one by one in full, which says what the same records
-show singly, what the screening loses and what it saves. With --out, a run that was stopped goes on.
+show singly, what the screening loses and what it saves. Then the main process of 40 of them is
+killed (kill -9) at random moments. With --out, a run that was stopped goes on.
 
 Targets: false discoveries at most 5 %, power at least 95 % of what the same records reach singly at
 the same level, the onset of lasting causes within one voyage in 90 %, the screening at least 5
-times cheaper at no more than 2 % lost power.
+times cheaper at no more than 2 % lost power, the same table after ten kills.
 """
 
 from __future__ import annotations
@@ -33,10 +35,12 @@ import casid
 from analysis.common.rates import rate, reaches, stays_within
 from analysis.common.runner import Run, Study, jobs
 from analysis.common.targets import Target, holds
+from analysis.fleet.kills import survives
 from analysis.fleet.voyages import CAUSES, Voyage, parameters, plan, write
 
 RECORDS, QUICK_RECORDS = 500, 40
 SHIPS, QUICK_SHIPS = 20, 4
+KILLS, QUICK_KILLS, KILLED = 10, 0, 40
 LEVEL = 0.05
 PROBLEM = Path(__file__).with_name("roll.py")
 LABELS = "{asset}_{time}.parquet"
@@ -187,6 +191,12 @@ def study(run: Run) -> Iterator[Target | str]:
         else:
             yield "the costs are those of a run that was not stopped on the way"
         yield from _spreads(fleet, options.seed, ships)
+        kills = options.kills if options.kills is not None else (QUICK_KILLS if quick else KILLS)
+        if kills:
+            some = files[:KILLED]
+            same = survives(some, PROBLEM, LABELS, folder / f"kills of {len(some)}", kills)
+            text = "the same, bit for bit" if same else "another table"
+            yield holds(f"table after {kills} kills of the main process", text, "the same", same)
 
 
 def _some(voyages: Sequence[Voyage]) -> tuple[list[Voyage], list[Voyage]]:
@@ -275,6 +285,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
     "--records": {"type": int, "help": f"voyages (default {RECORDS}, quick {QUICK_RECORDS})"},
     "--ships": {"type": int, "help": f"ships (default {SHIPS}, quick {QUICK_SHIPS})"},
     "--seed": {"type": int, "default": 1, "help": "of the voyages (default 1)"},
+    "--kills": {"type": int, "help": f"of the main process (default {KILLS}, quick none)"},
     **jobs(1),
 }
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +38,7 @@ class Outcome:
     causes : its discoveries, each with what it may be as well: key -> rivals.
     sizes : key -> size of the cause and its standard error, NaN where there is none.
     e_value : of the record.
+    units : key -> unit of its size.
     """
 
     number: int
@@ -46,6 +47,7 @@ class Outcome:
     causes: Mapping[Key, frozenset[Key]]
     sizes: Mapping[Key, tuple[float, float]]
     e_value: float
+    units: Mapping[Key, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +61,9 @@ class Finding:
     since, until : times of its first and last record.
     onset : between these two times it began, at 95 %; the first is -inf where it may have been
         there before the first record.
-    is_lasting : more than one record shows it.
     is_present : the asset's last records do not exclude that it is still there.
     e_value : mean of the e-values of the stretch's records, valid under any dependence.
-    size, size_spread : median of the sizes, and their median absolute deviation times 1.48.
+    size, size_spread, unit : median of the sizes, and their median absolute deviation times 1.48.
     assets : with the same cause at the same time, this one among them.
     is_common : they are so many that it is no matter of this asset.
     also : what it may be as well in most of its records.
@@ -75,7 +76,6 @@ class Finding:
     since: float
     until: float
     onset: tuple[float, float]
-    is_lasting: bool
     is_present: bool
     e_value: float
     size: float = math.nan
@@ -83,6 +83,12 @@ class Finding:
     assets: int = 1
     is_common: bool = False
     also: tuple[Key, ...] = ()
+    unit: str = ""
+
+    @property
+    def is_lasting(self) -> bool:
+        """True if more than one record shows it."""
+        return len(self.records) > 1
 
     @property
     def key(self) -> Key:
@@ -227,11 +233,11 @@ def _finding(
             records[at.earliest - 1].when if at.earliest > 0 else -math.inf,
             records[at.latest].when,
         ),
-        is_lasting=len(inside) > 1,
         is_present=at.is_present,
         e_value=float(np.mean([r.e_value for r in answered])),
         size=size,
         size_spread=spread,
+        unit=next((r.units[key] for r in records[at.first :] if key in r.units), ""),
         also=tuple(sorted(k for k, n in rivals.items() if 2 * n > len(inside))),
     )
 

@@ -478,4 +478,5 @@ def _finding(f: Finding, of: Fleet) -> dict[str, Any]:
     names = of.records.set_index("number")["record"]
     content: dict[str, Any] = _plain(asdict(f))
     content["records"] = [str(names[i]) for i in f.records]
+    content["is_lasting"] = f.is_lasting
     return content

@@ -124,11 +124,13 @@ def outcomes_of(table: Any) -> dict[str, list[Outcome]]:
     for entry in ordered.to_dict("records"):
         causes: dict[Key, frozenset[Key]] = {}
         sizes: dict[Key, tuple[float, float]] = {}
+        units: dict[Key, str] = {}
         if entry["discovered"]:
             for c in json.loads(entry["causes"] or "[]"):
                 key = (c["kind"], c["where"])
                 causes[key] = frozenset((k, w) for k, w in c["rivals"])
                 sizes[key] = (_number(c["size"]), _number(c["std_error"]))
+                units[key] = c["unit"]
         found.setdefault(entry["asset"], []).append(
             Outcome(
                 int(entry["number"]),
@@ -137,6 +139,7 @@ def outcomes_of(table: Any) -> dict[str, list[Outcome]]:
                 causes,
                 sizes,
                 float(entry["e_value"]),
+                units,
             )
         )
     return found

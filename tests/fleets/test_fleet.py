@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 import joblib
+import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
@@ -275,3 +276,29 @@ def test_the_page_and_the_terminal_name_the_finding(done: casid.Fleet, heaters: 
     assert "lasting, still there" in page
     assert "e-BH: nothing is assumed" in page
     assert len(page) < 3e6
+
+
+def test_records_that_decide_nothing_are_listed_with_the_reason(tmp_path: Path) -> None:
+    write_problem(tmp_path)
+    still = samples(5)
+    still["y"][:] = 1.0
+    for n in (1, 2):
+        write_record(tmp_path / "records" / f"a_{n}.csv", still)
+    found = run(tmp_path, tmp_path / "out")
+    assert set(found.undecided) == {"a_1.csv", "a_2.csv"}
+    assert found.records["p"].tolist() == [1.0, 1.0]
+    assert "2 records, a_1.csv the first: y is constant" in " ".join(str(found).split())
+    assert json.loads((tmp_path / "out" / "fleet.json").read_text())["undecided"] == 2
+
+
+def test_a_channel_that_is_ignored_is_no_candidate(tmp_path: Path) -> None:
+    write_problem(tmp_path)
+    rng = np.random.default_rng(3)
+    data = samples(5, offset=0.0)
+    data["sun"] = rng.standard_normal(len(data["t"]))
+    data["y"] = data["y"] + 0.2 * data["sun"]
+    write_record(tmp_path / "records" / "a_1.csv", data)
+    open_ = run(tmp_path, None, screen=False)
+    left_out = run(tmp_path, None, screen=False, ignore=["sun"])
+    assert "sun" in open_.records["causes"][0]
+    assert "sun" not in left_out.records["causes"][0]

@@ -56,10 +56,10 @@ def cause_figure(fleet: Fleet) -> Any:
     edges = _edges(fleet)
     z = [_shares(fleet, asset, found, edges) for (asset, _, _), found in shown]
     names = [
-        figure_text(f"{asset}: {effect_words(kind, where)}", 60)
+        f"{figure_text(asset, 30)}<br><sub>{figure_text(effect_words(kind, where), 45)}</sub>"
         for (asset, kind, where), _ in shown
     ]
-    figure = Panels(panels=1, row_height=26 * len(shown) + 30, gap=40)
+    figure = Panels(panels=1, row_height=38 * len(shown) + 30, gap=40)
     figure.add(
         0,
         kind="Heatmap",

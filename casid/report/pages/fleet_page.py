@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 
@@ -128,7 +129,9 @@ def _findings(fleet: Fleet, shown: Sequence[Finding]) -> Table:
     rows = []
     for f in shown:
         asset, *rest = finding_cells(fleet, f)
-        rows.append((asset, *rest, _size(f), _also(f), _named(f, names)))
+        # A date is one word.
+        words = (re.sub(r"(\d{4})-(\d\d)-(\d\d)", "\\1\u2011\\2\u2011\\3", c) for c in rest)
+        rows.append((asset, *words, _size(f), _also(f), _named(f, names)))
     return Table(
         (*FINDING_HEAD, "size", "it may also be", "records, as in"),
         rows,
@@ -141,7 +144,8 @@ def _size(f: Finding) -> str:
     if f.size != f.size:
         return "\u2013"
     spread = f" \u00b1 {f.size_spread:.1g}" if f.is_lasting and f.size_spread > 0 else ""
-    return number_text(f.size) + spread
+    unit = f" {f.unit}" if f.unit not in ("", "1") else ""
+    return number_text(f.size) + spread + unit
 
 
 def _also(f: Finding) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
+from collections.abc import Mapping
 
 from casid.estimation.estimate import Estimated
 from casid.fleets.findings import Finding
@@ -14,7 +14,7 @@ from casid.model.effects.names import effect_words
 from casid.report.document import Document, Table, labelled
 from casid.report.numbers import number_text, plus_minus
 
-_SHOWN = 20
+_SHOWN, _REASONS = 20, 5
 
 
 def fleet_document(fleet: Fleet) -> Document:
@@ -22,8 +22,6 @@ def fleet_document(fleet: Fleet) -> Document:
     shown = fleet.findings[:_SHOWN]
     rows = [finding_cells(fleet, f) for f in shown]
     more = len(fleet.findings) - len(shown)
-    refusals = Counter(_reason(text) for text in fleet.refusals.values()).most_common(5)
-    undecided = Counter(undecided_reason(text) for text in fleet.undecided.values()).most_common(5)
     return Document(
         f"Fleet of {fleet.problem}: {len(fleet.records)} records of {len(fleet.assets)} assets",
         [
@@ -34,8 +32,8 @@ def fleet_document(fleet: Fleet) -> Document:
             Table(
                 effect_head(fleet), [effect_cells(e) for e in fleet.effects], numbers=(2, 3, 4, 5)
             ),
-            *labelled("undecided", [f"{n} record{'s' * (n > 1)}: {text}" for text, n in undecided]),
-            *labelled("refused", [f"{n} record{'s' * (n > 1)}: {text}" for text, n in refusals]),
+            *labelled("undecided", _grouped(fleet.undecided)),
+            *labelled("refused", _grouped(fleet.refusals)),
             *(
                 [("NOT DONE", f"{fleet.not_done} records: the budget of time ended")]
                 if fleet.not_done
@@ -139,6 +137,15 @@ def _with_error(value: float, std_error: float) -> str:
     return plus_minus(Estimated("", value, "", std_error=std_error)).replace("\u00b1", "+-")
 
 
-def _reason(text: str) -> str:
-    """A refusal without the name of its file."""
-    return text.split(": ", 1)[0] if text.startswith("it cannot be read") else text
+def _grouped(why: Mapping[str, str]) -> list[str]:
+    """The commonest reasons: how many records have each, and that of the first of them in full."""
+    groups: dict[str, list[str]] = {}
+    for record, text in why.items():
+        groups.setdefault(_NUMBER.sub("..", text.replace(record, "")), []).append(record)
+    out = []
+    for records in sorted(groups.values(), key=len, reverse=True)[:_REASONS]:
+        first, n = records[0], len(records)
+        text = why[first].removeprefix("This record does not determine whether the model is ")
+        text = text.removeprefix("adequate: ")
+        out.append(f"{first}: {text}" if n == 1 else f"{n} records, {first} the first: {text}")
+    return out

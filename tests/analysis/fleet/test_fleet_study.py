@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from analysis.fleet.study import STUDY
+import casid
+from analysis.fleet.study import PROBLEM, STUDY
 from analysis.fleet.voyages import (
     CAUSED,
     DISTURBED,
@@ -18,11 +19,14 @@ from analysis.fleet.voyages import (
     TS,
     Drawn,
     N,
+    Voyage,
     outputs,
+    parameters,
     plan,
     sizes_of,
     write,
 )
+from casid.fleets.screening import Screen
 
 VALUES = {"C": 0.36, "B": 0.06, "K_delta": -0.02, "K_r": -0.25, "phi": 0.02, "p": 0.0}
 
@@ -67,6 +71,43 @@ def test_the_size_of_a_cause_has_its_lambda(tmp_path: Path) -> None:
     written = write([voyage], tmp_path, 3)
     assert written[0].size == size
     assert (tmp_path / voyage.name).exists()
+
+
+@pytest.fixture(scope="module")
+def problem() -> casid.Problem:
+    return casid.load_problem(PROBLEM)
+
+
+def in_a_sea(folder: Path, rms: float, number: int, **cause: object) -> Path:
+    voyage = Voyage(1, number, 14 * number, 1000 * number + 7, sea=rms, **cause)
+    (written,) = write([voyage], folder, 5)
+    return folder / written.name
+
+
+@pytest.mark.parametrize("rms", [3e-4, 1e-3, 3e-3, 1e-2])
+def test_a_sea_is_no_cause(problem: casid.Problem, tmp_path: Path, rms: float) -> None:
+    """Of 4 at a level of 5 % one is as many as 19 % of all such tests would see by chance."""
+    found = casid.diagnose(problem, [problem.read(in_a_sea(tmp_path, rms, 1))], advise=False)
+    assert found.verdict in ("adequate", "undecided")
+    (sea,) = found.disturbances
+    assert sea.where == "torque"
+    assert rms / 3 < sea.std < 3 * rms  # beside a damping that this record hardly determines
+
+
+def test_the_screening_takes_seas_for_seas(problem: casid.Problem, tmp_path: Path) -> None:
+    """12 without a cause: each p is below 0.025 with at most that probability, two in 1 of 30.
+
+    A bias of the gyro of lambda 400 has p below 1e-20 in calm water; a sea may take some of that.
+    """
+    calm = in_a_sea(tmp_path, 0.0, 2)
+    values = parameters(1, 5)
+    screen = Screen.of(problem, problem.read(calm), values, level=0.05)
+    seas = np.geomspace(2e-4, 1e-2, 12)
+    paths = [in_a_sea(tmp_path, float(rms), 3 + i) for i, rms in enumerate(seas)]
+    passed = [screen(problem.read(path)).passes(0.05) for path in paths]
+    assert sum(passed) <= 2
+    biased = in_a_sea(tmp_path, 1e-3, 20, cause="gyro", strength=400.0, run=0)
+    assert screen(problem.read(biased)).p_value < 1e-6
 
 
 @pytest.mark.slow
