@@ -453,6 +453,11 @@ class Jumps:
     instants: int = _is(101, "instants of a scan", POWER_STUDY)
     zoom: float = _is(12.0, "by which the next scan is finer", POWER_STUDY)
     fine: float = _is(50.0, "samples of reach at which the scans end", POWER_STUDY)
+    knock: float = _is(
+        10.0,
+        "samples that a force lasts whose impulse a knock is first tried with",
+        f"{TESTS}/verdict/test_open_set.py",
+    )
     same_event: float = _is(
         1.2, "steps of the first grid within which it is one event", POWER_STUDY
     )

@@ -14,7 +14,7 @@ from casid.diagnosis.evidence.signal_sizes import window_of
 from casid.diagnosis.search.candidates import Candidate, name_of
 from casid.diagnosis.search.joint_refit import Refitting
 from casid.diagnosis.thresholds import JUMPS
-from casid.model.effects.clock_effects import KNOCK, STEP, at_instant
+from casid.model.effects.clock_effects import at_instant, knock
 from casid.model.effects.effect import Effect
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 
@@ -29,32 +29,43 @@ def placed(
     """Jumps refitted at the instants that leave least; coarse scores place them roughly only.
 
     The most promising one is placed first, the others start from its instant too: they may be
-    the same event, seen in another parameter. A knock rings on as a force that sets in does, from
-    another instant: where the one promises much, the other is placed, too.
+    the same event, seen in another parameter.
 
     Parameters
     ----------
     known : instants of the events known already [s], near which no jump is placed.
     """
     top = max(c.gain for c in found)
-    rings = {
-        c.effect.where
-        for c in found
-        if c.effect.shape in (STEP, KNOCK) and c.gain > JUMPS.promising * top
-    }
     out, instant = [], None
     for c in sorted(found, key=lambda c: -c.gain):
-        is_promising = c.gain > JUMPS.promising * top
-        is_promising |= c.effect.shape in (STEP, KNOCK) and c.effect.where in rings
-        if c.effect.sets_in and is_promising:
+        if c.effect.sets_in and c.gain > JUMPS.promising * top:
             progress(f"find the instant of {name_of(c.effect)}")
             if instant is not None:
                 c = _better_at(refitting, at, c, instant, known)
             scan_of = partial(_placed, refitting, at, c, known)
-            c = refitting.attempts.attempt(f"the instant of {name_of(c.effect)}", scan_of) or c
+            what = f"the instant of {name_of(c.effect)}"
+            c = refitting.attempts.attempt(what, scan_of) or c
             instant = instant if instant is not None else c.effect.variant
+            twin = refitting.attempts.attempt(what, partial(_knock, refitting, at, c, known))
+            out += [] if twin is None else [twin]
         out.append(c)
     return out
+
+
+def _knock(
+    refitting: Refitting, at: Weighted, found: Candidate, known: Sequence[float]
+) -> Candidate | None:
+    """A knock in the place of a force that sets in: what rings on after it does so after both."""
+    effect, when = found.effect, found.effect.variant
+    if effect.kind != "offset" or when is None:
+        return None
+    Ts = min(d.Ts for d in at.criterion.data)
+    other = knock(at.model, effect.where, when, Ts)
+    if other.parameters[0].name in at.model.parameters:
+        return None  # one was found there
+    force = found.fit.values[found.names[0]]
+    twin = refitting.refit(at, other, force * JUMPS.knock * Ts)
+    return None if twin is None else _placed(refitting, at, replace(twin, score=found.score), known)
 
 
 def _placed(

@@ -194,6 +194,6 @@ def _parameter_variations(
         for c, spread in sizes.channels.items():
             if not is_constant_term(model, name):
                 yield scheduled_parameter(model, name, c, recorded[c], spread)
-    yield from clock_effects_of(model, times, sizes)
+    yield from clock_effects_of(model, sizes.window)
     yield from flow_schedules_of(model, sizes)
     yield from state_schedules_of(model, sizes)

@@ -10,8 +10,8 @@ from casid.model.declarations import Hold, Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import offset
 from casid.model.effects.channel_effects import sensor_bias
-from casid.model.effects.effect import Effect, Sizes
-from casid.model.effects.parameter_effects import parameter_jump
+from casid.model.effects.effect import Effect
+from casid.model.effects.parameter_effects import jump_times, parameter_jump
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Model
 from casid.model.units import unit_quotient
@@ -90,14 +90,17 @@ def at_instant(effect: Effect, model: Model, time: float) -> Effect:
     return {"offset": offset_step, "sensor_bias": bias_step}[effect.kind](model, effect.where, time)
 
 
-def clock_effects_of(model: Model, times: Sequence[float], sizes: Sizes) -> Iterator[Effect]:
-    """Steps of forces and of biases, knocks, and drifts of biases."""
+def clock_effects_of(model: Model, window: tuple[float, float]) -> Iterator[Effect]:
+    """Steps of forces and of biases, and drifts of biases.
+
+    A knock is none of them: the search puts it in the place of a force that sets in.
+    """
+    times = jump_times(window, PARAMETER_JUMPS.times_of_constants)
     for balance in model.balances:
         yield from (offset_step(model, balance, t) for t in times)
-        yield from (knock(model, balance, t, sizes.Ts) for t in times if sizes.Ts)
     for channel in model.outputs:
         yield from (bias_step(model, channel, t) for t in times)
-        yield bias_drift(model, channel, sizes.window)
+        yield bias_drift(model, channel, window)
 
 
 def _set_in(effect: Effect, time: float) -> Effect:

@@ -18,10 +18,10 @@ from casid.model.model import Model
 from casid.model.units import unit_quotient
 
 
-def jump_times(window: tuple[float, float]) -> list[float]:
+def jump_times(window: tuple[float, float], count: int = PARAMETER_JUMPS.times) -> list[float]:
     """The instants that a jump is first searched at."""
     start, stop = window
-    return [float(t) for t in np.linspace(start, stop, PARAMETER_JUMPS.times + 2)[1:-1]]
+    return [float(t) for t in np.linspace(start, stop, count + 2)[1:-1]]
 
 
 def parameter_jump(model: Model, name: str, time: float) -> Effect:

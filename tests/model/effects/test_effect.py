@@ -71,7 +71,7 @@ def test_the_catalogue_has_every_kind_in_every_place_that_the_structure_allows()
     shapes = ("p^2", "sqrt|p|", "phi^5", "phi p", "phi^2 p")
     wanted |= {("unknown", f"torque: {shape}") for shape in shapes}
     wanted |= {("extra_input", "ref"), ("extra_input", "speed")}
-    wanted |= {("offset", "torque: step"), ("unknown", "torque: knock")}
+    wanted |= {("offset", "torque: step")}
     # A known load may still appear; constants of nature and of geometry never jump.
     wanted |= {("parameter_jump", name) for name in ("k", "d", "I_x", "m")}
     wanted |= {("parameter_drift", name) for name in ("k", "d", "I_x")}
