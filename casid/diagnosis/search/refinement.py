@@ -141,8 +141,8 @@ class Refinement:
     def main(self, found: Adoption) -> Adoption:
         """Without what explains too little and carries no parameter, the smallest first.
 
-        Its effect stays in the model where a cause's size would otherwise move by more than its
-        standard error: the errors would be small, and the size be biased.
+        Its effect stays in the model where it shows and a cause's size would otherwise move by more
+        than its standard error: the errors would be small, and the size be biased.
         """
         kept, fit, small = list(found.adopted), found.fit, list(found.remainders)
         assert fit is not None
@@ -159,9 +159,12 @@ class Refinement:
             judged.remove(i)
             if _carries(self.start.model, bare, without):
                 continue
-            small.append(replace(kept.pop(i), share=losses[i] / total))
+            share = losses[i] / total
+            small.append(replace(kept.pop(i), share=share))
             bare, judged = without, [k - (k > i) for k in judged]
-            fit = fit if _moves(kept, fit, bare) else bare
+            # What nobody would see is no part of a size: a hold that takes its share of a delay.
+            stays = share >= JUDGING.visible and _moves(kept, fit, bare)
+            fit = fit if stays else bare
         if len(kept) == len(found.adopted):
             return found
         return self._lean(replace(found, remainders=tuple(small)), kept, fit)
