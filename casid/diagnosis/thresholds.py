@@ -76,6 +76,12 @@ class Clipping:
         0.5, "of the error elsewhere, by which the simulation lies beyond at least", _PLATEAUS
     )
     motion: float = _is(0.1, "of that mean, by which the simulation moves there", _PLATEAUS)
+    leap: float = _is(
+        3.0,
+        "times what 95 % of steps stay below: a step that what sticks by friction does not take, "
+        "and a stuck sensor does as it goes on",
+        f"{TESTS}/evidence/test_stuck_sensors.py",
+    )
 
 
 _SPIKES = f"{TESTS}/evidence/test_spikes.py"

@@ -18,6 +18,7 @@ from casid.diagnosis.verdict.judgement import Judgement
 from casid.diagnosis.verdict.sentences import separates
 from casid.estimation.estimate import Estimate
 from casid.estimation.fit_statistics import POOR
+from casid.model.effects.effect import OF_SAMPLES
 from casid.model.effects.names import effect_words, either_words
 
 
@@ -142,6 +143,11 @@ def advice(
             "Keep the present model for now: the extended one fits better, but raises the error of "
             "what was held out. Diagnose a further record, best with "
             f"{separates(causes[0].kind)}."
+        )
+    if verdict == "deficient" and all(c.kind in OF_SAMPLES for c in causes):
+        return (
+            "Correct the sensor or the logger, or mark these samples as missing; without them, as "
+            "they are left out here, nothing in this record contradicts the model."
         )
     if verdict == "deficient":
         return (

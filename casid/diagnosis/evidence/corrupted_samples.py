@@ -10,6 +10,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.diagnosis.evidence.plateaus import Plateaus, find_plateaus
 from casid.diagnosis.evidence.spikes import Spikes, find_spikes, starts_apart
+from casid.diagnosis.evidence.stuck_sensors import Standstills, find_standstills
 from casid.diagnosis.thresholds import OUTLIERS
 from casid.estimation.holdout import Split, simulate_apart, whole_simulation
 from casid.estimation.simulation.minimization import Fit
@@ -21,12 +22,14 @@ class CorruptedSamples:
 
     spikes: tuple[Spikes, ...] = ()
     plateaus: tuple[Plateaus, ...] = ()
+    standstills: tuple[Standstills, ...] = ()
     first: int = 0  # first samples, from before the inputs had acted
 
     @property
     def count(self) -> int:
         """Samples left out."""
         left_out = [s.count for s in self.spikes] + [p.count for p in self.plateaus]
+        left_out += [s.count for s in self.standstills]
         return sum(left_out) + self.first
 
 
@@ -58,17 +61,24 @@ class _Simulated:
             whole[u] = mask
         return out
 
+    def left_out(self, split: Split, channel: str, masks: Sequence[Array]) -> Split:
+        """The split without those samples, which are used no more here either."""
+        for used, mask in zip(self.used, masks, strict=True):
+            used &= ~mask
+        return _masked(split, channel, masks)
+
 
 def without_corrupted(
     fit: Fit, split: Split, alpha: float, *, without: Sequence[str] = ()
 ) -> tuple[CorruptedSamples, Split]:
-    """Mark clipped samples and isolated spikes of every output as missing, held-out ones too.
+    """Mark clipped samples, standing sensors and spikes of outputs as missing, held-out ones too.
 
     `without` are kinds that are not looked for.
     """
     first = 0
     spikes: list[Spikes] = []
     plateaus: list[Plateaus] = []
+    standstills: list[Standstills] = []
     for i, channel in enumerate(fit.criterion.outputs):
         at = _channel(fit, split, i)
         if "saturation" not in without:
@@ -77,16 +87,18 @@ def without_corrupted(
             )
             if cut is not None:
                 plateaus.append(cut)
-                split = _masked(split, channel, cut.masks)
-                for used, mask in zip(at.used, cut.masks, strict=True):
-                    used &= ~mask
+                split = at.left_out(split, channel, cut.masks)
         if "outliers" not in without:
+            still = find_standstills(
+                channel, at.measured, at.simulated, at.used, OUTLIERS.test_share * alpha
+            )
+            if still is not None:
+                standstills.append(still)
+                split = at.left_out(split, channel, still.masks)
             early = at.in_records([_early(r, OUTLIERS.test_share * alpha) for r in at.residuals])
             if any(mask.any() for mask in early):
                 first += sum(int(mask.sum()) for mask in early)
-                split = _masked(split, channel, early)
-                for used, mask in zip(at.used, early, strict=True):
-                    used &= ~mask
+                split = at.left_out(split, channel, early)
             found = find_spikes(
                 channel, at.residuals, OUTLIERS.test_share * alpha, inputs=at.inputs_used
             )
@@ -96,7 +108,7 @@ def without_corrupted(
                 found = replace(found, masks=masks, measured=measured)
                 spikes.append(found)
                 split = _masked(split, channel, found.masks)
-    return CorruptedSamples(tuple(spikes), tuple(plateaus), first), split
+    return CorruptedSamples(tuple(spikes), tuple(plateaus), tuple(standstills), first), split
 
 
 def confirmed(spikes: Spikes, fit: Fit, split: Split) -> Spikes | None:

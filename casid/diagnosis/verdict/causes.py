@@ -12,6 +12,7 @@ from casid.data.reading.columns import ColumnSpec
 from casid.diagnosis.evidence.corrupted_samples import confirmed
 from casid.diagnosis.evidence.plateaus import Plateaus
 from casid.diagnosis.evidence.spikes import Spikes
+from casid.diagnosis.evidence.stuck_sensors import Standstills
 from casid.diagnosis.search.candidates import Adopted, Candidate, found_values
 from casid.diagnosis.search.contributions import contributions_of
 from casid.diagnosis.search.findings import Findings
@@ -45,6 +46,9 @@ def causes_of(
     samples = [(s.energy * scale[s.channel], _outliers(found.search, s)) for s in kept]
     samples += [  # a fact, however little it cuts off
         (c.energy * scale[c.channel], _saturation(found.search, c)) for c in corrupted.plateaus
+    ]
+    samples += [
+        (s.energy * scale[s.channel], _standing(found.search, s)) for s in corrupted.standstills
     ]
     losses = contributions_of(found.search.weighing, found.adopted, fit, found.search.attempts)
     effects = [_adopted(found, a, estimate, columns or {}) for a in found.adopted]
@@ -124,6 +128,22 @@ def _outliers(search: Search, spikes: Spikes) -> Cause:
             Estimated("size", spikes.size, _unit(search, spikes.channel)),
         ),
         sentence=says_kind("outliers", spikes.channel),
+    )
+
+
+def _standing(search: Search, still: Standstills) -> Cause:
+    """A sensor that stood still, without its share of the misfit."""
+    samples = sum(len(m) for m in still.masks)
+    return Cause(
+        kind="outliers",
+        where=still.channel,
+        p_value=still.p_value,
+        parameters=(
+            Estimated("share", still.count / samples, "1"),
+            Estimated("size", still.size, _unit(search, still.channel)),
+        ),
+        sentence=f"the sensor of {still.channel} stands still for {still.count} samples",
+        description="it repeats one value while the motion goes on, and leaps to it in the end",
     )
 
 

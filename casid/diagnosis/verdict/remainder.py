@@ -10,6 +10,7 @@ from typing import Any
 from casid.data.files import plain_fields
 from casid.diagnosis.thresholds import JUDGING
 from casid.estimation.estimate import Estimate, Estimated
+from casid.model.effects.effect import OF_SAMPLES
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +166,8 @@ def _sentence(explained: tuple[Explained, ...], left: float, over: Mapping[str, 
     ends = f"the error of {worst} ends at {over[worst]:.3g} times its noise floor"
     if not explained:
         return f"No cause is named; {ends}."
+    if all(e.kind in OF_SAMPLES for e in explained):
+        return f"The samples that the sensor spoils are left out; {ends}."
     many = "causes explain" if len(explained) > 1 else "cause explains"
     share = "more than 99.5 %" if 0 < left < JUDGING.nearly_all else f"{100 * (1 - left):.0f} %"
     return f"The named {many} {share} of the excess misfit, and {ends}."

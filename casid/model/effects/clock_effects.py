@@ -95,11 +95,11 @@ def clock_effects_of(model: Model, window: tuple[float, float]) -> Iterator[Effe
 
     A knock is none of them: the search puts it in the place of a force that sets in.
     """
-    times = jump_times(window, PARAMETER_JUMPS.times_of_constants)
+    biases = jump_times(window, PARAMETER_JUMPS.times_of_biases)
     for balance in model.balances:
-        yield from (offset_step(model, balance, t) for t in times)
+        yield from (offset_step(model, balance, t) for t in jump_times(window))
     for channel in model.outputs:
-        yield from (bias_step(model, channel, t) for t in times)
+        yield from (bias_step(model, channel, t) for t in biases)
         yield bias_drift(model, channel, window)
 
 

@@ -30,9 +30,9 @@ class ParameterJumps:
     times: int = _is(
         12, "instants, evenly inside the window, that a jump is first searched at", _CATALOGUE
     )
-    times_of_constants: int = _is(
+    times_of_biases: int = _is(
         5,
-        "instants for a force or a bias that sets in, which looks alike from one to the next",
+        "instants for a bias that sets in, which looks alike from one to the next",
         f"{_TESTS}/test_clock_effects.py",
     )
     cost: int = _is(

@@ -87,6 +87,6 @@ def test_a_jump_of_a_parameter_sets_in_too():
 
 def test_every_balance_and_every_output_has_its_instants():
     found = [(e.kind, e.shape) for e in clock_effects_of(cart(), (0.0, 20.0))]
-    each = PARAMETER_JUMPS.times_of_constants
-    assert found.count(("offset", "step")) == found.count(("sensor_bias", "step")) == each
+    assert found.count(("offset", "step")) == PARAMETER_JUMPS.times
+    assert found.count(("sensor_bias", "step")) == PARAMETER_JUMPS.times_of_biases
     assert found.count(("sensor_bias", "drift")) == 1
