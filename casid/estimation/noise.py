@@ -107,7 +107,8 @@ class NoiseModel:
         omega, s = self.responses[experiment].omega, self.spectrum(experiment)
         per = samples / (2 * np.pi)
         total = per * np.trapezoid(s, omega, axis=0)
-        return np.asarray(np.sqrt(per * np.trapezoid(s**2, omega, axis=0)) / total)
+        root = np.sqrt(per * np.trapezoid(s**2, omega, axis=0))
+        return np.asarray(root / np.maximum(total, TINY))
 
     def excess(self, quiet: NoiseModel, samples: Sequence[int]) -> tuple[float, float]:
         """Mean square of this noise over that of `quiet`, and the latter's relative spread.

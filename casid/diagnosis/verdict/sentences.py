@@ -199,6 +199,8 @@ def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) 
     return f" Including {what} raises the RMS error of {', '.join(raised)}." if raised else ""
 
 
+_MOST_NAMED = 5
+"""Names of what may be one cause, in the verdict; all of them stand with the cause."""
 _OPEN = "one of these is missing, which this record does not separate: "
 
 
@@ -218,8 +220,11 @@ def _says_cause(c: Cause) -> str:
     if all(a.kind == c.kind for a in c.alternatives):  # the place alone is open
         places = either_words(a.where for a in c.alternatives if a.where != c.where)
         return f"{c.sentence} (this record does not separate it from the same effect in {places})"
-    words = either_words([effect_words(c.kind, c.where), *(a.words for a in c.alternatives)])
-    return f"{_OPEN}{words}"
+    words = [effect_words(c.kind, c.where), *(a.words for a in c.alternatives)]
+    words = list(dict.fromkeys(words))
+    if len(words) > _MOST_NAMED:
+        words = [*words[: _MOST_NAMED - 1], f"one of {len(words) - _MOST_NAMED + 1} others"]
+    return f"{_OPEN}{either_words(words)}"
 
 
 def noise_text(at: Weighted) -> dict[str, str]:

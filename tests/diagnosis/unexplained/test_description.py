@@ -56,7 +56,7 @@ def test_on_the_indirect_pendulum_the_variable_is_found_with_a_noisy_input(
     assert leading is not None
     assert leading.variables == (variable,)
     assert leading.parity == "odd"
-    assert f"missing torque that depends on {variable} (odd" in found.sentence
+    assert f"a missing term in the torque balance that depends on {variable} (odd" in found.sentence
 
 
 def test_a_sine_in_torque_is_told_by_its_frequency():
