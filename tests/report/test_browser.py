@@ -117,12 +117,12 @@ def other_pages() -> list[str]:
 
 @in_browser
 def test_a_figure_is_drawn_when_its_section_unfolds(rich, tmp_path):
-    """The page opens with the one that decides; fifteen at once would take seconds."""
+    """The page opens with the two that decide, the motion and its error; fifteen take seconds."""
     path = tmp_path / "page.html"
     path.write_text(rich, encoding="utf-8")
     dom, _ = browse(path, tmp_path, "--window-size=1280,2000", "--dump-dom")
     plots = re.split(r'<div class="plot[ "]', dom)[1:]
-    assert ['class="main-svg"' in p for p in plots] == [True] + [False] * (len(plots) - 1)
+    assert ['class="main-svg"' in p for p in plots] == [True] * 2 + [False] * (len(plots) - 2)
 
 
 @in_browser
