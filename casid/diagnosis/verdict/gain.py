@@ -165,6 +165,11 @@ def errors_of(found: Findings, *, with_disturbances: bool = False) -> tuple[Erro
         fitted["extended_rmse"] = rmse(best_fit, best_fit, base.split, limits, held=False)
         held["extended_rmse"] = rmse(best_fit, best_fit, base.split, limits, held=True)
     floor = noise_floor(found.at, with_disturbances=with_disturbances)
+    if with_disturbances:
+        # The spectrum of a force is that of what it moves here, to which the fit adapts in part:
+        # no better model leaves more than this one does.
+        left = fitted.get("extended_rmse") or fitted["baseline_rmse"]
+        floor = {o: min(size, left.get(o, size)) for o, size in floor.items()}
     fitted["noise_floor"] = held["noise_floor"] = floor
     return fitted, {} if base.split.is_empty else held
 
