@@ -588,7 +588,7 @@ _DESCRIPTION = f"{TESTS}/unexplained/test_description.py"
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """The description of a misfit outside the catalogue."""
+    """The description of what was found, and of a misfit outside the catalogue."""
 
     apart: float = _is(
         12.0,
@@ -604,6 +604,11 @@ class Description:
     rare: float = _is(0.4, "of the record beyond which such stretches are not named", _DESCRIPTION)
     stretches: int = _is(4, "stretches that are listed", _DESCRIPTION)
     band_p: float = _is(0.01, "p below which the loudest band is named", _DESCRIPTION)
+    names: int = _is(
+        5,
+        "names of what may be one cause, in the verdict; all of them stand with the cause",
+        f"{TESTS}/verdict/test_sentences.py",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from casid.data.problem import Problem
 from casid.diagnosis.evidence.disturbances import Disturbance, is_seen
 from casid.diagnosis.evidence.prewhitening import Weighted
 from casid.diagnosis.search.candidates import Candidate
-from casid.diagnosis.thresholds import JUDGING
+from casid.diagnosis.thresholds import DESCRIPTION, JUDGING
 from casid.diagnosis.verdict.cause import Cause, Verdict
 from casid.model.effects.effect import Effect
 from casid.model.effects.names import effect_words, either_words
@@ -199,8 +199,6 @@ def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) 
     return f" Including {what} raises the RMS error of {', '.join(raised)}." if raised else ""
 
 
-_MOST_NAMED = 5
-"""Names of what may be one cause, in the verdict; all of them stand with the cause."""
 _OPEN = "one of these is missing, which this record does not separate: "
 
 
@@ -222,8 +220,9 @@ def _says_cause(c: Cause) -> str:
         return f"{c.sentence} (this record does not separate it from the same effect in {places})"
     words = [effect_words(c.kind, c.where), *(a.words for a in c.alternatives)]
     words = list(dict.fromkeys(words))
-    if len(words) > _MOST_NAMED:
-        words = [*words[: _MOST_NAMED - 1], f"one of {len(words) - _MOST_NAMED + 1} others"]
+    if len(words) > DESCRIPTION.names:
+        first = words[: DESCRIPTION.names - 1]
+        words = [*first, f"one of {len(words) - len(first)} others"]
     return f"{_OPEN}{either_words(words)}"
 
 

@@ -25,6 +25,16 @@ def test_what_a_record_does_not_separate_is_said_once_for_several_causes():
     assert "; and one of these: " in text
 
 
+def test_of_many_that_may_be_the_cause_the_first_are_named():
+    """Eleven in all: four and the seven others."""
+    one = small().causes[0]
+    rivals = [Alternative("extra_input", f"channel_{i}", 0.4, "as well") for i in range(10)]
+    many = replace(one, alternatives=tuple(rivals))
+    text = verdict_sentence("deficient", [many], {}, "", pendulum.problem)
+    assert "channel_2 as a further input or one of 7 others" in text
+    assert "channel_3" not in text
+
+
 @pytest.mark.parametrize(
     "why",
     [
