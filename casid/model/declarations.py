@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+import casadi as ca
 import numpy as np
 
 from casid.errors import ModelError
@@ -117,6 +118,11 @@ class Balance:
     inertia: Expr
     terms: tuple[Expr, ...]
     unit: str
+
+    @property
+    def total(self) -> Expr:
+        """The sum of the terms."""
+        return ca.SX(sum(self.terms[1:], self.terms[0]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -331,7 +331,7 @@ class Model(NamedQuantities, Viewed):
             if name in self._rates:
                 rows.append((f"d{name}/dt", self._derivatives[name] - self._rates[name], name))
         for b in self.balances.values():
-            total = sum(b.terms[1:], b.terms[0])
+            total = b.total
             rows.append((b.name, b.inertia * self._derivatives[b.rate] - total, b.rate))
         rows += [(f"{y} = ...", residual, w) for w, y, residual in self._eliminations]
         return rows

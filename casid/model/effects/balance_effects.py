@@ -233,7 +233,7 @@ def extra_input(model: Model, balance: str, channel: str, unit: str, about: floa
 def further_places_of_inputs(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Inputs of the model in the balances that they do not act in: couplings that it leaves out."""
     for balance, b in model.balances.items():
-        side = ca.SX(sum(b.terms[1:], b.terms[0]))
+        side = b.total
         for channel, (low, high) in sizes.readings.items():
             entry = model.inputs.get(channel)
             if entry is None or any(ca.which_depends(side, model.symbol(channel))):

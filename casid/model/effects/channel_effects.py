@@ -340,7 +340,7 @@ def _commands_of_several_rates(model: Model) -> list[str]:
 
     Of one that acts in a single equation a constant term there tells as much.
     """
-    rows = [sum(b.terms[1:], b.terms[0]) for b in model.balances.values()]
+    rows = [b.total for b in model.balances.values()]
     rows += [*model._rates.values(), *(e for e, _ in model.outputs.values())]
 
     def acts(name: str) -> list[bool]:

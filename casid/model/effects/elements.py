@@ -43,7 +43,7 @@ class _Elements:
         self.names = [*model.states, *model.inputs]
         self.z = ca.vertcat(*[model.symbol(n) for n in self.names])
         self.p = ca.vertcat(ca.SX(0, 1), *[model.symbol(n) for n in model.parameters])
-        rows = {n: sum(b.terms[1:], b.terms[0]) for n, b in model.balances.items()}
+        rows = {n: b.total for n, b in model.balances.items()}
         self.rows: dict[str, Expr] = rows | dict(model._rates)
         self.own = {n: b.rate for n, b in model.balances.items()} | {n: n for n in model._rates}
         rng = np.random.default_rng(13)

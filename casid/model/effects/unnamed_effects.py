@@ -111,7 +111,7 @@ def linear_loss(model: Model, where: str | Place, about: float) -> Effect | None
     another balance is no loss.
     """
     place = place_named(model, where)
-    rows = {n: ca.SX(sum(b.terms[1:], b.terms[0])) for n, b in model.balances.items()}
+    rows = {n: b.total for n, b in model.balances.items()}
     slopes = {n: ca.jacobian(row, place.velocity) for n, row in (rows | model._rates).items()}
     own = slopes.pop(place.where)
     others, moving = ca.vertcat(*slopes.values()), {*model.states, *model.inputs}
@@ -150,8 +150,7 @@ def linear_restoring_force(model: Model, where: str | Place) -> Effect | None:
     place = place_named(model, where)
     if place.position is None or not place.is_mechanical or place.where not in model.balances:
         return None
-    rows = {n: ca.SX(sum(b.terms[1:], b.terms[0])) for n, b in model.balances.items()}
-    if any(ca.which_depends(rows[place.where], place.position)):
+    if any(ca.which_depends(model.balances[place.where].total, place.position)):
         return None
     return force_along(
         place,
@@ -228,7 +227,7 @@ def _linear_in(model: Model, state: str) -> list[str]:
     """
     x = model.symbol(state)
     states = ca.vertcat(*[model.symbol(name) for name in model.states])
-    sides = {name: sum(b.terms[1:], b.terms[0]) for name, b in model.balances.items()}
+    sides = {name: b.total for name, b in model.balances.items()}
     sides |= {name: e for name, e in model._rates.items() if model.symbol(name) is not x}
     found = []
     for name, side in sides.items():
