@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from casid.model.clock_signals import ClockSignal, RampOver, StepAt
-from casid.model.declarations import Hold, Input, Parameter
+from casid.model.declarations import Input, Parameter
 from casid.model.dimensional_analysis import carrying_unit
 from casid.model.effects.balance_effects import offset
 from casid.model.effects.channel_effects import sensor_bias
 from casid.model.effects.effect import Effect
-from casid.model.effects.parameter_effects import jump_times, parameter_jump
+from casid.model.effects.parameter_effects import (
+    jump_times,
+    parameter_jump,
+    ramp_over,
+    step_at,
+)
 from casid.model.effects.search_ranges import PARAMETER_JUMPS
 from casid.model.model import Model
 from casid.model.units import unit_quotient
@@ -36,10 +40,7 @@ def knock(model: Model, balance: str, time: float, Ts: float) -> Effect:
     J = Parameter(f"J_{balance}", unit_quotient(b.unit, "s", -1), 0.0)
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        first, last = (
-            new.add_input(Input(f"step at {t:.9g} s", "1", "generated", "zoh", StepAt(t)))
-            for t in (time, time + Ts)
-        )
+        first, last = (new.add_input(step_at(t)) for t in (time, time + Ts))
         new.add_term(balance, new.symbol(names[0]) * (first - last) / carrying_unit(Ts))
 
     return Effect(
@@ -69,8 +70,7 @@ def bias_drift(model: Model, channel: str, window: tuple[float, float]) -> Effec
     Its size is what it grows to over `window`, the fitted part in seconds of the record's clock.
     """
     start, stop = window
-    entry = f"share of the time from {start:.9g} to {stop:.9g} s, from its middle"
-    made = _times(sensor_bias(model, channel), RampOver(start, stop), entry, "foh", beyond=0.5)
+    made = _times(sensor_bias(model, channel), ramp_over(start, stop), beyond=0.5)
     p = replace(made.parameters[0], name=f"drift_{channel}")
     return replace(
         made,
@@ -105,19 +105,17 @@ def clock_effects_of(model: Model, window: tuple[float, float]) -> Iterator[Effe
 
 def _set_in(effect: Effect, time: float) -> Effect:
     """An effect from an instant on, which is charged as that of a jump is."""
-    made = _times(effect, StepAt(time), f"step at {time:.9g} s", "zoh")
+    made = _times(effect, step_at(time))
     cost, constants = PARAMETER_JUMPS.cost, {"time": time}
     return replace(made, variant=time, cost=cost, shape=STEP, constants=constants)
 
 
-def _times(
-    effect: Effect, signal: ClockSignal, entry: str, hold: Hold, beyond: float = 0.0
-) -> Effect:
-    """An effect in proportion to its parameter, times a signal of the clock and `beyond`."""
+def _times(effect: Effect, entry: Input, beyond: float = 0.0) -> Effect:
+    """An effect in proportion to its parameter, times an input of the clock and `beyond`."""
 
     def apply(new: Model, names: Sequence[str]) -> None:
         effect.apply(new, names)
-        s = new.add_input(Input(entry, "1", "generated", hold, signal))
+        s = new.add_input(entry)
         new.substitute_symbol(names[0], new.symbol(names[0]) * (s + beyond))
 
     # What holds all the time is met more often, and named where the two are the same.

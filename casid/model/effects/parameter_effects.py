@@ -24,6 +24,17 @@ def jump_times(window: tuple[float, float], count: int = PARAMETER_JUMPS.times) 
     return [float(t) for t in np.linspace(start, stop, count + 2)[1:-1]]
 
 
+def step_at(time: float) -> Input:
+    """The generated input that is 1 from `time` on (seconds of the record's clock)."""
+    return Input(f"step at {time:.9g} s", "1", "generated", "zoh", StepAt(time))
+
+
+def ramp_over(start: float, stop: float) -> Input:
+    """The generated input that rises by 1 from `start` to `stop`, and is 0 in their middle."""
+    name = f"share of the time from {start:.9g} to {stop:.9g} s, from its middle"
+    return Input(name, "1", "generated", "foh", RampOver(start, stop))
+
+
 def parameter_jump(model: Model, name: str, time: float) -> Effect:
     """A parameter that changes its value at `time` (seconds of the record's clock).
 
@@ -32,7 +43,7 @@ def parameter_jump(model: Model, name: str, time: float) -> Effect:
     old = model.parameters[name]
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        s = new.add_input(Input(f"step at {time:.9g} s", "1", "generated", "zoh", StepAt(time)))
+        s = new.add_input(step_at(time))
         new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
 
     p = Parameter(f"jump_{name}", old.unit, 0.0)
@@ -59,8 +70,7 @@ def parameter_drift(model: Model, name: str, window: tuple[float, float]) -> Eff
     old = model.parameters[name]
 
     def apply(new: Model, names: Sequence[str]) -> None:
-        entry = f"share of the time from {start:.9g} to {stop:.9g} s, from its middle"
-        s = new.add_input(Input(entry, "1", "generated", "foh", RampOver(start, stop)))
+        s = new.add_input(ramp_over(start, stop))
         new.substitute_symbol(name, new.symbol(name) + new.symbol(names[0]) * s)
 
     p = Parameter(f"drift_{name}", old.unit, 0.0)
@@ -125,9 +135,9 @@ def state_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
             continue
         symbol = model.symbol(name)
         inside = {
-            b.rate: sum(b.terms[1:], b.terms[0])
+            b.rate: b.total
             for b in model.balances.values()
-            if any(ca.which_depends(ca.SX(sum(b.terms[1:], b.terms[0])), symbol))
+            if any(ca.which_depends(b.total, symbol))
         }
         states = (
             *_of_several(model, symbol, inside),
@@ -159,16 +169,13 @@ def _of_inertias(model: Model, symbol: Any) -> list[str]:
         b.rate
         for b in model.balances.values()
         if not is_mechanical(b.unit)
-        and (
-            any(ca.which_depends(ca.SX(b.inertia), symbol))
-            or _divides(sum(b.terms[1:], b.terms[0]), symbol)
-        )
+        and (any(ca.which_depends(ca.SX(b.inertia), symbol)) or _divides(b.total, symbol))
     ]
 
 
 def is_constant_term(model: Model, name: str) -> bool:
     """True for a parameter that a balance adds as it is: with a channel it is an `extra_input`."""
-    rows = [ca.SX(sum(b.terms[1:], b.terms[0])) for b in model.balances.values()]
+    rows = [b.total for b in model.balances.values()]
     slopes = [ca.jacobian(row, model.symbol(name)) for row in rows]
     inside = [s for s in slopes if s.nnz() and not s.is_zero()]
     return len(inside) == 1 and inside[0].is_constant()
@@ -195,7 +202,7 @@ def flow_schedules_of(model: Model, sizes: Sizes) -> Iterator[Effect]:
     A transfer coefficient depends on the flow past it: an input by which a state is multiplied.
     """
     for b in model.balances.values():
-        side = ca.SX(sum(b.terms[1:], b.terms[0]))
+        side = b.total
         if is_mechanical(b.unit):
             continue
         carried = ca.jacobian(side, ca.vertcat(*[model.symbol(s) for s in model.states]))
