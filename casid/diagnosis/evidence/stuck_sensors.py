@@ -14,6 +14,7 @@ import numpy as np
 
 from casid.arrays import TINY, Array
 from casid.data.channel_quality import quantisation_step
+from casid.data.sampling import stretches_of
 from casid.diagnosis.thresholds import CLIPPING
 
 
@@ -49,6 +50,8 @@ def find_standstills(
     masks = [np.zeros(len(y), dtype=bool) for y in measured]
     total, smallest = sum(int(u.sum()) for u in used), 1.0
     runs = [_runs(y, u) for y, u in zip(measured, used, strict=True)]
+    if all(last - first <= CLIPPING.fewest for own in runs for first, last in own):
+        return None
     steps = np.concatenate([_steps(y, u) for y, u in zip(measured, used, strict=True)])
     moving = steps[steps > 0.0]
     if len(moving) < CLIPPING.samples_per_plateau or not _has_noise(measured, used):
@@ -81,8 +84,7 @@ def find_standstills(
 def _runs(y: Array, used: Array) -> list[tuple[int, int]]:
     """First and one past the last sample of every run of equal values that has several."""
     same = (np.diff(y) == 0.0) & used[1:] & used[:-1]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
-    return [(int(a), int(b) + 1) for a, b in edges.reshape(-1, 2)]
+    return [(int(a), int(b) + 1) for a, b in zip(*stretches_of(same), strict=True)]
 
 
 def _steps(y: Array, used: Array) -> Array:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from casid.arrays import Array
+from casid.data.sampling import stretches_of
 from casid.report.figures.thinning import thinned
 from casid.report.html.markup import Html, element, join
 
@@ -241,8 +242,7 @@ _DRAWN = {"scatter": _scatter, "scattergl": _scatter, "bar": _bars, "heatmap": _
 def _unbroken(x: Array, y: Array) -> Iterator[tuple[Array, Array]]:
     """Stretches of a line between its gaps."""
     seen = np.isfinite(x) & np.isfinite(y)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], seen.astype(int), [0]])))
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
+    for a, b in zip(*stretches_of(seen), strict=True):
         yield x[a:b], y[a:b]
 
 
