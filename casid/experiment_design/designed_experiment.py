@@ -109,12 +109,16 @@ class Outcome:
     diagnosed: int | None = None
 
     @property
+    def counted(self) -> int:
+        """Records in which the truth was named: by diagnoses, where these were made, or by fits."""
+        return self.right if self.diagnosed is None else self.diagnosed
+
+    @property
     def agreement(self) -> float | None:
         """p-value of the count against the predicted power: that of diagnoses, else of fits."""
         if not self.runs:
             return None
-        counted = self.right if self.diagnosed is None else self.diagnosed
-        return float(binomtest(counted, self.runs, min(self.power, 1.0)).pvalue)
+        return float(binomtest(self.counted, self.runs, min(self.power, 1.0)).pvalue)
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers."""

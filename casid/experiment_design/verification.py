@@ -86,10 +86,9 @@ def contradictions(outcomes: Sequence[Outcome]) -> list[str]:
     for o in outcomes:
         if o.agreement is None or o.agreement >= CHECKING.level / len(outcomes):
             continue
-        counted = o.right if o.diagnosed is None else o.diagnosed
         by = "fits" if o.diagnosed is None else "whole diagnoses"
         words.append(
-            f"{o.truth}: {by} named it in {counted} of {o.runs} simulated records, where "
+            f"{o.truth}: {by} named it in {o.counted} of {o.runs} simulated records, where "
             f"{100 * o.power:.3g} % were predicted; chance explains that with a probability of "
             f"{o.agreement:.2g}."
         )
