@@ -197,11 +197,15 @@ _PREFIXED = (
     ("g", "gram", "u"),
     ("L", "L", "udh"),
 )
-for _symbol, _full, _letters in _PREFIXED:
-    for _letter in _letters:
-        _factor, _word = _PREFIXES[_letter]
-        _of = NAMES[_full]
-        NAMES[_letter + _symbol] = Name(_factor * _of.factor, _of.si, f"{_word}{_of.pint}")
+NAMES |= {
+    letter + symbol: Name(
+        _PREFIXES[letter][0] * NAMES[full].factor,
+        NAMES[full].si,
+        f"{_PREFIXES[letter][1]}{NAMES[full].pint}",
+    )
+    for symbol, full, letters in _PREFIXED
+    for letter in letters
+}
 """All names of the list."""
 
 ALIASES: dict[str, str] = {
