@@ -31,11 +31,6 @@ class ErrorChange:
     after: float | None
     floor: float | None
 
-    @property
-    def is_lower(self) -> bool:
-        """True if including the causes lowers the error."""
-        return self.after is not None and self.after < self.before
-
 
 @dataclass(frozen=True, slots=True)
 class Facts:

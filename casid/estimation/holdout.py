@@ -29,7 +29,6 @@ class HeldOut:
     t: Array  # (M,)
     measured: Array  # (M, ny), NaN where not used
     simulated: Array  # (M, ny)
-    in_record: bool  # the end of a fitted record, against a record of its own
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,10 +194,10 @@ def validation(fit: Fit, split: Split) -> list[HeldOut]:
         if mask.any():
             d, y, _ = whole_simulation(fit, split, i)
             measured = np.where(d.used, d.y, np.nan)
-            out.append(HeldOut(split.whole[i].name, d.t[mask], measured[mask], y[mask], True))
+            out.append(HeldOut(split.whole[i].name, d.t[mask], measured[mask], y[mask]))
     for e in split.apart:
         d, y, _ = simulate_apart(fit, e)
-        out.append(HeldOut(e.name, d.t, np.where(d.used, d.y, np.nan), y, False))
+        out.append(HeldOut(e.name, d.t, np.where(d.used, d.y, np.nan), y))
     return out
 
 

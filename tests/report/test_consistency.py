@@ -165,13 +165,13 @@ def _gain_agrees_with_advice(d: Diagnosis, text: str) -> None:
     changes = {c.output: c for c in Facts.of(d).shown}
     said = re.search(r"Including (?:it|them) (lowers|raises) the RMS error of ([^.]*?) from", text)
     if said is not None:
-        assert changes[said[2]].is_lower == (said[1] == "lowers")
+        assert (changes[said[2]].after < changes[said[2]].before) == (said[1] == "lowers")
     if "Use the extended model" in text:
         assert improves(d.held_out)
         assert not any(c.tied for c in d.causes)
     for c in changes.values():
         if c.after is not None and not math.isclose(c.after, c.before, rel_tol=0.01):
-            assert (f"error {'−' if c.is_lower else '+'}" in shown(d)) or len(changes) > 1
+            assert (f"error {'−' if c.after < c.before else '+'}" in shown(d)) or len(changes) > 1
 
 
 def _what_is_named_alone_is_not_said_to_be_inseparable(d: Diagnosis, text: str) -> None:

@@ -50,15 +50,6 @@ Columns = Mapping[str, "ColumnSpec | str | Sequence[str | None]"]
 Time = str | ColumnSpec | Sequence[str | None] | None
 
 
-def unit_from_name(column: str) -> str | None:
-    """Return the unit a column's name ends with: `phi_deg`, `phi [deg]`, `i/mA`; None without one.
-
-    Only units that can be read in one way count; `x_g` says nothing.
-    """
-    found = header_unit(column)
-    return found.unit if found else None
-
-
 def unit_of_column(table: Table, column: str) -> HeaderUnit | None:
     """The unit that the file names for a column, beside its name or in it."""
     if column in table.units:

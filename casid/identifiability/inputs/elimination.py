@@ -49,11 +49,6 @@ class Elimination:
     unreached: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
-    @property
-    def relative_degrees(self) -> dict[str, int]:
-        """Output -> order of its derivative that eliminated an unknown input."""
-        return dict(self.used.values())
-
     def __repr__(self) -> str:
         how = ", ".join(f"{w} with {written(y, r)}" for w, (y, r) in self.used.items())
         return f"<Elimination {self.original.name}: {how or 'nothing eliminated'}>"

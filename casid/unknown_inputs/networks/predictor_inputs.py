@@ -45,11 +45,6 @@ class InputSet:
     confounders: tuple[Confounder, ...]
     noisy: tuple[Node, ...] = ()
 
-    @property
-    def is_free_of_confounders(self) -> bool:
-        """Whether no disturbance is common to the output and an input."""
-        return not self.confounders
-
     def __str__(self) -> str:
         text = "; ".join(map(str, self.confounders)) or "no confounder"
         if self.noisy:

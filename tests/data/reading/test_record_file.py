@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from casid.data.reading.chunks import iter_chunks
 from casid.data.reading.clocks import time_faults
-from casid.data.reading.columns import ColumnSpec, unit_from_name
+from casid.data.reading.columns import ColumnSpec
+from casid.data.reading.header_units import header_unit
 from casid.data.reading.record_file import column_names, read_record
 from casid.data.reading.resampling import resample
 from casid.data.reading.sources import parse_case, parse_source, parse_window
@@ -161,7 +162,8 @@ def test_stamps_rounded_to_single_precision_are_uniform():
      ("x_min", None), ("y", None), ("x []", "1"), ("u_ms", None), ("T [degC]", "degC")],
 )  # fmt: skip
 def test_the_ending_of_a_name_gives_the_unit_where_it_has_one_reading(column, unit):
-    assert unit_from_name(column) == unit
+    found = header_unit(column)
+    assert (found.unit if found else None) == unit
 
 
 # ---------------------------------------------------------------------- the measurements
