@@ -307,6 +307,14 @@ def rational(
     ------
     ModelError
         If the expression is not rational, both q and s occur, or the object is not SISO.
+
+    Example
+    -------
+    >>> import casid
+    >>> import sympy
+    >>> q = sympy.Symbol("q")
+    >>> casid.rational(0.5 * q**-1 / (1 - 0.8 * q**-1))
+    <Rational 0.5 / (q - 0.8)>
     """
     out = value if isinstance(value, Rational) else Rational(*read(value, variable))
     if values:

@@ -72,6 +72,8 @@ def to_sympy(
 
     Example
     -------
+    >>> import casadi as ca
+    >>> from casid.algebra.symbolic import to_sympy
     >>> x, k = ca.SX.sym("x"), ca.SX.sym("k")
     >>> to_sympy(0.5 * k * x**2, exact_numbers=True)[0]
     k*x**2/2

@@ -156,6 +156,15 @@ def campaign(
         A failed run with `stop_on_failure`, or no worker that survives.
     KeyboardInterrupt
         On Ctrl-C, saying what is kept.
+
+    Example
+    -------
+    >>> import casid
+    >>> import numpy as np
+    >>> def mean_of_noise(seed):
+    ...     return {"mean": float(np.random.default_rng(seed).standard_normal(100).mean())}
+    >>> casid.campaign(mean_of_noise, 3)
+    <Campaign ...mean_of_noise: 3 runs, 0 failed>
     """
     _require_counts(runs, seed, batch, retries)
     folder = _folder(out)

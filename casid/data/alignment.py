@@ -162,6 +162,17 @@ def align(
     loggers and forget within a block; a single short event gives a rough figure. A difference in
     clock rate is not estimated. The bar for the second peak (three standard deviations of the
     difference under white noise, and at least 0.05) is a heuristic.
+
+    Example
+    -------
+    >>> import casid
+    >>> import numpy as np
+    >>> t, rng = 0.05 * np.arange(1200), np.random.default_rng(1)
+    >>> def knocked(at, name):
+    ...     a = np.exp(-(((t - at) / 0.3) ** 2)) + 0.01 * rng.standard_normal(t.size)
+    ...     return casid.Record({"a": a}, {"a": "m/s^2"}, Ts=0.05, name=name)
+    >>> casid.align(knocked(20.0, "imu"), knocked(17.3, "gps"), using="a")
+    <Alignment gps on imu: offset 2.7...>
     """
     second_name = using if other_using is None else other_using
     a, b, Ts = _common_clock(record, other, using, second_name)

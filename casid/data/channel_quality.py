@@ -13,6 +13,7 @@ from casid.arrays import TINY, BoolArray, FloatArray
 from casid.data.record import Record
 from casid.data.sampling import gaps_of
 from casid.deprecation import renamed
+from casid.model.quantities import count_text
 
 Severity = Literal["error", "warning", "note"]
 
@@ -255,7 +256,7 @@ def _spiked(record: Record, name: str, spikes: NDArray[np.intp]) -> Finding:
     return Finding(
         "warning",
         name,
-        f"{spikes.size} isolated spike{'' if spikes.size == 1 else 's'}, at t = {t} s"
+        f"{count_text(spikes.size, 'isolated spike')}, at t = {t} s"
         f"{' ...' if spikes.size > 3 else ''}.",
         f"Mark them with record.mark_missing({name!r}, mask), or use a robust loss.",
     )

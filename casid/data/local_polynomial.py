@@ -28,6 +28,8 @@ class LocalPolynomial:
 
     Example
     -------
+    >>> import numpy as np
+    >>> from casid.data.local_polynomial import LocalPolynomial
     >>> t = 0.1 * np.arange(50)
     >>> rate = LocalPolynomial(1.0).apply(t**3, 0.1, derivative=1)
     >>> bool(np.allclose(rate, 3 * t**2))

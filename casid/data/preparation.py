@@ -48,6 +48,14 @@ def decimate(record: Record, factor: int, *, edges: Edges = "trim") -> Record:
     ------
     DataError
         If the factor is not a positive integer, or the record too short.
+
+    Example
+    -------
+    >>> import casid
+    >>> import numpy as np
+    >>> record = casid.Record({"v": np.ones(400)}, {"v": "m/s"}, Ts=0.1, name="run")
+    >>> casid.decimate(record, 2)
+    <Record run: N = 163, 1 channel (v), Ts = 0.2 s, 32.6 s long>
     """
     if factor == 1:
         return record

@@ -16,6 +16,7 @@ from casid.data.reading.faults import Survey
 from casid.data.reading.file_format import FileFormat
 from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.record import Record
+from casid.model.quantities import count_text
 from casid.presentation import Presented
 
 SCHEMA = "casid.check/1"
@@ -79,7 +80,7 @@ class CheckReport(Presented):
 
     def __repr__(self) -> str:
         counts = [
-            f"{sum(f.severity == s for f in self.findings)} {s}s"
+            count_text(sum(f.severity == s for f in self.findings), s)
             for s in ("error", "warning", "note")
         ]
         return f"<CheckReport {self.name}: {', '.join(counts)}>"
@@ -119,6 +120,14 @@ def check(
     equal samples at an extreme, reached by more than one quantisation step; a spike stands off the
     median of its five neighbours by eight robust standard deviations and five times the 98 %
     quantile of that distance.
+
+    Example
+    -------
+    >>> import casid
+    >>> import numpy as np
+    >>> clipped = np.clip(np.sin(0.1 * np.arange(400)), -1.0, 0.5)
+    >>> casid.check(casid.Record({"phi": clipped}, {"phi": "rad"}, Ts=0.1, name="roll"))
+    <CheckReport roll: 0 errors, 1 warning, 0 notes>
     """
     if isinstance(data, Record):
         found = _Read(data, data.name)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from casid.arrays import BoolArray, FloatArray
 from casid.data.record_methods import RecordMethods
 from casid.errors import DataError
+from casid.model.quantities import count_text
 from casid.model.units import parse_unit, si_unit, to_si
 from casid.pickling import PickledByFields
 from casid.presentation import Presented
@@ -46,6 +47,17 @@ class Record(RecordMethods, Presented, PickledByFields):
         not marked missing, or a sample time that is not positive.
     UnitError
         For a unit that cannot be read, or is not SI.
+
+    Example
+    -------
+    >>> import casid
+    >>> import numpy as np
+    >>> roll = 0.1 * np.sin(0.2 * np.arange(400))
+    >>> record = casid.Record({"phi": roll}, {"phi": "rad"}, Ts=0.1, name="roll")
+    >>> record
+    <Record roll: N = 400, 1 channel (phi), Ts = 0.1 s, 40 s long>
+    >>> record.between(10.0, 30.0)
+    <Record roll@10:30: N = 201, 1 channel (phi), Ts = 0.1 s, 20.1 s long>
     """
 
     channels: Mapping[str, FloatArray]
@@ -74,7 +86,7 @@ class Record(RecordMethods, Presented, PickledByFields):
         N = next(iter(lengths.values()))
         if N < 2:
             raise DataError(
-                f"{self.name}: {N} sample{'' if N == 1 else 's'}; a record needs at least 2. "
+                f"{self.name}: {count_text(N, 'sample')}; a record needs at least 2. "
                 "Widen the window, or check that the file holds more than one row."
             )
         units = _checked_units(self.name, list(channels), self.units)
@@ -321,9 +333,8 @@ class Record(RecordMethods, Presented, PickledByFields):
     # ------------------------------------------------------------------ printing it
 
     def __repr__(self) -> str:
-        n = len(self.channels)
         return (
-            f"<Record {self.name}: N = {self.N}, {n} channel{'' if n == 1 else 's'} "
+            f"<Record {self.name}: N = {self.N}, {count_text(len(self.channels), 'channel')} "
             f"({', '.join(self.names)}), Ts = {self.Ts:.6g} s, {self.duration:.6g} s long>"
         )
 

@@ -102,6 +102,20 @@ def diagnose(
     time that is short compared with the record, and white noise on measured inputs. It is the first
     cause's: a further one must be as significant and improve what was held out. `calibrate`
     measures it on records drawn from the fitted model and its noise.
+
+    Example
+    -------
+    >>> import casid
+    >>> import numpy as np
+    >>> m = casid.Model("cooling cup")
+    >>> T, tau = m.state("T", "K"), m.parameter("tau", "s", start=100, lower=1)
+    >>> m.derivative(T, -T / tau)
+    >>> _ = m.output("excess", T, "K")
+    >>> noise = 0.1 * np.random.default_rng(1).standard_normal(200)
+    >>> excess = 50 * np.exp(-5 * np.arange(200) / 400) + noise
+    >>> cup = casid.Record({"excess": excess}, {"excess": "K"}, Ts=5, name="cup")
+    >>> casid.diagnose(casid.Problem("cooling cup", m), cup)
+    <Diagnosis cooling cup: adequate, no cause>
     """
     # Prepare.
     if not isinstance(hold_out, float | int):

@@ -146,7 +146,8 @@ class Reconciliation:
 
     Example
     -------
-    >>> r = Reconciliation("two scales")
+    >>> import casid
+    >>> r = casid.Reconciliation("two scales")
     >>> a, b = r.reading("a", 2.0, 0.1, "kg"), r.reading("b", 2.2, 0.1, "kg")
     >>> m = r.unknown("m", 1.0, "kg")
     >>> r.equation("first", a - m)

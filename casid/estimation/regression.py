@@ -68,8 +68,11 @@ def regress(
 
     Example
     -------
+    >>> import casid
+    >>> import numpy as np
     >>> t = np.arange(6.0)
-    >>> fit = regress("y ~ a*exp(-b*t)", {"y": 3 * np.exp(-0.5 * t), "t": t}, {"a": 1, "b": 1})
+    >>> data = {"y": 3 * np.exp(-0.5 * t), "t": t}
+    >>> fit = casid.regress("y ~ a*exp(-b*t)", data, {"a": 1, "b": 1})
     >>> round(fit["b"], 9)
     0.5
     """

@@ -39,6 +39,7 @@ from casid.identifiability.question import (
 from casid.identifiability.rank.observability import observability
 from casid.identifiability.rank.rank_result import Observability, PointRank
 from casid.model.model import Model
+from casid.model.quantities import count_text
 from casid.versions import versions
 
 if TYPE_CHECKING:
@@ -97,6 +98,17 @@ def assess_identifiability(
         If the equations, candidates or records cannot be used, with the reason and the remedy.
 
     Source: A. Sedoglavic (2002) for the rank; Linder (2017), sections 2.7, 4.3, 7.2, 8.3.
+
+    Example
+    -------
+    >>> import casid
+    >>> push = {"states": ["v"], "params": ["F", "m"], "equations": {"v": "F/m"},
+    ...         "outputs": {"a": "F/m"}}
+    >>> answer = casid.assess_identifiability(casid.parse_system(push))
+    >>> answer
+    <Assessment of equations: rank 1 of 3>
+    >>> answer.confounded_groups
+    (('F', 'm'),)
     """
     report = progress or (lambda _: None)
     assuming = assuming or Assumptions()
@@ -105,7 +117,7 @@ def assess_identifiability(
     systems = prepared(question.systems, assuming)
     _check_request(question, systems, candidates, profiles)
 
-    report(f"rank of {_count(len(systems), 'experiment')}")
+    report(f"rank of {count_text(len(systems), 'experiment')}")
     started = time.perf_counter()
     options: Any = {"seed": seed, "error_bound": error_bound, "time_limit": time_limit}
     rank = _rank(systems, options)
@@ -344,7 +356,3 @@ def _with_records(
         likelihood = profile_likelihood(problem, experiments, list(profiles))
         found = replace(found, profiles=likelihood)
     return _noted(replace(assessment, records=found), *notes)
-
-
-def _count(n: int, noun: str) -> str:
-    return f"{n} {noun}{'' if n == 1 else 's'}"

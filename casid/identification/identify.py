@@ -114,6 +114,23 @@ def identify(
     SolveError
         The simulation diverges at the start, or the solver finds no optimum; `OutOfTimeError` where
         the budget is over before there is any fit.
+
+    Example
+    -------
+    >>> import casid
+    >>> import numpy as np
+    >>> m = casid.Model("cooling cup")
+    >>> T, tau = m.state("T", "K"), m.parameter("tau", "s", start=100, lower=1)
+    >>> m.derivative(T, -T / tau)
+    >>> _ = m.output("excess", T, "K")
+    >>> noise = 0.1 * np.random.default_rng(1).standard_normal(200)
+    >>> excess = 50 * np.exp(-5 * np.arange(200) / 400) + noise
+    >>> cup = casid.Record({"excess": excess}, {"excess": "K"}, Ts=5, name="cup")
+    >>> estimate = casid.identify(m, cup)
+    >>> estimate
+    <Estimate cooling cup: converged, 1 free, 0 at bound, fit 99.3 %>
+    >>> print(f"{estimate['tau']:.0f} s")
+    400 s
     """
     began, say = wall_clock(), progress or (lambda _: None)
     require_intervals(intervals)

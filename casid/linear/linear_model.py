@@ -222,6 +222,21 @@ def linearise(
     ModelError
         If a name is unknown, this is not an equilibrium for all parameter values, a derivative is
         not finite there, or the model has a delay, a clipping or a generated input.
+
+    Example
+    -------
+    >>> import casid
+    >>> import casadi as ca
+    >>> m = casid.Model("pendulum")
+    >>> phi, p = m.state("phi", "rad"), m.state("p", "rad/s")
+    >>> w2 = m.parameter("w2", "1/s^2", start=9.0)
+    >>> m.derivative(phi, p)
+    >>> m.derivative(p, -w2 * ca.sin(phi))
+    >>> _ = m.output("angle", phi, "rad")
+    >>> casid.linearise(m)
+    <LinearModel pendulum: states phi, p; inputs none; outputs angle>
+    >>> casid.linearise(m).A[1, 0]
+    SX((-w2))
     """
     _require_finite_order(model)
     e = model.explicit()

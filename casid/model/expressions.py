@@ -102,6 +102,8 @@ def parse(text: str, symbols: Mapping[str, Any], *, where: str = "") -> Any:
 
     Example
     -------
+    >>> import casadi as ca
+    >>> from casid.model.expressions import parse
     >>> x = ca.SX.sym("x")
     >>> f = ca.Function("f", [x], [parse("2*exp[-x] - x^2", {"x": x})])
     >>> float(f(0.0))

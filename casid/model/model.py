@@ -26,6 +26,7 @@ from casid.model.declarations import Balance, Expr, Input, Stage
 from casid.model.declared_units import common_unit, refuse_conversion, si_text
 from casid.model.explicit_form import Explicit, check_branch, solved_for
 from casid.model.named_quantities import NamedQuantities
+from casid.model.quantities import count_text
 from casid.model.serialisation import packed, unpacked
 from casid.model.units import same_dimension
 from casid.presentation import Viewed
@@ -59,7 +60,8 @@ class Model(NamedQuantities, Viewed):
 
     Example
     -------
-    >>> m = Model("mass on a spring")
+    >>> import casid
+    >>> m = casid.Model("mass on a spring")
     >>> x, v = m.state("x", "m"), m.state("v", "m/s")
     >>> F = m.input("F", "N")
     >>> k, d, M = m.parameter("k", "N/m"), m.parameter("d", "N s/m"), m.parameter("M", "kg")
@@ -395,14 +397,10 @@ class Model(NamedQuantities, Viewed):
 
     def __repr__(self) -> str:
         unknown = sum(not p.is_known for p in self.parameters.values())
-
-        def count(n: int, noun: str) -> str:
-            return f"{n} {noun}{'' if n == 1 else 's'}"
-
         return (
-            f"<Model {self.name}: {count(len(self.states), 'state')}, "
-            f"{count(len(self.inputs), 'input')}, {count(len(self.outputs), 'output')}, "
-            f"{count(len(self.parameters), 'parameter')} ({unknown} unknown)>"
+            f"<Model {self.name}: {count_text(len(self.states), 'state')}, "
+            f"{count_text(len(self.inputs), 'input')}, {count_text(len(self.outputs), 'output')}, "
+            f"{count_text(len(self.parameters), 'parameter')} ({unknown} unknown)>"
         )
 
     def __str__(self) -> str:

@@ -62,3 +62,8 @@ def _three_digits(value: float) -> str:
 def percent_text(value: float) -> str:
     """A percentage with two digits, or all of those before the point: 0.76 %, 12 %, 150 %."""
     return f"{value:.0f} %" if abs(value) >= 10 else f"{value:.2g} %"
+
+
+def count_text(n: int, noun: str) -> str:
+    """A number of things, the noun in the plural unless it is one: 0 gaps, 1 gap, 2 gaps."""
+    return f"{n} {noun}{'' if n == 1 else 's'}"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from casid.arrays import FloatArray
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.sources import limit_text
+from casid.model.quantities import count_text
 
 UNIFORM = 0.01  # every interval within 1 % of the median
 RARE = 0.01  # of all intervals: as many may be less even, each stamp within
@@ -110,7 +111,7 @@ def _gap_fault(
     a, b = edges[longest], edges[longest + 1] - 1
     return Fault(
         "gap",
-        f"{name}: {gaps.size} gap{'' if gaps.size == 1 else 's'} longer than {GAP:g} times "
+        f"{name}: {count_text(gaps.size, 'gap')} longer than {GAP:g} times "
         f"the median interval of {median:.6g} s: {shown}{' ...' if gaps.size > 3 else ''}.",
         f"Take the longest stretch with the window {times[a]:.6g}:{times[b]:.6g}, or "
         f"resample with resample={median:.6g} (--resample {median:.6g}), which marks the "

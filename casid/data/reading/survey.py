@@ -25,6 +25,7 @@ from casid.data.reading.sources import limit_text, sha256, source_of
 from casid.data.reading.tables import Table
 from casid.data.record import Record
 from casid.errors import DataError, UnitError
+from casid.model.quantities import count_text
 from casid.model.units import parse_unit, si_unit, to_si
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def survey(
         options = replace(options, takes_gaps=True)
     N = len(opened.frame)
     if N < 2:
-        count = f"{N} sample{'' if N == 1 else 's'}"
+        count = count_text(N, "sample")
         text = f"{source.name}: {count}; a record needs at least 2."
         return found.with_fault(Fault("length", text, "Give a longer file."))
     steps = [f"read {source.name}{_digest(source)}, {N} samples"]

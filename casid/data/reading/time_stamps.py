@@ -12,6 +12,7 @@ from casid.arrays import FloatArray
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.file_format import ORDERS, FileFormat
 from casid.errors import DataError
+from casid.model.quantities import count_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -302,7 +303,7 @@ def _past_midnight(seconds: FloatArray, said: str) -> Stamps:
     if over.any():
         count = int(over.sum())
         seconds = seconds + DAY * np.concatenate(([0], np.cumsum(over)))
-        said += f"; past midnight {count} time{'s' if count > 1 else ''}, a day added"
+        said += f"; past midnight {count_text(count, 'time')}, a day added"
     return Stamps(seconds, f"{said}, seconds since midnight")
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from casid.arrays import Array
 from casid.data.record import Record
 from casid.estimation.fit_statistics import nrmse_fit, rms
+from casid.model.quantities import count_text
 from casid.presentation import Presented, present
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ class ModelComparison(Presented):
         """Whether the models simulate or predict, in words."""
         if self.horizon is None:
             return "free simulation"
-        return f"prediction {self.horizon} sample{'' if self.horizon == 1 else 's'} ahead"
+        return f"prediction {count_text(self.horizon, 'sample')} ahead"
 
     def to_frame(self) -> pd.DataFrame:
         """Fit in per cent: a row a model, a column an output."""

@@ -55,7 +55,8 @@ class Nlp:
 
     Example
     -------
-    >>> nlp = Nlp()
+    >>> import casid
+    >>> nlp = casid.Nlp()
     >>> a, b = nlp.variable("a", 1.0, lower=0.0), nlp.variable("b", 1.0)
     >>> nlp.minimize((a - 2) ** 2 + (b + 1) ** 2)
     >>> nlp.equality(a + b - 2)
@@ -257,7 +258,9 @@ class Nlp:
 
         Example
         -------
-        >>> nlp = Nlp("mean")
+        >>> import casadi as ca
+        >>> import casid
+        >>> nlp = casid.Nlp("mean")
         >>> a, data = nlp.variable("a", 0.0), nlp.parameter("data", 3)
         >>> nlp.minimize(ca.sumsqr(data - a))
         >>> mean = nlp.compile()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from casid.arrays import TINY, Array
 from casid.deprecation import renamed
 from casid.errors import SolveError
+from casid.model.quantities import count_text
 from casid.presentation import Presented
 
 _FLAT = (
@@ -125,8 +126,7 @@ class Solution(Presented):
     @property
     def account(self) -> str:
         """Solver, status and iterations."""
-        plural = "" if self.iterations == 1 else "s"
-        return f"{self.solver}, {self.status} after {self.iterations} iteration{plural}"
+        return f"{self.solver}, {self.status} after {count_text(self.iterations, 'iteration')}"
 
 
 def not_finite(program: str, names: Sequence[str], x: Array) -> SolveError:

@@ -21,6 +21,7 @@ from casid.errors import DataError
 from casid.estimation.simulation.thresholds import INPUT_GAPS
 from casid.model.declarations import Hold
 from casid.model.model import Model
+from casid.model.quantities import count_text
 
 _CUT, _FILLED = "remark: cut at long gaps of ", "remark: filled: "
 
@@ -79,7 +80,7 @@ def require_short_gaps(record: Record, names: Sequence[str]) -> None:
         found, k = gaps_of(gone), int(np.argmax(gone))
         raise DataError(
             f"{record.name}: input {name} misses {found.missing} samples in "
-            f"{found.stretches} gap{'' if found.stretches == 1 else 's'} longer than "
+            f"{count_text(found.stretches, 'gap')} longer than "
             f"{INPUT_GAPS.longest} of its intervals, the first at t = {record.t[k]:g} s; over so "
             "long a gap an input must be complete. Cut the record there with a window (identify "
             "and diagnose do by themselves), or interpolate the channel beforehand"
@@ -141,8 +142,8 @@ def _filling(model: Model, record: Record, name: str) -> str:
         )
     return (
         f"{_FILLED}{name} misses {found.missing} samples "
-        f"({100 * found.missing / record.N:.2g} %) in {found.stretches} gap"
-        f"{'' if found.stretches == 1 else 's'} of up to {found.longest * record.Ts:.3g} s: it is "
+        f"({100 * found.missing / record.N:.2g} %) in {count_text(found.stretches, 'gap')}"
+        f" of up to {found.longest * record.Ts:.3g} s: it is "
         f"{how} there"
     )
 

@@ -73,7 +73,8 @@ def parse_system(mapping: Mapping[str, Any], *, name: str = "", where: str = "")
 
     Example
     -------
-    >>> parse_system(
+    >>> import casid
+    >>> casid.parse_system(
     ...     {
     ...         "states": ["v"],
     ...         "params": ["m", "d"],

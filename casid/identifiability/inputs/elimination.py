@@ -84,6 +84,9 @@ def eliminate_unknown_inputs(
 
     Example
     -------
+    >>> import casadi as ca
+    >>> from casid import System
+    >>> from casid.identifiability.inputs.elimination import eliminate_unknown_inputs
     >>> x, k, w = (ca.SX.sym(n) for n in ("x", "k", "w"))
     >>> symbols = {"x": x, "k": k, "w": w}
     >>> s = System("tank", ("x",), ("k",), ("level", "flow"), symbols, w - k * x,

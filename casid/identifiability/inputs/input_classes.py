@@ -50,7 +50,8 @@ class Exosystem:
 
     Example
     -------
-    >>> sea = Exosystem({"a": "b", "b": "-r*a"}, {"w": "a"})   # r: a parameter of the system
+    >>> import casid
+    >>> sea = casid.Exosystem({"a": "b", "b": "-r*a"}, {"w": "a"})   # r: a parameter of the system
     """
 
     equations: Mapping[str, Any]

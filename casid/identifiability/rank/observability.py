@@ -64,6 +64,14 @@ def observability(
     ------
     ModelError
         If a system has unknown inputs left, or is defined at no point.
+
+    Example
+    -------
+    >>> import casid
+    >>> decay = {"states": ["x"], "params": ["a"], "equations": {"x": "-a*x"},
+    ...          "outputs": {"y": "x"}}
+    >>> casid.observability(casid.parse_system(decay))
+    <Observability: rank 2 of 2>
     """
     search = RankEvaluation(systems)
     deadline = math.inf if time_limit is None else wall_clock() + time_limit

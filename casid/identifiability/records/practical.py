@@ -78,6 +78,20 @@ def practical_identifiability(
         If nothing is unknown.
     ModelError, DataError, SolveError
         See `plan`.
+
+    Example
+    -------
+    >>> import casid
+    >>> import numpy as np
+    >>> m = casid.Model("cooling cup")
+    >>> T, tau = m.state("T", "K"), m.parameter("tau", "s", start=100, lower=1)
+    >>> m.derivative(T, -T / tau)
+    >>> _ = m.output("excess", T, "K")
+    >>> noise = 0.1 * np.random.default_rng(1).standard_normal(200)
+    >>> excess = 50 * np.exp(-5 * np.arange(200) / 400) + noise
+    >>> cup = casid.Record({"excess": excess}, {"excess": "K"}, Ts=5, name="cup")
+    >>> casid.practical_identifiability(m, cup, noise={"excess": 0.1})
+    <Practical cooling cup: rank 2 of 2>
     """
     p = plan(problem, experiments, at=at, noise=noise, own=own, substeps=substeps)
     names = p.criterion.names

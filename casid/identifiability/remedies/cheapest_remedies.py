@@ -153,6 +153,10 @@ def cheapest_remedies(
 
     Example
     -------
+    >>> import casadi as ca
+    >>> from casid import System, sensor
+    >>> from casid.identifiability.remedies.candidates import experiment
+    >>> from casid.identifiability.remedies.cheapest_remedies import cheapest_remedies
     >>> F, m, dm, v = (ca.SX.sym(n) for n in ("F", "m", "dm", "v"))
     >>> symbols = {"F": F, "m": m, "v": v}
     >>> nominal = System("nominal", ("v",), ("F", "m"), ("a",), symbols, F / m, F / m)

@@ -55,6 +55,17 @@ def observability_matrix(
     ModelError
         If the system is too large, has unknown inputs or functions without a derivative, or is
         has special values without `orders`.
+
+    Example
+    -------
+    >>> import casid
+    >>> decay = {"states": ["x"], "params": ["a"], "equations": {"x": "-a*x"},
+    ...          "outputs": {"y": "x"}}
+    >>> print(casid.observability_matrix(casid.parse_system(decay)))
+    Extended observability matrix of equations: 2 x 2, rank 2
+         x   a
+    y    1   0
+    y'  -a  -x
     """
     import sympy
 

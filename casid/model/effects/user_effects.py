@@ -99,6 +99,12 @@ def balance_effect(
     unit : of `parameter`, the effect's size, which is tested; SI unit.
     options : parameter, the name of the size (default "c"); further, channels, sided and
         description, as in `EffectOptions`.
+
+    Example
+    -------
+    >>> import casid
+    >>> casid.balance_effect("quartic", "force", lambda s: -s["c"] * s["x"] ** 4, unit="N/m^4")
+    <Effect quartic in force>
     """
 
     def change(new: Model, own: Mapping[str, str]) -> None:

@@ -22,6 +22,7 @@ from casid.algebra.roots import Root
 from casid.algebra.transfer_matrix import RationalMatrix
 from casid.arrays import Array
 from casid.errors import ModelError
+from casid.model.quantities import count_text
 from casid.unknown_inputs.indirect.approximate_inverse import ApproximateInverse
 from casid.unknown_inputs.indirect.blocks import beside, improper_entries, product, unstable_poles
 from casid.unknown_inputs.indirect.indirect_model import IndirectModel
@@ -216,7 +217,7 @@ def _with_inverse(model: IndirectModel, inverse: LeftInverse, f: RationalMatrix)
 
 
 def _steps(n: int, variable: str) -> str:
-    return f"{n} {'derivative' if variable == 's' else 'sample'}{'' if n == 1 else 's'}"
+    return count_text(n, "derivative" if variable == "s" else "sample")
 
 
 def _transposed(G: RationalMatrix) -> RationalMatrix:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 from casid.algebra.transfer_matrix import RationalMatrix
 from casid.errors import ModelError
+from casid.model.quantities import count_text
 from casid.unknown_inputs.indirect.blocks import difference, identity, is_stable, product, same
 from casid.unknown_inputs.indirect.direct_model import DirectModel
 
@@ -47,7 +48,7 @@ def special_case(direct: DirectModel, *, feedback: bool = False) -> SpecialCase:
     nK, nI, nD = d.G_OK.shape[1], d.G_OI.shape[1], d.G_OD.shape[1]
     outputs = "one output" if d.G_OK.shape[0] == 1 else f"{d.G_OK.shape[0]} outputs"
     if nI == nD == 0:
-        inputs = "no input" if nK == 0 else f"{nK} known input{'s' if nK > 1 else ''}"
+        inputs = "no input" if nK == 0 else count_text(nK, "known input")
         size = "SISO" if d.G_OK.shape == (1, 1) else "MIMO"
         if feedback:
             return SpecialCase(

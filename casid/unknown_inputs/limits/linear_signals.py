@@ -77,8 +77,8 @@ class LinearSignals:
 
         Example
         -------
-        >>> s = LinearSignals.of({"u": "delta", "y": "b*u + tau"}, {"delta": 1, "tau": "l"})
-        >>> s
+        >>> import casid
+        >>> casid.LinearSignals.of({"u": "delta", "y": "b*u + tau"}, {"delta": 1, "tau": "l"})
         <LinearSignals u, y from delta, tau: static, in b, l>
         """
         checked = {name: _variance(name, value) for name, value in variances.items()}

@@ -59,6 +59,17 @@ def regression_limit(
     IdentifiabilityError
         If regressors or instruments are linearly dependent; the message names the combination
         that is not identifiable.
+
+    Example
+    -------
+    >>> import casid
+    >>> system = casid.LinearSignals.of({"u": "r + w", "y": "b*u + e"}, {"r": 1, "w": 1, "e": "l"})
+    >>> print(casid.regression_limit(system, casid.Regression("y", {"b": "r"}), {"b": "b"}))
+    LS of y on r
+      coefficient  limit  bias  N x variance
+      -----------  -----  ----  ------------
+      b                b     0      b**2 + l
+      residual variance b**2 + l
     """
     true = {n: as_expression(v, f"truth of {n}") for n, v in (truth or {}).items()}
     for name in true:

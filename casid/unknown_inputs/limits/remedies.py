@@ -96,6 +96,19 @@ def compare_remedies(
         If a signal, truth or unknown input is missing.
     IdentifiabilityError
         If the input measurement cannot recover the inputs (they are named).
+
+    Example
+    -------
+    >>> import casid
+    >>> system = casid.LinearSignals.of(
+    ...     {"u": "0.7*r + w", "z": "u + e_z", "y": "1.3*r - 0.8*u + e_y"},
+    ...     {"r": 1.2, "w": 0.6, "e_z": 0.4, "e_y": 0.3},
+    ... )
+    >>> casid.compare_remedies(
+    ...     system, "y", {"a": "r", "b": "u"}, unknown="u", truth={"a": 1.3, "b": -0.8},
+    ...     measured={"u": "z"},
+    ... )
+    <Comparison of 3 remedies for u: a, b>
     """
     absent = [unknown] if isinstance(unknown, str) else list(unknown)
     _require_sound(regressors, absent, truth)

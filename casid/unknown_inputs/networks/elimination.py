@@ -41,6 +41,19 @@ def immerse(network: Network | NodeEquations, keep: Iterable[Node], **field: Any
     Rational functions of many symbols grow fast: a network of six nodes with a symbol for a module
     between every two takes 10 to 20 s to immerse. Give numbers for symbols (`values`), or evaluate
     at a point (`at`) or at frequencies (`omega`).
+
+    Example
+    -------
+    >>> import casid
+    >>> import sympy
+    >>> q = sympy.Symbol("q")
+    >>> modules = {(2, 1): 0.5 / q, (3, 2): 0.8 / q, (3, 1): 0.3 / q}
+    >>> network = casid.dynamic_network(modules, excitations=[1], measured=[1, 3], Ts=1.0)
+    >>> print(casid.immerse(network, [1, 3]))
+    <NodeEquations of 2 nodes, 1 eliminated, symbolic>
+      w1 = e_1
+      w3 = ((0.3 q + 0.4) / q^2) w1 + e_3 + (0.8 / q) e_2
+      e = delta + tau
     """
     equations = node_equations(network, **field) if isinstance(network, Network) else network
     kept = set(as_nodes(keep))

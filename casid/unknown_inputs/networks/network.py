@@ -175,6 +175,16 @@ def dynamic_network(
     ModelError
         If there is no node, a module is a self loop or joins an unknown node, variables or sample
         times differ, a module is improper, or the network is ill-posed (the minor is named).
+
+    Example
+    -------
+    >>> import casid
+    >>> import sympy
+    >>> q = sympy.Symbol("q")
+    >>> modules = {(2, 1): 0.5 / q, (3, 2): 0.8 / q, (3, 1): 0.3 / q}
+    >>> network = casid.dynamic_network(modules, excitations=[1], measured=[1, 3], Ts=1.0)
+    >>> network
+    <Network network: 3 nodes, 2 measured, 3 modules, Ts = 1 s>
     """
     read = _read_modules(modules, Ts, values, name)
     known = _names(nodes, read, name)

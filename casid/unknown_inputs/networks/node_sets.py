@@ -65,6 +65,16 @@ def node_sets(
     ModelError
         If the target is no observable node, or a node is claimed to be direct or indirect and is
         not, or both.
+
+    Example
+    -------
+    >>> import casid
+    >>> import sympy
+    >>> q = sympy.Symbol("q")
+    >>> modules = {(2, 1): 0.5 / q, (3, 2): 0.8 / q, (3, 1): 0.3 / q}
+    >>> network = casid.dynamic_network(modules, excitations=[1], measured=[1, 3], Ts=1.0)
+    >>> casid.node_sets(network, 3).sU  # w2 is in the equation of w3 and has no sensor
+    (2,)
     """
     S = network.with_sensors(sensors).measured if sensors is not None else network.measured
     _refuse_target(network, target, S)

@@ -99,6 +99,9 @@ def prediction_error(
 
     Example
     -------
+    >>> import numpy as np
+    >>> from casid import Orders
+    >>> from casid.estimation.prediction_error.polynomial.estimation import prediction_error
     >>> rng = np.random.default_rng(3)
     >>> u, y = rng.normal(size=500), np.zeros(500)
     >>> for t in range(1, 500):
