@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import graphlib
 import inspect
 import re
 import subprocess
 import sys
+import textwrap
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Protocol
 
 import pytest
 
@@ -263,3 +266,35 @@ def test_every_import_of_casid_is_declared() -> None:
         imported = [(m.partition(".")[0], now) for m, now in imports_of(path)]
         assert {m for m, now in imported if now} <= always, path.name
         assert {m for m, _ in imported} <= always | names(optional), path.name
+
+
+def result_classes() -> dict[str, type]:
+    """The classes of casid that public functions and methods of public classes return, by name."""
+    returned = []
+    for value in (getattr(casid, name) for name in casid.__all__):
+        members = [value] if inspect.isfunction(value) else vars(value).values()
+        for member in members:
+            function = member.fget if isinstance(member, property) else member
+            if inspect.isfunction(function) and not function.__name__.startswith("_"):
+                for word in re.findall(r"\w+", str(function.__annotations__.get("return", ""))):
+                    found = function.__globals__.get(word)
+                    if inspect.isclass(found) and found.__module__.startswith("casid."):
+                        returned += [] if Protocol in found.__bases__ else [found]
+    return {value.__qualname__: value for value in returned}
+
+
+@pytest.mark.parametrize("name", result_classes())
+def test_the_repr_of_what_a_user_gets_holds_no_array_and_no_address(name: str) -> None:
+    """A generated repr is right for a few plain values alone; other classes write a line."""
+    value = result_classes()[name]
+    if dataclasses.is_dataclass(value) and "__repr__" not in _written_methods(value):
+        types = {field.name: str(field.type) for field in dataclasses.fields(value) if field.repr}
+        assert not [n for n, kind in types.items() if re.search("Array|Callable", kind)]
+    else:
+        assert value.__repr__ is not object.__repr__
+
+
+def _written_methods(value: type) -> set[str]:
+    (node,) = ast.parse(textwrap.dedent(inspect.getsource(value))).body
+    assert isinstance(node, ast.ClassDef)
+    return {child.name for child in node.body if isinstance(child, ast.FunctionDef)}

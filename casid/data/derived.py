@@ -89,6 +89,9 @@ class Derived(PickledByFields):
             )
         return values
 
+    def __repr__(self) -> str:
+        return f"<Derived [{self.unit}] from {', '.join(self.sources)}>"
+
 
 def propagated_noise(
     name: str,

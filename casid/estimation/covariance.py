@@ -145,6 +145,9 @@ class Sampled:
         tail = (1 - level) / 2
         return np.asarray(np.quantile(self.values, [tail, 1 - tail], axis=0))
 
+    def __repr__(self) -> str:
+        return f"<Sampled {len(self.values)} draws, {100 * self.share_invalid:.2g} % invalid>"
+
 
 def sample_through(
     function: Callable[[Array], Array],

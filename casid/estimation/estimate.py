@@ -81,6 +81,11 @@ class Estimated:
             **({"note": self.note} if self.note else {}),
         }
 
+    def __repr__(self) -> str:
+        error = "" if self.std_error is None else f" +- {self.std_error:.2g}"
+        note = ", ".join(x for x in ("known" if self.known else "", self.note) if x)
+        return f"<{self.name} = {self.value:.5g}{error} {self.unit}{f' ({note})' if note else ''}>"
+
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
@@ -140,6 +145,9 @@ class RecordView:
             input_units=tuple(unit for _, _, unit in inputs),
             state_units=tuple(unit for _, _, unit in states),
         )
+
+    def __repr__(self) -> str:
+        return f"<RecordView {self.name}: {len(self.t)} samples of {', '.join(self.outputs)}>"
 
 
 def _pairs(names: Sequence[str], units: Sequence[str]) -> Iterable[tuple[str, str]]:

@@ -23,6 +23,7 @@ from casid.errors import DataError, IdentifiabilityError, ModelError
 from casid.estimation.local_rank import LocalRank, describe_null
 from casid.estimation.nlp.compiled import Compiled
 from casid.estimation.nlp.nlp import Nlp
+from casid.model.quantities import count_text
 from casid.presentation import Presented
 
 LEVEL = 0.001
@@ -394,6 +395,13 @@ class Reconciliation:
             names, corrections, deviations, units = zip(*rows, strict=True)
             out.append(Blame(names, corrections, deviations, units, blame.gain))
         return tuple(out)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Reconciliation {self.title}: {count_text(len(self._readings), 'reading')}, "
+            f"{count_text(len(self._unknowns), 'unknown')}, "
+            f"{count_text(len(self._equations), 'equation')}>"
+        )
 
 
 def _step(x: Array, h: Array, J: Array, n: int) -> Array:

@@ -83,6 +83,12 @@ class NewProblem:
             f"casid export {stem} --as problem --out {stem}_extended.py",
         )
 
+    def __repr__(self) -> str:
+        return (
+            f"<NewProblem {self.template} from {self.data}: {len(self.channels)} of its signals "
+            f"found, {len(self.checks)} lines to check>"
+        )
+
     def __str__(self) -> str:
         lines = [f"{self.path or 'a problem file, not written'}: {TEMPLATES[self.template].title}"]
         for head, channels in (("model", self.channels), ("recorded", self.recorded)):

@@ -115,6 +115,10 @@ class Cause:
             },
         }
 
+    def __repr__(self) -> str:
+        sizes = ", ".join(f"{p!r}"[1:-1] for p in self.parameters)
+        return f"<Cause {self.kind} in {self.where}: {sizes or 'no size'}>"
+
 
 @dataclass(frozen=True, slots=True)
 class Ranked:

@@ -112,6 +112,10 @@ class ModelEquations:
         """The equations with a new term."""
         return tuple(e for e in self.after if e.is_changed)
 
+    def __repr__(self) -> str:
+        changed = f", {len(self.changed)} with new terms" if self.changed else ""
+        return f"<ModelEquations {', '.join(e.left for e in self.after)}{changed}>"
+
     def __str__(self) -> str:
         return "\n".join(str(e) for e in self.after)
 

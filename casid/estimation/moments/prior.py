@@ -71,3 +71,7 @@ class Prior:
         ):
             raise ModelError("prior: the covariance has a negative eigenvalue; check its signs")
         return matrix
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} = {value:.5g}" for name, value in self.values.items())
+        return f"<Prior {values}>"

@@ -75,6 +75,10 @@ class Validation(Presented):
         """Measured and simulated channels over the first `seconds` of every record (Fig. 7.14)."""
         return present(self, "figure", seconds=seconds)
 
+    def __repr__(self) -> str:
+        fits = ", ".join(f"{c.record} {c.channel} {c.fit:.1f} %" for c in self.channels)
+        return f"<Validation {fits}>"
+
 
 def validate(
     model: Model,

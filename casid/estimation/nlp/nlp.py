@@ -24,6 +24,7 @@ from casid.estimation.nlp.program_values import at_start, fill, inside, views
 from casid.estimation.nlp.single_solve import CriterionProgram, SymbolicProgram, solve_once
 from casid.estimation.nlp.solution import Solution, not_converged
 from casid.estimation.nlp.solver import Solver, as_solver
+from casid.model.quantities import count_text
 
 _IS_SX = (
     "is made of SX symbols, which this program does not know; use the symbols that nlp.variable "
@@ -389,3 +390,9 @@ class Nlp:
         if throw and not solution.is_converged:
             raise not_converged(self.name, solution)
         return solution
+
+    def __repr__(self) -> str:
+        return (
+            f"<Nlp {self.name}: {count_text(len(self._names), 'variable')}, "
+            f"{count_text(len(self._constraints), 'constraint')}>"
+        )

@@ -139,6 +139,12 @@ class IdentifiableCombinations:
             "complete": self.is_complete,
         }
 
+    def __repr__(self) -> str:
+        return (
+            f"<IdentifiableCombinations of {', '.join(self.group)}: "
+            f"{', '.join(map(str, self.combinations)) or 'none'}>"
+        )
+
 
 def identifiable_combinations(
     families: Sequence[Family], fixing: FixingSets

@@ -13,6 +13,7 @@ from casid.errors import DataError, ModelError, nearest
 from casid.identifiability.equations.equation_text import parse_system as parse_system
 from casid.identifiability.equations.equation_text import parse_systems, text_of
 from casid.identifiability.equations.system import System
+from casid.model.quantities import count_text
 
 MAX_BYTES = 5_000_000  # of a file
 
@@ -32,6 +33,9 @@ class EquationFile:
     description: str
     systems: tuple[System, ...]
     path: Path
+
+    def __repr__(self) -> str:
+        return f"<EquationFile {self.name}: {count_text(len(self.systems), 'system')}>"
 
 
 def read_equations(path: str | Path) -> EquationFile:

@@ -43,6 +43,9 @@ class Candidate:
         if not (math.isfinite(self.cost) and self.cost >= 0):
             raise IdentifiabilityError(f"{self} costs {self.cost!r}; give a number >= 0")
 
+    def __repr__(self) -> str:
+        return f"<Candidate {self.kind} {self.label}: cost {self.cost:g}>"
+
     def __str__(self) -> str:
         return f"{self.kind} {self.label}"
 

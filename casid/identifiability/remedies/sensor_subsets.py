@@ -108,6 +108,10 @@ class SensorSubsets(Presented):
             "points": self.points,
         }
 
+    def __repr__(self) -> str:
+        cheapest = ", ".join(self.cheapest[0].outputs) if self.cheapest else "none"
+        return f"<SensorSubsets {self.name}: {len(self.subsets)} subsets, cheapest {cheapest}>"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rank:

@@ -18,6 +18,7 @@ import numpy as np
 
 from casid.algebra.transfer_matrix import RationalMatrix, transfer_matrix
 from casid.errors import ModelError, nearest
+from casid.model.quantities import count_text
 from casid.unknown_inputs.indirect.blocks import noise_gain
 from casid.unknown_inputs.indirect.direct_model import direct_model
 from casid.unknown_inputs.indirect.indirect_model import IndirectModel, indirect_model
@@ -74,6 +75,13 @@ class OutputChoice:
     def recommended(self) -> Form:
         """The first of the forms."""
         return self.forms[0]
+
+    def __repr__(self) -> str:
+        best = self.recommended
+        return (
+            f"<OutputChoice: {', '.join(best.outputs)} from {', '.join(best.inputs)} of "
+            f"{count_text(len(self.forms), 'form')}>"
+        )
 
     def __str__(self) -> str:
         best = self.recommended

@@ -55,6 +55,12 @@ class DecisionMap(Viewed):
         """
         return present(self, "figure", curves)
 
+    def __repr__(self) -> str:
+        return (
+            f"<DecisionMap {self.first} against {self.second} for {self.parameter}: "
+            f"{len(self.x_values)} {self.x} x {len(self.y_values)} {self.y}>"
+        )
+
 
 def decision_map(
     first: Asymptotics,

@@ -41,6 +41,12 @@ class NodeSets(Presented):
     upstream: dict[Node, tuple[Node, ...]]
     downstream: dict[Node, tuple[Node, ...]]
 
+    def __repr__(self) -> str:
+        return (
+            f"<NodeSets of {node_label(self.target)}: K {labels(self.K)}; sU {labels(self.sU)}; "
+            f"D {labels(self.D)}; I {labels(self.I)}>"
+        )
+
 
 def node_sets(
     network: Network,

@@ -90,6 +90,12 @@ class InputSearch:
     refused: tuple[RefusedSet, ...]
     is_complete: bool
 
+    def __repr__(self) -> str:
+        return (
+            f"<InputSearch for {edge_label(self.module)}: {len(self.sets)} sets suffice, "
+            f"{len(self.refused)} refused>"
+        )
+
     def __str__(self) -> str:
         lines = [f"Predictor inputs for {edge_label(self.module)}"]
         lines += [f"  suffice   {found}" for found in self.sets] or ["  no measured set suffices"]

@@ -82,6 +82,9 @@ class Verdict:
         """The conditions that fail."""
         return tuple(c for c in self.conditions if not c.holds)
 
+    def __repr__(self) -> str:
+        return f"<{self.proposition} for {edge_label(self.module)}: {_outcome(self.holds)}>"
+
     def __str__(self) -> str:
         end = {
             True: "is unchanged",

@@ -14,6 +14,7 @@ from casid.algebra.rational import Rational
 from casid.algebra.realisation import mcmillan_degree
 from casid.algebra.transfer_matrix import RationalMatrix
 from casid.deprecation import renamed
+from casid.model.quantities import count_text
 from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import NodeEquations, node_equations
 from casid.unknown_inputs.networks.indirect_equations import eliminate_by_measurement
@@ -66,6 +67,13 @@ class RecursiveElimination:
     immersed: tuple[Node, ...]
     equations: NodeEquations
     rings = renamed("rings", "steps")
+
+    def __repr__(self) -> str:
+        last = self.steps[-1]
+        return (
+            f"<RecursiveElimination towards {node_label(self.target)}: "
+            f"{count_text(last.number, 'step')}, inputs {labels(last.inputs)}>"
+        )
 
     def __str__(self) -> str:
         lines = [f"Recursive elimination towards {node_label(self.target)}"]

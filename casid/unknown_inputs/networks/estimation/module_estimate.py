@@ -47,6 +47,12 @@ class ModuleResponse:
         size = np.abs(self.value)
         return np.maximum(size - reach, 0.0), size + reach
 
+    def __repr__(self) -> str:
+        return (
+            f"<ModuleResponse at {len(self.omega)} frequencies, "
+            f"{self.omega.min():.3g} to {self.omega.max():.3g} rad/s>"
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class ModuleEstimate(Presented):

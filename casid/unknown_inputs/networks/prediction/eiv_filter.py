@@ -27,6 +27,7 @@ from casid.data.record import Record
 from casid.errors import ModelError
 from casid.linear.kalman import Predictor, steady_state, step, time_varying
 from casid.linear.noisy_system import NoisySystem
+from casid.model.quantities import count_text
 from casid.unknown_inputs.networks.network import Network, Signal
 from casid.unknown_inputs.networks.node_sets import NodeSets, sets_for
 from casid.unknown_inputs.networks.nodes import Edge, Node, edge_label, labels, node_label
@@ -52,6 +53,10 @@ class EivFiltered:
     variances: Array
     noise_free: Mapping[Node, Array]
     std_errors: Mapping[Node, Array]
+
+    def __repr__(self) -> str:
+        rms = float(np.sqrt(np.mean(self.innovations**2)))
+        return f"<EivFiltered {len(self.prediction)} samples: rms of the innovations {rms:.3g}>"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +152,13 @@ class EivFilter:
         estimates[settled:] += eps[settled:, None] * gain[:, 0]
         errors[settled:] = np.sqrt(np.maximum(np.diag(left), 0.0))
         return estimates, errors
+
+    def __repr__(self) -> str:
+        inputs = ", ".join(name for name, _ in self.inputs)
+        return (
+            f"<EivFilter of {node_label(self.target)} from {inputs}; noisy {labels(self.noisy)}; "
+            f"{count_text(len(self.system.A), 'state')}>"
+        )
 
 
 def eiv_filter(

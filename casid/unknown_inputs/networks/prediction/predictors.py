@@ -12,7 +12,7 @@ from casid.unknown_inputs.networks.elimination import immerse
 from casid.unknown_inputs.networks.equations import node_equations
 from casid.unknown_inputs.networks.network import Network
 from casid.unknown_inputs.networks.node_sets import NodeSets, sets_for
-from casid.unknown_inputs.networks.nodes import Edge, Node, as_nodes
+from casid.unknown_inputs.networks.nodes import Edge, Node, as_nodes, node_label
 from casid.unknown_inputs.networks.prediction.node_predictor import NodePredictor
 from casid.unknown_inputs.networks.prediction.observation_choice import INDIRECT as INDIRECT
 from casid.unknown_inputs.networks.prediction.observation_choice import (
@@ -109,6 +109,10 @@ class PredictorTable(Presented):
             kind, f"there are {', '.join(p.kind for p in self.predictors)}"
         )
         raise ModelError(f"no predictor {kind!r}: {why}")
+
+    def __repr__(self) -> str:
+        kinds = "; ".join(p.kind for p in self.predictors)
+        return f"<PredictorTable of {node_label(self.target)}: {kinds}>"
 
 
 def compare_predictors(
