@@ -14,6 +14,7 @@ from casid.data.record import Record
 from casid.data.sampling import gaps_of
 from casid.deprecation import renamed
 from casid.model.quantities import count_text
+from casid.model.units import difference_from_si, from_si
 
 Severity = Literal["error", "warning", "note"]
 
@@ -66,6 +67,8 @@ class ChannelCheck:
         Change of the least-squares straight line over the record.
     bandwidth_hz : float
         Highest frequency at which the spectrum is four times above the noise; 0 for none.
+    written : str
+        Unit in the file, in which text shows the numbers; empty where there is no file.
     """
 
     name: str
@@ -82,6 +85,12 @@ class ChannelCheck:
     spikes: int = 0
     drift: float | None = None
     bandwidth_hz: float | None = None
+    written: str = ""
+
+    @property
+    def shown_in(self) -> str:
+        """The unit in which text shows the numbers."""
+        return self.written or self.unit
 
 
 OWN_CLOCK = 3.0
@@ -108,9 +117,12 @@ def stuck_channels(
     return tuple(found)
 
 
-def channel_quality(record: Record, name: str) -> tuple[ChannelCheck, list[Finding]]:
-    """The numbers of one channel, and what is noticed of it."""
+def channel_quality(
+    record: Record, name: str, written: str = ""
+) -> tuple[ChannelCheck, list[Finding]]:
+    """The numbers of one channel, and what is noticed of it, in words with the unit `written`."""
     mask, unit = record.is_missing(name), record.units[name]
+    shown = written or unit
     gone = int(mask.sum())
     if mask.all():
         text = "every sample is missing."
@@ -129,27 +141,41 @@ def channel_quality(record: Record, name: str) -> tuple[ChannelCheck, list[Findi
             Finding(
                 "warning",
                 name,
-                f"{_CONSTANT} {low + 0.0:.6g} {unit}.",
+                f"{_CONSTANT} {float(from_si(low, shown)) + 0.0:.6g} {shown}.",
                 "It excites nothing: check the sensor or the mapping, or leave it out.",
             )
         )
         constant = ChannelCheck(
-            name, unit, low, high, mean, rms, gone, 0.0, None, record.N, record.N, 0, 0.0, 0.0
+            name,
+            unit,
+            low,
+            high,
+            mean,
+            rms,
+            gone,
+            0.0,
+            None,
+            record.N,
+            record.N,
+            0,
+            0.0,
+            0.0,
+            written,
         )
         return constant, findings
     levels = np.unique(kept)
     step, few = quantisation_step(levels), levels.size <= 10
-    run, plateau, equal = _equal_samples(record, name, step, few)
+    run, plateau, equal = _equal_samples(record, name, step, few, shown)
     findings += equal
     if step is not None and step > (high - low) / 200 and not few:
-        findings.append(_coarse(name, unit, step, high - low))
+        findings.append(_coarse(name, shown, step, high - low))
     own = np.flatnonzero(~mask) if gone > record.N // 2 else np.arange(record.N)  # on its own clock
     spikes = np.array([], dtype=np.intp) if few else own[_spikes(x[own], mask[own])]
     if spikes.size:
         findings.append(_spiked(record, name, spikes))
     if unit == "rad" and high - low < 6.6:
         findings += _wrapped(record, name)
-    drift, trend = _trend(record, name)
+    drift, trend = _trend(record, name, shown)
     findings += trend
     interval = record.Ts * float(own[-1] - own[0]) / max(own.size - 1, 1)
     noise, bandwidth, reaches = _spectrum(x[own] - mean, interval)
@@ -157,16 +183,16 @@ def channel_quality(record: Record, name: str) -> tuple[ChannelCheck, list[Findi
         findings.append(_wide_band(name))
     numbers = ChannelCheck(
         name, unit, low, high, mean, rms, gone, noise, step, run, plateau, int(spikes.size), drift,
-        bandwidth,
+        bandwidth, written,
     )  # fmt: skip
     return numbers, findings
 
 
 def _equal_samples(
-    record: Record, name: str, step: float | None, few: bool
+    record: Record, name: str, step: float | None, few: bool, shown: str
 ) -> tuple[int, int, list[Finding]]:
     """The longest run of equal samples, the longest at an extreme, and what they point to."""
-    x, mask, unit = record.filled(name), record.is_missing(name), record.units[name]
+    x, mask = record.filled(name), record.is_missing(name)
     run, run_start, plateau, plateau_start, beside = _runs(x, mask)
     jump = _jump_into(x, plateau_start, plateau) if plateau >= 4 else 0.0
     # The top of a rounded parabola is flat too, but the levels below it hold for 0.2 of its width.
@@ -180,7 +206,8 @@ def _equal_samples(
                 name,
                 f"{plateau} equal samples at the "
                 f"{'maximum' if value == x[~mask].max() else 'minimum'} "
-                f"{value:.6g} {unit}, first at t = {record.t[plateau_start]:.6g} s: {_CLIPPED}",
+                f"{float(from_si(value, shown)) + 0.0:.6g} {shown}, first at "
+                f"t = {record.t[plateau_start]:.6g} s: {_CLIPPED}",
                 "Check the sensor's range; mark the plateau missing or cut it off with a window.",
             )
         )
@@ -241,13 +268,14 @@ def _wide_band(name: str) -> Finding:
     )
 
 
-def _coarse(name: str, unit: str, step: float, span: float) -> Finding:
+def _coarse(name: str, shown: str, step: float, span: float) -> Finding:
+    noise = float(difference_from_si(step / np.sqrt(12), shown))
     return Finding(
         "warning",
         name,
-        f"coarsely quantised: steps of {step:.4g} {unit}, {round(span / step)} of them in the "
-        "range.",
-        f"Count with noise of {step / np.sqrt(12):.3g} {unit} (step/sqrt 12), or log finer.",
+        f"coarsely quantised: steps of {float(difference_from_si(step, shown)):.4g} {shown}, "
+        f"{round(span / step)} of them in the range.",
+        f"Count with noise of {noise:.3g} {shown} (step/sqrt 12), or log finer.",
     )
 
 
@@ -276,7 +304,7 @@ def _wrapped(record: Record, name: str) -> list[Finding]:
     ]
 
 
-def _trend(record: Record, name: str) -> tuple[float, list[Finding]]:
+def _trend(record: Record, name: str, shown: str) -> tuple[float, list[Finding]]:
     """The change of a straight line over the record, noticed where it exceeds the scatter."""
     mask = record.is_missing(name)
     kept = record.filled(name)[~mask]
@@ -291,8 +319,8 @@ def _trend(record: Record, name: str) -> tuple[float, list[Finding]]:
         Finding(
             "note",
             name,
-            f"a trend: {drift:.4g} {record.units[name]} over the record, {times:.3g} times the "
-            "scatter about it.",
+            f"a trend: {float(difference_from_si(drift, shown)):.4g} {shown} over the record, "
+            f"{times:.3g} times the scatter about it.",
             "Where it is the sensor's drift, use record.detrend(1) or a bias parameter.",
         )
     ]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ from casid.arrays import FloatArray
 from casid.data.channel_quality import ChannelCheck, Finding, channel_quality
 from casid.data.reading.clocks import UNIFORM
 from casid.data.reading.columns import Columns, ColumnSpec
-from casid.data.reading.faults import Survey
+from casid.data.reading.faults import ColumnSurvey, Survey
 from casid.data.reading.file_format import FileFormat
+from casid.data.reading.header_units import likely_reading
 from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.record import Record
 from casid.model.quantities import count_text
@@ -133,7 +135,7 @@ def check(
         found = _Read(data, data.name)
     else:
         options = ReadingOptions(time, window, resample=resample, Ts=Ts, form=form, takes_gaps=True)
-        found = _read(survey(data, columns, options))
+        found = _read_file(data, columns, options)
     record, name, times, findings = found.record, found.name, found.times, list(found.findings)
     clock = _clock(times) if times is not None and times.size > 1 else None
     if record is None:
@@ -141,7 +143,7 @@ def check(
     is_whole = times is not None and times.size == record.N
     if clock and is_whole and clock.off_grid > 0.5 * record.Ts and resample is None:
         findings.append(_drifting(clock))
-    channels, noticed = _channels(record)
+    channels, noticed = _channels(record, found.units)
     findings += [*noticed, *_twins(record)]
     return CheckReport(
         name,
@@ -181,13 +183,39 @@ class _Read:
     name: str
     times: FloatArray | None = None
     findings: tuple[Finding, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)  # channel -> unit in the file
 
 
 def _read(found: Survey) -> _Read:
     faults = [Finding("error", f.column, f.text, f.remedy) for f in found.faults]
     faults += [Finding("note", None, f"{note}.", "") for note in found.notes]
     name = found.record.name if found.record else found.path.name
-    return _Read(found.record, name, found.times, tuple(faults))
+    return _Read(found.record, name, found.times, tuple(faults), found.units)
+
+
+def _read_file(data: str | Path, columns: Columns | None, options: ReadingOptions) -> _Read:
+    """A file looked over; a unit of two readings keeps no number from being judged."""
+    found = survey(data, columns, options)
+    if columns is not None or not any(f.kind == "unit" for f in found.faults):
+        return _read(found)
+    numeric = [c for c in survey(data, {}, options).columns if c.kind == "numeric"]
+    unclear = [c for c in numeric if c.unit is None and c.written]
+    taken = {c.name: c.unit or likely_reading(c.written) or "1" for c in numeric}
+    again = _read(survey(data, {name: ColumnSpec(name, u) for name, u in taken.items()}, options))
+    doubts = [_unclear_unit(c, taken[c.name]) for c in unclear]
+    return replace(again, findings=(*doubts, *again.findings))
+
+
+def _unclear_unit(column: ColumnSurvey, taken: str) -> Finding:
+    why = next((r for r in column.remarks if r.startswith("its unit")), "its unit is not clear")
+    as_what = "numbers as written" if taken == "1" else f"here taken as {taken}"
+    return Finding(
+        "warning",
+        column.name,
+        f"{why}; {as_what}.",
+        f"A model's signal needs it, as in --map 'SIGNAL={column.name}:"
+        f"{'UNIT' if taken == '1' else taken}'.",
+    )
 
 
 def _drifting(clock: Clock) -> Finding:
@@ -199,9 +227,11 @@ def _drifting(clock: Clock) -> Finding:
     )
 
 
-def _channels(record: Record) -> tuple[tuple[ChannelCheck, ...], list[Finding]]:
+def _channels(
+    record: Record, written: Mapping[str, str]
+) -> tuple[tuple[ChannelCheck, ...], list[Finding]]:
     """The numbers of every channel, and what is noticed of them."""
-    found = [channel_quality(record, name) for name in record.names]
+    found = [channel_quality(record, name, written.get(name, "")) for name in record.names]
     return tuple(numbers for numbers, _ in found), [f for _, noticed in found for f in noticed]
 
 

@@ -205,6 +205,10 @@ NAMES |= {
     )
     for symbol, full, letters in _PREFIXED
     for letter in letters
+} | {  # in full where the symbol has two readings
+    "nanometre": Name(1e-9, (("m", 1),), "nanometer"),
+    "millisiemens": Name(1e-3, (("siemens", 1),), "millisiemens"),
+    "millitesla": Name(1e-3, (("tesla", 1),), "millitesla"),
 }
 """All names of the list."""
 
@@ -232,6 +236,9 @@ ALIASES: dict[str, str] = {
     "meters": "m",
     "metre": "m",
     "metres": "m",
+    "nanometres": "nanometre",
+    "nanometer": "nanometre",
+    "nanometers": "nanometre",
     "inch": "in",
     "foot": "ft",
     "feet": "ft",
@@ -320,8 +327,8 @@ AMBIGUOUS: dict[str, str] = {
     "KN": "kN (kilonewton) or kn (knot)",
     "Kn": "kN (kilonewton) or kn (knot)",
     "KT": "kn (knot) or t (tonne)",
-    "kt": "kn (knot) or 1000 t (kilotonne)",
-    "nm": "nmi (nautical mile), N m (newton metre) or 0.001 um (nanometre)",
+    "kt": "kn (knot); a kilotonne is 1e6 kg, which is not in the list",
+    "nm": "nmi (nautical mile), N m (newton metre) or nanometre",
     "NM": "nmi (nautical mile) or N m (newton metre)",
     "nM": "nmi (nautical mile) or N m (newton metre)",
     "g": "gram (mass) or g0 (standard gravity, 9.80665 m/s^2)",
@@ -332,8 +339,8 @@ AMBIGUOUS: dict[str, str] = {
     "S": "s (second) or siemens",
     "C": "degC (degree Celsius) or coulomb",
     "F": "degF (degree Fahrenheit) or farad",
-    "mS": "ms (millisecond) or 0.001 siemens",
-    "mT": "t (metric tonne) or 0.001 tesla",
+    "mS": "ms (millisecond) or millisiemens",
+    "mT": "t (metric tonne) or millitesla",
     "gal": "US gallon (3.785411784 L) or imperial gallon (4.54609 L)",
     "dB": "nothing linear: decibels are logarithms; write the ratio itself, with unit 1",
     "lb": "lbm (mass) or lbf (force)",

@@ -259,7 +259,10 @@ BAD_FILES = {
         lambda h, r: (["t", "force", "positoin"], r),
         ["'position'", "did you mean 'positoin'?", "--map position=positoin"],
     ),
-    "doubled stamps": (lambda h, r: (h, r[:100] + r[99:]), ["duplicate", "drop doubled rows"]),
+    "doubled stamps": (
+        lambda h, r: (h, [*r[:100], [r[99][0], *r[100][1:]], *r[100:]]),
+        ["duplicate", "drop doubled rows"],
+    ),
     "backward stamps": (lambda h, r: (h, r[:100] + r[50:]), ["backward", "Sort the file"]),
     "too short": (lambda h, r: (h, r[:4]), ["too short", "are too few for", "samples"]),
     "header alone": (lambda h, r: (h, []), ["no samples", "another file"]),

@@ -80,6 +80,50 @@ def test_continuous_samples_have_no_step():
     assert check(record(smooth())).channels[0].step is None
 
 
+@pytest.fixture
+def written(tmp_path):
+    """A file of two temperatures and a speed of rotation, two of its rows absent."""
+    rng = np.random.default_rng(4)
+    rows = [
+        f"{k},{20 + 0.01 * rng.standard_normal():.4f},{30 + 0.01 * rng.standard_normal():.4f},"
+        f"{600 + rng.standard_normal():.2f}"
+        for k in range(400)
+        if k not in (100, 101)
+    ]
+    path = tmp_path / "oven.csv"
+    path.write_text("\n".join(["t [s],T_in [degC],T_out [degC],n [1/min]", *rows]) + "\n")
+    return path
+
+
+def test_text_shows_the_units_of_the_file_and_json_si_units(written):
+    """The rms of a temperature is that about 0 degC, 20 degC for a constant of so much."""
+    report = check(written)
+    numbers = report.to_json()["channels"][0]
+    assert (numbers["unit"], numbers["written"]) == ("K", "degC")
+    assert numbers["mean"] == pytest.approx(293.15, abs=0.01)
+    (line,) = [row for row in str(report).splitlines() if row.strip().startswith("T_in")]
+    cells = line.split()[2:]
+    assert cells[0] == "degC"
+    assert [float(x) for x in cells[1:5]] == pytest.approx([20.0] * 4, abs=0.05)
+
+
+def test_a_unit_of_two_readings_keeps_no_number_from_being_judged(written):
+    report = check(written)
+    assert report.is_usable
+    (doubt,) = [f for f in report.findings if "1/min" in f.text]
+    assert (doubt.severity, doubt.channel) == ("warning", "n [1/min]")
+    assert "--map 'SIGNAL=n [1/min]:rpm'" in doubt.remedy
+    speed = next(c for c in report.channels if c.name == "n [1/min]")
+    assert speed.mean == pytest.approx(600 * 2 * np.pi / 60, rel=1e-3)
+
+
+def test_what_is_the_same_of_several_channels_is_said_once(written):
+    report = check(written)
+    assert sum("are missing" in f.text for f in report.findings) == 3
+    (line,) = [row for row in str(report).splitlines() if "are missing" in row]
+    assert "T_in [degC], T_out [degC], n [1/min]: 2 samples" in line
+
+
 def test_isolated_spikes_are_counted_and_placed():
     y = smooth()
     y[[700, 1500, 3000]] += 0.4

@@ -108,6 +108,16 @@ def test_a_name_with_two_readings_is_refused_with_the_choice_named(text, choices
 
 
 @pytest.mark.parametrize(
+    ("text", "factor", "si"),
+    [("nanometre", 1e-9, "m"), ("nanometers", 1e-9, "m"), ("millisiemens", 1e-3, "siemens"),
+     ("millitesla", 1e-3, "tesla"), ("nanometre/s", 1e-9, "m/s")],
+)  # fmt: skip
+def test_the_readings_of_a_name_that_is_refused_are_names_of_the_list(text, factor, si):
+    assert to_si(1.0, text) == pytest.approx(factor)
+    assert same_dimension(text, si)
+
+
+@pytest.mark.parametrize(
     ("text", "value", "si"),
     [("g/L", 1.0, "kg/m^3"), ("g/cm^3", 1000.0, "kg/m^3"), ("g/mol", 1e-3, "kg/mol"),
      ("g/h", 1e-3 / 3600.0, "kg/s"), ("lb/min", 0.45359237 / 60.0, "kg/s")],

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from casid.arrays import FloatArray
+from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.faults import Fault, Survey
 from casid.data.reading.sources import limit_text
 from casid.model.quantities import count_text
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 UNIFORM = 0.01  # every interval within 1 % of the median
 RARE = 0.01  # of all intervals: as many may be less even, each stamp within
@@ -65,8 +69,7 @@ def time_faults(
         faults.append(
             Fault(
                 "order",
-                f"{name}: time stands still {doubled.size} times (duplicate stamps) and runs "
-                f"backward {backward.size} times, first at {place(first)} "
+                f"{name}: {_disorder(doubled.size, backward.size)}, first at {place(first)} "
                 f"(t = {times[first]:.9g} s after {times[first - 1]:.9g} s).",
                 "Sort the file and drop doubled rows, or cut it where the clock was reset.",
             )
@@ -92,6 +95,31 @@ def time_faults(
             )
         )
     return faults
+
+
+def _disorder(doubled: int, backward: int) -> str:
+    """Stamps that stand still, or run backward, in words."""
+    parts = [f"time stands still {_times(doubled)} (duplicate stamps)"] if doubled else []
+    if backward:
+        parts.append(f"{'' if doubled else 'time '}runs backward {_times(backward)}")
+    return " and ".join(parts)
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def repeated_rows(frame: pd.DataFrame, times: FloatArray) -> BoolArray | None:
+    """Rows (N,) that hold the row before once more, stamp and all: they say nothing new.
+
+    None where there are none, or where other rows share a stamp without being the same: which of
+    those counts is not in the file.
+    """
+    doubled = np.concatenate(([False], np.diff(times) == 0))
+    if not doubled.any():
+        return None
+    again = frame.duplicated().to_numpy() & doubled
+    return again if np.array_equal(again, doubled) else None
 
 
 def _gap_fault(

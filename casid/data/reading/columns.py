@@ -6,7 +6,13 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from casid.data.reading.header_units import HeaderUnit, header_unit, settled, written_unit
+from casid.data.reading.header_units import (
+    HeaderUnit,
+    header_unit,
+    likely_reading,
+    settled,
+    written_unit,
+)
 from casid.data.reading.layout import is_date
 from casid.data.reading.tables import Table
 from casid.errors import DataError, UnitError
@@ -19,6 +25,11 @@ _TIME_NAMES = frozenset(
     "|temps|horodatage|tiempo|tempo|fecha|tijd|czas|ts|time stamp utc|recording time".split("|")
 )
 _DATE_NAMES = frozenset("date datum day tag fecha data jour dato".split())
+_UNIT_NAMES = {  # a clock called by its unit alone
+    "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms", "millisekunden": "ms",
+    "us": "us", "µs": "us", "μs": "us", "usec": "us", "micros": "us", "microseconds": "us",
+    "sec": "s", "secs": "s", "sekunden": "s",
+}  # fmt: skip
 _CLOCK_NAMES = frozenset("time zeit uhrzeit clock heure hora tid tijd".split())
 CLOCK_FORMATS = ("hh:mm", "mm:ss", "hh:mm:ss")
 
@@ -112,7 +123,7 @@ def _with_unit(table: Table, name: str, spec: ColumnSpec) -> ColumnSpec:
     unit, origin = spec.unit, "given"
     try:
         if unit is None:
-            unit, origin = _read_unit(table, spec)
+            unit, origin = _read_unit(table, name, spec)
         to_si([], unit, spec.target)
     except UnitError as error:
         raise UnitError(
@@ -121,7 +132,7 @@ def _with_unit(table: Table, name: str, spec: ColumnSpec) -> ColumnSpec:
     return ColumnSpec(spec.column, unit, spec.target, origin)
 
 
-def _read_unit(table: Table, spec: ColumnSpec) -> tuple[str, str]:
+def _read_unit(table: Table, name: str, spec: ColumnSpec) -> tuple[str, str]:
     """The unit of a column, and where it was read."""
     found, target = unit_of_column(table, spec.column), spec.target
     origin = "from the file's units" if spec.column in table.units else "from its name"
@@ -133,14 +144,16 @@ def _read_unit(table: Table, spec: ColumnSpec) -> tuple[str, str]:
         if one is not None:
             return one, f"{origin}, the reading of {found.text!r} that fits"
     if found is not None and found.unit is None and found.why:
+        example, signal = likely_reading(found.text), "SIGNAL" if name == spec.column else name
+        likely = example is not None and (target is None or same_dimension(example, target))
         raise UnitError(
             f"unit {found.text!r} is ambiguous: {found.text!r} may mean {found.why}. Write which, "
-            f"as in --map SIGNAL={spec.column}:UNIT."
+            f"as in --map '{signal}={spec.column}:{example if likely else 'UNIT'}'."
         )
     if found is not None and found.unit is None and target is not None:
         raise UnitError(
             f"the file's unit {found.text!r} is not in the list of units. Give the unit, as in "
-            f"--map SIGNAL={spec.column}:{target}."
+            f"--map '{name}={spec.column}:{target}'."
         )
     if target is not None:
         return target, "the model's: the file names none"
@@ -178,9 +191,10 @@ def _time_column(table: Table, time: Time) -> ColumnSpec | None:
     if not named:
         named = [c for c in table.columns if c not in table.units and is_dated(table, c)]
         named = named if len(named) == 1 else []
-    if not named:
-        named = [c for c in table.columns if _holds_time(table, c)]
-        named = named if len(named) == 1 else []
+    for is_clock in (_holds_time, _is_unit_of_time):
+        if not named:
+            named = [c for c in table.columns if is_clock(table, c)]
+            named = named if len(named) == 1 else []
     if not named:
         return None
     table.clocks = tuple(named)
@@ -197,7 +211,7 @@ def time_unit(table: Table, column: str) -> str | None:
     ):
         return found.unit
     _, unit = _time_ending(column)
-    return unit
+    return unit or _UNIT_NAMES.get(column.strip().casefold())
 
 
 def is_time_name(table: Table, column: str) -> bool:
@@ -224,6 +238,11 @@ def _holds_time(table: Table, column: str) -> bool:
     is_time = found is None or found.unit is None or _is_time(found.unit)
     words = re.split(r"[\W_]+", stem.casefold())
     return is_time and bool({"time", "zeit", "timestamp"} & set(words))
+
+
+def _is_unit_of_time(_: Table, column: str) -> bool:
+    """Whether a column is called by a unit of time alone: `ms`, `sec`."""
+    return column.strip().casefold() in _UNIT_NAMES
 
 
 def _date_and_clock(table: Table) -> tuple[str, str] | None:

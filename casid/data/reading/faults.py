@@ -38,6 +38,7 @@ class ColumnSurvey:
     Ts : sample time [s] of its values, longer than the file's where only every k-th row has one;
         None where there are no time stamps, or they are irregular.
     remarks : sentences: constant, a copy of another column, cells without a value ...
+    written : the unit as the file has it where it cannot be read in one way; empty otherwise.
     """
 
     name: str
@@ -45,6 +46,7 @@ class ColumnSurvey:
     kind: Kind
     Ts: float | None
     remarks: tuple[str, ...] = ()
+    written: str = ""
 
 
 @dataclass(slots=True)
@@ -58,6 +60,7 @@ class Survey:
     columns : every column of the file, in order; empty where the file is no table.
     clock : name of the time column; None where there is none.
     notes : what was read and how, where it is not plain: time stamps, lines that are not read ...
+    units : channel -> the unit in which the file has it.
     """
 
     path: Path
@@ -67,6 +70,7 @@ class Survey:
     columns: tuple[ColumnSurvey, ...] = ()
     clock: str | None = None
     notes: list[str] = field(default_factory=list)
+    units: dict[str, str] = field(default_factory=dict)
 
     def with_fault(self, fault: Fault) -> Survey:
         """Itself, one fault more noted."""

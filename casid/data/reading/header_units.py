@@ -67,7 +67,7 @@ _READINGS = {
     "Kn": ("kN", "kn"),
     "KT": ("kn", "t"),
     "kt": ("kn", "t"),
-    "nm": ("nmi", "N m", "um"),
+    "nm": ("nmi", "N m", "nanometre"),
     "NM": ("nmi", "N m"),
     "nM": ("nmi", "N m"),
     "T": ("t", "s", "tesla"),
@@ -76,6 +76,7 @@ _READINGS = {
     "lbs": ("lbm", "lbf"),
     "grad": ("deg", "degC"),
 }
+_LIKELY = {"1/min": "rpm", "min-1": "rpm", "min^-1": "rpm", "/min": "rpm"}
 _TWO_FOLD = {
     "grad": "deg (degree of angle) or degC (degree Celsius)",
     "1/min": "rpm (revolutions a minute) or rad/min",
@@ -173,6 +174,14 @@ def settled(found: HeaderUnit, target: str) -> str | None:
     readings = _READINGS.get(found.text) or _READINGS.get(found.text.casefold(), ())
     fits = [u for u in readings if same_dimension(u, target)]
     return fits[0] if len(fits) == 1 else None
+
+
+def likely_reading(text: str) -> str | None:
+    """The reading of an ambiguous unit that a draft may take, to be checked; None for none.
+
+    Revolutions a minute are what tachometers show.
+    """
+    return _LIKELY.get(text)
 
 
 def looks_like_unit(cell: str) -> bool:

@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 from casid.arrays import BoolArray, FloatArray
 from casid.data.reading.absent_rows import EvenClock, even_clock
 from casid.data.reading.cells import non_finite, numbers_of, stands_for_none, times_of
-from casid.data.reading.clocks import UNIFORM, jitter_text, time_faults, window_rows
+from casid.data.reading.clocks import (
+    UNIFORM,
+    jitter_text,
+    repeated_rows,
+    time_faults,
+    window_rows,
+)
 from casid.data.reading.column_survey import column_surveys
 from casid.data.reading.columns import Columns, ColumnSpec, Time, resolve, time_unit
 from casid.data.reading.faults import Fault, Survey
@@ -98,7 +104,7 @@ def survey(
     opened = _with_united_rows(opened, found, options, describe=describe)
     if describe:
         found.columns = column_surveys(opened.table, opened.frame, found.clock, found.times)
-    rows: NDArray[np.intp] = np.arange(len(opened.frame))
+    rows = _rows_read_once(opened, found)
     if found.times is not None and window is not None:
         inside = window_rows(source.name, found.times, window, found)
         found.times = None if inside is None else found.times[inside]
@@ -198,6 +204,21 @@ def _with_united_rows(
     united.frame.insert(0, clock.column, united.times)
     united.columns.insert(0, clock.column)
     return opened._replace(table=united, frame=united.frame)
+
+
+def _rows_read_once(opened: _Opened, found: Survey) -> NDArray[np.intp]:
+    """All rows but those that repeat the one before, which are left out of the stamps, too."""
+    rows: NDArray[np.intp] = np.arange(len(opened.frame))
+    again = repeated_rows(opened.frame, found.times) if found.times is not None else None
+    if again is None or found.times is None:
+        return rows
+    count, first = int(again.sum()), opened.table.place(int(np.argmax(again)))
+    found.notes.append(
+        f"{count} row{'' if count == 1 else 's'} repeat{'s' if count == 1 else ''} the one before, "
+        f"stamp and all, {'at' if count == 1 else 'first at'} {first}: read once"
+    )
+    found.times = found.times[~again]
+    return rows[~again]
 
 
 def _compare_clocks(
@@ -330,7 +351,7 @@ def _channels(
         unit, target = spec.unit or "1", spec.target
         channels.values[channel] = to_si(numbers, unit, target)
         kept = target if target and parse_unit(target).is_si else si_unit(unit)
-        channels.units[channel] = kept
+        channels.units[channel], found.units[channel] = kept, unit
         steps.append(
             f"column {spec.column} [{unit}] to {channel} [{kept}]{conversion_text(unit)}"
             + (f"; unit {spec.origin}" if spec.origin else "")

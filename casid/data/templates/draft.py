@@ -161,8 +161,8 @@ class Draft:
     def _doubt(self, role: str) -> str:
         """What is not sure about the column of a signal."""
         channel = self.columns[role]
-        if channel.unit is None:
-            return f"the file gives no unit; taken as {self.roles[role].units[0]}"
+        if channel.unit is None or channel.doubt:
+            return f"{channel.doubt or 'the file gives no unit'}; taken as {self.unit(role)}"
         rivals = [
             other.column
             for other in self.file.channels
@@ -205,7 +205,7 @@ class Draft:
             lines.append("    # columns beside the model's: candidates for what it leaves out")
             lines.append("    recorded={")
             for label, channel in beside.items():
-                doubt = "" if channel.unit else f"  {CHECK}the file gives no unit"
+                doubt = f"  {CHECK}{channel.doubt}" if channel.doubt else ""
                 unit = si_unit(channel.unit or "1")
                 lines.append(f"        {quoted(label)}: {quoted(unit)},{doubt}")
             lines.append("    },")

@@ -14,9 +14,9 @@ import numpy as np
 
 from casid.arrays import FloatArray
 from casid.data.reading.columns import ColumnSpec
-from casid.data.reading.faults import Survey
+from casid.data.reading.faults import ColumnSurvey, Survey
 from casid.data.reading.file_format import FileFormat
-from casid.data.reading.header_units import header_unit
+from casid.data.reading.header_units import header_unit, likely_reading
 from casid.data.reading.sources import limit_text, source_of
 from casid.data.reading.survey import ReadingOptions, survey
 from casid.data.record import Record
@@ -39,12 +39,14 @@ class FileChannel:
     name : an identifier made of the column's name without its unit.
     unit : in which the file is written; None where the file does not say.
     values : (N,) samples, SI units; missing ones joined by straight lines.
+    doubt : what is not sure about the unit; empty where the file says it in one way.
     """
 
     name: str
     column: str
     unit: str | None
     values: FloatArray
+    doubt: str = "the file gives no unit"
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -151,7 +153,9 @@ def file_channels(
     unusable = [f for f in columns.faults if f.kind in {"file", "unit", "length", "window"}]
     if unusable or columns.times is None:
         raise DataError(str((unusable or columns.faults)[0]))
-    units_of = {c.name: c.unit for c in columns.columns if c.kind == "numeric"} | dict(units)
+    given = dict(units)
+    numeric = {c.name: c for c in columns.columns if c.kind == "numeric"}
+    units_of = {n: c.unit or likely_reading(c.written) for n, c in numeric.items()} | given
     specs = {column: ColumnSpec(column, unit or "1") for column, unit in units_of.items()}
     options = ReadingOptions(columns.clock, window, mark_missing=True, form=form)
     record, resampled = _record(path, specs, columns, options)
@@ -164,10 +168,22 @@ def file_channels(
             continue
         name = free_name(identifier(stem_of(column)), {c.name for c in channels})
         known = unit_aliases().get(unit, unit) if unit is not None else None
-        channels.append(FileChannel(name, column, known, record.filled(column)))
+        doubt = "" if column in given else _doubt(numeric[column])
+        channels.append(FileChannel(name, column, known, record.filled(column), doubt))
     return FileChannels(
         path, window, tuple(channels), columns.clock, record.Ts, record.N, left_out, resampled, form
     )
+
+
+def _doubt(column: ColumnSurvey) -> str:
+    """What is not sure about the unit of a column, as the file has it."""
+    if column.unit is not None:
+        return ""
+    if not column.written:
+        return "the file gives no unit"
+    if likely_reading(column.written) is not None:
+        return f"the file's unit {column.written!r} is ambiguous"
+    return f"the file's unit {column.written!r} cannot be read"
 
 
 def _record(

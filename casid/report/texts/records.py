@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from casid.data.channel_quality import ChannelCheck, Finding
 from casid.data.fir_filter import FirFilter
 from casid.data.quality import CheckReport
 from casid.data.record import Record
+from casid.model.units import difference_from_si, from_si, to_si
 from casid.report.document import Document, Labelled, Table
 
 
@@ -30,20 +34,37 @@ def check_document(found: CheckReport) -> Document:
         parts.append(("intervals", text))
     if found.channels:
         head = "channel,unit,min,max,mean,rms,noise,step,run,band [Hz]".split(",")
-        rows = [
-            (
-                c.name,
-                c.unit,
-                *map(_number, (c.minimum, c.maximum, c.mean, c.rms, c.noise, c.step)),
-                str(c.longest_run),
-                _number(c.bandwidth_hz),
-            )
-            for c in found.channels
-        ]
-        parts.append(Table(head, rows, numbers=range(2, 10)))
+        parts.append(Table(head, [_row(c) for c in found.channels], numbers=range(2, 10)))
     parts.append("  findings" if found.findings else "  findings   none")
-    parts += [f"    {finding}" for finding in found.findings]
+    parts += [f"    {text}" for text in _findings(found.findings)]
     return Document(f"Check of {found.name}", parts, label=11)
+
+
+def _row(c: ChannelCheck) -> tuple[str, ...]:
+    """The numbers of a channel in the unit of the file; an rms about the zero of that unit."""
+    unit, rms = c.shown_in, None
+    zero = float(to_si(0.0, unit)) if unit != c.unit else 0.0
+    if c.rms is not None and c.mean is not None:
+        rms = math.sqrt(max(c.rms**2 - 2 * zero * c.mean + zero**2, 0.0))
+    values = (
+        None if x is None else float(from_si(x, unit)) for x in (c.minimum, c.maximum, c.mean)
+    )
+    steps = (
+        None if x is None else float(difference_from_si(x, unit)) for x in (rms, c.noise, c.step)
+    )
+    numbers = map(_number, [*values, *steps])
+    return (c.name, unit, *numbers, str(c.longest_run), _number(c.bandwidth_hz))
+
+
+def _findings(findings: Sequence[Finding]) -> list[str]:
+    """The findings as text, one of several channels where they are the same of each."""
+    same: dict[tuple[str, str, str], list[Finding]] = {}
+    for f in findings:
+        same.setdefault((f.severity, f.text, f.remedy), []).append(f)
+    return [
+        str(replace(alike[0], channel=", ".join(f.channel for f in alike if f.channel) or None))
+        for alike in same.values()
+    ]
 
 
 def _number(x: float | None) -> str:

@@ -309,7 +309,7 @@ KINDS = [
     Kind("no time column", table("x,F [N],phi [deg]"),
          refused="no time column found among x, F", remedy="--sample-time 0.01"),
     Kind("no time column, sample time given", table("x,F [N],phi [deg]"), options=form(Ts=0.5)),
-    Kind("time going backwards", table(times=[*T[:6], *T[:6]]), refused="runs backward 1 times",
+    Kind("time going backwards", table(times=[*T[:6], *T[:6]]), refused="runs backward once",
          remedy="cut it where the clock was reset"),
     Kind("gap", table(times=[*T[:6], *(T[6:] + 9)]), refused="1 gap longer", remedy="--resample"),
     Kind("two clocks", "\n".join(["t,F [N],t,phi [deg]"]
@@ -336,7 +336,7 @@ KINDS = [
     Kind("a unit of two readings", table("t,F [KN],phi [deg]"),
          refused=r"ambiguous: 'KN' may mean kN \(kilonewton\) or kn \(knot\)", remedy=":UNIT"),
     Kind("revolutions or radians a minute", table("t,n [1/min],phi [deg]"),
-         refused="rpm .revolutions a minute. or rad/min", remedy=":UNIT"),
+         refused="rpm .revolutions a minute. or rad/min", remedy=":rpm"),
     # ------------------------------------------------------------------ no tables
     Kind("empty file", "", refused="the file is empty", remedy="Export the measurement again"),
     Kind("one row", table(rows=1), refused="1 sample; a record needs at least 2", remedy="longer"),

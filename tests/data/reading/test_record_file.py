@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 
 import numpy as np
 import pytest
@@ -266,7 +267,7 @@ def test_a_window_outside_the_record_is_refused_with_the_record_s_own_span(csv):
         ("t,y\n0,1\n\n1,\n2,inf\n", r"'y'.*2 samples.*1 empty or NaN, 1 Inf.*line 4", "mark_miss"),
         (
             "t,y\n0,1\n1,2\n1,3\n0,2\n2,4\n",
-            "stands still 1 times.*backward 1 times.*line 4",
+            "stands still once.*runs backward once.*line 4",
             "Sort",
         ),
     ],
@@ -438,10 +439,41 @@ def test_resampling_meets_straight_lines_exactly_and_never_overshoots():
 
 
 def test_doubled_stamps_are_refused_even_when_resampling(csv):
-    with pytest.raises(DataError, match="stands still 1 times.*drop doubled rows"):
+    with pytest.raises(DataError, match="stands still once.*drop doubled rows"):
         read_record(csv("t,y\n0,1\n1,2\n1,3\n2,4\n"), resample=1.0)
     with pytest.raises(DataError, match="resample = -1.*positive"):
         read_record(csv("t,y\n0,1\n1,2\n"), resample=-1.0)
+
+
+def test_a_row_that_is_there_twice_is_read_once(csv):
+    """Stamp and values alike it says nothing new; which of two different rows counts is unknown."""
+    once = read_record(csv("t,y\n0,1\n1,2\n2,4\n3,5\n"))
+    twice = read_record(csv("t,y\n0,1\n1,2\n1,2\n2,4\n3,5\n3,5\n"))
+    assert np.array_equal(twice["y"], once["y"])
+    assert (twice.Ts, twice.t0, twice.N) == (once.Ts, once.t0, once.N)
+    assert any("2 rows repeat the one before" in step for step in twice.provenance)
+    assert any("line 4" in step for step in twice.provenance)
+    with pytest.raises(DataError, match="stands still 2 times"):
+        read_record(csv("t,y\n0,1\n1,2\n1,2\n1,3\n2,4\n"))
+
+
+@pytest.mark.parametrize(("header", "step"), [("ms", 1e-3), ("us", 1e-6), ("sec", 1.0)])
+def test_a_clock_may_be_called_by_its_unit_alone(csv, header, step):
+    assert read_record(csv(f"{header},y\n0,1\n1,2\n2,4\n")).Ts == pytest.approx(step)
+
+
+def test_a_clock_called_time_has_precedence_over_a_column_called_by_a_unit(csv):
+    record = read_record(csv("time,ms,y\n0,7,1\n1,9,2\n2,8,4\n"))
+    assert record.Ts == 1.0
+    assert "ms" in record
+
+
+def test_a_unit_of_two_readings_is_refused_with_the_option_to_copy(csv):
+    text = "t,n [1/min]\n0,1\n1,2\n"
+    with pytest.raises(DataError, match=re.escape("--map 'speed=n [1/min]:rpm'")):
+        read_record(csv(text), {"speed": ("n [1/min]", None, "rad/s")})
+    with pytest.raises(DataError, match=re.escape("--map 'mass=m [KN]:UNIT'")):
+        read_record(csv("t,m [KN]\n0,1\n1,2\n"), {"mass": "m [KN]"})
 
 
 def test_what_is_not_finite_is_marked_missing_on_request(csv):

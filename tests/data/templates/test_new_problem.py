@@ -70,6 +70,17 @@ def test_what_is_a_guess_is_marked_and_listed_with_its_line(tmp_path: Path) -> N
     assert all(f"line {n}: {what}" in str(found) for n, what in found.checks.items())
 
 
+def test_a_speed_in_1_per_min_is_taken_as_revolutions_to_be_checked(tmp_path: Path) -> None:
+    data = written_for(tmp_path, "time [s],push [N],n [1/min],m [KN]", *waves(3))
+    found = casid.new_problem(data, "free", tmp_path / "free.py")
+    text = (tmp_path / "free.py").read_text(encoding="utf-8")
+    assert '"n": "n [1/min]:rpm"' in text
+    checks = "\n".join(found.checks.values())
+    assert "the file's unit '1/min' is ambiguous; taken as rpm" in checks
+    assert "the file's unit 'KN' cannot be read; taken as 1" in checks
+    assert "gives no unit" not in checks
+
+
 def test_the_user_names_what_is_guessed_wrong(tmp_path: Path) -> None:
     data = written_for(tmp_path, "time [s],a [m],b [m],push [N]", *waves(3))
     assert casid.new_problem(data, "mass-spring-damper").channels["position"] == "'a [m]' [m]"
