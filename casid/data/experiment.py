@@ -28,12 +28,16 @@ class Experiment(Viewed, PickledByFields):
     unused : mapping of channel to column
         Channels of the record that are columns of its file which the problem does not use; the
         diagnosis tests them as missing inputs.
+    window : int
+        Samples that are simulated from one initial state, each such window of the record from its
+        own; 0: the whole record from one. For unstable models, which no record is simulated with.
     """
 
     record: Record
     known: Mapping[str, float] = field(default_factory=dict)
     name: str = ""
     unused: Mapping[str, str] = field(default_factory=dict)
+    window: int = 0
 
     def __post_init__(self) -> None:
         if not isinstance(self.record, Record):

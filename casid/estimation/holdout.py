@@ -17,6 +17,7 @@ from casid.estimation.estimate import RecordView
 from casid.estimation.simulation.initial_state import fit_initial_state
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.signals import Signals, signals_of
+from casid.estimation.simulation.simulation_error import window_cuts
 from casid.model.model import Model
 from casid.model.quantities import percent_text
 
@@ -51,7 +52,7 @@ class Split:
         def marked(e: Experiment, mask: Array) -> Experiment:
             if not mask.any():
                 return e
-            return Experiment(e.record.mark_missing(channel, mask), e.known, e.name)
+            return replace(e, record=e.record.mark_missing(channel, mask))
 
         whole = [marked(e, m) for e, m in zip(self.whole, masks, strict=True)]
         fitted = [marked(f, m[: f.record.N]) for f, m in zip(self.fitted, masks, strict=True)]
@@ -88,7 +89,7 @@ def split_records(
         masks.append(np.arange(r.N) >= keep)
         if keep < r.N:
             part = r.between(r.t0, r.t0 + (keep - 0.5) * r.Ts)
-            fitted.append(Experiment(replace(part, name=r.name), e.known, e.name))
+            fitted.append(replace(e, record=replace(part, name=r.name)))
         else:
             fitted.append(e)
     return Split(fitted, list(experiments), masks, [])
@@ -97,40 +98,50 @@ def split_records(
 def whole_simulation(fit: Fit, split: Split, index: int) -> tuple[Signals, Array, Array]:
     """A fitted record simulated to its end: signals, outputs (N, ny), states (N, nx).
 
-    The end of a record of an unstable model, fitted in segments, is simulated `in_windows`.
+    The end of a record of an unstable model, fitted in segments or windows, is simulated
+    `in_windows`.
     """
     d = signals_of(fit.criterion.model, split.whole[index])
     with np.errstate(all="ignore"):
         y, x, _ = fit.criterion.simulate(fit.x, index, signals=d)
     held = split.held[index]
-    if fit.criterion.segments > 1 and held.any():
-        tail = Experiment(_tail(split.whole[index].record, held), split.whole[index].known, "")
-        _, y[held], x[held] = in_windows(fit, tail)
+    if fit.criterion.parts(index) > 1 and held.any():
+        tail = replace(split.whole[index], record=_tail(split.whole[index].record, held), name="")
+        _, y[held], x[held] = in_windows(fit, tail, on_clock=True)
     return d, y, x
 
 
-def in_windows(fit: Fit, experiment: Experiment) -> tuple[Signals, Array, Array]:
+def in_windows(fit: Fit, experiment: Experiment, *, on_clock: bool) -> tuple[Signals, Array, Array]:
     """A record that was not fitted, simulated window by window as long as a segment of the fit.
 
     Each begins in a state estimated from the window alone. A simulation of an unstable model over
     more than that says nothing: it leaves the record whatever the parameters are.
     """
-    model, record = fit.criterion.model, experiment.record
-    d = signals_of(model, experiment)
-    y, x = np.empty(d.y.shape), np.empty((d.N, len(model.states)))
-    windows = max(d.N // window_length(fit), 1)
-    for part in np.array_split(np.arange(d.N), windows):
-        first, last = record.t0 + (part[[0, -1]] + [-0.5, 0.5]) * record.Ts
-        ends = (first if part[0] else -np.inf, last if part[-1] < d.N - 1 else np.inf)
-        piece = Experiment(record.between(*ends), experiment.known, experiment.name)
-        nowhere = dict.fromkeys(model.states, np.nan)
-        _, y[part], x[part] = _simulated_apart(fit, piece, on_clock=True, near=nowhere)
-    return d, y, x
+    model, windowed = fit.criterion.model, replace(experiment, window=window_length(fit))
+    nowhere = dict.fromkeys(model.states, np.nan)
+    return _simulated_apart(fit, windowed, on_clock=on_clock, near=nowhere)
 
 
 def window_length(fit: Fit) -> int:
-    """Samples of a segment of the fit."""
-    return max(max(d.N for d in fit.criterion.data) // fit.criterion.segments, 2)
+    """Samples of a segment or window of the fit."""
+    criterion = fit.criterion
+    return max(*(d.N // criterion.parts(e) for e, d in enumerate(criterion.data)), 2)
+
+
+def restarts(fit: Fit, split: Split) -> list[Array]:
+    """Of every record, those apart last: the samples at which its simulation starts anew."""
+    criterion, window, out = fit.criterion, window_length(fit), []
+    for e, held in enumerate(split.held):
+        starts = criterion.starts_anew(e)
+        if len(starts) and held.any():
+            first, n = int(np.argmax(held)), int(held.sum())
+            tail = first + window_cuts(n, window)[:-1]
+            starts = np.concatenate([starts, tail])
+        out.append(starts)
+    is_cut = any(len(starts) for starts in out)
+    none = np.zeros(0, dtype=int)
+    apart = [window_cuts(e.record.N, window)[1:-1] if is_cut else none for e in split.apart]
+    return [*out, *apart]
 
 
 def simulate_apart(
@@ -148,8 +159,8 @@ def simulate_apart(
     near : of such an end the state that the simulation of the whole record has there. The search
         may begin at it, and what the model says of the state that records begin in says nothing.
     """
-    if fit.criterion.segments > 1:
-        return in_windows(fit, experiment)
+    if any(fit.criterion.parts(e) > 1 for e in range(len(fit.criterion.data))):
+        return in_windows(fit, experiment, on_clock=on_clock)
     return _simulated_apart(fit, experiment, on_clock=on_clock, near=near)
 
 
@@ -211,7 +222,7 @@ def held_out_error(fit: Fit, split: Split, *, anew: bool = False) -> Array:
     parts = []
     for i, (e, mask) in enumerate(zip(split.whole, split.held, strict=True)):
         if anew and mask.any():
-            tail = Experiment(_tail(e.record, mask), e.known, e.name)
+            tail = replace(e, record=_tail(e.record, mask))
             there = whole_simulation(fit, split, i)[2][int(np.argmax(mask))]
             near = dict(zip(fit.criterion.model.states, there.tolist(), strict=False))
             d, y, _ = simulate_apart(fit, tail, on_clock=True, near=near)

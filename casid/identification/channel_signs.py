@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from casid.data.record import Record
 
 def negated(experiments: Sequence[Experiment], channel: str) -> list[Experiment]:
     """The experiments with one channel negated."""
-    return [Experiment(_negated(e.record, channel), e.known, e.name) for e in experiments]
+    return [replace(e, record=_negated(e.record, channel)) for e in experiments]
 
 
 def _negated(record: Record, channel: str) -> Record:

@@ -295,7 +295,7 @@ def _most_excited(
     total = np.concatenate([[0.0], np.cumsum(moves)])
     first = int(np.argmax(total[samples:] - total[:-samples]))
     part = r.between(float(r.t[first]), float(r.t[first + samples - 1]))
-    return Experiment(replace(part, name=r.name), experiment.known, experiment.name)
+    return replace(experiment, record=replace(part, name=r.name))
 
 
 def _sum(values: Array) -> float:

@@ -18,6 +18,7 @@ from casid.diagnosis.evidence.sufficiency import (
     why_undecided,
     why_uninformative,
 )
+from casid.diagnosis.evidence.unstable_records import in_windows
 from casid.diagnosis.settings import DiagnosisSettings
 from casid.errors import CasidError, OutOfTimeError, SolveError
 from casid.estimation.holdout import Split
@@ -94,6 +95,7 @@ def fit_baseline(problem: Problem, split: Split, settings: DiagnosisSettings) ->
 def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Baseline:
     say = settings.progress
     say("fit the model as it is")
+    split, of_windows = in_windows(problem.model, split, settings.fit, say)
     negated = wrong_sign(problem, split.fitted, settings.fit, alpha=settings.alpha)
     as_recorded: Fit | None = None
     if negated is not None:
@@ -131,7 +133,7 @@ def _fitted(problem: Problem, split: Split, settings: DiagnosisSettings) -> Base
         negated=negated,
         why_undecided=undecided,
         why_doubtful="" if undecided else why_doubtful(fit, start, errors),
-        notes=notes,
+        notes=(of_windows, *notes) if of_windows else notes,
     )
 
 

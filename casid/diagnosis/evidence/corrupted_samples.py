@@ -12,7 +12,7 @@ from casid.diagnosis.evidence.plateaus import Plateaus, find_plateaus
 from casid.diagnosis.evidence.spikes import Spikes, find_spikes, starts_apart
 from casid.diagnosis.evidence.stuck_sensors import Standstills, find_standstills
 from casid.diagnosis.thresholds import OUTLIERS
-from casid.estimation.holdout import Split, simulate_apart, whole_simulation
+from casid.estimation.holdout import Split, restarts, simulate_apart, whole_simulation
 from casid.estimation.simulation.minimization import Fit
 
 
@@ -41,6 +41,7 @@ class _Simulated:
     simulated: list[Array]
     used: list[Array]
     inputs: list[Array]  # (N, nu), those recorded
+    anew: list[Array]  # samples at which the simulation starts anew
 
     @property
     def residuals(self) -> list[Array]:
@@ -53,6 +54,14 @@ class _Simulated:
     def inputs_used(self) -> list[Array]:
         """The inputs at those samples."""
         return [d[u] for d, u in zip(self.inputs, self.used, strict=True)]
+
+    @property
+    def anew_among_used(self) -> list[Array]:
+        """The samples, of those that there are, at which the simulation starts anew."""
+        return [
+            np.array([int(u[:k].sum()) for k in starts if u[:k].any() and u[k:].any()], dtype=int)
+            for u, starts in zip(self.used, self.anew, strict=True)
+        ]
 
     def in_records(self, masks: Sequence[Array]) -> list[Array]:
         """Masks of those samples as masks (N,) of the records."""
@@ -100,7 +109,11 @@ def without_corrupted(
                 first += sum(int(mask.sum()) for mask in early)
                 split = at.left_out(split, channel, early)
             found = find_spikes(
-                channel, at.residuals, OUTLIERS.test_share * alpha, inputs=at.inputs_used
+                channel,
+                at.residuals,
+                OUTLIERS.test_share * alpha,
+                inputs=at.inputs_used,
+                anew=at.anew_among_used,
             )
             if found is not None:
                 masks = tuple(at.in_records(found.masks))
@@ -169,6 +182,7 @@ def _channel(fit: Fit, split: Split, i: int) -> _Simulated:
         [y[:, i] for _, y, _ in runs],
         [d.used[:, i].copy() for d, _, _ in runs],
         [d.u[:, recorded] for d, _, _ in runs],
+        restarts(fit, split),
     )
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -63,6 +63,7 @@ class Path:
     D: Array  # (N, ny, nb)
     inputs: Array  # (N, nx, nu): B0 + B1 of the model's own inputs
     feedthrough: Array  # (N, ny, nu)
+    anew: Array = field(default_factory=lambda: np.zeros(0, dtype=int))  # states of their own
 
     def respond(self, balance: int, force: Array) -> Array:
         """Outputs (N, ny, m) to m forces (N, m) in one balance."""
@@ -166,6 +167,9 @@ class Linearised:
         found = function.map(n)(states.T, u.T, ahead.T, np.tile(p[:, None], (1, n)))
         a, b0, b1, c, d = (np.array(m).reshape(m.shape[0], n, -1).transpose(1, 0, 2) for m in found)
         own = u.shape[1] - nb
+        anew = criterion.starts_anew(experiment)
+        for step in (a, b0, b1):
+            step[anew - 1] = 0.0  # into a state that no earlier one determines
         return Path(
             a,
             b0[:, :, own:],
@@ -174,6 +178,7 @@ class Linearised:
             d[:, :, own:],
             (b0 + b1)[:, :, :own],
             d[:, :, :own],
+            anew,
         )
 
     def _derivatives(self, Ts: float) -> Any:

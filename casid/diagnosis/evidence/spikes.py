@@ -46,6 +46,7 @@ def find_spikes(
     alpha: float,
     *,
     inputs: Sequence[Array] = (),
+    anew: Sequence[Array] = (),
     largest_share: float = OUTLIERS.largest_share,
 ) -> Spikes | None:
     """Samples that differ from both neighbours more than noise ever would.
@@ -57,10 +58,14 @@ def find_spikes(
     the central 98 %, so that quantised records (many equal samples) do not count as noise-free.
 
     `inputs` (N, nu) of each record, where given: spikes that follow their steps are left alone.
+    `anew`, where given: the samples of each record at which its simulation starts anew; what jumps
+    there is no spike.
     Returns None where there are none, or so many that they are not exceptions.
     """
     total = sum(len(r) for r in residuals)
     differences = [_from_neighbours(r) for r in residuals]
+    for d, starts in zip(differences, anew, strict=False):
+        d[starts], d[starts - 1] = 0.0, 0.0
     long = [d for d in differences if len(d) >= OUTLIERS.shortest]
     if not long:
         return None

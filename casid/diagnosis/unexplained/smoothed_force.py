@@ -265,6 +265,7 @@ def _smooth(
     R = noise.output_sd**2 + np.sum((path.feedthrough * sd) ** 2, axis=2)  # (N, ny)
     spread = np.mean(at.x[: d.N] ** 2, axis=0)
     P0 = np.diag(np.append(np.maximum(spread, 1e-12), variance))
+    Q[path.anew - 1, :nx, :nx] = P0[:nx, :nx]
     z, P = _rauch_tung_striebel(F, Q, H, R, at.residual, d.used, P0)
     return ForceSeries(d.name, d.t, z, np.sqrt(np.maximum(P, 0.0)))
 

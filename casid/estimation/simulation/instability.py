@@ -35,10 +35,26 @@ def segments_for(criterion: SimulationError) -> int:
 
     1 too where the records are too short for so many.
     """
-    rate = growth_rate(criterion)
-    growth = rate * max(d.N * d.Ts for d in criterion.data)
+    growth = growth_rate(criterion) * max(d.N * d.Ts for d in criterion.data)
     if growth < INSTABILITY.growth:
         return 1
-    least = max(INSTABILITY.samples, 4 * len(criterion.model.states))
-    most = min(d.N for d in criterion.data) // least
+    most = min(d.N for d in criterion.data) // _fewest_samples(criterion)
     return int(max(1, min(np.ceil(growth / INSTABILITY.per_segment), most, INSTABILITY.most)))
+
+
+def window_for(criterion: SimulationError) -> int:
+    """Samples over which errors grow little, the window of every record; 0 where none is needed.
+
+    Longer where a record would have more windows than segments are allowed.
+    """
+    rate = growth_rate(criterion)
+    if rate * max(d.N * d.Ts for d in criterion.data) < INSTABILITY.growth:
+        return 0
+    within = min(INSTABILITY.per_window / (rate * d.Ts) for d in criterion.data)
+    least = max(d.N for d in criterion.data) // INSTABILITY.most + 1
+    return int(max(within, least, _fewest_samples(criterion)))
+
+
+def _fewest_samples(criterion: SimulationError) -> int:
+    """Samples of a segment or window, at least: it has states to estimate."""
+    return max(INSTABILITY.samples, 4 * len(criterion.model.states))

@@ -4,7 +4,8 @@
 
 over shared parameters, parameters of each experiment and initial states, as an NLP. With one
 segment an experiment this is single shooting; with more it is multiple shooting, whose segments
-are tied by equality constraints (Bock 1983). One pass over the data gives value, gradient and
+are tied by equality constraints (Bock 1983). An experiment with windows starts each of them in a
+state of its own, and no constraint ties them. One pass over the data gives value, gradient and
 Gauss-Newton matrix; nothing in the NLP grows with the number of samples.
 """
 
@@ -36,6 +37,11 @@ from casid.model.model import Model
 Whitener = Callable[[Array, int], Array]  # ((N, ny, m) columns, experiment) -> same shape
 
 
+def window_cuts(N: int, window: int) -> Array:
+    """(windows + 1,) where windows of about `window` samples begin, and N."""
+    return np.linspace(0, N, max(N // window, 1) + 1).astype(int)
+
+
 def _place(jac: Array, dy: Array, index: Array) -> None:
     """Columns of `dy` to the places that `index` gives, -1 for none; some rows at a time."""
     keep = index >= 0
@@ -64,7 +70,7 @@ class SimulationError:
     own : names of parameters that every experiment has for itself.
     weights : (ny,) one over the size of each output's error; default one over its spread.
     whiten : turns (N, ny, m) columns of experiment e into white ones; applied after `weights`.
-    segments : shooting segments an experiment.
+    segments : shooting segments an experiment; one with windows has these in their place.
     """
 
     def __init__(
@@ -184,13 +190,13 @@ class SimulationError:
         for e in range(len(self.data)):
             with np.errstate(all="ignore"):
                 states = self.simulate(self.start, e)[1]
-            low, high = states.min(axis=0), states.max(axis=0)
-            index = self._index[e][0][len(self.free) :]
-            for i, a, b in zip(index.tolist(), low.tolist(), high.tolist(), strict=True):
-                if i >= 0 and np.isfinite(b - a) and b > a:
-                    v = self.variables[i]
-                    lower, upper = max(v.lower, 2 * a - b), min(v.upper, 2 * b - a)
-                    self.variables[i] = replace(v, lower=lower, upper=upper)
+            low, high = states.min(axis=0).tolist(), states.max(axis=0).tolist()
+            for part in self._index[e]:
+                for i, a, b in zip(part[len(self.free) :].tolist(), low, high, strict=True):
+                    if i >= 0 and np.isfinite(b - a) and b > a:
+                        v = self.variables[i]
+                        lower, upper = max(v.lower, 2 * a - b), min(v.upper, 2 * b - a)
+                        self.variables[i] = replace(v, lower=lower, upper=upper)
 
     def _state_scale(self, name: str) -> float:
         state = self.model.states[name]
@@ -217,9 +223,9 @@ class SimulationError:
         unknowns.add_shared()
         for e, d in enumerate(self.data):
             place = unknowns.add_own(e, clip=True)
-            cuts = np.linspace(0, d.N, self.segments + 1).astype(int)
+            cuts = np.linspace(0, d.N, self.parts(e) + 1).astype(int)
             rows = []
-            for i in range(self.segments):
+            for i in range(self.parts(e)):
                 local = [place.get(f, -1) for f in self.free]
                 for name, state in self.model.states.items():
                     if i == 0 and state.initial is not None:
@@ -245,6 +251,15 @@ class SimulationError:
     variables: ClassVar[Grouped[list[Variable]]] = Grouped("unknowns")  # The NLP's variables
     names: ClassVar[Grouped[tuple[str, ...]]] = Grouped("unknowns")  # Names of the NLP's variables
     start: ClassVar[Grouped[Array]] = Grouped("unknowns")  # (n,) start values
+
+    def parts(self, experiment: int) -> int:
+        """Segments or windows of one experiment, each of which starts in a state of its own."""
+        window = self.experiments[experiment].window
+        return len(window_cuts(self.data[experiment].N, window)) - 1 if window else self.segments
+
+    def starts_anew(self, experiment: int) -> Array:
+        """(parts - 1,) the samples at which the simulation of one experiment starts anew."""
+        return np.asarray(self._cuts[experiment][1:-1])
 
     @property
     def n_constraints(self) -> int:

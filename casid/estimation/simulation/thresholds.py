@@ -15,6 +15,7 @@ _FIT = "tests/estimation/simulation/test_fit.py"
 _AGREEMENT = "tests/estimation/simulation/test_record_agreement.py"
 _FILTER = "tests/estimation/prediction_error/test_extended_likelihood.py"
 _UNSTABLE = "tests/identification/test_unstable.py"
+_WINDOWS = "tests/diagnosis/evidence/test_unstable_records.py"
 _LOOP = "tests/estimation/test_feedback.py"
 _GAPS = "tests/estimation/simulation/test_missing_samples.py"
 
@@ -107,6 +108,13 @@ class Instability:
         _UNSTABLE,
     )
     per_segment: float = _is(3.0, "the same over a segment: 20 times", _UNSTABLE)
+    per_window: float = _is(
+        5.0,
+        "the same over a window of a diagnosis: a state wrong by a hundredth ends as wrong as the "
+        "motion is large; no constraint ties windows, so that shorter ones leave fewer samples "
+        "for each of their states",
+        _WINDOWS,
+    )
     samples: int = _is(10, "of a segment, at least", _UNSTABLE)
     most: int = _is(200, "segments a record: each has initial states to estimate", _UNSTABLE)
 
