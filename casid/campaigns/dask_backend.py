@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 PATIENCE = 60.0
@@ -49,29 +49,32 @@ def outliving_workers() -> Iterator[None]:
         future.add_done_callback(report)
         return future
 
-    ended = threading.Event()
-
-    def watch() -> None:
-        seen = time.monotonic()
-        while not ended.wait(min(2.0, PATIENCE / 4)):
-            with contextlib.suppress(Exception):  # a scheduler that does not answer has none
-                if sum(client.ncores().values()):
-                    seen = time.monotonic()
-            if time.monotonic() - seen > PATIENCE:
-                error = NoWorkersError(
-                    f"the Dask cluster has had no worker for {PATIENCE:g} s; start workers"
-                )
-                for callback in list(pending.values()):
-                    if callback is not None:
-                        callback(error)
-                return
-
     backend.submit = reporting
     backend.effective_n_jobs = lambda n_jobs: max(2, sum(client.ncores().values()))
-    watcher = threading.Thread(target=watch, name="casid-workers", daemon=True)
+    ended = threading.Event()
+    watcher = threading.Thread(
+        target=_watch, args=(client, pending, ended), name="casid-workers", daemon=True
+    )
     watcher.start()
     try:
         with joblib.parallel_config(backend=backend):
             yield
     finally:
         ended.set()
+
+
+def _watch(client: Any, pending: Mapping[Any, Any], ended: threading.Event) -> None:
+    """Fail all pending tasks once the cluster has had no worker for `PATIENCE`, until `ended`."""
+    seen = time.monotonic()
+    while not ended.wait(min(2.0, PATIENCE / 4)):
+        with contextlib.suppress(Exception):  # a scheduler that does not answer has none
+            if sum(client.ncores().values()):
+                seen = time.monotonic()
+        if time.monotonic() - seen > PATIENCE:
+            error = NoWorkersError(
+                f"the Dask cluster has had no worker for {PATIENCE:g} s; start workers"
+            )
+            for callback in list(pending.values()):
+                if callback is not None:
+                    callback(error)
+            return

@@ -137,31 +137,9 @@ def channel_quality(
     if gone:
         findings.append(_some_missing(record, name))
     if low == high:
-        findings.append(
-            Finding(
-                "warning",
-                name,
-                f"{_CONSTANT} {float(from_si(low, shown)) + 0.0:.6g} {shown}.",
-                "It excites nothing: check the sensor or the mapping, or leave it out.",
-            )
-        )
-        constant = ChannelCheck(
-            name,
-            unit,
-            low,
-            high,
-            mean,
-            rms,
-            gone,
-            0.0,
-            None,
-            record.N,
-            record.N,
-            0,
-            0.0,
-            0.0,
-            written,
-        )
+        findings.append(_constant(name, float(from_si(low, shown)), shown))
+        at_rest = (0.0, None, record.N, record.N, 0, 0.0, 0.0)
+        constant = ChannelCheck(name, unit, low, high, mean, rms, gone, *at_rest, written)
         return constant, findings
     levels = np.unique(kept)
     step, few = quantisation_step(levels), levels.size <= 10
@@ -186,6 +164,15 @@ def channel_quality(
         bandwidth, written,
     )  # fmt: skip
     return numbers, findings
+
+
+def _constant(name: str, value: float, unit: str) -> Finding:
+    return Finding(
+        "warning",
+        name,
+        f"{_CONSTANT} {value + 0.0:.6g} {unit}.",
+        "It excites nothing: check the sensor or the mapping, or leave it out.",
+    )
 
 
 def _equal_samples(

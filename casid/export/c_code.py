@@ -38,12 +38,8 @@ def write_c(fitted: FittedModel, path: Path, *, without_delays: bool = False) ->
 
 def header(plain: PlainModel, prefix: str) -> str:
     """The header: what the arrays hold, the estimated values, and the two functions."""
-    counts = {
-        "NX": len(plain.states),
-        "NU": len(plain.inputs),
-        "NY": len(plain.outputs),
-        "NP": len(plain.parameters),
-    }
+    names = {"X": plain.states, "U": plain.inputs, "Y": plain.outputs, "P": plain.parameters}
+    counts = {f"N{letter}": len(own) for letter, own in names.items()}
     memory = memory_size(plain.sampled_delays)
     if memory:
         counts["NPAST"] = memory

@@ -122,37 +122,32 @@ def assess_identifiability(
     options: Any = {"seed": seed, "error_bound": error_bound, "time_limit": time_limit}
     rank = _rank(systems, options)
     structure = _structure(rank.result, systems, limit)
-    assessment = _assessment(
-        question, systems, assuming, rank, structure, time.perf_counter() - started
-    )
+    seconds = time.perf_counter() - started
+    assessment = _assessment(question, systems, assuming, rank, structure, seconds)
     if rank.result.is_partial:
         return assessment
 
     report("other classes of inputs")
-    inputs = replace(
-        assessment.inputs,
-        by_class=by_class(systems, structure.answer, degrees, exosystems or {}, **options),
-        by_excitation=by_excitation(question, systems, assuming, **options),
-    )
+    classes = by_class(systems, structure.answer, degrees, exosystems or {}, **options)
+    excitations = by_excitation(question, systems, assuming, **options)
+    inputs = replace(assessment.inputs, by_class=classes, by_excitation=excitations)
     assessment = replace(assessment, inputs=inputs)
     if rank.result.deficiency and rank.reduced:
         assessment = _with_exclusions(assessment, rank.result.points[0])
         if symbolic:
             report("families of equivalent parameters")
-            assessment = _with_families(
-                assessment, rank.reduced, question.with_symbols(assuming), seed
-            )
+            named = question.with_symbols(assuming)
+            assessment = _with_families(assessment, rank.reduced, named, seed)
     if rank.result.deficiency and (candidates or len(systems) == 1):
         report("remedies")
         assessment = _with_remedies(assessment, systems, candidates, seed)
     elif candidates:
         note = "all parameters are identifiable, so the candidates were not compared"
         assessment = _noted(assessment, note)
-    if practical and question.problem is not None and question.experiments:
-        problem = _with_known(question.problem, assuming.known)
-        records = replace(question, problem=problem)
-        assessment = _with_records(assessment, records, profiles, report)
-    return assessment
+    if not practical or question.problem is None or not question.experiments:
+        return assessment
+    known = _with_known(question.problem, assuming.known)
+    return _with_records(assessment, replace(question, problem=known), profiles, report)
 
 
 def _check_request(

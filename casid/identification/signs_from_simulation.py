@@ -167,26 +167,22 @@ def wrong_sign(
     missing = dict.fromkeys(model.outputs, float("nan"))
     before = missing if recorded is None else _rms(recorded)
     if error.sum() >= CLEARLY * reference.sum() or p >= alpha:
-        worse: set[str] = set()
-        if recorded is not None:
-            worse = {c for c, s in squares.items() if _sum(s) >= _sum(reference)}
+        is_worse = {c for c, s in squares.items() if _sum(s) >= _sum(reference)}
+        worse = set() if recorded is None else is_worse
         return _by_reference(problem, experiments, found, before, worse, alpha)
     fit = found[best]
     assert fit is not None
     if not _rises(fit):
         return None
-    rivals = {}
-    for c, s in squares.items():
-        same = min(1.0, 2.0 * better_by_chance(s - error))
-        if c != best and s.sum() < CLEARLY * reference.sum() and same > alpha:
-            rivals[c] = same
+    better = {c: s for c, s in squares.items() if s.sum() < CLEARLY * reference.sum()}
+    same = {c: min(1.0, 2.0 * better_by_chance(s - error)) for c, s in better.items() if c != best}
     return WrongSign(
         channel=best,
         unit=_unit(model, best),
         p_value=p,
         before=before,
         after=_rms(fit),
-        rivals=rivals,
+        rivals={c: p_same for c, p_same in same.items() if p_same > alpha},
         start=fit.values,
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -75,21 +75,7 @@ def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: 
     n = len(names)
     a = [[matrix[i, j] for j in range(n)] for i in range(n)]
     b = [rhs[i] for i in range(n)]
-    symbols = ca.symvar(ca.veccat(matrix, rhs))
-    rng = np.random.default_rng(7)
-    points = [rng.uniform(0.2, 1.7, len(symbols)) for _ in range(3)]
-
-    def size(entry: Any) -> float:
-        """0 where the entry vanishes identically; larger where it is a simpler pivot."""
-        if entry.is_zero():
-            return 0.0
-        if entry.is_constant():
-            return 2.0
-        value = ca.Function("v", symbols, [entry])
-        if max(abs(float(value(*p))) for p in points) < 1e-12:
-            return 0.0
-        return 1.0 / (1.0 + ca.n_nodes(entry))
-
+    size = _pivot_size(ca.symvar(ca.veccat(matrix, rhs)))
     order: list[int] = []
     borrowed: list[str] = []  # inputs solved from a balance, which then has to be made up for
     rows = list(range(n))
@@ -113,12 +99,35 @@ def _linear_solve(matrix: Any, rhs: Any, model: str, names: list[str], n_first: 
                 factor = a[i][j] / a[best][j]
                 a[i] = [ca.SX(0) if c == j else a[i][c] - factor * a[best][c] for c in range(n)]
                 b[i] = b[i] - factor * b[best]
+    return _back_substituted([a[i] for i in order], [b[i] for i in order])
+
+
+def _pivot_size(symbols: Sequence[Any]) -> Callable[[Any], float]:
+    """0 for an entry that vanishes identically; larger for one that is a simpler pivot."""
+    rng = np.random.default_rng(7)
+    points = [rng.uniform(0.2, 1.7, len(symbols)) for _ in range(3)]
+
+    def size(entry: Any) -> float:
+        if entry.is_zero():
+            return 0.0
+        if entry.is_constant():
+            return 2.0
+        value = ca.Function("v", symbols, [entry])
+        if max(abs(float(value(*p))) for p in points) < 1e-12:
+            return 0.0
+        return 1.0 / (1.0 + ca.n_nodes(entry))
+
+    return size
+
+
+def _back_substituted(upper: Sequence[Sequence[Any]], rhs: Sequence[Any]) -> Any:
+    """The solution z (n,) of an upper triangular system, its zeros left out of the sums."""
+    n = len(rhs)
     z: list[Any] = [ca.SX(0)] * n
     for j in reversed(range(n)):
-        row = order[j]
-        total = b[row]
+        total = rhs[j]
         for c in range(j + 1, n):
-            if not a[row][c].is_zero():
-                total = total - a[row][c] * z[c]
-        z[j] = total / a[row][j]
+            if not upper[j][c].is_zero():
+                total = total - upper[j][c] * z[c]
+        z[j] = total / upper[j][j]
     return ca.vertcat(*z)

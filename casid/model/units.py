@@ -114,9 +114,8 @@ def _terms(text: str) -> _Terms:
     if cleaned in NAMES:
         return [(cleaned, Fraction(1))]
 
-    terms: _Terms = []
-    position, sign, slashes, in_denominator = 0, 1, 0, False
-    depth, expect_factor, after_quotient = 0, True, False
+    reader = _UnitReader(text)
+    position = 0
     while position < len(cleaned):
         token = _TOKEN.match(cleaned, position)
         if token is None or token.end() == position:
@@ -124,46 +123,60 @@ def _terms(text: str) -> _Terms:
                 break
             raise _malformed(text, cleaned[position:].strip())
         position = token.end()
-        operator = token.group("op")
-        if operator == "/":
-            if expect_factor or depth:
-                raise _malformed(text, "/")
-            slashes, sign, expect_factor, after_quotient = slashes + 1, -1, True, False
-        elif operator in {"*", "·", "⋅", "."}:
-            if expect_factor:
-                raise _malformed(text, operator)
-            expect_factor = True
-        elif operator == "(":
-            if depth or not expect_factor:
-                raise _malformed(text, "(")
-            depth, in_denominator = 1, sign < 0
-        elif operator == ")":
-            if not depth or expect_factor:
-                raise _malformed(text, ")")
-            depth, after_quotient = 0, in_denominator
-        elif operator == "**":
-            raise _malformed(text, "**")
-        else:
-            if after_quotient:
-                raise UnitError(
-                    f"unit {text!r} can be read in two ways: is {token.group('name')!r} above or "
-                    "below the line? Write the denominator last, in brackets where it is a "
-                    "product, for example 'N s/m' or 'N/(m s)'."
-                )
-            power = _power(token.group("power"), text)
-            name = token.group("name")
-            known = _lookup(name, text)
-            if known == "1":
-                pass
-            elif "/" in known or "^" in known:  # aliases such as degps
-                terms += [(n, p * power * sign) for n, p in _terms(known)]
-            else:
-                terms.append((known, power * sign))
-            expect_factor = False
-            after_quotient = sign < 0 and not depth
-    if depth or expect_factor:
+        reader.read(token)
+    if reader.is_in_brackets or reader.expects_factor:
         raise _malformed(text, cleaned[-1:] or cleaned)
-    return terms
+    return reader.terms
+
+
+class _UnitReader:
+    """The factors of a unit, read from left to right: products, powers and one quotient."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.terms: _Terms = []
+        self.expects_factor, self.is_in_brackets = True, False
+        self._sign = 1  # of the powers: -1 behind the slash
+        self._after_quotient = False  # a further factor might be above or below the line
+
+    def read(self, token: re.Match[str]) -> None:
+        """Take in the next operator or factor."""
+        operator = token.group("op")
+        if operator is None:
+            self._factor(token.group("name"), token.group("power"))
+            return
+        allowed = {
+            "/": not (self.expects_factor or self.is_in_brackets),
+            "(": self.expects_factor and not self.is_in_brackets,
+            ")": self.is_in_brackets and not self.expects_factor,
+            "**": False,
+        }
+        if not allowed.get(operator, not self.expects_factor):
+            raise _malformed(self.text, operator)
+        if operator == "/":
+            self._sign, self.expects_factor, self._after_quotient = -1, True, False
+        elif operator == "(":
+            self.is_in_brackets = True
+        elif operator == ")":
+            self.is_in_brackets, self._after_quotient = False, self._sign < 0
+        else:
+            self.expects_factor = True
+
+    def _factor(self, name: str, power: str | None) -> None:
+        if self._after_quotient:
+            raise UnitError(
+                f"unit {self.text!r} can be read in two ways: is {name!r} above or "
+                "below the line? Write the denominator last, in brackets where it is a "
+                "product, for example 'N s/m' or 'N/(m s)'."
+            )
+        exponent = _power(power, self.text) * self._sign
+        known = _lookup(name, self.text)
+        if "/" in known or "^" in known:  # aliases such as degps
+            self.terms += [(n, p * exponent) for n, p in _terms(known)]
+        elif known != "1":
+            self.terms.append((known, exponent))
+        self.expects_factor = False
+        self._after_quotient = self._sign < 0 and not self.is_in_brackets
 
 
 def _power(text: str | None, unit: str) -> Fraction:

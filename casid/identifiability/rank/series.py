@@ -53,6 +53,10 @@ class _Level:
     rows: slice  # of the pairs among all pairs
 
 
+def _indices(numbers: Sequence[int]) -> Array:
+    return np.array(numbers, dtype=np.int64)
+
+
 class Schedule:
     """A system's program, laid out for evaluation in arrays; independent of point and prime."""
 
@@ -80,30 +84,16 @@ class Schedule:
         level = np.zeros(program.n_nodes, dtype=np.int64)
         for n in program.order:
             level[n] = 1 + max((int(level[a]) for a in program.arguments(n)), default=0)
-        self.levels: list[_Level] = []
         self.coefficients: list[Fraction] = []
         self.constants: list[tuple[int, Fraction]] = []  # of sums: node and constant term
         self.pair_nodes: list[int] = []
         left: list[int] = []
         right: list[int] = []
         is_primitive: list[bool] = []
+        self.levels: list[_Level] = []
         for depth in range(1, int(level.max(initial=0)) + 1):
             nodes = [n for n in program.order if level[n] == depth]
-            sums: list[int] = []
-            terms: list[int] = []
-            offsets: list[int] = []
-            first = len(self.coefficients)
-            for n in (n for n in nodes if n in program.sums):
-                content = program.sums[n]
-                if ONE in content:
-                    self.constants.append((n, content[ONE]))
-                own = [(k, c) for k, c in content.items() if k != ONE]
-                if not own:
-                    continue
-                sums.append(n)
-                offsets.append(len(terms))
-                terms += [k for k, _ in own]
-                self.coefficients += [c for _, c in own]
+            sums, terms, offsets, places = self._sums(program, nodes)
             start = len(self.pair_nodes)
             for n in nodes:
                 if n in program.products:
@@ -116,22 +106,31 @@ class Schedule:
                 left.append(a)
                 right.append(b)
                 is_primitive.append(n in program.primitives)
-            end = len(self.pair_nodes)
-            self.levels.append(
-                _Level(
-                    np.array(sums, dtype=np.int64),
-                    np.array(terms, dtype=np.int64),
-                    np.array(offsets, dtype=np.int64),
-                    slice(first, len(self.coefficients)),
-                    np.array(self.pair_nodes[start:end], dtype=np.int64),
-                    np.array(left[start:end], dtype=np.int64),
-                    np.array(right[start:end], dtype=np.int64),
-                    slice(start, end),
-                )
-            )
-        self.left = np.array(left, dtype=np.int64)
-        self.right = np.array(right, dtype=np.int64)
+            rows = slice(start, len(self.pair_nodes))
+            pairs, first, second = (_indices(x[rows]) for x in (self.pair_nodes, left, right))
+            self.levels.append(_Level(sums, terms, offsets, places, pairs, first, second, rows))
+        self.left, self.right = _indices(left), _indices(right)
         self.is_primitive = np.array(is_primitive, dtype=bool)
+
+    def _sums(self, program: Program, nodes: Sequence[int]) -> tuple[Array, Array, Array, slice]:
+        """The sums among `nodes`: nodes, terms, offsets and places of a `_Level`."""
+        sums: list[int] = []
+        terms: list[int] = []
+        offsets: list[int] = []
+        first = len(self.coefficients)
+        for n in (n for n in nodes if n in program.sums):
+            content = program.sums[n]
+            if ONE in content:
+                self.constants.append((n, content[ONE]))
+            own = [(k, c) for k, c in content.items() if k != ONE]
+            if not own:
+                continue
+            sums.append(n)
+            offsets.append(len(terms))
+            terms += [k for k, _ in own]
+            self.coefficients += [c for _, c in own]
+        places = slice(first, len(self.coefficients))
+        return _indices(sums), _indices(terms), _indices(offsets), places
 
     def _moving(self, program: Program, system: System) -> Array:
         """(n_nodes,) bool: the node changes with time."""

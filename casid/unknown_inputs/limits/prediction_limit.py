@@ -7,7 +7,7 @@ covariance Q of psi_t eps_t, so that it holds for coloured residuals and biased 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypedDict, Unpack
 
@@ -165,41 +165,60 @@ def prediction_minimum(
             raise ModelError(
                 f"{name} is no coefficient of this structure; it has {', '.join(layout.names)}"
             )
-    signals = (output, *sources.values())
-    atoms = [(name, 0, True) for name in signals]
-    names = list(dict.fromkeys(signals))
-    variances = np.array(list(system.variances.values()), dtype=float)
     own = None if prefilter is None else checked_prefilter(prefilter, system)
+    variances = np.array(list(system.variances.values()), dtype=float)
     kurtosis = np.array([system.excess_kurtosis.get(n, 0.0) for n in system.externals])
+    signals = (output, *sources.values())
+
+    def criterion(points: int) -> PredictionCriterion:
+        atoms = [(name, 0, True) for name in signals]
+        G = settled_response(system, atoms, list(dict.fromkeys(signals)), own, points)
+        return PredictionCriterion(layout, G, variances)
+
+    settled, theta, higher = _settled_minimum(criterion, system, layout, tried, search)
+    eps, psi = settled.errors(theta)
+    what = f"orders {orders}: the minimum is no point; along it"
+    names = [f"d {n}" for n in layout.names]
+    inverse = solve(
+        settled.curvature(theta), np.eye(layout.n), names, what, "Lower the orders, or excite more"
+    )
+    notes = (f"{higher} of the starts ended in a higher minimum",) if higher else ()
+    return PredictionMinimum(layout, theta, eps, psi, inverse, variances, kurtosis, true, notes)
+
+
+def _settled_minimum(
+    criterion: Callable[[int], PredictionCriterion],
+    system: LinearSignals,
+    layout: Layout,
+    tried: Mapping[str, float],
+    search: MinimumSearch,
+) -> tuple[PredictionCriterion, Array, int]:
+    """The criterion on a grid so fine that responses have died out, its minimum, higher minima.
+
+    Raises
+    ------
+    SolveError
+        If they have not within 2^14 samples.
+    """
     starts: list[Array] = []
     higher = 0
     points = _first_points(system, layout)
     while True:
-        G = settled_response(system, atoms, names, own, points)
-        criterion = PredictionCriterion(layout, G, variances)
-        starts = starts or _starts(criterion, tried, search.random_starts)
-        theta, higher_now = _minimum(criterion, starts, search.solver)
+        at = criterion(points)
+        starts = starts or _starts(at, tried, search.random_starts)
+        theta, higher_now = _minimum(at, starts, search.solver)
         higher = max(higher, higher_now)
-        eps, psi = criterion.errors(theta)
-        tails = np.abs(np.fft.ifft(np.concatenate([eps, psi], axis=1), axis=0))
+        tails = np.abs(np.fft.ifft(np.concatenate(at.errors(theta), axis=1), axis=0))
         tails = np.roll(tails, system.lead, axis=0)
-        if tails[len(G) // 2 :].max() <= _DIED_OUT * tails.max():
-            break
-        points = 2 * len(G)
+        if tails[len(tails) // 2 :].max() <= _DIED_OUT * tails.max():
+            return at, theta, higher
+        points = 2 * len(tails)
         if points > 2**15:
             raise SolveError(
                 "the predictor at the minimum has a memory beyond 16 000 samples: a root of C or F "
                 "is too near the unit circle. Lower its order"
             )
         starts = [theta]
-    curvature = criterion.curvature(theta)
-    what = f"orders {orders}: the minimum is no point; along it"
-    eye = np.eye(layout.n)
-    inverse = solve(
-        curvature, eye, [f"d {n}" for n in layout.names], what, "Lower the orders, or excite more"
-    )
-    notes = (f"{higher} of the starts ended in a higher minimum",) if higher else ()
-    return PredictionMinimum(layout, theta, eps, psi, inverse, variances, kurtosis, true, notes)
 
 
 def _first_points(system: LinearSignals, layout: Layout) -> int:

@@ -91,12 +91,11 @@ def reconstruct_input(
     n = s.nx + sum(len(p.A) for p in shapes)
     pick = _inputs_of(shapes, s.nx, n)
     A, C, Q0, sources = _joint_system(s, shapes, pick, process)
-    levels = {f"noise of {o}": None if noise is None else noise.get(o) for o in s.outputs}
+    levels = {f"noise of {o}": (noise or {}).get(o) for o in s.outputs}
     levels |= {p.level: (rate or {}).get(i) for i, p in zip(s.unknown, shapes, strict=True)}
     model = _stochastic(s, A, C, Q0, sources, tuple(levels), n)
     smoother = ExtendedSmoother(model)
-    used = np.isfinite(y)
-    guesses = _guesses(s, y, shapes, levels, record.Ts)
+    used, guesses = np.isfinite(y), _guesses(s, y, shapes, levels, record.Ts)
     free = [name for name, value in levels.items() if value is None]
     x0 = np.zeros(n)
     scale = np.array([np.sqrt(np.nanmean(c**2)) or 1.0 for c in y.T])
