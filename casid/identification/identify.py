@@ -158,30 +158,41 @@ def identify(
                 progress=say,
             )
             return _completed(estimate, problem.model, structural)
-        say(f"fit {', '.join(e.name for e in split.fitted)}")
-        fit, suspect = _fit(problem, split.fitted, settings, start, (say, undone))
-        requested, settings = settings, replace(settings, segments=fit.criterion.segments)
-        found = _corrected(problem, fit, settings, undone)
-        with no_time_limit():  # a few passes over the record, without which there is no result
-            feedback = feedback_notes(found.fit, found.noisy)
-            notes = [*channel_notes(problem.model, chosen), *feedback]
-            estimate = _estimate(problem, found, split, notes)
-            records = record_views(found.fit, None, split)
+        notes = channel_notes(problem.model, chosen)
+        estimate, found = _estimate_of_fit(problem, split, settings, start, notes, (say, undone))
         if estimate.is_converged:
             estimation = _estimation(problem, found, estimate, settings)
             patience = patience_since(began, budget)
             found_intervals = chosen_intervals(estimation, intervals, undone, say, patience)
             estimate = with_intervals(estimate, found_intervals)
-    estimate = replace(
-        estimate,
-        records=records,
-        trust=Trust(
-            approach(problem, found, requested.segments, feedback),
+    trust = replace(estimate.trust, not_done=tuple(undone.not_done))
+    return _completed(replace(estimate, trust=trust), problem.model, structural)
+
+
+def _estimate_of_fit(
+    problem: Problem,
+    split: Split,
+    settings: FitSettings,
+    start: Mapping[str, float] | None,
+    notes: Sequence[str],
+    to: tuple[Callable[[str], None], Undone],
+) -> tuple[Estimate, Corrected]:
+    """The estimate with its records and with what it rests on, and the fit that it is of.
+
+    Progress and what was not done go to `to`.
+    """
+    say, undone = to
+    say(f"fit {', '.join(e.name for e in split.fitted)}")
+    fit, suspect = _fit(problem, split.fitted, settings, start, to)
+    found = _corrected(problem, fit, settings, undone)
+    with no_time_limit():  # a few passes over the record, without which there is no result
+        feedback = feedback_notes(found.fit, found.noisy)
+        estimate = _estimate(problem, found, split, [*notes, *feedback])
+        trust = Trust(
+            approach(problem, found, settings.segments, feedback),
             suspects=() if suspect is None else (str(suspect),),
-            not_done=tuple(undone.not_done),
-        ),
-    )
-    return _completed(estimate, problem.model, structural)
+        )
+        return replace(estimate, records=record_views(found.fit, None, split), trust=trust), found
 
 
 def _structure(
@@ -251,7 +262,7 @@ def _estimation(
     return Estimation(
         found.fit,
         lambda free: covariance(tuple(free.tolist())),
-        settings,
+        replace(settings, segments=found.fit.criterion.segments),
         problem.noise,
         undetermined,
         found,
