@@ -304,8 +304,11 @@ class _Program:
         highest = HIGHEST / min(e.record.Ts for e in self.experiments)
         for d in disturbances:
             if d.spectrum != "white":
-                parameter = self.model.parameters[d.frequency]
-                self.model.parameters[d.frequency] = replace(parameter, upper=highest)
+                p = self.model.parameters[d.frequency]
+                start, lower = min(p.start, highest), min(p.lower, p.lower * highest)
+                self.model.parameters[d.frequency] = replace(
+                    p, start=start, lower=lower, upper=highest
+                )
 
     def criterion(self, noise: Sequence[White], substeps: int) -> Criterion:
         """The criterion from the starts of the model."""

@@ -442,3 +442,46 @@ def test_a_sensor_that_feels_the_disturbance_and_is_an_input_is_warned_of(spectr
         warned = fed_back(model, disturbances)
         assert bool(warned) == is_felt
         assert all("input accel responds directly to what acts in torque" in w for w in warned)
+
+
+def test_a_slow_clock_changes_the_unit_of_time_alone():
+    """Samples of ten minutes, or a day, of a room as of a tenth of a second of a heater.
+
+    C T' = P - G T + f, f' = -corner f: with C and Ts times a factor, G and the size stay as they
+    are, and the corner is divided by it. The corner of a slow clock lies below 1 rad/s, where the
+    search of a fast one begins.
+    """
+    Ts, C, G, size, corner, N = 0.1, 2.0, 1.5, 0.4, 1.0, 1500
+    rng = np.random.default_rng(3)
+    A = np.array([[-G / C, 1 / C], [0.0, -corner]])
+    push = np.diag([0.0, 2 * corner * size**2])
+    both = expm(np.block([[-A, push], [np.zeros((2, 2)), A.T]]) * Ts)
+    step = both[2:, 2:].T
+    root = np.linalg.cholesky(step @ both[:2, 2:] + 1e-18 * np.eye(2))
+    P = np.repeat(rng.standard_normal(N // 25), 25)
+    x, T = np.array([0.0, size * rng.standard_normal()]), np.empty(N)
+    decay = np.exp(-G / C * Ts)
+    for k in range(N):
+        T[k] = x[0] + 0.01 * rng.standard_normal()
+        x = step @ x + root @ rng.standard_normal(2) + np.array([(1 - decay) / G * P[k], 0.0])
+
+    def estimate(factor):
+        m = casid.Model("heater")
+        temperature, power = m.state("T", "K"), m.input("P", "W", hold="zoh", known=True)
+        loss = m.parameter("G", "W/K", start=1.0, lower=0.0)
+        terms = [power, -loss * temperature]
+        m.balance(temperature, "heat", inertia=m.constant("C", C * factor, "J/K"), terms=terms)
+        m.output("T", temperature, "K")
+        record = casid.Record({"P": P, "T": T}, {"P": "W", "T": "K"}, Ts=Ts * factor)
+        return casid.identify(m, record, disturbances="heat:first", intervals="quick")
+
+    fast = estimate(1.0)
+    names = ("G", "size of disturbance in heat", "corner of disturbance in heat")
+    for name, true in zip(names, (G, size, corner), strict=True):
+        p = fast.parameter(name)
+        assert abs(p.value - true) < 3.5 * p.std_error
+    for factor in (6e3, 864e3):
+        slow = estimate(factor)
+        for name, by in zip(names, (1.0, 1.0, 1 / factor), strict=True):
+            p, q = fast.parameter(name), slow.parameter(name)
+            assert q.value == pytest.approx(by * p.value, abs=1e-2 * by * p.std_error)
