@@ -19,7 +19,7 @@ from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.signals import Signals, signals_of
 from casid.estimation.simulation.simulation_error import window_cuts
 from casid.model.model import Model
-from casid.model.quantities import percent_text
+from casid.model.quantities import growth_text, percent_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,8 +269,7 @@ def why_worse(before: Array, after: Array) -> str:
     if not np.isfinite(new):
         return "its simulation diverges on the held-out data"
     if new > old:
-        worse = 100 * (np.sqrt(new / old) - 1)
-        return f"it makes the held-out error worse, by {percent_text(worse)}"
+        return f"it makes the held-out error worse, {growth_text(float(np.sqrt(new / old)))}"
     return ""
 
 

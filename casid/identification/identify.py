@@ -311,7 +311,8 @@ def _estimate(problem: Problem, found: Corrected, split: Split, notes: Sequence[
         bars = ErrorBars(CORRECTED, found.covariance, found.whiten)
     elif found.why_not:
         bars = ErrorBars(ASSUMES + BIASED)
-        notes = [*notes, f"noise on measured inputs: {found.text}"]
+        if found.noisy or found.bias is None:
+            notes = [*notes, f"noise on measured inputs: {found.text}"]
     if not found.is_removed:
         bars = _coloured(fit, bars)
     held_out = validation(fit, split)

@@ -59,9 +59,27 @@ def _three_digits(value: float) -> str:
     return f"{value:.3g}"
 
 
+def span_text(start: float, stop: float) -> str:
+    """An interval of time [s] with the decimals that separate its ends: 86393.1 to 86395.4 s."""
+    length = abs(stop - start)
+    places = max(0, 1 - math.floor(math.log10(length))) if 0 < length < math.inf else 3
+    if places > 3 and abs(start) < 1:  # microseconds read better with an exponent
+        return f"{start:.3g} to {stop:.3g} s"
+    return f"{start:.{places}f} to {stop:.{places}f} s"
+
+
 def percent_text(value: float) -> str:
     """A percentage with two digits, or all of those before the point: 0.76 %, 12 %, 150 %."""
     return f"{value:.0f} %" if abs(value) >= 10 else f"{value:.2g} %"
+
+
+def growth_text(times: float) -> str:
+    """How much larger something became: by 13 %, or 4.6 times as large where that reads better."""
+    return (
+        f"by {percent_text(100 * (times - 1))}"
+        if times < 4
+        else f"{_three_digits(times)} times as large"
+    )
 
 
 def count_text(n: int, noun: str) -> str:

@@ -7,7 +7,13 @@ from dataclasses import replace
 import pytest
 
 from casid.estimation.estimate import Agreement, Identifiability
-from casid.model.quantities import quantity_text, quantity_texts, unit_text
+from casid.model.quantities import (
+    growth_text,
+    quantity_text,
+    quantity_texts,
+    span_text,
+    unit_text,
+)
 from casid.report.verdicts import judged_estimate, judged_study
 from tests.report.golden_results import monte_carlo
 from tests.support import samples
@@ -116,3 +122,17 @@ def test_numbers_that_are_compared_share_their_prefix():
     assert quantity_texts([0.00528, 0.000202], "rad") == (["5.28", "0.202"], "mrad")
     assert unit_text("1/(rad^2 s^2)") == "1/(rad\u00b2 s\u00b2)"
     assert unit_text("m^2.5/s") == "m^2.5/s"
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "text"),
+    [(86410.96, 86412.31, "86411.0 to 86412.3 s"), (0.00157, 0.0021, "0.00157 to 0.0021 s"),
+     (12.0, 500.0, "12 to 500 s"), (3.0, 3.0, "3.000 to 3.000 s")],
+)  # fmt: skip
+def test_the_ends_of_an_interval_are_told_apart_however_late_it_is(start, stop, text):
+    assert span_text(start, stop) == text
+
+
+def test_a_growth_of_many_times_is_no_percentage():
+    assert growth_text(1.13) == "by 13 %"
+    assert growth_text(4574.0) == "4574 times as large"

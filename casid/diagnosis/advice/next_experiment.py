@@ -293,7 +293,8 @@ def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal])
         text += f", where the same experiment would need {_seconds(now.record_length)}"
     if best.gain_factor > PLANNING.notable:
         size = best.gain_factor**-0.5  # the energy grows with its square
-        text += f"; it would separate causes of {size:.2g} times the size, too"
+        smaller = f"causes of {size:.2g} times the size" if size else "far smaller causes"
+        text += f"; it would separate {smaller}, too"
     return text + "."
 
 

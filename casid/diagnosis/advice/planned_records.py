@@ -20,7 +20,6 @@ from casid.diagnosis.advice.fitted_motion import FittedMotion
 from casid.diagnosis.thresholds import EXPERIMENTS
 from casid.errors import CasidError
 from casid.model.model import Model
-from casid.model.quantities import quantity_text
 
 Change = Callable[[Array], Array]  # (N,) of one input, less its mean -> (M,)
 
@@ -222,7 +221,7 @@ class Planner:
         return Planned(
             f"sensor of {name}",
             f"the same experiment with an additional sensor of {name}, as accurate as the present "
-            f"ones (noise {quantity_text(sd, unit)})",
+            f"ones (noise {model.shown_size(name, sd):.3g} {model.unit_of(name)})",
             tuple(made),
             self.again().initial,
             model,

@@ -23,6 +23,7 @@ from casid.diagnosis.evidence.signatures import TIME, Linearised, variables_of
 from casid.diagnosis.thresholds import DESCRIPTION
 from casid.diagnosis.unexplained.missing_force import MissingForce, missing_force, quiet_fit
 from casid.diagnosis.unexplained.smoothed_force import ForceSeries, smoothed_force
+from casid.model.quantities import span_text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,7 +324,7 @@ def _in_time(
             )
     if occurrences:
         ranges = ", ".join(
-            f"{o.start:.3g} to {o.stop:.3g} s" + ("" if is_one else f" of {o.record}")
+            span_text(o.start, o.stop) + ("" if is_one else f" of {o.record}")
             for o in occurrences[: DESCRIPTION.stretches]
         )
         out.append(f"It is strongest from {ranges}.")

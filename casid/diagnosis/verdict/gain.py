@@ -96,9 +96,12 @@ def unlike_held_out(
         inside = fitted["baseline_rmse"][output]
         floor = fitted["noise_floor"][output]
         if error > max(JUDGING.unlike * max(inside, floor), by_chance[output] * floor):
+            shown = found.at.criterion.model.shown_size
+            unit = found.at.criterion.model.unit_of(output)
             return (
                 f"the fitted part shows no model error, but the simulation of {output} is wrong by "
-                f"{error:.3g} where it was not fitted, against {inside:.3g} where it was: "
+                f"{shown(output, error):.3g} {unit if unit != '1' else ''}".rstrip()
+                + f" where it was not fitted, against {shown(output, inside):.3g} where it was: "
                 "diagnose the whole record (--hold-out 0), or that part of it (--window)"
             )
     return ""

@@ -19,7 +19,7 @@ from casid.estimation.errors_in_variables.input_noise import (
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
 from casid.estimation.noise import NoiseModel
 from casid.estimation.simulation.minimization import Fit
-from casid.estimation.simulation.simulation_error import Whitener
+from casid.estimation.simulation.simulation_error import SimulationError, Whitener
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +83,12 @@ class Corrected:
                 f"white noise on {sizes} biases least squares, {name} most, by {abs(worst):.2g} "
                 "standard errors; the estimate is the root of equations without that bias"
             )
+        if self.why_not and abs(worst) < REMOVAL.negligible:
+            return (
+                f"white noise on {sizes} at most moves no unknown by more than "
+                f"{REMOVAL.negligible:g} standard errors; what it adds to their variance is not "
+                f"counted, since {self.why_not}"
+            )
         if self.why_not:
             return (
                 f"white noise on {sizes} at most may bias {name} by up to {abs(worst):.2g} times "
@@ -121,7 +127,7 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
             return at
     if gaps:
         return replace(at, why_not="outputs miss samples, and what removes it needs them all")
-    root = _Root(fit, known, free, seed)
+    root = _Root(fit, known, free, found, seed)
     if root.why_not:
         return replace(at, why_not=root.why_not)
     solution = replace(
@@ -140,10 +146,27 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
     )
 
 
+_NO_ROOT = "the equations without it have no root near the fit"
+
+
+def _misfit(criterion: SimulationError, found: InputNoise) -> str:
+    """What says that a residual is more than noise of sensors and inputs; empty where it is not."""
+    noise = found.noise
+    ratio, spread = noise.excess(noise.quiet(found.sd), [d.N for d in criterion.data])
+    if ratio <= max(REMOVAL.absorbs_misfit**2, 1 + REMOVAL.absorbs_spreads * spread):
+        return ""
+    return (
+        f"the residual is {np.sqrt(ratio):.2g} times what sensors and inputs account for: the "
+        "model is incomplete, or there are disturbances (casid diagnose)"
+    )
+
+
 class _Root:
     """The root of the equations, sought from a fit, with the noise found anew at every step."""
 
-    def __init__(self, fit: Fit, known: Mapping[str, float], free: Array, seed: int) -> None:
+    def __init__(
+        self, fit: Fit, known: Mapping[str, float], free: Array, found: InputNoise, seed: int
+    ) -> None:
         self.criterion, self.known, self.seed = fit.criterion, known, seed
         self.x, self.free = fit.x.copy(), free.copy()
         self.lower, self.upper = (
@@ -151,13 +174,13 @@ class _Root:
             for side in ("lower", "upper")
         )
         self.beside = (1 - REMOVAL.difference, 1 + REMOVAL.difference)
-        self.found: InputNoise
+        self.found = found
         self.at: Equations
         self.why_not = self._sought()
 
     def _sought(self) -> str:
         """Go to the root; a reason where there is none."""
-        share = 0.0
+        share, at_fit = 0.0, self.found
         for _ in range(REMOVAL.steps):
             self._evaluate()
             parts = (self.at.matrix, self.at.noise, self.at.score)
@@ -172,28 +195,18 @@ class _Root:
             self.free &= new == self.x + move
             self.x = new
         else:
-            return "the equations without it have no root near the fit"
+            return _NO_ROOT
         if share < REMOVAL.least_information:
             return "it is most of what the inputs say of a combination of the unknowns"
-        return self._misfit()
+        if _misfit(self.criterion, self.found):
+            return _misfit(self.criterion, at_fit) or _NO_ROOT
+        return ""
 
     def _evaluate(self) -> None:
         self.found = input_noise(self.criterion, self.x, self.known)
         sd = self.found.sd
         self.columns = columns_of(self.criterion, self.x, sd, self.seed)
         self.at = equations(self.columns, self.found.noise.whiten, sd)
-
-    def _misfit(self) -> str:
-        """What says that the residual is more than noise of sensors and inputs."""
-        noise = self.found.noise
-        samples = [d.N for d in self.criterion.data]
-        ratio, spread = noise.excess(noise.quiet(self.found.sd), samples)
-        if ratio <= max(REMOVAL.absorbs_misfit**2, 1 + REMOVAL.absorbs_spreads * spread):
-            return ""
-        return (
-            f"the residual is {np.sqrt(ratio):.2g} times what sensors and inputs account for: the "
-            "model is incomplete, or there are disturbances (casid diagnose)"
-        )
 
     def at_bound(self, bound: Array) -> tuple[str, ...]:
         """Names of the variables at one of their bounds (n,)."""

@@ -16,7 +16,7 @@ import numpy as np
 from casid.arrays import Array, BoolArray
 from casid.data.experiment import Experiment
 from casid.data.record import Record
-from casid.data.sampling import gaps_of, stretches_of
+from casid.data.sampling import Gaps, gaps_of, stretches_of
 from casid.errors import DataError
 from casid.estimation.simulation.thresholds import INPUT_GAPS
 from casid.model.declarations import Hold
@@ -113,12 +113,14 @@ def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
     """A record whose inputs are filled, with numbers under the marks of its outputs."""
     if not any(mask.any() for mask in record.missing.values()):
         return record
-    lines: list[str] = []
+    alike: dict[tuple[str, Gaps], list[str]] = {}
     channels, missing = dict(record.channels), dict(record.missing)
     for name in recorded_inputs(model, record):
-        lines.append(_filling(model, record, name))
+        hold = "held" if model.inputs[name].hold == "zoh" else "joined by straight lines"
+        alike.setdefault((hold, gaps_of(record.missing[name])), []).append(name)
         channels[name] = filled(record, name, model.inputs[name].hold)
         del missing[name]
+    lines = [_filling(names, hold, gaps, record) for (hold, gaps), names in alike.items()]
     for name in [n for n in missing if n in beside and n not in model.outputs]:
         gone = missing[name]
         if gone.any() and not long_gaps(record, name).any():
@@ -131,19 +133,20 @@ def _complete(model: Model, record: Record, beside: Collection[str]) -> Record:
     return replace(record, channels=channels, missing=missing, provenance=provenance)
 
 
-def _filling(model: Model, record: Record, name: str) -> str:
-    """How an input was filled, for the record's history."""
-    found = gaps_of(record.missing[name])
-    how = "held" if model.inputs[name].hold == "zoh" else "joined by straight lines"
+def _filling(names: Sequence[str], how: str, found: Gaps, record: Record) -> str:
+    """How inputs with the same gaps were filled, for the record's history."""
+    *first, last = names
+    who = f"{', '.join(first)} and {last}" if first else last
+    has, misses, are = ("have", "miss", "they are") if first else ("has", "misses", "it is")
     if found.rate is not None:
         return (
-            f"{_FILLED}{name} has a value in one sample of {found.rate} alone: it is {how} between "
-            "them"
+            f"{_FILLED}{who} {has} a value in one sample of {found.rate} alone: {are} {how} "
+            "between them"
         )
     return (
-        f"{_FILLED}{name} misses {found.missing} samples "
+        f"{_FILLED}{who} {misses} {found.missing} samples "
         f"({100 * found.missing / record.N:.2g} %) in {count_text(found.stretches, 'gap')}"
-        f" of up to {found.longest * record.Ts:.3g} s: it is "
+        f" of up to {found.longest * record.Ts:.3g} s: {are} "
         f"{how} there"
     )
 

@@ -89,19 +89,34 @@ def _cause(i: int, c: Cause) -> Iterator[str]:
 def _remainder(c: Cause) -> Iterator[str]:
     like = f" ({c.description.rstrip('.')})" if c.kind == "unknown" and c.description else ""
     words = effect_words(c.kind, c.where)
-    yield f"{words}{like}: {100 * c.share:.2g} % of the misfit, p = {c.p_value:.1e}"
+    values = "".join(f"{_value(p)}, " for p in c.parameters)
+    yield f"{words}{like}: {values}{100 * c.share:.2g} % of the misfit, p = {c.p_value:.1e}"
 
 
 def _value(p: Estimated) -> str:
     error = f" +- {p.std_error:.2g}" if p.std_error is not None else ""
     unit = f" {p.unit}" if p.unit != "1" else ""
-    return f"{p.name} = {p.value:.4g}{error}{unit}"
+    return f"{p.name} = {_digits(p)}{error}{unit}"
+
+
+def _digits(p: Estimated) -> str:
+    """A value to the second digit of its error, four digits at least and nine at most.
+
+    A time without an error is an instant, which four digits may not separate from others.
+    """
+    digits = 4
+    if p.std_error and p.value:
+        digits += max(0, math.floor(math.log10(abs(p.value) / p.std_error)) - 2)
+    elif p.unit == "s" and abs(p.value) >= 1e3:
+        digits = math.floor(math.log10(abs(p.value))) + 3
+    return f"{p.value:.{min(digits, 9)}g}"
 
 
 def _moved(d: Diagnosis) -> Iterator[str]:
     for m in d.moved[:_LISTED]:
         far = "" if m.shift is None else f", by {abs(m.shift):.3g} standard errors"
-        yield f"{m.name} from {m.before:.4g} to {m.after:.4g} {m.unit}{far}"
+        unit = f" {m.unit}" if m.unit != "1" else ""
+        yield f"{m.name} from {m.before:.4g} to {m.after:.4g}{unit}{far}"
     if len(d.moved) > _LISTED:
         yield f"and {len(d.moved) - _LISTED} more"
 

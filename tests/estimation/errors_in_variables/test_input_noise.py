@@ -5,6 +5,8 @@ The truth is a difference equation of its own: v' = -a v + b u, with u a line be
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ import casid
 from analysis.coverage.systems import rig_model, rig_motion
 from casid.estimation.errors_in_variables.equations import columns_of, equations, flat_noise
 from casid.estimation.errors_in_variables.input_noise import input_noise
-from casid.estimation.errors_in_variables.removal import without_input_noise
+from casid.estimation.errors_in_variables.removal import Corrected, without_input_noise
 from casid.estimation.noise import estimate_noise
 from casid.estimation.simulation.fit import FitSettings, fit_model
 from casid.estimation.simulation.simulation_error import SimulationError
@@ -107,6 +109,17 @@ def test_estimates_with_a_noisy_input_scatter_about_the_truth_as_their_errors_sa
     assert np.all(np.abs(z.var(axis=0) - 1.0) < 3 * 0.22)
     covered = np.mean(np.abs(z) < 1.96)  # of 80: sd of a share of 95 % is 2.4 % at least
     assert covered > 0.95 - 3 * 0.024
+
+
+def test_a_negligible_bias_that_is_not_removed_is_no_reason_to_warn() -> None:
+    fit = fitted(1)
+    found = Corrected(fit, input_sd={"u": 0.1}, bias={"a": 1e-5}, why_not="there is no root")
+    assert found.noisy == ()
+    assert "moves no unknown by more than 0.1 standard errors" in found.text
+    assert found.text.endswith("is not counted, since there is no root")
+    larger = replace(found, bias={"a": 0.5})
+    assert larger.noisy == ("u",)
+    assert "may bias a by up to 0.5 times its standard error" in larger.text
 
 
 def test_a_stated_noise_is_used_and_one_that_is_stated_as_zero_is_not_sought() -> None:

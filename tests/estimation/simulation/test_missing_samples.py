@@ -207,6 +207,25 @@ def test_short_gaps_of_an_input_are_filled_with_a_warning():
     assert any("F misses 4 samples (0.33 %) in 3 gaps of up to 0.1 s" in w for w in b.warnings)
 
 
+def test_inputs_with_the_same_gaps_are_named_together():
+    """Rows that a file leaves out are gaps of every input: one sentence says so."""
+    m = casid.Model("two forces")
+    v = m.state("v", "m/s")
+    pushes = [m.input(n, "N", hold="zoh") for n in ("F", "G")]
+    m.balance(v, "force", inertia=m.constant("M", 1.0, "kg"), terms=pushes)
+    m.output("v", v, "m/s")
+    mask = np.zeros(50, dtype=bool)
+    mask[[20, 21]] = True
+    channels = {"F": np.ones(50), "G": np.ones(50), "v": np.arange(50.0)}
+    units = {"F": "N", "G": "N", "v": "m/s"}
+    run = casid.Record(channels, units, Ts=1.0, missing={"F": mask, "G": mask})
+    (whole,) = with_gaps_treated(m, [casid.Experiment(run, {}, "run")])
+    said = [s for s in whole.record.provenance if "filled" in s]
+    assert said == [
+        "remark: filled: F and G miss 2 samples (4 %) in 1 gap of up to 2 s: they are held there"
+    ]
+
+
 def test_a_long_gap_of_an_input_cuts_the_record():
     """Two parts, each with initial states of its own; nothing is simulated over the gap."""
     s = signals(13)
