@@ -145,8 +145,6 @@ def channel_quality(
     step, few = quantisation_step(levels), levels.size <= 10
     run, plateau, equal = _equal_samples(record, name, step, few, shown)
     findings += equal
-    if step is not None and step > (high - low) / 200 and not few:
-        findings.append(_coarse(name, shown, step, high - low))
     own = np.flatnonzero(~mask) if gone > record.N // 2 else np.arange(record.N)  # on its own clock
     spikes = np.array([], dtype=np.intp) if few else own[_spikes(x[own], mask[own])]
     if spikes.size:
@@ -157,6 +155,8 @@ def channel_quality(
     findings += trend
     interval = record.Ts * float(own[-1] - own[0]) / max(own.size - 1, 1)
     noise, bandwidth, reaches = _spectrum(x[own] - mean, interval)
+    if step is not None and step > (high - low) / 200 and not (few or step < (noise or 0.0)):
+        findings.append(_coarse(name, shown, step, high - low))
     if reaches and not few:
         findings.append(_wide_band(name))
     numbers = ChannelCheck(
@@ -187,9 +187,10 @@ def _equal_samples(
     findings = []
     if plateau >= 4 and not few and sudden and (step is None or jump > 1.5 * step):
         value = x[plateau_start]
+        is_rest = value == 0.0 == x[~mask].min()  # no sun, no flow: more often so than cut off
         findings.append(
             Finding(
-                "warning",
+                "note" if is_rest else "warning",
                 name,
                 f"{plateau} equal samples at the "
                 f"{'maximum' if value == x[~mask].max() else 'minimum'} "

@@ -196,10 +196,15 @@ def _read(found: Survey) -> _Read:
 def _read_file(data: str | Path, columns: Columns | None, options: ReadingOptions) -> _Read:
     """A file looked over; a unit of two readings keeps no number from being judged."""
     found = survey(data, columns, options)
-    if columns is not None or not any(f.kind == "unit" for f in found.faults):
+    if columns is not None:
         return _read(found)
-    numeric = [c for c in survey(data, {}, options).columns if c.kind == "numeric"]
+    is_refused = any(f.kind == "unit" for f in found.faults)
+    described = survey(data, {}, options) if is_refused else found
+    numeric = [c for c in described.columns if c.kind == "numeric"]
     unclear = [c for c in numeric if c.unit is None and c.written]
+    if not is_refused:
+        read = _read(found)
+        return replace(read, findings=(*read.findings, *(_unclear_unit(c, "1") for c in unclear)))
     taken = {c.name: c.unit or likely_reading(c.written) or "1" for c in numeric}
     again = _read(survey(data, {name: ColumnSpec(name, u) for name, u in taken.items()}, options))
     doubts = [_unclear_unit(c, taken[c.name]) for c in unclear]

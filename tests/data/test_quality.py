@@ -76,6 +76,20 @@ def test_the_quantisation_step_is_found(step):
     assert coarse == (step > (y.max() - y.min()) / 200)
 
 
+def test_steps_below_the_noise_are_no_coarse_quantisation():
+    """Noise dithers: rounding to 0.05 adds 0.3 % to the rms of noise of 0.2."""
+    y = 0.05 * np.round(smooth(noise=0.2) / 0.05)
+    report = check(record(y))
+    assert report.channels[0].step == pytest.approx(0.05)
+    assert not any("coarsely quantised" in t for t in texts(report))
+
+
+def test_rest_at_zero_is_noted_and_any_other_plateau_warned_of():
+    sun = np.clip(smooth(), 0.0, None)
+    for y, severity in ((sun, "note"), (sun + 1.0, "warning")):
+        assert {f.severity for f in check(record(y)).findings if "clipped" in f.text} == {severity}
+
+
 def test_continuous_samples_have_no_step():
     assert check(record(smooth())).channels[0].step is None
 
@@ -115,6 +129,15 @@ def test_a_unit_of_two_readings_keeps_no_number_from_being_judged(written):
     assert "--map 'SIGNAL=n [1/min]:rpm'" in doubt.remedy
     speed = next(c for c in report.channels if c.name == "n [1/min]")
     assert speed.mean == pytest.approx(600 * 2 * np.pi / 60, rel=1e-3)
+
+
+def test_a_unit_that_is_not_in_the_list_is_named(tmp_path):
+    path = tmp_path / "pump.csv"
+    path.write_text("t [s],insulin [mU/L]\n0,1\n1,2\n2,4\n3,3\n")
+    report = check(path)
+    assert report.is_usable
+    (doubt,) = [f for f in report.findings if "mU/L" in f.text]
+    assert "is not in the list of units; numbers as written" in doubt.text
 
 
 def test_what_is_the_same_of_several_channels_is_said_once(written):

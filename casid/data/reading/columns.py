@@ -276,7 +276,11 @@ def _is_time(unit: str) -> bool:
 
 
 def _time_ending(column: str) -> tuple[str, str | None]:
+    """A name and the unit of time at its end: `t_ms`, `TimeUS`, `timeMs`."""
     stem, underscore, ending = column.rpartition("_")
-    if underscore and ending in {"s", "sec", "ms", "us", "min", "h", "d"}:
+    if underscore and ending in {"s", "sec", "ms", "us", "ns", "min", "h", "d"}:
         return stem, ending
+    capital = re.fullmatch(r"(.*[a-z])([MUN]?[Ss])", column)
+    if capital and capital[2] != "s":
+        return capital[1], capital[2].casefold()
     return column, None

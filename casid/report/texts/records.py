@@ -12,6 +12,7 @@ from casid.data.channel_quality import ChannelCheck, Finding
 from casid.data.fir_filter import FirFilter
 from casid.data.quality import CheckReport
 from casid.data.record import Record
+from casid.model.quantities import quantity_text
 from casid.model.units import difference_from_si, from_si, to_si
 from casid.report.document import Document, Labelled, Table
 
@@ -22,7 +23,7 @@ def check_document(found: CheckReport) -> Document:
     if found.N is not None and found.Ts is not None:
         text = (
             f"{found.N}, every Ts = {found.Ts:.6g} s ({1 / found.Ts:.6g} Hz), "
-            f"{found.duration:.6g} s from t0 = {found.t0:g} s"
+            f"{_duration_text(found.duration)} from t0 = {found.t0:g} s"
         )
         parts.append(("samples", text))
     if found.clock:
@@ -38,6 +39,14 @@ def check_document(found: CheckReport) -> Document:
     parts.append("  findings" if found.findings else "  findings   none")
     parts += [f"    {text}" for text in _findings(found.findings)]
     return Document(f"Check of {found.name}", parts, label=11)
+
+
+def _duration_text(seconds: float | None) -> str:
+    """Seconds, and beside them minutes, hours or days where there are many."""
+    if seconds is None:
+        return "no length"
+    plain, read = f"{seconds:.6g} s", quantity_text(seconds, "s")
+    return plain if read.endswith(" s") else f"{plain} ({read})"
 
 
 def _row(c: ChannelCheck) -> tuple[str, ...]:

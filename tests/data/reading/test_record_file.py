@@ -457,8 +457,18 @@ def test_a_row_that_is_there_twice_is_read_once(csv):
         read_record(csv("t,y\n0,1\n1,2\n1,2\n1,3\n2,4\n"))
 
 
-@pytest.mark.parametrize(("header", "step"), [("ms", 1e-3), ("us", 1e-6), ("sec", 1.0)])
-def test_a_clock_may_be_called_by_its_unit_alone(csv, header, step):
+@pytest.mark.parametrize(
+    ("header", "step"),
+    [
+        ("ms", 1e-3),
+        ("us", 1e-6),
+        ("sec", 1.0),
+        ("TimeUS", 1e-6),
+        ("timeMs", 1e-3),
+        ("timestamp_ns", 1e-9),
+    ],
+)
+def test_a_clock_may_be_called_by_its_unit_or_end_with_it(csv, header, step):
     assert read_record(csv(f"{header},y\n0,1\n1,2\n2,4\n")).Ts == pytest.approx(step)
 
 
