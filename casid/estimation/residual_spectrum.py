@@ -226,21 +226,22 @@ def coloured_covariance(fit: Fit, free: Array) -> tuple[Array, tuple[int, ...]] 
     if not any(m.order for m in models):
         return None
     n, index = len(fit.x), np.flatnonzero(free)
-    matrix, meat = np.zeros((n, n)), np.zeros((n, n))
-    for record in weighted:
-        for _, t in record:
-            matrix += t.T @ t
-        meat += _meat(record, models, together)
-    part = matrix[np.ix_(index, index)]
-    d = 1 / np.sqrt(np.maximum(np.diag(part), TINY))
-    inverse = np.outer(d, d) * np.linalg.pinv(part * np.outer(d, d), rcond=1e-13)
+    matrix = sum(t[:, index].T @ t[:, index] for record in weighted for _, t in record)
+    d = 1 / np.sqrt(np.maximum(np.diag(matrix), TINY))
+    inverse = np.outer(d, d) * np.linalg.pinv(matrix * np.outer(d, d), rcond=1e-13)
     out = np.zeros((n, n))
-    out[np.ix_(index, index)] = inverse @ meat[np.ix_(index, index)] @ inverse
+    # Gamma stands between the columns of T (T'T)^-1: formed from T' Gamma T, what a slow residual
+    # adds to one unknown would drown the variances of the others in rounding.
+    for record in weighted:
+        gains = [(r, t[:, index] @ inverse) for r, t in record]
+        out[np.ix_(index, index)] += _coloured_products(gains, models, together)
     return out, tuple(m.order for m in models)
 
 
-def _meat(record: Weighted, models: Sequence[Autoregression], together: Array) -> Array:
-    """(n, n) T' Gamma T of one record."""
+def _coloured_products(
+    record: Weighted, models: Sequence[Autoregression], together: Array
+) -> Array:
+    """(n, n) T' Gamma T of columns T of one record."""
     n = record[0][1].shape[1]
     size = next_fast_len(2 * max(len(t) for _, t in record), real=True)
     both = np.full(size // 2 + 1, 2.0)
