@@ -91,6 +91,15 @@ def _longer(a: Array, k: float) -> Array:
     return np.concatenate([a + k * a[::-1], [k]])
 
 
+def longest_memory(samples: int) -> float:
+    """The largest reflection coefficient that so many samples can tell from 1: 1 - 1/N.
+
+    The error of a root next to the unit circle is of order 1/N (Dickey and Fuller, JASA 74 (1979)
+    427-431). A smaller distance is chance, and gives the residual a mean of any size.
+    """
+    return 1 - 1 / max(samples, 2)
+
+
 def autoregression(residuals: Sequence[Array]) -> Autoregression:
     """The autoregression of one output over all records, (N,) each.
 
@@ -101,11 +110,13 @@ def autoregression(residuals: Sequence[Array]) -> Autoregression:
     forward, backward = [r[1:] for r in residuals], [r[:-1] for r in residuals]
     reflections: list[float] = []
     variance = float(sum(r @ r for r in residuals)) / max(count, 1)
+    edge = longest_memory(count)
     best, least = Autoregression(np.zeros(0), variance), count * np.log(max(variance, TINY))
     for p in range(1, min(LARGEST, count // 20) + 1):
         pairs = list(zip(forward, backward, strict=True))
         power = sum(float(f @ f + b @ b) for f, b in pairs)
         k = -2 * sum(float(f @ b) for f, b in pairs) / max(power, TINY)
+        k = min(max(k, -edge), edge)
         reflections.append(k)
         variance *= 1 - k**2
         value = count * np.log(max(variance, TINY)) + p * np.log(max(count, 2))
@@ -137,18 +148,18 @@ def restricted(
     if not 0 < sum(orders) <= RESTRICTED:
         return models
     cuts = np.cumsum(orders)[:-1]
+    edge, inside = longest_memory(count), 1 - 1e-9
     scales = np.log([max(m.variance, TINY) for m in models])
 
     def at(z: Array) -> list[Autoregression]:
         reflections = np.split(np.tanh(z[len(models) :]), cuts)
         sizes = np.exp(scales + z[: len(models)]).tolist()
-        return [Autoregression(k, v) for k, v in zip(reflections, sizes, strict=True)]
+        return [Autoregression(edge * k, v) for k, v in zip(reflections, sizes, strict=True)]
 
     def value(z: Array) -> float:
         return _restricted_likelihood(at(z), records)
 
-    edge = 1 - 1e-9
-    start = [np.arctanh(np.clip(m.reflections, -edge, edge)) for m in models]
+    start = [np.arctanh(np.clip(m.reflections / edge, -inside, inside)) for m in models]
     first = np.concatenate([np.zeros(len(models)), *start])
     found = minimize(value, first, method="BFGS", options={"gtol": CONVERGED, "maxiter": 50})
     return at(found.x) if found.fun < value(first) else models
