@@ -22,7 +22,7 @@ def quantity_texts(values: Sequence[float], unit: str) -> tuple[list[str], str]:
     """Values of one quantity with a common prefix of their unit, and that unit.
 
     The prefix is that of the largest value; a time longer than two minutes is in minutes, hours or
-    days. Units that take no prefix (deg, kg, %) keep their values.
+    days. Units that take no prefix (deg, kg, %) keep their values; the unit 1 is left out.
     """
     scale, shown = common_prefix(values, unit)
     return [_three_digits(v / scale) for v in values], shown
@@ -32,7 +32,7 @@ def common_prefix(values: Sequence[float], unit: str) -> tuple[float, str]:
     """What values are divided by, and the unit that they then have (see `quantity_texts`)."""
     sizes = [abs(v) for v in values if math.isfinite(v) and v]
     largest = max(sizes, default=0.0)
-    scale, shown = 1.0, unit
+    scale, shown = 1.0, unit if unit != "1" else ""
     if unit == "s":
         scale, shown = next(((s, n) for s, n in _TIMES if largest >= 2 * s), (1.0, unit))
     elif _PREFIXED.match(unit) and largest > 0:

@@ -299,6 +299,9 @@ def _sentence(tied: Sequence[Key], now: Proposal, proposals: Sequence[Proposal])
 
 
 def _seconds(value: float) -> str:
+    """A length of time with two digits, in seconds to years."""
     if value < 120:
         return f"{value:.2g} s"
-    return f"{value / 60:.2g} min" if value < 7200 else f"{value / 3600:.2g} h"
+    longer = ((60.0, "min"), (3600.0, "h"), (86400.0, "days"), (31557600.0, "years"))
+    scale, name = next((x for x in reversed(longer) if value >= 2 * x[0]), longer[0])
+    return f"{value / scale:.2g} {name}"

@@ -218,10 +218,11 @@ class Planner:
         for old, v in zip(self.experiments, values, strict=True):
             record = old.record.with_channel(channel, v + sd * rng.standard_normal(len(v)), unit)
             made.append(Experiment(record, old.known, old.name))
+        own = "" if model.unit_of(name) == "1" else model.unit_of(name)
         return Planned(
             f"sensor of {name}",
             f"the same experiment with an additional sensor of {name}, as accurate as the present "
-            f"ones (noise {model.shown_size(name, sd):.3g} {model.unit_of(name)})",
+            f"ones (noise {f'{model.shown_size(name, sd):.3g} {own}'.rstrip()})",
             tuple(made),
             self.again().initial,
             model,

@@ -137,8 +137,8 @@ def with_the_unnamed_alternative(
         parameters=(),
         alternatives=alternatives,
         share=sum(c.share for c in named),
-        sentence=f"unidentified {rival.place}: {rival.function} explains it better than any effect "
-        "of the catalogue",
+        sentence=f"an unidentified term in {rival.place}: {rival.function} explains it better than "
+        "any effect of the catalogue",
         description=found.sentence if found is not None else "",
     )
     return [cause, *others]
@@ -206,6 +206,6 @@ def _unknown(
         parameters=(),
         alternatives=alternatives,
         share=share,
-        sentence=f"unidentified {where}: no effect of the catalogue explains it",
+        sentence=f"an unidentified term in {where}: no effect of the catalogue explains it",
         description=remainder.unexplained.sentence,
     )

@@ -41,9 +41,9 @@ _SAYS = {
     "sensor_lag": "the sensor of {where} has a first-order lag",
     "cross_axis": "the sensor of {where} is also sensitive to another channel",
     "hold": "the input {where} behaves between samples in another way than the model assumes",
-    "actuator_lag": "the command {where} acts with a first-order lag",
+    "actuator_lag": "the input {where} acts with a first-order lag",
     "missing_mode": "an unmodelled oscillating part reacts on the {where} balance",
-    "actuator_saturation": "the command {where} saturates at a limit",
+    "actuator_saturation": "the input {where} saturates at a limit",
     "saturation": "the channel {where} is clipped",
     "rectified": "the channel {where} shows the absolute value",
     "lever_arm": "the sensor of {where} is mounted away from the assumed point",
@@ -137,7 +137,7 @@ def says(effect: Effect, column: str = "") -> str:
         )
     what = effect.description or f"{effect.kind} acts"
     if effect.kind == "unknown":
-        return f"unidentified {effect.where}, best described as: {what}"
+        return f"an unidentified term in {effect.where}, best described as: {what}"
     return f"{what} ({effect.kind} in {effect.where})"
 
 
@@ -191,7 +191,7 @@ def _gain(part: Mapping[str, Mapping[str, float]], problem: Problem, what: str) 
         sizes = [problem.model.shown_size(output, e) for e in (before, after)]
         (old, new), unit = quantity_texts(sizes, problem.model.unit_of(output))
         if new != old:
-            changed = f"{output} from {old} to {new} {unit}"
+            changed = f"{output} from {old} to {new} {unit}".rstrip()
             (lowered if after < before else raised).append(changed)
     if lowered:
         more = f", and raises that of {', '.join(raised)}" if raised else ""
