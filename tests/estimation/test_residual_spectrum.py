@@ -124,6 +124,44 @@ def test_estimates_under_coloured_noise_scatter_as_their_errors_say() -> None:
     assert np.mean(np.abs(z) < 1.96) > 0.95 - 3 * 0.044
 
 
+def drifting(seed: int) -> casid.Record:
+    """A gain of 2 and a rest of 1 under a random walk, which makes the rest all but unknown."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.standard_normal(40), 20)
+    y = 2 * u + 1 + 0.02 * np.cumsum(rng.standard_normal(800))
+    return casid.Record({"u": u, "y": y}, {"u": "1", "y": "1"}, Ts=1.0)
+
+
+def gain_and_rest() -> casid.Model:
+    m = casid.Model("gain and rest")
+    rest, u = m.state("rest", "1"), m.input("u", "1", hold="zoh", known=True)
+    m.derivative(rest, 0 * rest / m.constant("s", 1.0, "s"))
+    m.output("y", m.parameter("g", "1", start=1.0) * u + rest, "1")
+    return m
+
+
+def test_a_residual_that_wanders_leaves_every_variance_positive() -> None:
+    """What is unknown of the mean is 1e4 times what is of the gain, and may not drown it."""
+    z = []
+    for seed in range(25):
+        experiment = casid.Experiment(drifting(seed), {}, "r")
+        fit = fit_model(gain_and_rest(), [experiment], FitSettings(starts=1))
+        found = coloured_covariance(fit, np.ones(len(fit.x), dtype=bool))
+        assert found is not None
+        assert np.all(np.linalg.eigvalsh(found[0]) > 0)
+        z.append((fit.values["g"] - 2) / np.sqrt(found[0][0, 0]))
+    # The variance of 25 has a standard deviation of 0.28.
+    assert np.var(z) < 1 + 3 * 0.28
+
+
+def test_a_memory_is_no_longer_than_the_record_can_show() -> None:
+    walk = np.cumsum(np.random.default_rng(2).standard_normal(400))
+    found = autoregression([walk])
+    assert np.abs(found.reflections).max() <= 1 - 1 / 400
+    (both,) = restricted([found], [[(walk, np.ones((400, 1)))]])
+    assert np.abs(both.reflections).max() <= 1 - 1 / 400
+
+
 def test_the_result_names_the_autoregression() -> None:
     settings = FitSettings(starts=1, substeps=2)
     estimate = casid.identify(oscillator(), casid.Experiment(decay(1), {}, "r"), settings=settings)
