@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from casid.estimation.intervals.of_estimate import with_intervals
 from casid.estimation.prediction_error.disturbances import Disturbance
 from casid.estimation.residual_spectrum import coloured_covariance
 from casid.estimation.simulation.budget import fit_budget
-from casid.estimation.simulation.fit import FitSettings, fit_model
+from casid.estimation.simulation.fit import FitSettings, fit_model, weighted_by_errors
 from casid.estimation.simulation.input_feedback import feedback_notes
 from casid.estimation.simulation.input_gaps import with_gaps_treated
 from casid.estimation.simulation.minimization import Fit
@@ -101,9 +101,11 @@ def identify(
     -------
     Estimate
         Values in the units that the model declares, with standard errors robust to autocorrelated
-        residuals. Where noise on measured inputs (those not declared `known`) biases least squares,
-        the estimate is without that bias, and `method` and `evidence` say so. Where the fit is
-        poor, `suspects` names a channel that was probably recorded with the wrong sign.
+        residuals. Several outputs count in units of the error that each leaves, the maximum of the
+        likelihood for noise of unknown sizes. Where noise on measured inputs (those not declared
+        `known`) biases least squares, the estimate is without that bias, and `method` and
+        `evidence` say so. Where the fit is poor, `suspects` names a channel that was probably
+        recorded with the wrong sign.
 
     Raises
     ------
@@ -184,6 +186,9 @@ def _estimate_of_fit(
     say, undone = to
     say(f"fit {', '.join(e.name for e in split.fitted)}")
     fit, suspect = _fit(problem, split.fitted, settings, start, to)
+    if fit.solution.is_converged and settings.segments == 1 == fit.criterion.segments:
+        weigh = partial(weighted_by_errors, fit, settings)
+        fit = undone.attempt("the weighing of outputs by their errors", weigh) or fit
     found = _corrected(problem, fit, settings, undone)
     with no_time_limit():  # a few passes over the record, without which there is no result
         feedback = feedback_notes(found.fit, found.noisy)

@@ -77,6 +77,7 @@ def fit_model(
     # Too long a step makes another model of it, whose optimum may lie far away.
     while is_free and _steps_matter(criterion, criterion.start, STEPS.at_start):
         criterion = _from(criterion, start, finer=2)
+    begun = {v.name: v.start for v in criterion.variables}
     fit: Fit | None = None
     while True:
         try:
@@ -94,7 +95,8 @@ def fit_model(
         except OutOfTimeError:
             if fit is None:
                 raise
-            return replace(fit, not_done=(*fit.not_done, "finer integration steps"))
+            undone = (*fit.not_done, "finer integration steps")
+            return replace(fit, not_done=undone, begun=begun)
         except SolveError:
             # Too long a step makes a stable simulation diverge, too.
             is_last = fit is not None or not is_free or criterion.substeps >= STEPS.last
@@ -103,7 +105,7 @@ def fit_model(
         criterion = _refined(criterion, start, fit)
     if throw:
         require_minimum(fit)
-    return fit
+    return replace(fit, begun=begun)
 
 
 def _from(c: SimulationError, start: Mapping[str, float] | None, *, finer: int) -> SimulationError:
@@ -160,7 +162,12 @@ def weighted_by_errors(fit: Fit, settings: FitSettings) -> Fit:
         )
         if not np.isfinite(again.solution.value):
             break
-        fit = replace(again, starts_tried=fit.starts_tried, starts_agreeing=fit.starts_agreeing)
+        fit = replace(
+            again,
+            starts_tried=fit.starts_tried,
+            starts_agreeing=fit.starts_agreeing,
+            begun=fit.begun,
+        )
     return fit
 
 

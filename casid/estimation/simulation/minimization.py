@@ -28,6 +28,7 @@ class Fit:
     ----------
     starts_tried, starts_agreeing : starts that came to an end, and those that ended here.
     not_done : what no time was left for.
+    begun : variable -> where the search began, of whose refinements the criterion's start is one.
     """
 
     criterion: SimulationError
@@ -36,6 +37,7 @@ class Fit:
     starts_agreeing: int = 1
     notes: tuple[str, ...] = field(default_factory=tuple)
     not_done: tuple[str, ...] = ()
+    begun: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def x(self) -> Array:

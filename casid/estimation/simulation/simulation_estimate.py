@@ -103,7 +103,7 @@ def estimate_of(
     rows = [
         None  # inner nodes of multiple shooting
         if "[" in v.name
-        else Estimated(v.name, value, units[v.source], False, None, v.start)
+        else Estimated(v.name, value, units[v.source], False, None, fit.begun.get(v.name, v.start))
         for v, value in zip(criterion.variables, fit.x.tolist(), strict=True)
     ]
     uncertainty = builder.add_minimum(criterion, solution, rows, bars.assumes, bars.covariance)

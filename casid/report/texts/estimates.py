@@ -80,15 +80,25 @@ def _fit_lines(e: Estimate) -> list[str]:
         for output, value in by_output.items():
             held = e.held_out_rmse.get(record, {}).get(output)
             lines.append(
-                f"  {record}/{output}: rms error {value:.4g} {e.units.get(output, '')}, "
+                f"  {record}/{output}: rms error {_error(e, output, value)}, "
                 f"fit {e.nrmse_fit[record][output]:.1f} %"
-                + (f"; held out {held:.4g}" if held is not None else "")
+                + (f"; held out {_error(e, output, held)}" if held is not None else "")
             )
     for record, by_output in e.held_out_rmse.items():
         if record not in e.rmse:
             for output, value in by_output.items():
-                lines.append(f"  held out {record}/{output}: rms error {value:.4g}")
+                fit = e.held_out_fit.get(record, {}).get(output)
+                lines.append(
+                    f"  held out {record}/{output}: rms error {_error(e, output, value)}"
+                    + (f", fit {fit:.1f} %" if fit is not None else "")
+                )
     return lines
+
+
+def _error(e: Estimate, output: str, value: float) -> str:
+    """An error with the unit of its output."""
+    unit = e.units.get(output, "")
+    return f"{value:.4g}" if unit in {"", "1"} else f"{value:.4g} {unit}"
 
 
 def moment_estimate_document(found: MomentEstimate) -> Document:
