@@ -40,6 +40,11 @@ def roles(file: FileChannels) -> tuple[Role, ...]:
     )
 
 
+_SAMPLES = 20
+"""Samples of the time constant of an output of which the record says none: a simulation is stable
+with it, and it is resolved."""
+
+
 def is_input(channel: FileChannel) -> bool:
     """True if a column's name, unit or signal is one of what drives a system."""
     return _DRIVE.score(channel) > 0 or channel.is_held
@@ -52,7 +57,8 @@ def write(d: Draft) -> Body:
     parameters, relations = [], []
     for y in outputs:
         start = _starts(d, y, inputs)
-        parameters.append(d.unknown(f"tau_{y}", "s", start["tau"], f"time constant of {y}"))
+        what, default = f"time constant of {y}", float(f"{_SAMPLES * d.file.Ts:.2g}")
+        parameters.append(d.unknown(f"tau_{y}", "s", start["tau"], what, default=default))
         parameters += [
             d.unknown(
                 f"g_{y}_{u}",
@@ -60,12 +66,14 @@ def write(d: Draft) -> Body:
                 _in_gain_unit(start[u], d.unit(y), d.unit(u)),
                 f"gain from {u} to {y}",
                 sign="any",
+                default=0.0,
             )
             for u in inputs
         ]
         rest = None if start["rest"] is None else in_unit(start["rest"], d.unit(y))
         what = f"where {y} rests" + (" without input" if inputs else "")
-        parameters.append(d.unknown(f"{y}_0", d.unit(y), rest, what, sign="any", default=0.0))
+        mean = float(f"{in_unit(float(d[y].mean()), d.unit(y)):.4g}")
+        parameters.append(d.unknown(f"{y}_0", d.unit(y), rest, what, sign="any", default=mean))
         driven = "".join(f" + g_{y}_{u} * {u}" for u in inputs)
         relations.append(f"m.derivative({y}, ({y}_0{driven} - {y}) / tau_{y})")
     total = " + ".join(["y_0", *(f"g_{u} {u}" for u in inputs)])

@@ -81,6 +81,24 @@ def test_a_speed_in_1_per_min_is_taken_as_revolutions_to_be_checked(tmp_path: Pa
     assert "gives no unit" not in checks
 
 
+def test_a_guessed_time_constant_can_be_simulated_at_any_sample_time(tmp_path: Path) -> None:
+    """Days between the samples: a guess of seconds would make every fit diverge at its start."""
+    rng = np.random.default_rng(5)
+    rows = [
+        f"{86400 * k},{rng.standard_normal():.3f},{5 + rng.standard_normal():.3f}"
+        for k in range(60)
+    ]
+    data = tmp_path / "daily.csv"
+    data.write_text("\n".join(["t [s],push [N],n [m]", *rows]) + "\n")
+    found = casid.new_problem(data, "free", tmp_path / "daily.py")
+    assert any("time constant of n; the start is a guess" in c for c in found.checks.values())
+    problem = casid.load_problem(tmp_path / "daily.py")
+    start = problem.model.parameters["tau_n"].start
+    assert start == pytest.approx(20 * 86400, rel=0.05)  # two digits
+    estimate = casid.identify(problem, problem.read(data))
+    assert np.isfinite(estimate["tau_n"])
+
+
 def test_the_user_names_what_is_guessed_wrong(tmp_path: Path) -> None:
     data = written_for(tmp_path, "time [s],a [m],b [m],push [N]", *waves(3))
     assert casid.new_problem(data, "mass-spring-damper").channels["position"] == "'a [m]' [m]"
