@@ -132,7 +132,8 @@ def channel_quality(
     x = record.filled(name)
     kept = x[~mask]
     low, high, mean = float(kept.min()), float(kept.max()), float(kept.mean())
-    rms = float(np.sqrt(np.mean(kept**2)))
+    peak = max(abs(low), abs(high))
+    rms = peak * float(np.sqrt(np.mean((kept / peak) ** 2))) if peak else 0.0
     findings: list[Finding] = []
     if gone:
         findings.append(_some_missing(record, name))

@@ -160,8 +160,7 @@ def identify(
                 progress=say,
             )
             return _completed(estimate, problem.model, structural)
-        notes = channel_notes(problem.model, chosen)
-        estimate, found = _estimate_of_fit(problem, split, settings, start, notes, (say, undone))
+        estimate, found = _estimate_of_fit(problem, split, settings, start, chosen, (say, undone))
         if estimate.is_converged:
             estimation = _estimation(problem, found, estimate, settings)
             patience = patience_since(began, budget)
@@ -176,12 +175,13 @@ def _estimate_of_fit(
     split: Split,
     settings: FitSettings,
     start: Mapping[str, float] | None,
-    notes: Sequence[str],
+    chosen: Sequence[Experiment],
     to: tuple[Callable[[str], None], Undone],
 ) -> tuple[Estimate, Corrected]:
     """The estimate with its records and with what it rests on, and the fit that it is of.
 
-    Progress and what was not done go to `to`.
+    Of the records `chosen`, fitted and held out, it has the notes. Progress and what was not done
+    go to `to`.
     """
     say, undone = to
     say(f"fit {', '.join(e.name for e in split.fitted)}")
@@ -192,6 +192,7 @@ def _estimate_of_fit(
     found = _corrected(problem, fit, settings, undone)
     with no_time_limit():  # a few passes over the record, without which there is no result
         feedback = feedback_notes(found.fit, found.noisy)
+        notes = channel_notes(problem.model, chosen)
         estimate = _estimate(problem, found, split, [*notes, *feedback])
         trust = Trust(
             approach(problem, found, settings.segments, feedback),

@@ -74,9 +74,8 @@ def fit_model(
         substeps=settings.substeps or 1,
         start=start,
     )
-    # Too long a step makes another model of it, whose optimum may lie far away.
-    while is_free and _steps_matter(criterion, criterion.start, STEPS.at_start):
-        criterion = _from(criterion, start, finer=2)
+    if is_free:
+        criterion = _resolved(criterion, start)
     begun = {v.name: v.start for v in criterion.variables}
     fit: Fit | None = None
     while True:
@@ -95,8 +94,7 @@ def fit_model(
         except OutOfTimeError:
             if fit is None:
                 raise
-            undone = (*fit.not_done, "finer integration steps")
-            return replace(fit, not_done=undone, begun=begun)
+            return replace(fit, begun=begun, not_done=(*fit.not_done, _FINER))
         except SolveError:
             # Too long a step makes a stable simulation diverge, too.
             is_last = fit is not None or not is_free or criterion.substeps >= STEPS.last
@@ -106,6 +104,19 @@ def fit_model(
     if throw:
         require_minimum(fit)
     return replace(fit, begun=begun)
+
+
+_FINER = "finer integration steps"
+
+
+def _resolved(c: SimulationError, start: Mapping[str, float] | None) -> SimulationError:
+    """The criterion with steps fine enough for where its search begins.
+
+    Too long a step makes another model of it, whose optimum may lie far away.
+    """
+    while _steps_matter(c, c.start, STEPS.at_start):
+        c = _from(c, start, finer=2)
+    return c
 
 
 def _from(c: SimulationError, start: Mapping[str, float] | None, *, finer: int) -> SimulationError:

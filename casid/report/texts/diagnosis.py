@@ -96,7 +96,8 @@ def _remainder(c: Cause) -> Iterator[str]:
 def _value(p: Estimated) -> str:
     error = f" +- {p.std_error:.2g}" if p.std_error is not None else ""
     unit = f" {p.unit}" if p.unit != "1" else ""
-    return f"{p.name} = {_digits(p)}{error}{unit}"
+    bound = f" ({p.note})" if "bound" in p.note else ""
+    return f"{p.name} = {_digits(p)}{error}{unit}{bound}"
 
 
 def _digits(p: Estimated) -> str:
