@@ -86,6 +86,12 @@ class Innovations:
             flat = flat + self.start @ (scale[:, None] * (self.start.T @ flat))
         return _filtered(_adjoint(self.inverse), flat.reshape(columns.shape), self.size)
 
+    def drawn(self, samples: int, rng: np.random.Generator) -> Array:
+        """(N, n) of the process, of so many samples."""
+        white = rfft(rng.standard_normal((self.size, len(self.root))), axis=0)
+        coloured = np.einsum("ijf,fj->fi", _inverse(self.inverse), white)
+        return np.asarray(irfft(coloured, self.size, axis=0)[:samples])
+
     def log_determinant(self, samples: int) -> float:
         """log det of the covariance of so many samples."""
         each = 2 * float(np.sum(np.log(np.diag(self.root))))

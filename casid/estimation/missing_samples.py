@@ -48,6 +48,12 @@ class UnbrokenInnovations:
         out[self._rows] = self._inside.whiten(columns[self._rows])
         return out
 
+    def seen(self, white: Array) -> Array:
+        """Columns (N, n, m), whitened as of a complete record, of the samples that there are."""
+        out = np.zeros(white.shape)
+        out[self._rows] = white[self._rows]
+        return out
+
     def completed(self, white: Array, rng: np.random.Generator) -> Array:
         """Whitened columns (N, n, m) with white noise where samples are missing."""
         out = rng.standard_normal(white.shape)
@@ -84,8 +90,23 @@ class PartialInnovations:
 
     def whiten(self, columns: Array) -> Array:
         """e (N, n, m) of columns r (N, n, m); missing samples of these do not matter."""
-        e = self.whole.whiten(columns * self.used[:, :, None])
-        return e - self._lost(e)
+        return self.seen(self.whole.whiten(columns * self.used[:, :, None]))
+
+    def seen(self, white: Array) -> Array:
+        """Columns (N, n, m), whitened as of a complete record, less what missing samples took."""
+        return white - self._lost(white)
+
+    def filled(self, residual: Array, rng: np.random.Generator) -> Array:
+        """A residual (N, n) with a draw of its missing samples, given those that there are.
+
+        A draw of the whole process, corrected by what minimises (1) of the difference (Hoffman and
+        Ribak, Astrophys. J. 380 (1991) L5-L8).
+        """
+        drawn = self.whole.drawn(len(residual), rng)
+        apart = np.where(self.used, residual - drawn, 0.0)
+        e = self.whole.whiten(apart[:, :, None])
+        z = self._solved(self._at(self.whole.transposed(e)))
+        return np.asarray(np.where(self.used, residual, drawn - self._spread(z)[:, :, 0]))
 
     def completed(self, white: Array, rng: np.random.Generator) -> Array:
         """Whitened columns (N, n, m) with white noise in the directions that missing samples took.

@@ -145,6 +145,17 @@ class NoiseModel:
             return partial.whiten(columns)
         return self._innovations_of(experiment, len(columns)).whiten(columns)
 
+    def seen(self, white: Array, experiment: int) -> Array:
+        """Columns (N, ny, m), whitened as of a complete record, less what missing samples took."""
+        used = self._used_of(experiment, len(white))
+        if used is None:
+            return white
+        if not any(self.source_sd.values()):
+            return np.where(used[:, :, None], white, 0.0)
+        partial = self._partial_of(experiment, len(white), None)
+        assert partial is not None
+        return partial.seen(white)
+
     def completed(self, white: Array, experiment: int) -> Array:
         """Whitened residuals (N, ny) with white noise in the place of what missing samples took.
 
@@ -156,6 +167,17 @@ class NoiseModel:
             return white if partial is None else partial.completed(white[:, :, None], rng)[:, :, 0]
         used = self._used_of(experiment, len(white))
         return white if used is None else np.where(used, white, rng.standard_normal(white.shape))
+
+    def filled(self, residual: Array, experiment: int, rng: np.random.Generator) -> Array:
+        """A residual (N, ny) with a draw of the samples missing between others, given those."""
+        used = self._used_of(experiment, len(residual))
+        if used is None or unbroken(used) is not None:
+            return residual
+        if not any(self.source_sd.values()):
+            return np.where(used, residual, self.output_sd * rng.standard_normal(used.shape))
+        partial = self._partial_of(experiment, len(residual), None)
+        assert isinstance(partial, PartialInnovations)
+        return partial.filled(residual * self.weights, rng) / self.weights
 
     def _used_of(self, experiment: int, samples: int) -> BoolArray | None:
         """Which samples there are, None where all are."""
@@ -218,6 +240,7 @@ def estimate_noise(
     merge: bool = True,
     responses: Sequence[Response] | None = None,
     has_disturbances: bool = True,
+    windows: Sequence[BoolArray] | None = None,
 ) -> NoiseModel:
     """Estimate (1) from the residuals at `x` by Fisher scoring of Whittle's likelihood.
 
@@ -231,6 +254,7 @@ def estimate_noise(
     residuals : (N, ny) an experiment, default those at `x`.
     responses : of the experiments, where they are known already.
     has_disturbances : False: of sensors and measured inputs alone.
+    windows : (N, ny) an experiment, the samples that `residuals` have; default those that count.
     """
     known = dict(known or {})
     ny = len(criterion.outputs)
@@ -247,7 +271,7 @@ def estimate_noise(
     names = [*criterion.outputs, *sources]
     given = np.array([known[name] ** 2 if name in known else np.nan for name in names])
     used = [d.used.copy() for d in criterion.data]
-    spectra = spectra_of(residuals, responses, sources, ny, used)
+    spectra = spectra_of(residuals, responses, sources, ny, windows or used)
     require_finite("the residual's spectra", spectra.power, spectra.design)
     floor = 1e-8 * max(float(np.average(spectra.power, weights=spectra.count)), TINY)
     value = variances(spectra, given, floor)

@@ -18,27 +18,46 @@ is a multiple of r(w) leaves (1), so that its variance is
     B = T'T - sum_w |K|^2 + D V D'                                                            (2)
 
 with the derivatives D by the variances of the noise and their covariance V.
+
+Where outputs miss samples, r and T are those of the samples that there are: with W the whitening of
+a complete record and P the projection on what missing samples could have given (`missing_samples`),
+r = (1 - P) W (e - G w). K stays that of complete records, since r K r and the trace of K (1 - P)
+have the same mean, and what it does is projected wherever (2) or the mean of T'r is formed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.fft import irfft, rfft
 from numpy.typing import NDArray
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.simulation.signals import Signals
-from casid.estimation.simulation.simulation_error import SimulationError, Whitener
+from casid.estimation.simulation.simulation_error import SimulationError
 
 ComplexArray = NDArray[np.complex128]
 
 
+class Whitening(Protocol):
+    """W and P of the records."""
+
+    def whiten(self, columns: Array, experiment: int, used: BoolArray | None = None) -> Array:
+        """Columns (N, ny, m) whitened; as of a record with these `used` (N, ny) samples."""
+
+    def seen(self, white: Array, experiment: int) -> Array:
+        """(1 - P) times columns (N, ny, m) that are whitened as of a complete record."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseColumns:
-    """What the noise of one input adds to outputs and sensitivities of one record, weighted."""
+    """What the noise of one input adds to outputs and sensitivities of one record, weighted.
+
+    As of complete records, whatever samples are missing.
+    """
 
     name: str
     sd: float  # that it is simulated with
@@ -85,7 +104,8 @@ def columns_of(
             w = np.zeros(d.u.shape)
             rng = np.random.default_rng((seed, e, j))
             w[:, inputs.index(name)] = input_sd[name] * flat_noise(d.N, rng)
-            up, down = (_simulated(criterion, x, e, replace(d, u=d.u + s * w)) for s in (1, -1))
+            whole = replace(d, used=np.ones_like(d.used))
+            up, down = (_simulated(criterion, x, e, replace(whole, u=d.u + s * w)) for s in (1, -1))
             moved, turned = (0.5 * (a - b) for a, b in zip(up, down, strict=True))
             moved *= weights
             turned *= weights[:, None]
@@ -98,9 +118,9 @@ def columns_of(
 def _simulated(
     criterion: SimulationError, x: Array, e: int, signals: Signals
 ) -> tuple[Array, Array]:
-    """Outputs and sensitivities of used samples under other inputs."""
+    """Outputs and sensitivities under other inputs."""
     at = criterion.simulated(x, e, signals=signals)
-    return at.y * signals.used, at.jacobian
+    return at.y, at.jacobian
 
 
 def flat_noise(n: int, rng: np.random.Generator) -> Array:
@@ -113,7 +133,7 @@ def flat_noise(n: int, rng: np.random.Generator) -> Array:
 
 
 def equations(
-    columns: Sequence[RecordColumns], whiten: Whitener, input_sd: Mapping[str, float]
+    columns: Sequence[RecordColumns], whitening: Whitening, input_sd: Mapping[str, float]
 ) -> Equations:
     """(1) and (2), without its last term, under one whitening and with inputs that noisy."""
     n = columns[0].tangent.shape[2]
@@ -121,31 +141,66 @@ def equations(
     matrix, added, variance = (np.zeros((n, n)) for _ in range(3))
     for e, part in enumerate(columns):
         stack = np.concatenate([part.residual[:, :, None], part.tangent], axis=2)
-        white = whiten(stack, e)
+        white = whitening.whiten(stack, e)
         r, t = white[:, :, 0], white[:, :, 1:]
         flat = t.reshape(-1, n)
         matrix += flat.T @ flat
         score += flat.T @ r.ravel()
         if not part.noise:
             continue
-        both = both_halves(len(r))
         passed, turned = [], []
         for source in part.noise:
             stack = np.concatenate([source.moved[:, :, None], source.turned], axis=2)
             scale = input_sd[source.name] / source.sd
-            spectrum = rfft(whiten(scale * stack, e), axis=0) / np.sqrt(len(r))
+            whole = whitening.whiten(scale * stack, e, np.ones(r.shape, dtype=bool))
+            spectrum = rfft(whole, axis=0) / np.sqrt(len(r))
             passed.append(spectrum[:, :, 0])
             turned.append(spectrum[:, :, 1:])
-            added += _product(turned[-1], both)
-        spectrum = rfft(r, axis=0) / np.sqrt(len(r))
-        for d, m in zip(turned, passed, strict=True):
-            alike = np.einsum("fan,fa->fn", d.conj(), spectrum)
-            score += (both * np.einsum("fa,fa->f", m, spectrum.conj()) @ alike).real
-            bias -= np.einsum("fan,fa,f->n", d.conj(), m, both).real
-            for d2, m2 in zip(turned, passed, strict=True):
-                shared = both * np.einsum("fa,fa->f", m, m2.conj())
-                variance -= np.einsum("fan,fam->nm", shared[:, None, None] * d.conj(), d2).real
+            seen = whitening.seen(whole, e)
+            d = seen[:, :, 1:].reshape(-1, n)
+            added += d.T @ d
+            bias -= d.T @ seen[:, :, 0].ravel()
+        score += _carried(turned, passed, r).reshape(-1, n).T @ r.ravel()
+        variance -= _shared(turned, passed, whitening, (e, *r.shape))
     return Equations(score, matrix, added, matrix + variance, bias)
+
+
+def _carried(turned: Sequence[ComplexArray], passed: Sequence[ComplexArray], r: Array) -> Array:
+    """sum_w K r (N, ny, n) of whitened columns r (N, ny).
+
+    Parameters
+    ----------
+    turned, passed : spectra (F, ny, n) and (F, ny) of dG w and G w, one an input.
+    """
+    spectrum = rfft(r, axis=0)
+    total = sum(
+        d * np.einsum("fa,fa->f", m.conj(), spectrum)[:, None, None]
+        for d, m in zip(turned, passed, strict=True)
+    )
+    return np.asarray(irfft(total, len(r), axis=0))
+
+
+def _shared(
+    turned: Sequence[ComplexArray],
+    passed: Sequence[ComplexArray],
+    whitening: Whitening,
+    of: tuple[int, int, int],
+) -> Array:
+    """sum_w |K|^2 (n, n) among the samples that there are, of an experiment of (N, ny).
+
+    The trace of K'K from columns of noise of constant periodogram, one an output: without sampling
+    error where no sample is missing.
+    """
+    experiment, N, ny = of
+    n = turned[0].shape[2]
+    out = np.zeros((n, n))
+    for a in range(ny):
+        e = np.zeros((N, ny, 1))
+        e[:, a, 0] = flat_noise(N, np.random.default_rng((experiment, a)))
+        e = whitening.seen(e, experiment)
+        rows = whitening.seen(_carried(turned, passed, e[:, :, 0]), experiment).reshape(-1, n)
+        out += rows.T @ rows
+    return out
 
 
 def both_halves(n: int) -> Array:
@@ -155,12 +210,6 @@ def both_halves(n: int) -> Array:
     if n % 2 == 0:
         out[-1] = 1.0
     return out
-
-
-def _product(spectrum: ComplexArray, both: Array) -> Array:
-    """Sum of c c^H (n, n) over frequencies and outputs."""
-    rows = (np.sqrt(both)[:, None, None] * spectrum).reshape(-1, spectrum.shape[2])
-    return np.asarray((rows.conj().T @ rows).real)
 
 
 def step(at: Equations, free: Array, least: float) -> tuple[Array, float, float]:

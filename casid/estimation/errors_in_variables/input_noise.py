@@ -8,17 +8,19 @@ its variance, it is left out of account.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import rfft
 from scipy.stats import chi2
 
-from casid.arrays import TINY, Array
+from casid.arrays import TINY, Array, BoolArray
 from casid.estimation.errors_in_variables.equations import both_halves, columns_of, equations
 from casid.estimation.errors_in_variables.thresholds import REMOVAL
+from casid.estimation.missing_samples import unbroken
 from casid.estimation.noise import NoiseModel, estimate_noise, floor_error, input_noise_floor
+from casid.estimation.noise_response import Response
 from casid.estimation.simulation.minimization import Fit
 from casid.estimation.simulation.simulation_error import SimulationError
 
@@ -80,9 +82,20 @@ class InputNoise:
         return out
 
 
-def input_noise(criterion: SimulationError, x: Array, known: Mapping[str, float]) -> InputNoise:
-    """The noise at `x` (n,), with that of the channels `known` (standard deviations) as stated."""
-    noise = _of_few_sources(criterion, x, known)
+def input_noise(
+    criterion: SimulationError,
+    x: Array,
+    known: Mapping[str, float],
+    before: NoiseModel | None = None,
+) -> InputNoise:
+    """The noise at `x` (n,), with that of the channels `known` (standard deviations) as stated.
+
+    Parameters
+    ----------
+    before : the noise found nearby, if it was: missing samples are drawn from it first.
+    """
+    seen = _Residuals(criterion, x, known)
+    noise = seen.noise(before)
     inputs = criterion.model.inputs
     floors = input_noise_floor(criterion.data, list(inputs))
     measured = [n for n, u in inputs.items() if u.kind == "measured"]
@@ -91,11 +104,8 @@ def input_noise(criterion: SimulationError, x: Array, known: Mapping[str, float]
     exact = [n for n in measured if 0 < errors[n] < noise.variance_error(n)]
     at_floor: tuple[str, ...] = ()
     if exact:
-        held = estimate_noise(
-            criterion,
-            x,
-            known={**known, **{n: floors[n] for n in exact}},
-            responses=noise.responses,
+        held = seen.of(
+            {**known, **{n: floors[n] for n in exact}},
             has_disturbances=any(noise.source_sd[b] > 0 for b in criterion.model.balances),
         )
         ratio = 2 * (held.misfit - noise.misfit) / len(criterion.outputs)
@@ -104,24 +114,79 @@ def input_noise(criterion: SimulationError, x: Array, known: Mapping[str, float]
     return InputNoise(noise, {n: known.get(n, floors[n]) ** 2 for n in measured}, errors, at_floor)
 
 
-def _of_few_sources(criterion: SimulationError, x: Array, known: Mapping[str, float]) -> NoiseModel:
-    """The noise of sensors and measured inputs; with disturbances where the residual shows them.
+class _Residuals:
+    """Residuals at `x`, and the noise that they show.
 
-    What an input and a force somewhere else give to a residual is often much alike. A force gets
-    a part of it only where the likelihood gains more by it than Schwarz's criterion charges. As
-    outputs may all show the same noise, what it counts for each of them is counted once.
+    Through a window with holes the spectrum of a slow residual leaks all over the band, and hides
+    the noise of the sensors. Missing samples are drawn from the noise last found instead, and that
+    is found anew, some times over: stochastic EM (Celeux and Diebolt 1985), which converges at the
+    rate of the share that is missing.
     """
-    whole = estimate_noise(criterion, x, known=known)
-    inputs = criterion.model.inputs
-    forces = [g for g in whole.alike if g[0] not in inputs and whole.source_sd[g[0]] > 0]
-    if not forces:
-        return whole
-    few = estimate_noise(
-        criterion, x, known=known, responses=whole.responses, has_disturbances=False
-    )
-    lines = sum(d.N // 2 + 1 for d in criterion.data) * len(criterion.outputs)
-    price = 0.5 * len(forces) * np.log(max(lines, 2))
-    return few if (few.misfit - whole.misfit) / len(criterion.outputs) < price else whole
+
+    def __init__(self, criterion: SimulationError, x: Array, known: Mapping[str, float]) -> None:
+        self.criterion, self.x, self.known = criterion, x, known
+        self.recorded = [criterion.simulated(x, e).residual for e in range(len(criterion.data))]
+        self.residuals = self.recorded
+        self.windows = [d.used for d in criterion.data]
+        self.responses: Sequence[Response] | None = None
+        self.share = 1.0  # of the samples that the residuals have, those that were recorded
+
+    def noise(self, before: NoiseModel | None) -> NoiseModel:
+        """The noise of few sources."""
+        has_holes = any(not d.used.all() and unbroken(d.used) is None for d in self.criterion.data)
+        if not has_holes:
+            return self._of_few_sources()
+        found, fillings = before, REMOVAL.refillings
+        if found is None:
+            found, fillings = self._of_few_sources(), REMOVAL.fillings
+        rng = np.random.default_rng(0)
+        for _ in range(fillings):
+            self._fill(found, rng)
+            found = self._of_few_sources()
+        return found
+
+    def _fill(self, noise: NoiseModel, rng: np.random.Generator) -> None:
+        data = self.criterion.data
+        self.residuals = [noise.filled(r, e, rng) for e, r in enumerate(self.recorded)]
+        holes = [unbroken(d.used) is None for d in data]
+        self.windows = [
+            np.ones_like(d.used) if hole else d.used for d, hole in zip(data, holes, strict=True)
+        ]
+        has = sum(int(w.sum()) for w in self.windows)
+        self.share = sum(int(d.used.sum()) for d in data) / has
+
+    def of(self, known: Mapping[str, float], *, has_disturbances: bool = True) -> NoiseModel:
+        """The noise, with that of some channels known, and errors of what is recorded alone."""
+        found = estimate_noise(
+            self.criterion,
+            self.x,
+            known=known,
+            residuals=self.residuals,
+            responses=self.responses,
+            has_disturbances=has_disturbances,
+            windows=self.windows,
+        )
+        self.responses = found.responses
+        wider = (2 - self.share) / self.share  # for what is missing, and for what was drawn
+        return replace(found, covariance={k: wider * v for k, v in found.covariance.items()})
+
+    def _of_few_sources(self) -> NoiseModel:
+        """The noise of sensors and measured inputs; with disturbances where residuals show them.
+
+        What an input and a force somewhere else give to a residual is often much alike. A force
+        gets a part of it only where the likelihood gains more by it than Schwarz's criterion
+        charges. As outputs may all show the same noise, what it counts for each of them is counted
+        once.
+        """
+        whole = self.of(self.known)
+        inputs, ny = self.criterion.model.inputs, len(self.criterion.outputs)
+        forces = [g for g in whole.alike if g[0] not in inputs and whole.source_sd[g[0]] > 0]
+        if not forces:
+            return whole
+        few = self.of(self.known, has_disturbances=False)
+        lines = sum(d.N // 2 + 1 for d in self.criterion.data) * ny
+        price = 0.5 * len(forces) * np.log(max(lines, 2))
+        return few if (few.misfit - whole.misfit) / ny < price else whole
 
 
 def added_variance(fit: Fit, noise: NoiseModel, free: Array) -> float:
@@ -162,7 +227,8 @@ def possible_bias(
     covariance : (n, n) of the fit.
     free : (n,) bool, False at active bounds.
     """
-    at = equations(columns_of(fit.criterion, fit.x, input_sd, seed), unwhitened, input_sd)
+    used = [d.used for d in fit.criterion.data]
+    at = equations(columns_of(fit.criterion, fit.x, input_sd, seed), Unwhitened(used), input_sd)
     index = np.flatnonzero(free)
     slope, bias = at.matrix[np.ix_(index, index)], at.bias[index]
     d = 1 / np.sqrt(np.maximum(np.diag(slope), np.finfo(float).tiny))
@@ -173,6 +239,16 @@ def possible_bias(
     return out
 
 
-def unwhitened(columns: Array, experiment: int) -> Array:
-    """The columns as they are: a whitening that does nothing."""
-    return columns
+@dataclass(frozen=True, slots=True, eq=False)
+class Unwhitened:
+    """The columns as they are, of the samples `used` (N, ny) of each experiment."""
+
+    used: Sequence[BoolArray]
+
+    def whiten(self, columns: Array, experiment: int, used: BoolArray | None = None) -> Array:
+        """The columns."""
+        return columns
+
+    def seen(self, white: Array, experiment: int) -> Array:
+        """Zero where samples are missing."""
+        return np.asarray(white * self.used[experiment][:, :, None])

@@ -112,7 +112,6 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
         return Corrected(fit)
     if criterion.segments > 1 or solution.constraint_jacobian.size:
         return Corrected(fit, why_not="it is fitted in segments, or under constraints")
-    gaps = any(n in e.record.missing for e in criterion.experiments for n in criterion.outputs)
     held = {*solution.at_lower, *solution.at_upper}
     free = np.array([name not in held for name in criterion.names])
     found = input_noise(criterion, fit.x, known)
@@ -125,8 +124,6 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
     if float(np.abs(bias).max(initial=0.0)) < REMOVAL.negligible:
         if added_variance(fit, found.noise.quiet(found.most), free) < REMOVAL.adds:
             return at
-    if gaps:
-        return replace(at, why_not="outputs miss samples, and what removes it needs them all")
     root = _Root(fit, known, free, found, seed)
     if root.why_not:
         return replace(at, why_not=root.why_not)
@@ -141,7 +138,7 @@ def without_input_noise(fit: Fit, known: Mapping[str, float], *, seed: int = 0) 
         root.covariance(),
         root.found.sd,
         named,
-        whiten=root.found.noise.whiten,
+        whiten=root.whitened,
         output_sd=root.found.noise.output_sd,
     )
 
@@ -203,10 +200,16 @@ class _Root:
         return ""
 
     def _evaluate(self) -> None:
-        self.found = input_noise(self.criterion, self.x, self.known)
+        self.found = input_noise(self.criterion, self.x, self.known, self.found.noise)
         sd = self.found.sd
         self.columns = columns_of(self.criterion, self.x, sd, self.seed)
-        self.at = equations(self.columns, self.found.noise.whiten, sd)
+        self.at = equations(self.columns, self.found.noise, sd)
+
+    def whitened(self, columns: Array, experiment: int) -> Array:
+        """Columns (N, ny, 1) by the noise found, with white noise where samples are missing."""
+        noise = self.found.noise
+        white = noise.whiten(columns, experiment)[:, :, 0]
+        return noise.completed(white, experiment)[:, :, None]
 
     def at_bound(self, bound: Array) -> tuple[str, ...]:
         """Names of the variables at one of their bounds (n,)."""
@@ -277,5 +280,5 @@ class _Root:
 
     def _slope(self, beside: Sequence[tuple[NoiseModel, Mapping[str, float]]]) -> Array:
         """(n,) change of the equations between two noises, by the relative change of a variance."""
-        below, above = (equations(self.columns, m.whiten, sd).score for m, sd in beside)
+        below, above = (equations(self.columns, m, sd).score for m, sd in beside)
         return np.asarray((above - below) / (self.beside[1] - self.beside[0]))

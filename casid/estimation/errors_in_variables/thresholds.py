@@ -44,6 +44,10 @@ class Removal:
     absorbs_spreads: float = _is(
         2.0, "standard deviations of that ratio squared by chance, beyond which the same", _TEST
     )
+    fillings: int = _is(
+        8, "draws of missing samples, after each of which the noise is found anew", _TEST
+    )
+    refillings: int = _is(3, "the same, from the noise of the step before", _TEST)
     difference: float = _is(0.1, "of a variance, by which it is changed for a derivative", _TEST)
 
 
