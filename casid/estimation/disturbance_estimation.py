@@ -9,10 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
 from casid.arrays import TINY, Array
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
@@ -20,6 +18,7 @@ from casid.estimation.noise import NoiseModel, variances, whittle
 from casid.estimation.noise_response import Response
 from casid.estimation.residual_spectra import Spectra, band_edges, spectra_of
 from casid.estimation.simulation.simulation_error import SimulationError
+from casid.estimation.variance_scoring import likelihoods
 
 CORNERS = 12
 """Frequencies, even in the logarithm, that a search starts from."""
@@ -32,11 +31,13 @@ ROUGHLY = 1e-2
 likelihood, at its maximum over the variances, errs by the square of that."""
 TOLERANCE = 1e-4
 """The same for the spectrum that is chosen."""
-EVALUATIONS = 60
-"""Of the likelihood in the search beside the best start, at most."""
-RESOLVED = 0.02
-"""Change of the logarithm of the likelihood, and of those of frequency and width, at which that
-search ends: far less than one record can distinguish."""
+FINER = (0.15, 0.05, 0.017)
+"""Changes of the logarithm of the frequency, one after another, by which the search goes on beside
+the best of the grid; the last is far less than one record can distinguish."""
+WIDER = 3.0
+"""Times as large are those of the logarithm of the width."""
+MOVES = 4
+"""Of one such search on to where it gains at its edge, at most."""
 
 
 def with_disturbance_spectra(
@@ -97,21 +98,26 @@ class _Search:
         """Of the columns of `white`."""
         return [*self.outputs, *self.noise.responses[0].sources]
 
-    def fitted(
-        self, found: Mapping[str, DisturbanceSpectrum], tolerance: float = TOLERANCE
-    ) -> tuple[float, Array]:
+    def fitted(self, found: Mapping[str, DisturbanceSpectrum]) -> tuple[float, Array]:
         """Minus the log-likelihood and the price of its parameters, and the variances."""
         names = [*self.outputs, *self._sources(found)]
         design = self.white.design[:, [self.names.index(n) for n in names]].copy()
         for name, spectrum in found.items():
-            design[:, names.index(name)] *= self._in_bands(spectrum)
+            design[:, names.index(name)] *= self._in_bands([spectrum])[0]
         spectra = replace(self.white, design=design)
         given = np.array([self.known.get(n, np.nan) ** 2 for n in names])
-        floor = 1e-8 * max(float(np.average(spectra.power, weights=spectra.count)), TINY)
-        value = variances(spectra, given, floor, tolerance=tolerance)
+        value = variances(spectra, given, self.floor, tolerance=TOLERANCE)
+        return whittle(spectra, value, self.floor) + self._price(found), value
+
+    def _price(self, found: Mapping[str, DisturbanceSpectrum]) -> float:
+        """Schwarz's, of the parameters of the spectra."""
         count = sum(1 if s.damping is None else 2 for s in found.values())
-        price = 0.5 * count * float(np.log(max(spectra.count.sum(), 2.0)))
-        return whittle(spectra, value, floor) + price, value
+        return 0.5 * count * float(np.log(max(self.white.count.sum(), 2.0)))
+
+    @property
+    def floor(self) -> float:
+        """Of the spectrum of a residual."""
+        return 1e-8 * max(float(np.average(self.white.power, weights=self.white.count)), TINY)
 
     def best_beside(
         self, found: Mapping[str, DisturbanceSpectrum], name: str
@@ -124,48 +130,53 @@ class _Search:
         if low >= high:
             return None
 
-        def judged(spectrum: DisturbanceSpectrum) -> float:
-            return self.fitted({**found, name: spectrum}, ROUGHLY)[0]
-
         shapes = [(None, False), *((zeta, band) for zeta in WIDTHS for band in (False, True))]
         grid = [
             DisturbanceSpectrum(float(w), zeta, band)
             for w in np.geomspace(low, high, CORNERS)
             for zeta, band in shapes
         ]
-        first = min(grid, key=judged)
-
-        def spectrum_at(z: Array) -> DisturbanceSpectrum:
-            w = float(np.clip(np.exp(z[0]), low, high))
-            width = float(np.clip(np.exp(z[1]), 0.01, 1.0)) if len(z) > 1 else None
-            return DisturbanceSpectrum(w, width, first.is_band)
-
-        start = np.log([first.frequency, *([first.damping] if first.damping else [])])
-        simplex = start + 0.3 * np.vstack([0 * start, np.eye(len(start))])
-        search: Any = minimize  # its stubs know no initial simplex
-        result = search(
-            lambda z: judged(spectrum_at(z)),
-            start,
-            method="Nelder-Mead",
-            options={
-                "maxfev": EVALUATIONS,
-                "initial_simplex": simplex,
-                "xatol": RESOLVED,
-                "fatol": RESOLVED,
-            },
-        )
-        chosen = {**found, name: spectrum_at(result.x)}
+        best, least = self._best_of(grid, found, name)
+        for step in FINER:
+            for _ in range(MOVES):
+                around = _beside(best, step, (low, high))
+                near, value = self._best_of(around, found, name)
+                if not value < least:
+                    break
+                best, least = near, value
+                if _is_between(best, around[0], around[-1]):
+                    break
+        chosen = {**found, name: best}
         return (*self.fitted(chosen), chosen)
+
+    def _best_of(
+        self,
+        candidates: Sequence[DisturbanceSpectrum],
+        found: Mapping[str, DisturbanceSpectrum],
+        name: str,
+    ) -> tuple[DisturbanceSpectrum, float]:
+        """The likeliest spectrum of a force beside those found, and its price."""
+        first = {**found, name: candidates[0]}
+        names = [*self.outputs, *self._sources(first)]
+        design = self.white.design[:, [self.names.index(n) for n in names]].copy()
+        for other, spectrum in found.items():
+            design[:, names.index(other)] *= self._in_bands([spectrum])[0]
+        every = np.repeat(design[None], len(candidates), axis=0)
+        every[:, :, names.index(name)] *= self._in_bands(candidates)
+        given = np.array([self.known.get(n, np.nan) ** 2 for n in names])
+        values = likelihoods(self.white, every, given, self.floor, ROUGHLY)
+        values += [self._price({**found, name: c}) for c in candidates]
+        k = int(np.argmin(values))
+        return candidates[k], float(values[k])
 
     def noise_of(self, found: Mapping[str, DisturbanceSpectrum], value: Array) -> NoiseModel:
         """The noise model with these spectra and variances."""
         sources, ny = self._sources(found), len(self.outputs)
-        floor = 1e-8 * max(float(np.average(self.white.power, weights=self.white.count)), TINY)
         sd = dict(zip(sources, np.sqrt(value[ny:]).tolist(), strict=True))
         groups = [g for g in self.noise.alike if g[0] in sources]
         return replace(
             self.noise,
-            output_sd=np.sqrt(np.maximum(value[:ny], floor)),
+            output_sd=np.sqrt(np.maximum(value[:ny], self.floor)),
             source_sd={name: sd.get(name, 0.0) for name in self.noise.source_sd},
             responses=self._responses(found),
             alike=(*groups, *((name,) for name in found if name not in {g[0] for g in groups})),
@@ -189,21 +200,45 @@ class _Search:
             out.append(replace(r, gain2=gain2, gain=gain))
         return out
 
-    def _in_bands(self, spectrum: DisturbanceSpectrum) -> Array:
-        """The spectrum in the bands of `white`, record by record and output by output."""
+    def _in_bands(self, spectra: Sequence[DisturbanceSpectrum]) -> Array:
+        """(G, B) spectra in the bands of `white`, record by record and output by output."""
         parts, first = [], 0
         for n, Ts in self.records:
             grid = np.linspace(0.0, np.pi, n + 1)
-            shape = spectrum.at(grid, Ts)
             bands = len(band_edges(n)) - 1
             omega = self.white.omega[first : first + bands]
-            for _ in self.outputs:
-                parts.append(np.interp(omega, grid, shape))
-                first += bands
-        return np.concatenate(parts)
+            left = np.minimum((omega / grid[1]).astype(int), n - 1)
+            share = omega / grid[1] - left
+            shape = np.array([s.at(grid, Ts) for s in spectra])
+            own = shape[:, left] * (1.0 - share) + shape[:, left + 1] * share
+            parts += [own] * len(self.outputs)
+            first += bands * len(self.outputs)
+        return np.concatenate(parts, axis=1)
 
     def _is_felt(self, name: str) -> bool:
         return any(r.gain2[:, :, r.sources.index(name)].any() for r in self.noise.responses)
+
+
+def _beside(
+    at: DisturbanceSpectrum, step: float, range_of: tuple[float, float]
+) -> list[DisturbanceSpectrum]:
+    """Spectra of the same kind whose frequency and width are up to two steps away."""
+    places = np.arange(-2, 3)
+    w = np.clip(at.frequency * np.exp(step * places), *range_of).tolist()
+    if at.damping is None:
+        return [DisturbanceSpectrum(f, None, at.is_band) for f in w]
+    widths = np.clip(at.damping * np.exp(WIDER * step * places), 0.01, 1.0).tolist()
+    return [DisturbanceSpectrum(f, zeta, at.is_band) for f in w for zeta in widths]
+
+
+def _is_between(
+    at: DisturbanceSpectrum, low: DisturbanceSpectrum, high: DisturbanceSpectrum
+) -> bool:
+    """True where neither frequency nor width is at an end."""
+    inside = low.frequency < at.frequency < high.frequency
+    if at.damping is None or low.damping is None or high.damping is None:
+        return inside
+    return inside and low.damping < at.damping < high.damping
 
 
 def _tapered(residual: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,7 @@ from casid.estimation.simulation.sensor_dynamics import prepared_inputs, through
 from casid.estimation.simulation.simulation_error import SimulationError
 from casid.estimation.simulation.simulator import rk4_sample
 from casid.model.declarations import Input
+from casid.model.explicit_form import Explicit
 from casid.model.model import Model
 
 
@@ -48,22 +50,10 @@ def noise_response(
     model, d = criterion.model, criterion.data[experiment]
     p, _ = criterion.parameter_vector(x, experiment)
     states = criterion.simulated(x, experiment).x  # kept: the residual comes from it as well
-    disturbed = _with_disturbances(model)
-    e = disturbed.explicit()
-    nb = len(model.balances)
-    u_next = ca.SX.sym("un", len(e.inputs))
-    xs = rk4_sample(disturbed, e, u_next, d.Ts, criterion.substeps)
-    jac = ca.Function(
-        "lin",
-        [e.x, e.u, u_next, e.p],
-        [
-            ca.jacobian(xs, e.x),
-            ca.jacobian(xs, e.u),
-            ca.jacobian(xs, u_next),
-            ca.jacobian(e.h, e.x),
-            ca.jacobian(e.h, e.u),
-        ],
+    disturbed, e, jac = criterion.built(
+        ("noise response", d.Ts), lambda: _linearised(criterion, d.Ts)
     )
+    nb = len(model.balances)
     # Equivalent linearisation: the mean of the derivatives over the record, so that kinks and
     # amplitude-dependent terms count by how often they are met.
     pick = np.linspace(0, d.N - 1, min(d.N, 200)).astype(int)
@@ -86,6 +76,29 @@ def noise_response(
     g = c @ np.linalg.solve(lhs, rhs) + dd @ enters
     g = g * _sensor_stages(criterion, x, experiment, len(omega) - 1)[:, :, None]
     return Response(omega, np.abs(g) ** 2, (*measured, *model.balances), g)
+
+
+def _linearised(criterion: SimulationError, Ts: float) -> tuple[Model, Explicit, Any]:
+    """The model with a force in each balance, its equations, and the derivatives of a sample.
+
+    The function takes states, inputs, inputs at the next sample and parameters.
+    """
+    disturbed = _with_disturbances(criterion.model)
+    e = disturbed.explicit()
+    u_next = ca.SX.sym("un", len(e.inputs))
+    xs = rk4_sample(disturbed, e, u_next, Ts, criterion.substeps)
+    jac = ca.Function(
+        "lin",
+        [e.x, e.u, u_next, e.p],
+        [
+            ca.jacobian(xs, e.x),
+            ca.jacobian(xs, e.u),
+            ca.jacobian(xs, u_next),
+            ca.jacobian(e.h, e.x),
+            ca.jacobian(e.h, e.u),
+        ],
+    )
+    return disturbed, e, jac
 
 
 def _input_stages(

@@ -18,11 +18,11 @@ found, or samples are spoilt.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, chdtri
 
 from casid.arrays import TINY, Array
 from casid.data.arguments import in_si
@@ -212,15 +212,28 @@ class Screen:
             (i for i, s in enumerate(table.scores) if s.is_visible),
             key=lambda i: -table.scores[i].unrobust,
         )[: SCREENING.taken_out]
-        nothing = self._likelihood_beside(bare, None)
-        gain = max((nothing - self._likelihood_beside(bare, i) for i in best), default=0.0)
-        gain = max(gain, 0.0)
+        gain = self._gain_beside(bare, best, len(table.tested))
         p = 2.0 * min(p, len(table.tested) * float(chdtrc(1, 2.0 * gain)))
         _, tangent = at.columns(x, 0)
         own = self._parameters(at, x, tangent)
         return Screened(min(1.0, p, self._lines(at, x)), "", own)
 
-    def _likelihood_beside(self, bare: Weighted, effect: int | None) -> float:
+    def _gain_beside(self, bare: Weighted, effects: Sequence[int], tests: int) -> float:
+        """The most that the log-likelihood gains where one effect explains a part of the residual.
+
+        Effects that gain little at first are not followed up.
+        """
+
+        def gains(of: Sequence[int], rounds: int) -> list[float]:
+            nothing = self._likelihood_beside(bare, None, rounds)
+            return [nothing - self._likelihood_beside(bare, i, rounds) for i in of]
+
+        first = gains(effects, 1)
+        passing = 0.5 * float(chdtri(1, SCREENING.share * self.level / (2 * max(tests, 1))))
+        near = [i for i, g in zip(effects, first, strict=True) if g > SCREENING.followed * passing]
+        return max([0.0, *first, *(gains(near, 2) if near else [])])
+
+    def _likelihood_beside(self, bare: Weighted, effect: int | None, rounds: int) -> float:
         """Minus the log-likelihood where an effect explains a part of the residual.
 
         The disturbance is sought anew in what the effect leaves; the effect, with the parameters,
@@ -234,7 +247,7 @@ class Screen:
         if effect is not None:
             columns = np.hstack([columns, psi[:, [raw.judged[effect]]]])
         shape = (at.data[0].N, len(at.weights))
-        for _ in range(2):
+        for _ in range(rounds):
             stack = np.column_stack([residual, columns]).reshape(*shape, -1)
             white = noise.whiten(stack, 0).reshape(len(residual), -1)
             size = np.sqrt(np.maximum(np.einsum("ij,ij->j", white[:, 1:], white[:, 1:]), TINY))

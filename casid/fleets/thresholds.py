@@ -37,6 +37,12 @@ class Screening:
     taken_out: int = _is(
         4, "effects that are taken out of a residual that disturbances might explain", _STUDY
     )
+    followed: float = _is(
+        0.5,
+        "of the gain in log-likelihood at which a record passes: an effect that gains less in a "
+        "first step, of two, is not followed up",
+        _STUDY,
+    )
     settled: float = _is(
         0.3,
         "standard errors that the last of them may be long; a record that is further away is "

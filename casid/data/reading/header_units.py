@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from typing import NamedTuple
 
 from casid.errors import UnitError
@@ -148,6 +149,7 @@ def written_unit(text: str, stem: str = "") -> HeaderUnit:
     return HeaderUnit(text, None, stem, True, _readings_of(text))
 
 
+@lru_cache(maxsize=4096)
 def _reads(text: str) -> str | None:
     """The unit of the list that `text` stands for, where there is one alone."""
     if not text:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -88,6 +88,7 @@ class SimulationError:
         self.model, self.segments, self.substeps = model, segments, substeps
         self.outputs = tuple(model.outputs)
         self._simulators: dict[float, Simulator] = {}
+        self._built: dict[object, Any] = {}  # of the model, shared by `of_records`
         self._take(experiments, own, weights, whiten, start)
 
     def of_records(
@@ -108,6 +109,12 @@ class SimulationError:
         other = copy.copy(self)
         other._take(experiments, self.own, weights, whiten, start)
         return other
+
+    def built(self, key: object, build: Callable[[], Any]) -> Any:
+        """What is built of the model and the steps alone, once for all records."""
+        if key not in self._built:
+            self._built[key] = build()
+        return self._built[key]
 
     def _take(
         self,

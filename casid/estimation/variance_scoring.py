@@ -1,0 +1,94 @@
+"""Variances under many spectra of one force at once: a grid of shapes is compared in one pass.
+
+The same scoring as `noise.variances`, a candidate a slice: its steps are weighted least squares
+without negative variances, in as many unknowns as there are sources of noise. These are few, so
+every choice of zeros is tried, and the feasible one of the smallest error is the solution.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from casid.arrays import TINY, Array
+from casid.estimation.noise import variances, whittle
+from casid.estimation.residual_spectra import Spectra
+
+STEPS = 60
+"""Of the scoring, at most."""
+HALVED, STALLED = 3, 10
+"""Half steps are made before the first of these, where they are long, and after the second, where
+whole ones go back and forth."""
+ENUMERATED = 4
+"""Free variances up to which every choice of zeros is tried."""
+RIDGE = 1e-12
+"""Of columns of unit size, which keeps equations of dependent ones regular."""
+
+
+def likelihoods(
+    spectra: Spectra, design: Array, given: Array, floor: float, tolerance: float
+) -> Array:
+    """(G,) minus Whittle's log-likelihood at its maximum over the variances, of each design.
+
+    Parameters
+    ----------
+    design : (G, B, k) |G|^2 in bands, in place of that of `spectra`.
+    given : (k,) variances that are kept; NaN where they are sought.
+    floor : of the spectrum.
+    tolerance : relative change of the spectrum at which the scoring of a design ends.
+    """
+    free = ~np.isfinite(given)
+    if not 0 < np.sum(free) <= ENUMERATED:
+        return np.array([_one(spectra, d, given, floor, tolerance) for d in design])
+    power, count = spectra.power, spectra.count
+    offset = design[:, :, ~free] @ given[~free]
+    columns = design[:, :, free]
+    s = np.maximum(power, 1e-12 * max(float(power.max(initial=0.0)), TINY)) + offset
+    solution = np.zeros((len(design), columns.shape[2]))
+    moving = np.arange(len(design))
+    for k in range(STEPS):
+        weight = np.sqrt(count) / s[moving]
+        own = columns[moving] * weight[:, :, None]
+        target = np.maximum(power - offset[moving], 0.0) * weight
+        new = _least(own, target)
+        share = 1.0 if k == 0 or HALVED <= k < STALLED else 0.5
+        solution[moving] += share * (new - solution[moving])
+        after = (columns[moving] @ solution[moving][:, :, None])[:, :, 0] + offset[moving]
+        before, after = s[moving], np.maximum(after, floor)
+        s[moving] = after
+        moving = moving[np.any(np.abs(after - before) >= tolerance * after, axis=1)]
+        if not moving.size:
+            break
+    return np.asarray((np.log(s) + power / s) @ count)
+
+
+def _one(spectra: Spectra, design: Array, given: Array, floor: float, tolerance: float) -> float:
+    own = Spectra(design, spectra.power, spectra.count, spectra.omega)
+    return whittle(own, variances(own, given, floor, tolerance=tolerance), floor)
+
+
+def _least(a: Array, b: Array) -> Array:
+    """(G, k) non-negative x that minimise |a x - b| for a (G, B, k) and b (G, B)."""
+    turned = a.transpose(0, 2, 1)
+    normal, right = turned @ a, (turned @ b[:, :, None])[:, :, 0]
+    scale = np.sqrt(np.einsum("gkk->gk", normal)) + TINY
+    normal = normal / (scale[:, :, None] * scale[:, None, :]) + RIDGE * np.eye(a.shape[2])
+    right = right / scale
+    x = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    below = np.flatnonzero(np.any(x < 0.0, axis=1))
+    if below.size:
+        x[below] = _with_zeros(normal[below], right[below])
+    return np.asarray(x / scale)
+
+
+def _with_zeros(normal: Array, right: Array) -> Array:
+    """(G, k) the best of all choices of zeros, of normal equations (G, k, k) and (G, k)."""
+    kept = np.array(list(product((1.0, 0.0), repeat=right.shape[1])))[1:-1]  # (choices, k)
+    both = kept[:, :, None] * kept[:, None, :]
+    held = (1.0 - kept)[:, :, None] * np.eye(right.shape[1])
+    x = np.linalg.solve(normal[:, None] * both + held, (right[:, None] * kept)[..., None])[..., 0]
+    # At a solution with its own zeros |a x - b|^2 falls by right' x.
+    fall = np.where(np.all(x >= 0.0, axis=2), np.einsum("gk,gck->gc", right, x), 0.0)
+    best, rows = np.argmax(fall, axis=1), np.arange(len(right))
+    return np.where(fall[rows, best][:, None] > 0.0, x[rows, best], 0.0)
