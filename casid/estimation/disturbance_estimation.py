@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casid.arrays import TINY, Array
+from casid.arrays import Array
 from casid.estimation.disturbance_spectrum import DisturbanceSpectrum
 from casid.estimation.noise import NoiseModel, variances, whittle
 from casid.estimation.noise_response import Response
@@ -106,18 +106,13 @@ class _Search:
             design[:, names.index(name)] *= self._in_bands([spectrum])[0]
         spectra = replace(self.white, design=design)
         given = np.array([self.known.get(n, np.nan) ** 2 for n in names])
-        value = variances(spectra, given, self.floor, tolerance=TOLERANCE)
-        return whittle(spectra, value, self.floor) + self._price(found), value
+        value = variances(spectra, given, tolerance=TOLERANCE)
+        return whittle(spectra, value) + self._price(found), value
 
     def _price(self, found: Mapping[str, DisturbanceSpectrum]) -> float:
         """Schwarz's, of the parameters of the spectra."""
         count = sum(1 if s.damping is None else 2 for s in found.values())
         return 0.5 * count * float(np.log(max(self.white.count.sum(), 2.0)))
-
-    @property
-    def floor(self) -> float:
-        """Of the spectrum of a residual."""
-        return 1e-8 * max(float(np.average(self.white.power, weights=self.white.count)), TINY)
 
     def best_beside(
         self, found: Mapping[str, DisturbanceSpectrum], name: str
@@ -164,7 +159,7 @@ class _Search:
         every = np.repeat(design[None], len(candidates), axis=0)
         every[:, :, names.index(name)] *= self._in_bands(candidates)
         given = np.array([self.known.get(n, np.nan) ** 2 for n in names])
-        values = likelihoods(self.white, every, given, self.floor, ROUGHLY)
+        values = likelihoods(self.white, every, given, ROUGHLY)
         values += [self._price({**found, name: c}) for c in candidates]
         k = int(np.argmin(values))
         return candidates[k], float(values[k])
@@ -176,7 +171,7 @@ class _Search:
         groups = [g for g in self.noise.alike if g[0] in sources]
         return replace(
             self.noise,
-            output_sd=np.sqrt(np.maximum(value[:ny], self.floor)),
+            output_sd=np.sqrt(np.maximum(value[:ny], self.white.least)),
             source_sd={name: sd.get(name, 0.0) for name in self.noise.source_sd},
             responses=self._responses(found),
             alike=(*groups, *((name,) for name in found if name not in {g[0] for g in groups})),

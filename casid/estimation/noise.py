@@ -273,11 +273,11 @@ def estimate_noise(
     used = [d.used.copy() for d in criterion.data]
     spectra = spectra_of(residuals, responses, sources, ny, windows or used)
     require_finite("the residual's spectra", spectra.power, spectra.design)
-    floor = 1e-8 * max(float(np.average(spectra.power, weights=spectra.count)), TINY)
-    value = variances(spectra, given, floor)
-    output_sd = np.sqrt(np.maximum(value[:ny], floor))
+    value = variances(spectra, given)
+    output_sd = np.sqrt(np.maximum(value[:ny], spectra.least))
     found = {name: float(np.sqrt(v)) for name, v in zip(sources, value[ny:], strict=True)}
-    sought = np.isnan(given) & ((value > floor) | np.isin(names, list(criterion.model.inputs)))
+    is_felt = np.any(spectra.design * value > spectra.floor[:, None], axis=0)
+    sought = np.isnan(given) & (is_felt | np.isin(names, list(criterion.model.inputs)))
     return NoiseModel(
         output_sd=output_sd,
         source_sd={name: found.get(name, 0.0) for name in every},
@@ -285,14 +285,14 @@ def estimate_noise(
         weights=criterion.weights,
         alike=tuple(alike),
         covariance=_covariance(spectra, value, names, sought),
-        misfit=whittle(spectra, value, floor),
+        misfit=whittle(spectra, value),
         used=() if all(mask.all() for mask in used) else used,
     )
 
 
-def whittle(spectra: Spectra, value: Array, floor: float) -> float:
+def whittle(spectra: Spectra, value: Array) -> float:
     """Minus Whittle's log-likelihood of periodograms under the variances `value`."""
-    s = np.maximum(spectra.design @ value, floor)
+    s = np.maximum(spectra.design @ value, spectra.floor)
     return float(spectra.count @ (np.log(s) + spectra.power / s))
 
 
@@ -312,19 +312,19 @@ def _covariance(
     }
 
 
-def variances(spectra: Spectra, given: Array, floor: float, *, tolerance: float = 0.0) -> Array:
+def variances(spectra: Spectra, given: Array, *, tolerance: float = 0.0) -> Array:
     """Variances that minimise Whittle's likelihood by scoring; `given` ones (else NaN) are kept.
 
     `tolerance` is the relative change of the spectrum at which it ends early.
     """
-    design, power, count = spectra.design, spectra.power, spectra.count
+    design, power, count, floor = spectra.design, spectra.power, spectra.count, spectra.floor
     fixed = np.isfinite(given)
     value = np.where(fixed, given, 0.0)
     offset = design @ value
     free = design[:, ~fixed]
     if not free.shape[1]:
         return value
-    s = np.maximum(power, 1e-12 * max(float(power.max(initial=0.0)), TINY)) + offset
+    s = np.maximum(power, 1e-4 * floor) + offset
     solution = new = np.zeros(free.shape[1])
     for k in range(60):
         weight = np.sqrt(count) / s

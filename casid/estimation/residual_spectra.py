@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import irfft, rfft
 
-from casid.arrays import Array
+from casid.arrays import TINY, Array
 from casid.estimation.noise_response import Response
 
 
@@ -20,6 +20,19 @@ class Spectra:
     power: Array  # (B,)
     count: Array  # (B,) frequencies of each band
     omega: Array  # (B,) rad/sample, their mean
+    output: Array  # (B,) index of the output
+
+    @property
+    def least(self) -> Array:
+        """A variance too small to tell from none, for each output in its own unit squared."""
+        total = np.bincount(self.output, weights=self.count * self.power)
+        count = np.bincount(self.output, weights=self.count)
+        return np.asarray(1e-8 * np.maximum(total / count, TINY))
+
+    @property
+    def floor(self) -> Array:
+        """The same for each band."""
+        return np.asarray(self.least[self.output])
 
 
 def spectra_of(
@@ -40,7 +53,7 @@ def spectra_of(
     envelopes : the windows as they were without missing samples; ones by default.
     """
     envelopes = envelopes or [np.ones_like(w, dtype=float) for w in windows]
-    rows, powers, counts, centres = [], [], [], []
+    rows, powers, counts, centres, outputs = [], [], [], [], []
     for r, response, window, whole in zip(residuals, responses, windows, envelopes, strict=True):
         places = [response.sources.index(source) for source in sources]
         for i, (power, gain2, count, omega) in enumerate(_bins(r, response, window, whole)):
@@ -50,7 +63,8 @@ def spectra_of(
             powers.append(power)
             counts.append(count)
             centres.append(omega)
-    joined = (np.concatenate(each) for each in (powers, counts, centres))
+            outputs.append(np.full(len(power), i))
+    joined = (np.concatenate(each) for each in (powers, counts, centres, outputs))
     return Spectra(np.vstack(rows), *joined)
 
 

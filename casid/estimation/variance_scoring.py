@@ -7,6 +7,7 @@ every choice of zeros is tried, and the feasible one of the smallest error is th
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -26,25 +27,22 @@ RIDGE = 1e-12
 """Of columns of unit size, which keeps equations of dependent ones regular."""
 
 
-def likelihoods(
-    spectra: Spectra, design: Array, given: Array, floor: float, tolerance: float
-) -> Array:
+def likelihoods(spectra: Spectra, design: Array, given: Array, tolerance: float) -> Array:
     """(G,) minus Whittle's log-likelihood at its maximum over the variances, of each design.
 
     Parameters
     ----------
     design : (G, B, k) |G|^2 in bands, in place of that of `spectra`.
     given : (k,) variances that are kept; NaN where they are sought.
-    floor : of the spectrum.
     tolerance : relative change of the spectrum at which the scoring of a design ends.
     """
     free = ~np.isfinite(given)
     if not 0 < np.sum(free) <= ENUMERATED:
-        return np.array([_one(spectra, d, given, floor, tolerance) for d in design])
-    power, count = spectra.power, spectra.count
+        return np.array([_one(spectra, d, given, tolerance) for d in design])
+    power, count, floor = spectra.power, spectra.count, spectra.floor
     offset = design[:, :, ~free] @ given[~free]
     columns = design[:, :, free]
-    s = np.maximum(power, 1e-12 * max(float(power.max(initial=0.0)), TINY)) + offset
+    s = np.maximum(power, 1e-4 * floor) + offset
     solution = np.zeros((len(design), columns.shape[2]))
     moving = np.arange(len(design))
     for k in range(STEPS):
@@ -63,9 +61,9 @@ def likelihoods(
     return np.asarray((np.log(s) + power / s) @ count)
 
 
-def _one(spectra: Spectra, design: Array, given: Array, floor: float, tolerance: float) -> float:
-    own = Spectra(design, spectra.power, spectra.count, spectra.omega)
-    return whittle(own, variances(own, given, floor, tolerance=tolerance), floor)
+def _one(spectra: Spectra, design: Array, given: Array, tolerance: float) -> float:
+    own = replace(spectra, design=design)
+    return whittle(own, variances(own, given, tolerance=tolerance))
 
 
 def _least(a: Array, b: Array) -> Array:

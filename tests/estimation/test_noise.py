@@ -235,3 +235,25 @@ def test_the_likelihood_of_a_record_does_not_depend_on_the_weights_of_its_output
         white = noise.whiten(e, 0)
         found.append(float(np.sum(white**2)) + noise.log_determinant(0, e.shape[0]))
     assert found[1] == pytest.approx(found[0], rel=1e-9)
+
+
+def test_the_noise_of_an_output_scales_with_its_unit_however_small_beside_anothers():
+    """y = g x: the noise found is g times that of x, nanometres beside metres."""
+    rng = np.random.default_rng(4)
+    t = 0.1 * np.arange(400)
+    x, v = np.exp(-0.05 * t), -0.05 * np.exp(-0.05 * t)
+    noise = 0.01 * rng.standard_normal((2, t.size))
+    found = []
+    for gain in (1.0, 1e-7):
+        m = casid.Model("decay")
+        state, a = m.state("x", "m"), m.parameter("a", "1/s", start=0.05)
+        m.derivative(state, -a * state)
+        m.output("near", gain * state, "m")
+        m.output("speed", m.der(state), "m/s")
+        columns = {"near": gain * (x + noise[0]), "speed": v + noise[1]}
+        record = casid.Record(columns, {"near": "m", "speed": "m/s"}, Ts=0.1)
+        criterion = SimulationError(m, [casid.Experiment(record, {}, "r")])
+        at = minimize_simulation_error(criterion)
+        found.append(estimate_noise(at.criterion, at.x).output_sd / [gain, 1.0])
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
+    assert found[0] == pytest.approx([0.01, 0.01], rel=4 / np.sqrt(2 * 400))  # four sd of an sd

@@ -11,8 +11,9 @@ from casid.estimation.noise import variances, whittle
 from casid.estimation.residual_spectra import Spectra
 from casid.estimation.variance_scoring import ENUMERATED, likelihoods
 
-BANDS, FLOOR = 120, 1e-8
+BANDS = 120
 OMEGA = np.linspace(0.02, 3.0, BANDS)
+OUTPUT = np.repeat([0, 1], BANDS)
 
 
 def designs(sources: int) -> np.ndarray:
@@ -34,18 +35,18 @@ def test_the_maxima_over_the_variances_are_those_of_each_spectrum_alone(true) ->
     design = designs(3)
     count = np.tile(np.repeat([1.0, 4.0], BANDS // 2), 2)
     power = np.maximum(design[4] @ np.array(true), 1e-6) * rng.gamma(count, 1 / count)
-    spectra = Spectra(design[4], power, count, np.tile(OMEGA, 2))
+    spectra = Spectra(design[4], power, count, np.tile(OMEGA, 2), OUTPUT)
     for given in (np.full(3, np.nan), np.array([0.9, np.nan, np.nan])):
-        found = likelihoods(spectra, design, given, FLOOR, 1e-6)
+        found = likelihoods(spectra, design, given, 1e-6)
         for value, own in zip(found, design, strict=True):
             alone = replace(spectra, design=own)
-            exact = whittle(alone, variances(alone, given, FLOOR, tolerance=1e-9), FLOOR)
+            exact = whittle(alone, variances(alone, given, tolerance=1e-9))
             assert value == pytest.approx(exact, abs=1e-3)
 
 
 def test_more_sources_than_choices_of_zeros_are_tried_for_are_scored_one_by_one() -> None:
     design = designs(ENUMERATED + 1)[:3]
     power = design[0] @ np.linspace(1.0, 2.0, ENUMERATED + 1)
-    spectra = Spectra(design[0], power, np.ones(2 * BANDS), np.tile(OMEGA, 2))
-    found = likelihoods(spectra, design, np.full(ENUMERATED + 1, np.nan), FLOOR, 1e-6)
+    spectra = Spectra(design[0], power, np.ones(2 * BANDS), np.tile(OMEGA, 2), OUTPUT)
+    found = likelihoods(spectra, design, np.full(ENUMERATED + 1, np.nan), 1e-6)
     assert np.argmin(found) == 0
