@@ -160,8 +160,10 @@ def why_doubtful(fit: Fit, at: Weighted, std_error: Callable[[str], float]) -> s
 
     A cause that is added may mend that: an error many times the noise is easily found, and leaves
     no parameter a standard error below its own size before it is. Parameters as in `why_undecided`.
+    A fit that ended beside its minimum is no reason where the one under the noise, which begins
+    there and which the tests are made at, reached its own.
     """
-    if not fit.solution.is_converged:
+    if not (fit.solution.is_converged or at.fit.solution.is_converged):
         return (
             f"the model as it is could not be fitted ({fit.solution.ending}): {fit.solution.remedy}"
         )
